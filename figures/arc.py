@@ -15,13 +15,14 @@ from figures.common import (
     cost,
     dual_truth,
     error,
+    exposure,
     matte,
     percent,
     physical,
     size_of,
     white,
 )
-from figures.panels import Error, Panel, draw, exposure
+from rfpipe.report.drawing import Error, Panel, draw
 
 _WORLD = "still_life_arc"
 _AREA = (0.6, 0.9)  # of the arc that the area light takes: beside the projector, to show shadows

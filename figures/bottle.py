@@ -14,13 +14,14 @@ from figures.common import (
     Size,
     acquired,
     cost,
+    exposure,
     percent,
     physical,
     seen,
     size_of,
 )
-from figures.panels import Panel, draw, exposure
 from figures.relit import relit
+from rfpipe.report.drawing import Panel, draw
 
 _COARSE = 3e-2  # tolerance of the patterns shown: what a camera of 2006 could tell from its noise
 _MANY = 4.0  # times the camera pixels that a median projector pixel lights

@@ -11,13 +11,14 @@ from figures.common import (
     cost,
     dual_truth,
     error,
+    exposure,
     level_pictures,
     percent,
     seen,
     size_of,
     white,
 )
-from figures.panels import Error, Panel, draw, exposure
+from rfpipe.report.drawing import Error, Panel, draw
 
 _DIM = 0.1  # of the camera's light: single pixels' inter-reflections sink into noise, as in 2006
 _TO_THE_PIXEL = 1e-9  # tolerance at which nothing is stored at a coarse level but noise

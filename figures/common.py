@@ -234,3 +234,8 @@ def size_of(scene: Any) -> str:
         f"Camera {camera}, projector {projector} pixels; the true matrix has {percent(noise)} of "
         "Monte-Carlo noise."
     )
+
+
+def exposure(*images: NDArray[Any]) -> float:
+    """Return the radiance to show as white, so that few pixels of these pictures are cut off."""
+    return float(max(np.percentile(image, 99.0) for image in images)) or 1.0

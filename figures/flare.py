@@ -16,13 +16,14 @@ from figures.common import (
     Table,
     acquired,
     error,
+    exposure,
     percent,
     physical,
     seen,
     size_of,
     white,
 )
-from figures.panels import Error, Panel, draw, exposure
+from rfpipe.report.drawing import Error, Panel, draw
 
 _FLARE = 0.03  # of a pixel's light, that the aperture spreads over a star
 _ARMS = 6

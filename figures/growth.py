@@ -22,9 +22,9 @@ from figures.common import (
     seen,
     white,
 )
-from figures.panels import new_figure
 from rfpipe import acquire
 from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.report.drawing import new_figure
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene
 

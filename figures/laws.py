@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from figures.common import Items, Picture, Size, Table, error, physical, turned
-from figures.panels import Error, Panel, draw, exposure
+from figures.common import Items, Picture, Size, Table, error, exposure, physical, turned
+from rfpipe.report.drawing import Error, Panel, draw
 from rfpipe.scenes import reference_scene
 
 Double = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from figures.common import Float, Items, Picture, Size, Table, error, percent
-from figures.panels import new_figure, srgb
+from rfpipe.report.drawing import Error, Panel, draw
 from rfpipe.store import open_arrays
 
 THESIS = (
@@ -63,25 +63,10 @@ def _draw(relit: Float, truth: Float) -> object:
     """Draw a square array of pictures as relit, beside the true ones and the differences."""
     side = round(len(truth) ** 0.5)
     bright = float(np.percentile(truth, _BRIGHT)) or 1.0
-    height, width = truth.shape[1:3]
-    tall = side * (_GRID / side * height / width + 0.2) + 0.25
-    figure, axes = new_figure(side, 3 * side, (3 * _GRID + 0.5, tall))
-    errors = 100 * (np.asarray(relit, float) - truth).mean(axis=-1) / bright
-    limit = max(float(np.percentile(np.abs(errors), 99)), 1e-3)
-    for index, (image, true) in enumerate(zip(relit, truth, strict=True)):
-        row, column = divmod(index, side)
-        ours, beside, difference = axes[row, column::side]
-        ours.imshow(srgb(image, bright), interpolation="nearest")
-        ours.set_xlabel(f"error {percent(error(image, true))}", fontsize=8)
-        beside.imshow(srgb(true, bright), interpolation="nearest")
-        shown = difference.imshow(errors[index], cmap="RdBu_r", vmin=-limit, vmax=limit)
-    for axis in axes.flat:
-        axis.set(xticks=[], yticks=[])
-    for title, axis in zip(
-        ("relit", "ground truth", "error"), axes[0, side // 2 :: side], strict=True
-    ):
-        axis.set_title(title, fontsize=9.5)
-    figure.colorbar(shown, ax=list(axes[-1, -1:])).set_label(
-        "relit - truth, % of white", fontsize=8
-    )
-    return figure
+    ours, true, errors = [], [], []
+    for image, exact in zip(relit, truth, strict=True):
+        ours.append(Panel(image, "", f"error {percent(error(image, exact))}", bright))
+        true.append(Panel(exact, "truth", "", bright))
+        errors.append(Error(image, exact, bright))
+    rows = (slice(first, first + side) for first in range(0, len(truth), side))
+    return draw([[*ours[row], *true[row], *errors[row]] for row in rows], _GRID / side)

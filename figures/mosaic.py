@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from figures.common import Float, Items, Picture, Size, Table, error, percent
-from figures.panels import Panel, draw
 from rfpipe import CameraModel
 from rfpipe.photometry import Merged
 from rfpipe.photometry.demosaic import demosaic, mosaic
 from rfpipe.photometry.normalize import apply, level_gain
+from rfpipe.report.drawing import Panel, draw
 from rfpipe.scenes import GEOMETRIES, RadiosityScene, surface_points
 
 _SHAPE = (24, 28)

@@ -10,13 +10,14 @@ from figures.common import (
     acquired,
     dual_truth,
     error,
+    exposure,
     level_pictures,
     matte,
     percent,
     seen,
     white,
 )
-from figures.panels import Error, Panel, exposure
+from rfpipe.report.drawing import Error, Panel
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from figures.common import Items, Picture, Size, percent, physical, size_of
-from figures.panels import Panel, draw
 from figures.relit import relit
+from rfpipe.report.drawing import Panel, draw
 
 
 def items(size: Size) -> Items:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from figures.common import Items, Picture, Size, aside, cost, percent, size_of
-from figures.panels import Panel, draw
 from figures.relit import relit
+from rfpipe.report.drawing import Panel, draw
 
 _SCENES = {"top": ("glossy_metal", 22.0, 12.0), "bottom": ("foreshortened", -8.0, 14.0)}
 

@@ -12,13 +12,14 @@ from figures.common import (
     acquired,
     cost,
     error,
+    exposure,
     percent,
     physical,
     seen,
     size_of,
     white,
 )
-from figures.panels import Error, Panel, draw, exposure, with_errors
+from rfpipe.report.drawing import Error, Panel, draw, with_errors
 
 _LETTERS = ("EG", "SR")
 _BRIGHTER = 0.6  # of the radiance that is white elsewhere: the letters glow within dark sweets

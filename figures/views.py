@@ -12,13 +12,14 @@ from figures.common import (
     acquired,
     cost,
     error,
+    exposure,
     matte,
     percent,
     physical,
     size_of,
 )
 from figures.light_field import THESIS, arrays_of_views
-from figures.panels import Error, Panel, draw, exposure
+from rfpipe.report.drawing import Error, Panel, draw
 
 _SHARE = 3  # of the figures' side: there are 9 x 9 pairs of views
 _LEAST = 12  # pixels a view's side

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from figures.common import Items, Picture, Size, Watched
-from figures.panels import new_figure
 from rfpipe import OperatorRig, acquire
+from rfpipe.report.drawing import new_figure
 
 
 def items(_size: Size) -> Items:

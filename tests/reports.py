@@ -1,13 +1,9 @@
 """Small results folders as the workflow's stages leave them, and the parts of a report's page."""
 
 import base64
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
-
-import numpy as np
-import OpenImageIO as oiio
-from numpy.typing import NDArray
 
 from rfpipe.config import Config
 from rfpipe.photometry import sensor_from_config
@@ -113,21 +109,3 @@ def benchmarked(results: Path, scenes: Iterable[str], methods: Iterable[str]) ->
                     path = folder / level / f"{stage}.benchmark.tsv"
                     path.write_text("s\th:m:s\tmax_rss\n1.0\t0:00:01\t50\n")
             (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n1.0\t0:00:01\n")
-
-
-def read_exr(path: Path) -> Mapping[str, NDArray[np.float32]]:
-    """Read the parts of a file of `write_exr` by their names, each (H, W, 1) or (H, W, 3).
-
-    Channels are Y, or R, G and B, in whatever order they stand in the file.
-    """
-    parts: dict[str, NDArray[np.float32]] = {}
-    count = max(oiio.ImageBuf(str(path)).nsubimages, 1)
-    for index in range(count):
-        picture = oiio.ImageBuf(str(path))
-        pixels = picture.get_pixels(oiio.FLOAT) if picture.read(index, 0) else None
-        assert pixels is not None, picture.geterror()
-        names = list(picture.spec().channelnames)
-        wanted = ("R", "G", "B") if "R" in names else ("Y",)
-        name = picture.spec().getattribute("oiio:subimagename")
-        parts[name] = pixels[..., [names.index(channel) for channel in wanted]]
-    return parts

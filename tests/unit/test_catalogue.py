@@ -119,20 +119,12 @@ def test_the_rays_of_a_projector_that_stands_aside_are_told(tmp_path: Path) -> N
     assert "4 x 4, lit by 2 x 2" in (results / CATALOGUE).read_text()
 
 
-def test_what_is_done_isn_t_read_again_until_it_changes(
-    listed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from rfpipe.report import catalogue
-
-    settings = load_config(listed.parents[2] / "run.yaml")
-    results = listed.parents[1]
-    read: list[Path] = []
-    monkeypatch.setattr(catalogue, "_read_figures", lambda _, folder: read.append(folder))
-    monkeypatch.setattr(catalogue, "write_thumbnail", lambda *_: pytest.fail("is there"))
+def test_a_small_picture_is_made_again_only_when_its_scene_is(listed: Path) -> None:
+    settings, results = load_config(listed.parents[2] / "run.yaml"), listed.parents[1]
+    picture = listed.with_name("done_hadamard.png")
+    picture.write_bytes(b"kept")
     write_catalogue(settings, results)
-    assert not read
-    transport = results / "done/hadamard/transport.json"
-    transport.touch()
-    monkeypatch.setattr(catalogue, "write_thumbnail", lambda *_: True)
+    assert picture.read_bytes() == b"kept"
+    (results / "done/hadamard/L00/merge.json").touch()
     write_catalogue(settings, results)
-    assert read == [transport.parent]
+    assert picture.read_bytes() != b"kept"

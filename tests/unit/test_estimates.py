@@ -12,9 +12,9 @@ from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import Config
 from rfpipe.methods import get_method
 from rfpipe.photometry import sensor_from_config
-from rfpipe.report.estimates import compare, estimates_figure, estimates_section, histories
+from rfpipe.report import build_report
+from rfpipe.report.errors import compare, estimates_figure, estimates_section, histories
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.page import build_report
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
 from rfpipe.stages import relight
@@ -147,16 +147,13 @@ def test_estimates_stand_beside_the_mean_true_error() -> None:
 def test_the_section_shows_each_estimate_and_how_good_the_last_was() -> None:
     section = estimates_section(made_up())
     chart, compared, steps = section.blocks
-    assert compared.table.rows == [
+    assert compared.rows == [
         ["corner", "Near/far acquisition", "40", "2.00", "1.20", "1.00", "1.20"],
-        ["other", "low rank", "40", "2.00", "0.00", "0.40", "0.00"],
+        ["other", "Optical low rank", "40", "2.00", "0.00", "0.40", "0.00"],
     ]
-    assert [row[2:] for row in steps.table.rows] == [
+    assert [row[2:] for row in steps.rows] == [
         ["1", "15", "8.00"], ["3", "40", "1.20"], ["1", "40", "0.00"],
     ]  # fmt: skip
-    for block in (compared, steps):
-        assert all(len(row) == len(block.table.columns) for row in block.table.rows)
-        assert len(block.table.numbers) == len(block.table.rows)
     assert "Dashed" in chart.caption
     assert "0.02 of" in chart.caption
 
@@ -164,7 +161,7 @@ def test_the_section_shows_each_estimate_and_how_good_the_last_was() -> None:
 def test_without_truth_nothing_is_compared_and_no_line_is_drawn() -> None:
     section = estimates_section(made_up(with_truth=False))
     chart, compared, _ = section.blocks
-    assert [row[-2:] for row in compared.table.rows] == 2 * [["\N{EN DASH}", "\N{EN DASH}"]]
+    assert [row[-2:] for row in compared.rows] == 2 * [["\N{EN DASH}", "\N{EN DASH}"]]
     assert "not known" in compared.caption
     assert "Dashed" not in chart.caption
     assert not [
@@ -174,10 +171,9 @@ def test_without_truth_nothing_is_compared_and_no_line_is_drawn() -> None:
 
 def test_the_curve_is_drawn_in_per_cent_with_truth_dashed_and_target_dotted() -> None:
     inputs = made_up()
-    titles = {"corner": "corner (III)", "other": "other"}
-    figure = estimates_figure(histories(inputs.runs), compare(inputs), 0.02, titles)
+    figure = estimates_figure(inputs, histories(inputs.runs), compare(inputs), 0.02)
     corner, other = figure.axes
-    assert [axis.get_title() for axis in figure.axes] == ["corner (III)", "other"]
+    assert [axis.get_title() for axis in figure.axes] == ["corner", "other"]
     estimated, true, target = corner.lines
     assert estimated.get_label() == "Near/far acquisition"
     np.testing.assert_allclose(estimated.get_xydata(), [[15, 8], [40, 1.2]])

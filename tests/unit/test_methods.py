@@ -12,7 +12,6 @@ from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.hadamard import Hadamard
 from rfpipe.methods.symmetric.method import Symmetric
-from rfpipe.report import methods as shown
 from rfpipe.testing import MethodContract
 
 NAMES = method_names()
@@ -101,7 +100,6 @@ def test_methods_are_told_apart() -> None:
     assert len({method.title for method in methods}) == len(NAMES) == 7
     assert len({method.colour for method in methods}) == len(NAMES)
     assert len({method.marker for method in methods}) == len(NAMES)
-    assert [shown.title(name) for name in NAMES] == [method.title for method in methods]
 
 
 def test_a_method_is_what_derives_from_method() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rfpipe.errors import ConfigError
-from rfpipe.report.verdicts import verdicts_of_run, verdicts_section
+from rfpipe.report.verification import verdicts_section
 from rfpipe.rigs.calibrated import VERDICTS_KEY, check_verdicts, warn_of
 
 VERDICTS = {
@@ -19,7 +19,7 @@ VERDICTS = {
 
 
 def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
-    run = SimpleNamespace(scene="desk", method="auto", title="desk", method_title="Auto")
+    run = SimpleNamespace(scene="desk", method="auto")
     place = folder / "desk" / "auto" / "L00"
     place.mkdir(parents=True)
     (place / "capture.json").write_text(json.dumps({"rig": rig}))
@@ -28,19 +28,18 @@ def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
 
 def test_a_report_shows_the_verdicts_on_its_rig(tmp_path: Path) -> None:
     inputs = inputs_of(tmp_path, {"kind": "devices", VERDICTS_KEY: VERDICTS})
-    assert verdicts_of_run(inputs, inputs.runs[0]) == VERDICTS
     section = verdicts_section(inputs)
     assert section.text == ["desk by auto: Rays: NOT GOOD. Half of them are not seen."]
     [block] = section.blocks
-    assert block.table.rows == [
+    assert block.rows == [
         ["Black level", "good"], ["Rays", "NOT GOOD"], ["Symmetry", "can't tell"],
     ]  # fmt: skip
 
 
 def test_a_report_says_where_nothing_is_known_of_the_rig(tmp_path: Path) -> None:
     section = verdicts_section(inputs_of(tmp_path, {"kind": "devices"}))
-    assert section.blocks[0].table.rows == [["no calibration", "can't tell"]]
-    assert "no calibration" in section.text[0]
+    assert section.blocks[0].rows == [["no calibration", "can't tell"]]
+    assert "without a calibration" in section.text[0]
 
 
 def test_a_simulated_rig_has_no_verdicts(tmp_path: Path) -> None:

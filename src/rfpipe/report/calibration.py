@@ -14,12 +14,10 @@ from rfpipe.calibration.sight import YELLOW, sight_picture
 from rfpipe.calibration.steps import STEPS
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import StoreError
-from rfpipe.report.blocks import Illustration, Section, Table, Tabulation, table_of
-from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_image
-from rfpipe.report.page import write_page
-from rfpipe.report.verdicts import STANDING_COLOURS
+from rfpipe.report.drawing import Map, draw, new_figure
+from rfpipe.report.page import Illustration, Section, Table, table_of, write_page
+from rfpipe.report.text import STANDING_COLOURS
 from rfpipe.rigs.calibrated import STANDINGS
-from rfpipe.rigs.layout import ProjectorLayout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,30 +48,19 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     StoreError
         When no step is done.
     """
-    found = {name: folder.read(name) for name in STEPS if folder.is_done(name)}
-    if not found:
+    done = {name: folder.read(name) for name in STEPS if folder.is_done(name)}
+    if not done:
         raise StoreError(f"{folder.path}: holds no calibration; run `rfpipe calibrate` first")
-    standings = {name: findings.verdict.standing for name, findings in found.items()}
-    lead = []
-    for of, words in {
-        "poor": "Not good enough yet", "failed": "Not measured", "unknown": "Can't tell"
-    }.items():  # fmt: skip
-        titles = [STEPS[name].title.lower() for name, one in standings.items() if one == of]
-        lead += [f"{words}: {', '.join(titles)}."] if titles else []
-    rows = [[STEPS[name].title, STANDINGS[one]] for name, one in standings.items()]
-    table = Table([], ["step", "verdict"], rows, text_columns=2)
-    verdicts = Tabulation("Verdicts", "", table, is_folded=False)
-    reasons = [
-        f"{STEPS[name].title}: {_verdict(findings)}"
-        for name, findings in found.items()
-        if standings[name] != "good"
-    ]
-    sections = [_section(name, found) for name in sorted(found, key="scene".__ne__)]
-    sections.insert(0, Section("verdicts", "Verdicts", [verdicts], reasons))
-    page = folder.path / "report.html"
-    text = " ".join(lead) or "No step found a fault."
-    title = "Calibration of the rig"
-    write_page(page, title, text, sections, STANDING_COLOURS)
+    read = {name: STANDINGS[findings.verdict.standing] for name, findings in done.items()}
+    faults = [name for name, standing in read.items() if standing != STANDINGS["good"]]
+    lead = "; ".join(f"{STEPS[name].title}: {read[name]}" for name in faults)
+    rows = [[STEPS[name].title, standing] for name, standing in read.items()]
+    table = Table("Verdicts", "", ["step", "verdict"], rows, 2, is_folded=False)
+    reasons = [f"{STEPS[name].title}: {_verdict(done[name])}" for name in faults]
+    sections = [_section(name, done) for name in sorted(done, key="scene".__ne__)]
+    sections.insert(0, Section("verdicts", "Verdicts", [table], reasons))
+    page, lead = folder.path / "report.html", lead or "No step found a fault."
+    write_page(page, "Calibration of the rig", lead, sections, STANDING_COLOURS)
     return page
 
 
@@ -81,8 +68,8 @@ def _verdict(findings: Findings) -> str:
     return f"{STANDINGS[findings.verdict.standing]}. {findings.verdict.text}"
 
 
-def _section(name: str, found: All) -> Section:
-    title, findings = STEPS[name].title, found[name]
+def _section(name: str, done: All) -> Section:
+    title, findings = STEPS[name].title, done[name]
     verdict = f"Verdict: {_verdict(findings)}"
     if findings.verdict.standing == "failed":
         return Section(name, title, [], [verdict])
@@ -92,34 +79,24 @@ def _section(name: str, found: All) -> Section:
         if isinstance(value, bool | int | float | str)
     ]
     labels = [("number", "number", str), ("value", "value", str)]
-    table = table_of(numbers, labels, [], csv=f"{name}.csv")
-    draw, caption = _CHARTS[name]
-    chart = Illustration(title, caption, name, draw(found))
-    numbers_below = Tabulation("Numbers", "Units stand in the names.", table)
-    return Section(name, title, [chart, numbers_below], [verdict])
+    about = "Units stand in the names."
+    table = table_of("Numbers", about, numbers, labels, [], csv=f"{name}.csv")
+    chart, caption = _CHARTS[name]
+    return Section(name, title, [Illustration(title, caption, name, chart(done)), table], [verdict])
 
 
 def _plots(*labels: tuple[str, str]) -> tuple[Figure, NDArray[Any]]:
-    """Make a figure of plots side by side, each with its labels below and on the left."""
+    """Return a figure of plots side by side, each with its labels below and on the left."""
     figure, (axes,) = new_figure(1, len(labels), (8.4 if len(labels) > 1 else 5.0, 3.1))
     for axis, (below, left) in zip(axes, labels, strict=True):
-        label_below(axis, below)
-        label_left(axis, left)
+        axis.set(xlabel=below, ylabel=left)
     return figure, axes
 
 
-def _maps(**images: NDArray[Any] | None) -> tuple[Figure, NDArray[Any]]:
-    """Show maps side by side, each with its scale; None leaves a panel empty."""
-    shape = next(image.shape for image in images.values() if image is not None)
-    size = 8.4, 8.4 / len(images) * panel_ratio([shape]) + 0.4
-    figure, (axes,) = new_figure(1, len(images), size)
-    for axis, (name, image) in zip(axes, images.items(), strict=True):
-        axis.set_title(name.replace("_", " "), fontsize=8)
-        axis.set_facecolor("#cccccc")
-        if image is not None:
-            shown = show_image(axis, image, cmap="viridis")
-            figure.colorbar(shown, ax=axis, shrink=0.8).ax.tick_params(labelsize=7)
-    return figure, axes
+def _maps(**images: NDArray[Any]) -> Figure:
+    """Show maps side by side, each with its scale."""
+    maps = [Map(image, scale=name.replace("_", " ")) for name, image in images.items()]
+    return draw([maps], 2.6)
 
 
 def _errors(axis: Axes, x: Any, y: Any, error: Any, **style: Any) -> None:
@@ -127,8 +104,8 @@ def _errors(axis: Axes, x: Any, y: Any, error: Any, **style: Any) -> None:
     axis.errorbar(x, y, 2 * error, **{"color": _BLUE, "linewidth": 0.8, **_DOTS, **style})
 
 
-def _latency(found: All) -> Figure:
-    one = found["latency"]
+def _latency(done: All) -> Figure:
+    one = done["latency"]
     figure, (axis,) = _plots(("wait after a picture was drawn, ms", "share of the step seen"))
     axis.plot(1000 * one["waits"], one["worst"], color=_BLUE, **_DOTS)
     if one["settle_seconds"] is not None:
@@ -137,50 +114,38 @@ def _latency(found: All) -> Figure:
     return figure
 
 
-def _scene(found: All) -> Figure:
-    scene = found["scene"]
-    lit, white = scene["lit"], scene["white"]
-    figure, (left, *_) = _maps(
-        white_less_black__outline__rays=None,
-        all_off__counts=scene["black"],
-        contrast_of_stripes=scene["focus"],
-    )
-    show_image(left, sight_picture(white, scene["saturated"], scene["dark"]))
+def _scene(done: All) -> Figure:
+    one = done["scene"]
+    sight = Map(sight_picture(one["white"], one["saturated"], one["dark"]), "white, less black")
+    dark = Map(one["black"], "all off", scale="counts")
+    focus = Map(one["focus"], "contrast of stripes", scale="contrast")
+    figure = draw([[sight, dark, focus]], 2.6)
+    left, lit = figure.axes[0], one["lit"]
     if lit.any() and not lit.all():
-        outline = np.pad(lit, 1).astype(float)
-        y, x = (np.arange(extent) - 1.0 for extent in outline.shape)
-        left.contour(x, y, outline, levels=[0.5], colors=[YELLOW], linewidths=1.2)
-    if "rays" in found and "ray_of_pixel" in found["rays"].arrays:
-        seen, layout = found["correspondence"], ProjectorLayout.from_arrays(found["rays"].arrays)
-        width = layout.shape[-1]
-        for axis, (name, extent) in enumerate((("x", width), ("y", layout.shape[-2]))):
-            # some of the rays' borders, by where the camera's pixels look
-            index = layout.ray_of_pixel % width if axis == 0 else layout.ray_of_pixel // width
-            index = np.where(layout.ray_of_pixel >= 0, index, -1).max(axis=axis)
-            borders = np.flatnonzero(np.diff(index) != 0) + 1.0
-            levels = np.unique(np.append(borders[:: max(1, extent // 8)], borders[-1:]))
+        left.contour(lit.astype(float), levels=[0.5], colors=[YELLOW], linewidths=1.2)
+    if "valid" in done.get("correspondence", one).arrays:
+        seen = done["correspondence"]
+        for name in "xy":
             where = np.where(seen["valid"], seen[name], np.nan)
-            left.contour(where, levels=levels, colors=_CYAN, linewidths=0.5)
-    left.set(xlim=(-0.5, white.shape[1] - 0.5), ylim=(white.shape[0] - 0.5, -0.5))
+            left.contour(where, levels=8, colors=_CYAN, linewidths=0.5)
     return figure
 
 
-def _dark(found: All) -> Figure:
-    one = found["dark"]
+def _dark(done: All) -> Figure:
+    one = done["dark"]
     figure, (left, right) = _plots(("exposure, s", "mean without light, counts"), ("", ""))
     times = np.array(one["exposures_s"])
     left.plot(times, one["level_counts"], "o", color=_BLUE)
     left.plot(times, one["black_level_counts"] + one["current_counts_per_s"] * times, **_FIT)
     left.ticklabel_format(axis="y", useOffset=False)
     longest = one["black"][-1]
-    image = longest if longest.ndim == 2 else longest.mean(axis=-1)
-    bar = figure.colorbar(show_image(right, image, cmap="viridis"), ax=right, shrink=0.8)
-    bar.set_label("counts", fontsize=8)
+    shown = right.imshow(longest if longest.ndim == 2 else longest.mean(axis=-1))
+    figure.colorbar(shown, ax=right, shrink=0.8, label="counts")
     return figure
 
 
-def _linearity(found: All) -> Figure:
-    one = found["linearity"]
+def _linearity(done: All) -> Figure:
+    one = done["linearity"]
     figure, (axis,) = _plots(("counts above black, fraction of full scale", "deviation, %"))
     axis.axhline(0, color=_GREY, linewidth=0.8)
     _errors(axis, one["level"], 100 * one["deviation"], 100 * one["error"])
@@ -188,21 +153,16 @@ def _linearity(found: All) -> Figure:
     return figure
 
 
-def _light(found: All) -> Figure:
-    one, every = found["light"], np.arange(256)
-    codes, measured = one["codes"], one["measured"]
-    figure, (left, right) = _plots(
-        ("code", "light, fraction of code 255"), ("code", "less gamma 2.2, %")
-    )
-    left.plot(every, one["light"], **_FIT)
-    left.plot(codes, measured, color=_BLUE, **_DOTS)
-    right.plot(every, 100 * (one["light"] - (every / 255) ** 2.2), **_FIT)
-    _errors(right, codes, 100 * (measured - (codes / 255) ** 2.2), 100 * one["error"])
+def _light(done: All) -> Figure:
+    one = done["light"]
+    figure, (axis,) = _plots(("code", "light, fraction of code 255"))
+    axis.plot(np.arange(256), one["light"], **_FIT)
+    _errors(axis, one["codes"], one["measured"], one["error"])
     return figure
 
 
-def _transfer(found: All) -> Figure:
-    one = found["transfer"]
+def _transfer(done: All) -> Figure:
+    one = done["transfer"]
     signal, variance, model, used = (one[name] for name in ("signal", "variance", "model", "used"))
     figure, (left, right) = _plots(
         ("signal, counts", "variance, counts²"), ("signal, counts", "measured over fitted")
@@ -217,43 +177,36 @@ def _transfer(found: All) -> Figure:
     return figure
 
 
-def _correspondence(found: All) -> Figure:
-    one = found["correspondence"]
+def _correspondence(done: All) -> Figure:
+    one = done["correspondence"]
     x, y, above = (np.where(one["valid"], one[name], np.nan) for name in ("x", "y", "modulation"))
-    return _maps(x__projector_pixels=x, y__projector_pixels=y, stripes_over_noise=above)[0]
+    return _maps(x__projector_pixels=x, y__projector_pixels=y, stripes_over_noise=above)
 
 
-def _rays(found: All) -> Figure:
-    one = found["rays"]
+def _rays(done: All) -> Figure:
+    one = done["rays"]
     seen = np.diff(one["resampling_starts"]).reshape(one["pixels"].shape) > 0
     pixels, leak, noise = (
         np.where(seen, one[name], np.nan).reshape(-1, seen.shape[-1])
         for name in ("pixels", "leak", "noise")
     )
-    return _maps(
-        camera_pixels_a_ray=pixels, leak__share=leak, noise_over_a_pixel_s=noise
-    )[0]  # fmt: skip
+    return _maps(camera_pixels_a_ray=pixels, leak__share=leak, noise_over_a_pixel_s=noise)
 
 
-def _symmetry(found: All) -> Figure:
-    one = found["symmetry"]
+def _symmetry(done: All) -> Figure:
+    one = done["symmetry"]
     figure, (left, right) = _plots(
         ("p2' T p1, relative", "p1' T p2 less p2' T p1, relative"),
         ("patches, rays a side", "predicted error, %"),
     )
-    sides = [scale["side_rays"] for scale in one["scales"]]
-    for index, (side, scale) in enumerate(zip(sides, one["scales"], strict=True)):
-        ahead, back, error = (one[f"{name}_{side}"] for name in ("forward", "backward", "error"))
-        style = {"color": f"C{index}", "label": f"patches of {side} x {side} rays"}
-        _errors(left, ahead, back - ahead, error, **style)
-        _errors(
-            right, index, 100 * scale["predicted_error"], 100 * scale["standard_error"], **style
-        )
     left.axhline(0, color=_GREY, linewidth=0.8)
-    left.legend(fontsize=7, frameon=False)
     right.axhline(100 * one["tolerance"], **_FIT)
-    right.set_xticks(range(len(sides)), [str(side) for side in sides])
-    right.set(xlim=(-0.5, len(sides) - 0.5))
+    for index, scale in enumerate(one["scales"]):
+        side, style = scale["side_rays"], {"color": f"C{index}"}
+        ahead, back, error = (one[f"{name}_{side}"] for name in ("forward", "backward", "error"))
+        _errors(left, ahead, back - ahead, error, **style)
+        predicted = scale["predicted_error"], scale["standard_error"]
+        _errors(right, str(side), *(100 * value for value in predicted), **style)
     right.set_ylim(bottom=0)
     return figure
 
@@ -265,25 +218,23 @@ class _Chart(NamedTuple):
 
 _CHARTS: dict[str, _Chart] = {
     "latency": _Chart(_latency, "The least share of the step from one picture to the next that "
-        "the camera's first exposure saw after each wait. Dashed: what the settings wait."),
-    "scene": _Chart(_scene, "Left: the projector's white, black taken off; red: saturated at all "
-        "exposures; blue: within the noise at all; yellow: the projector's outline; thin lines: "
-        "some rays' borders. Middle: all off, at the longest exposure. Right: the contrast that "
-        "fine stripes keep; grey: not lit."),
-    "dark": _Chart(_dark, "Left: counts without light; the slope is dark current and what light "
-        "is left. Right: the black level of each photosite at the longest exposure."),
+        "the camera's first exposure saw. Dashed: what the settings wait."),
+    "scene": _Chart(_scene, "Red: saturated at all exposures; blue: within the noise at all; "
+        "yellow: the projector's outline; thin: its rows and columns. All off: at the longest "
+        "exposure."),
+    "dark": _Chart(_dark, "Counts without light, whose slope is dark current and leaking light; "
+        "and each photosite's at the longest exposure."),
     "linearity": _Chart(_linearity, "Light by the shorter of two exposures over that by the "
         "longer one, less 1; bars are two standard errors."),
     "light": _Chart(_light, "Light of each code: median over the lit camera pixels, and the "
-        "monotone curve through them. Right: what the curve adds to a gamma of 2.2."),
+        "monotone curve through them."),
     "transfer": _Chart(_transfer, "Variance between two pictures of the same light (filled: "
-        "used), and the fit of read noise, photon noise and rounding; bars are two standard "
-        "errors."),
+        "used), and the fit of read noise, photon noise and rounding."),
     "correspondence": _Chart(_correspondence, "Where on the projector each camera pixel looks, "
-        "and how far the stripes rise above their noise. Grey: not valid."),
+        "and how far the stripes rise above their noise."),
     "rays": _Chart(_rays, "Camera pixels a ray, light of other rays that leaks into each, and a "
-        "ray's noise. Grey: rays that the camera doesn't see. Views one above the other."),
-    "symmetry": _Chart(_symmetry, "Left: pairs of random patterns, lit one way and the other. "
-        "Right: the predicted error of relit pictures, and what is accepted. Bars are two "
-        "standard errors."),
+        "ray's noise. Views one above the other."),
+    "symmetry": _Chart(_symmetry, "Pairs of random patterns, lit one way and the other, patches "
+        "of each size in its colour; the predicted error of relit pictures, and what is accepted. "
+        "Bars are two standard errors."),
 }  # fmt: skip

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
-from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import RfpipeError
+from rfpipe.report.inputs import job_times, read_json
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.store import StoreLock, open_arrays, read_manifest
+from rfpipe.store import StoreLock
 from rfpipe.store.files import write_atomically
+from rfpipe.transport.base import estimates
 
 if TYPE_CHECKING:
     from rfpipe.config import Config, SceneSettings
@@ -25,21 +24,26 @@ if TYPE_CHECKING:
 CATALOGUE = Path("catalogue") / "index.html"
 """In the folder of results."""
 
-_KNOWN = "items.json"
-_STATES = ("failed", "running", "unknown", "stopped", "waiting", "done")
+State = Literal["failed", "running", "unknown", "stopped", "waiting", "done"]
+_STATES: tuple[State, ...] = ("failed", "running", "unknown", "stopped", "waiting", "done")
+
+_ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
+_STOPPED = "stopped; what is done is kept"
+_LONGEST_WHY = 400
+_TAIL_BYTES = 65_536
+_SIDE = 96  # pixels of a small picture
+_WHITE_PERCENTILE = 99.5
 
 
 def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     """Write the page that lists every acquisition of a run.
 
-    What was read of finished acquisitions is kept beside it, so that a page of a thousand takes
-    seconds once it was written.
-
     Parameters
     ----------
     settings : Config
     results : Path
-        The run's folder of results; the page is its ``catalogue/index.html``.
+        The run's folder of results; the page is its ``catalogue/index.html``, small pictures lie
+        beside it.
 
     Returns
     -------
@@ -48,41 +52,24 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    folder = (results / CATALOGUE).parent
-    kept, known = _known(folder / _KNOWN), {}
-    rows: list[dict[str, Any]] = []
-    for scene, method in settings.acquisitions:
-        name, place = f"{scene}/{method}", results / scene / method
-        stamp, before = stamp_of(place), kept.get(name, {})
-        same = before.get("stamp") == stamp
-        item = item_of(place, before["item"] if same else None)
-        picture = before.get("picture", False) if same else False
-        if not picture and stamp[-1]:
-            picture = write_thumbnail(place, folder / f"{scene}_{method}.png")
-        known[name] = {"stamp": stamp, "item": item.plain(), "picture": picture}
-        rows.append(_row(settings, results, item, picture=picture))
-    counts = Counter(row["item"].state for row in rows)
-    environment = Environment(
-        loader=PackageLoader("rfpipe.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    about = list(dict.fromkeys(key for row in rows for key in row["about"]))
+    rows = [_row(settings, results, *names) for names in settings.acquisitions]
+    counts = Counter(row["state"] for row in rows)
+    loader = PackageLoader("rfpipe.report", ".")
+    options: Any = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    environment = Environment(loader=loader, autoescape=True, **options)
     page = environment.get_template("catalogue.html.j2").render(
         title=Path(settings.collection).stem if settings.collection else settings.title,
         rows=rows,
-        about=about,
-        shown=_told(rows),
+        about=list(dict.fromkeys(key for row in rows for key in row["about"])),
+        shown={
+            name: any(row[name] not in (None, "") for row in rows)
+            for name in ("error", "estimate", "verified", "rig")
+        },
         left=left_over(settings, results),
         states=[(state, counts[state]) for state in _STATES if counts[state]],
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        seconds=sum(row["item"].seconds or 0 for row in rows),
-        patterns=sum(row["item"].patterns or 0 for row in rows),
     )
     write_atomically(results / CATALOGUE, page.encode())
-    write_atomically(folder / _KNOWN, json.dumps(known).encode())
     return {state: counts[state] for state in _STATES}
 
 
@@ -92,26 +79,26 @@ def left_over(settings: Config, results: Path) -> list[str]:
     return sorted(begun - {*settings.scenes})
 
 
-def _row(settings: Config, results: Path, item: Item, *, picture: bool) -> dict[str, Any]:
-    scene = settings.scenes[item.scene]
-    view = f"report/view/{item.scene}_{item.method}.html"
+def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, Any]:
+    folder, about = results / scene / method, settings.scenes[scene]
+    state, why = state_of(folder)
+    view, log = f"report/view/{scene}_{method}.html", last_log(folder)
+    picture = (results / CATALOGUE).with_name(f"{scene}_{method}.png")
     return {
-        "item": item,
-        "kind": scene.kind,
-        "rays": _rays(scene),
-        "rig": scene.rig or "",
-        "about": scene.about,
-        "picture": f"{item.scene}_{item.method}.png" if picture else None,
+        "scene": scene,
+        "method": method,
+        "state": state,
+        "why": why,
+        "order": _STATES.index(state),
+        "kind": about.kind,
+        "rays": _rays(about),
+        "rig": about.rig or "",
+        "about": about.about,
+        "picture": picture.name if write_thumbnail(folder, picture) else None,
         "view": f"../{view}" if (results / view).exists() else None,
-        "log": _log_of(results, item),
-        "order": _STATES.index(item.state),
+        "log": f"../{log.relative_to(results).as_posix()}" if log else None,
+        **_numbers(folder if state == "done" else None),
     }
-
-
-def _log_of(results: Path, item: Item) -> str | None:
-    """Return where the last log of an acquisition lies, as seen from the page."""
-    log = last_log(results / item.scene / item.method)
-    return None if log is None else f"../{log.relative_to(results).as_posix()}"
 
 
 def _rays(scene: SceneSettings) -> str:
@@ -120,112 +107,36 @@ def _rays(scene: SceneSettings) -> str:
     return camera if camera == lit else f"{camera}, lit by {lit}"
 
 
-def _told(rows: list[dict[str, Any]]) -> dict[str, bool]:
-    """Return which columns have anything to tell."""
-    figures = {
-        name: any(getattr(row["item"], name) is not None for row in rows)
-        for name in ("error", "estimate", "verified")
-    }
-    return {**figures, "rig": any(row["rig"] for row in rows)}
-
-
-def _known(path: Path) -> dict[str, Any]:
-    """Read what was kept; nothing where it can't be read, as after an update."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        fields = set(Item("", "").plain())
-        return {name: it for name, it in found.items() if set(it["item"]) == fields}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
-
-
-State = Literal["waiting", "running", "unknown", "stopped", "failed", "done"]
-
-_ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
-_STOPPED = "stopped; what is done is kept"
-_LONGEST_WHY = 400
-_TAIL_BYTES = 65_536
-_READ = ("transport.json", "relight.json", "verification.json", "L00/merge.json")
-"""Manifests that an item's figures and picture come from."""
-
-
-@dataclass
-class Item:
-    """A row of the catalogue.
+class Standing(NamedTuple):
+    """What became of an acquisition.
 
     Attributes
     ----------
-    scene, method : str
-    state : {"waiting", "running", "unknown", "stopped", "failed", "done"}
+    state : {"failed", "running", "unknown", "stopped", "waiting", "done"}
         Unknown where another machine's process began it, and can't be asked from here.
     why : str
         Of one that failed, the message; of one that runs or was stopped, where and how far it came.
-    patterns : int or None
-        Shown.
-    error : float or None
-        Mean relative error of relit pictures against the truth, where that is known.
-    estimate : float or None
-        The method's own estimate of that error, if it has one.
-    verified : float or None
-        Mean relative error against pictures that no method saw, taken after the acquisition.
-    seconds : float or None
-        Of the acquisition's job.
-    nbytes : int or None
-        Of the stored transport.
     """
 
-    scene: str
-    method: str
-    state: State = "waiting"
+    state: State
     why: str = ""
-    patterns: int | None = None
-    error: float | None = None
-    estimate: float | None = None
-    verified: float | None = None
-    seconds: float | None = None
-    nbytes: int | None = None
-
-    def plain(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        return asdict(self)
 
 
-def stamp_of(folder: Path) -> list[int]:
-    """Return what changes when any of the manifests that an item is made of does."""
-    return [_modified(folder / name) for name in _READ]
-
-
-def item_of(folder: Path, known: dict[str, Any] | None = None) -> Item:
-    """Read what there is of an acquisition.
-
-    Parameters
-    ----------
-    folder : Path
-        ``results/{scene}/{method}``; it needn't exist.
-    known : dict, optional
-        `Item.plain` of the same manifests: their figures aren't read again.
-    """
-    item = Item(folder.parent.name, folder.name)
+def state_of(folder: Path) -> Standing:
+    """Return the state of the acquisition in a folder, which needn't exist."""
     if not folder.exists():
-        return item
+        return Standing("waiting")
     holder = StoreLock.holder(folder)
     if holder is not None and holder.is_known:
         on = f"on {holder.where}: " if holder.where else ""
-        item.state, item.why = "running", on + _reached(folder)
-    elif (folder / "transport.json").exists():
-        item.state = "done"
-        if known and known["state"] == "done":
-            return Item(**known)
-        _read_figures(item, folder)
-    else:
-        item.state, item.why = _ended(folder)
-        if holder is not None and item.state == "stopped":
-            item.state = "unknown"
-            item.why = (
-                f"begun on {holder.where}, whose locks don't reach here or which died; "
-                f"{_reached(folder)}{_last_sign(folder)}"
-            )
-    return item
+        return Standing("running", on + _reached(folder))
+    if (folder / "transport.json").exists():
+        return Standing("done")
+    ended = _ended(folder)
+    if holder is None or ended.state != "stopped":
+        return ended
+    lost = f"begun on {holder.where}, whose locks don't reach here or which died"
+    return Standing("unknown", f"{lost}; {_reached(folder)}{_last_sign(folder)}")
 
 
 def _modified(path: Path) -> int:
@@ -256,127 +167,81 @@ def _last_sign(folder: Path) -> str:
     return f", last sign of life {datetime.fromtimestamp(last // 10**9, UTC):%Y-%m-%d %H:%M} UTC"
 
 
-def _ended(folder: Path) -> tuple[State, str]:
+def _ended(folder: Path) -> Standing:
     """Tell how an acquisition without a transport ended, by its last log."""
     try:
         with (last_log(folder) or folder / "acquire.log").open("rb") as file:
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - _TAIL_BYTES))
-            log = file.read().decode(errors="replace")
+            file.seek(max(0, file.seek(0, 2) - _TAIL_BYTES))
+            errors = _ERROR.findall(file.read().decode(errors="replace"))
     except OSError:
         begun = any(folder.iterdir())
-        return ("stopped", _reached(folder)) if begun else ("waiting", "")
-    errors = _ERROR.findall(log)
+        return Standing("stopped", _reached(folder)) if begun else Standing("waiting")
     if not errors or errors[-1].startswith(_STOPPED):
-        return "stopped", _reached(folder)
-    return "failed", errors[-1][:_LONGEST_WHY]
+        return Standing("stopped", _reached(folder))
+    return Standing("failed", errors[-1][:_LONGEST_WHY])
 
 
-def _read_figures(item: Item, folder: Path) -> None:
-    """Read what the stages left; what is missing or damaged stays unknown."""
+def _numbers(folder: Path | None) -> dict[str, Any]:
+    """Return the numbers of an acquisition; what is missing or damaged is None.
+
+    Returns
+    -------
+    dict
+        ``patterns``; ``seconds`` of its jobs; ``nbytes`` of the stored transport. ``error``,
+        ``estimate`` and ``verified``: mean relative errors of relit pictures, against the truth,
+        by the method's own estimate, and against pictures that no method saw.
+    """
+    if folder is None:
+        names = ("patterns", "seconds", "nbytes", "error", "estimate", "verified")
+        return dict.fromkeys(names)
     acquired = _manifest(folder / "transport.json")
-    item.patterns = acquired.get("patterns")
-    item.verified = _manifest(folder / "verification.json").get("mean_error")
-    item.error = _mean_error(folder / "relight.json")
-    _read_transport(item, folder / "transport.zarr")
-    times = [*folder.glob("L[0-9][0-9]/*.benchmark.tsv"), folder / "assemble.benchmark.tsv"]
-    known = [seconds for path in times if (seconds := _seconds(path)) is not None]
-    item.seconds = sum(known) if known else None
+    steps = estimates(acquired.get("levels", []))
+    times = [row["seconds"] for row in job_times(folder)]
+    files = [path.stat().st_size for path in (folder / "transport.zarr").rglob("*.*")]
+    return {
+        "patterns": acquired.get("patterns"),
+        "seconds": sum(times) if times else None,
+        "nbytes": sum(files) if files else None,
+        "error": _manifest(folder / "relight.json").get("mean_error"),
+        "estimate": steps[-1]["estimated_error"] if steps else None,
+        "verified": _manifest(folder / "verification.json").get("mean_error"),
+    }
 
 
 def _manifest(path: Path) -> dict[str, Any]:
     try:
-        return read_manifest(path)
+        return read_json(path)
     except RfpipeError:
         return {}
 
 
-def _mean_error(manifest: Path) -> float | None:
-    from rfpipe.stages.evaluating.metrics import relative_rms
-
-    if not _manifest(manifest):
-        return None
-    try:
-        images = open_arrays(manifest.with_suffix(".zarr"))
-        if "truth" not in images.names:
-            return None
-        pairs = list(zip(images.read("relit"), images.read("truth"), strict=True))
-    except RfpipeError:
-        return None
-    return sum(relative_rms(relit, truth) for relit, truth in pairs) / len(pairs)
-
-
-def _read_transport(item: Item, store: Path) -> None:
-    from rfpipe.transport import open_transport
-    from rfpipe.transport.base import estimates
-
-    try:
-        transport = open_transport(store)
-        item.nbytes, rows = transport.nbytes, transport.level_rows
-    except RfpipeError:
-        return
-    steps = estimates(rows)
-    item.estimate = float(steps[-1]["estimated_error"]) if steps else None
-
-
-def _seconds(benchmark: Path) -> float | None:
-    try:
-        names, values, *_ = benchmark.read_text(encoding="utf-8").splitlines()
-        return float(dict(zip(names.split("\t"), values.split("\t"), strict=True))["s"])
-    except (OSError, ValueError, KeyError):
-        return None
-
-
-def floodlit_of(folder: Path) -> Any:
-    """Return the floodlit image of an acquisition, None where it isn't merged, or damaged."""
-    from rfpipe.stages.merger import read_floodlit
-
-    try:
-        return read_floodlit(AcquisitionFolder(folder))[0]
-    except (RfpipeError, KeyError):
-        return None
-
-
-_SIDE = 96
-_WHITE_PERCENTILE = 99.5
-
-
 def write_thumbnail(folder: Path, picture: Path) -> bool:
-    """Write the floodlit picture of an acquisition as a small PNG, if it is captured.
+    """Write the floodlit picture of an acquisition as a small PNG, unless it stands; tell if so.
 
     Parameters
     ----------
     folder : Path
         ``results/{scene}/{method}``.
     picture : Path
-
-    Returns
-    -------
-    bool
-        Whether there is one.
     """
-    from rfpipe.pictures.images import write_image
+    from rfpipe.pictures.images import resized, write_image
+    from rfpipe.stages.merger import read_floodlit
 
-    floodlit = floodlit_of(folder)
-    if floodlit is None:
+    merged = _modified(folder / "L00/merge.json")
+    if not merged or _modified(picture) > merged:
+        return bool(merged)
+    try:
+        floodlit = read_floodlit(AcquisitionFolder(folder))[0]
+    except (RfpipeError, KeyError):
         return False
-    rays = floodlit.shape[:-1]
     # of a light field, the view in the middle
-    domain = RayDomain(rays)
+    domain = RayDomain(floodlit.shape[:-1])
     views = floodlit.reshape(domain.views, *domain.image_shape, floodlit.shape[-1])
-    image = _smaller(views[domain.views // 2])
-    lit = image[np.isfinite(image)]
-    white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
+    height, width = domain.image_shape
+    step = max(1.0, max(height, width) / _SIDE)
+    shape = max(1, round(height / step)), max(1, round(width / step))
+    image = resized(np.nan_to_num(views[domain.views // 2]), shape)
+    white = float(np.percentile(image, _WHITE_PERCENTILE))
     picture.parent.mkdir(parents=True, exist_ok=True)
-    write_image(picture, np.nan_to_num(image), white if white > 0 else 1.0)
+    write_image(picture, image, white if white > 0 else 1.0)
     return True
-
-
-def _smaller(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Average a picture (H, W, C) over squares of pixels until it is small enough."""
-    step = -(-max(image.shape[:2]) // _SIDE)
-    height, width = (max(1, side // step) for side in image.shape[:2])
-    cut = image[: height * step, : width * step]
-    blocks = cut.reshape(height, cut.shape[0] // height, width, cut.shape[1] // width, -1)
-    smaller: NDArray[np.float32] = blocks.mean(axis=(1, 3), dtype=np.float32)
-    return smaller

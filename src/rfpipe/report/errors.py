@@ -1,92 +1,86 @@
-"""The sections on errors: by relighting pattern, and against the patterns shown."""
+"""Errors: by relighting pattern, against the patterns shown, and as methods estimated them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rfpipe.report import methods
-from rfpipe.report.blocks import Illustration, Section, Tabulation, table_of
-from rfpipe.report.drawing import (
-    draw_method,
-    label_left,
-    logarithmic,
-    logarithmic_limits,
-    new_figure,
-    number_axis,
-    parts,
-    shared_legend,
-)
-from rfpipe.report.inputs import Inputs
-from rfpipe.report.text import fixed, number, percent, wishes, words
+from rfpipe.report.drawing import scene_curves
+from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.page import Illustration, Section, table_of
+from rfpipe.report.text import fixed, number, percent, words
+from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_GREY = "#5c5c5c"
+_ABOUT = (
+    "These methods judge their own transport by pictures that it was not made from, the camera's "
+    "noise taken off, and stop at the error asked for."
+)
+
 
 def errors_section(inputs: Inputs) -> Section:
     """The errors of each run under each relighting pattern."""
     about = (
-        f"Asked for were {wishes(inputs.config)}. Errors are relative RMS against the scene's "
-        "exact light transport: in total, and on the pixels that the pattern leaves dark, which "
-        "show indirect light alone."
-    )
-    detail = (
-        "Relighting patterns: bars, noise, a binary picture, a small spot, and the crease, a strip "
-        "along which surfaces meet, where there is one. Noise lights every pixel, so that none is "
-        "unlit; a scene without indirect light has nothing to compare there either."
+        "Relative RMS error against the scene's exact light transport, in total and on the pixels "
+        "that the pattern leaves dark, which show indirect light alone. Noise leaves none dark."
     )
     if not all(run.is_coaxial for run in inputs.runs):
-        detail += " Nor is any pixel known to be unlit that a camera sees from aside."
-    if inputs.light_fields:
-        detail += (
-            " In a light field each view's projector shows the pattern; unlit pixels may get light "
-            "from other views."
-        )
+        about += " Nor is any pixel known to be unlit that a camera sees from aside."
+    if inputs.of_stacks:
+        about += " Unlit pixels of a light field may get light from other views."
     names = list(dict.fromkeys(inputs.errors["pattern"]))
-    kinds = ["rms_total", "rms_unlit"]
-    table = inputs.errors.pivot(index=["scene", "method"], columns="pattern", values=kinds)
+    kinds = {"rms_total": "", "rms_unlit": ", unlit"}
+    table = inputs.errors.pivot(index=["scene", "method"], columns="pattern", values=list(kinds))
     errors = table.to_dict("index")
     shown = table_of(
+        "Errors by pattern",
+        about,
         [
             {"scene": run.scene, "method": run.method, **errors[run.scene, run.method]}
             for run in inputs.runs
         ],
         inputs.labels,
-        [(words(name), (kind, name), percent) for kind in kinds for name in names],
         [
-            ("", 2),
-            ("relative RMS error in total, %", len(names)),
-            ("on the unlit pixels, %", len(names)),
+            (f"{words(name)}{unlit}, %", (kind, name), percent)
+            for kind, unlit in kinds.items()
+            for name in names
         ],
         csv="errors.csv",
-        is_written=True,
+        numbers=None,
     )
-    title = "Errors by pattern"
-    return Section("errors", title, [Tabulation(title, detail, shown)], [about])
+    return Section("errors", "Errors by pattern", [shown])
 
 
 def speed_section(inputs: Inputs) -> Section | None:
-    """Speed against error, level by level."""
+    """Error against patterns, level by level."""
     table = inputs.speed_error
-    if not len(table):
+    if table.empty:
         return None
+    scenes = [scene for scene in inputs.scenes if scene in set(table["scene"])]
+    rays = {scene: inputs.of_scene(scene)[0].rays for scene in scenes}
+
+    def draw_scene(axis: Axes, scene: str) -> None:
+        for method, levels in table[table["scene"] == scene].groupby("method", sort=False):
+            axis.plot(levels["patterns"], 100 * levels["error"], **inputs.style(str(method)))
+        brute: dict[str, Any] = {"color": _GREY, "linewidth": 0.9, "linestyle": ":"}
+        axis.axvline(rays[scene], label="patterns of brute force", **brute)
+
     caption = (
         "Relative RMS error of the scene relit with the first relighting pattern, as if the "
-        "acquisition had stopped after each level, against the patterns shown by then and, above, "
-        f"the minutes that they take at {inputs.config.capture.seconds_per_pattern:g} s a pattern. "
-        "Methods that fit all their pictures together have their last level alone. Dotted: the "
-        "patterns of brute force."
+        "acquisition had stopped after each level, against the patterns shown by then. Methods "
+        "that fit all their pictures together have their last level alone."
     )
-    name, known = "Speed against error", set(table["scene"])
-    curves = []
-    for scenes, suffix in parts([scene for scene in inputs.scenes if scene in known]):
-        drawn = table[table["scene"].isin(scenes)]
-        figure, alt = _figure(inputs, drawn, scenes), _in_words(drawn)
-        curves.append(Illustration(name, caption, f"speed_error{suffix}", figure, alt=alt))
+    patterns = [*table["patterns"], *rays.values()]
+    figure = scene_curves(scenes, draw_scene, patterns, table["error"])
     shown = table_of(
+        "Error after each level",
+        "As in the plot.",
         table,
         inputs.labels,
         [
@@ -96,50 +90,118 @@ def speed_section(inputs: Inputs) -> Section | None:
             ("error, %", "error", percent),
         ],
         csv="speed_error.csv",
-        is_written=True,
+        numbers=None,
     )
+    name = "Speed against error"
+    return Section("speed", name, [Illustration(name, caption, "speed_error", figure), shown])
+
+
+def estimates_section(inputs: Inputs) -> Section | None:
+    """Estimated error against patterns, or None where no method estimated its own."""
+    steps = histories(inputs.runs)
+    if steps.empty:
+        return None
+    compared = compare(inputs)
+    target = compared["target_error"].min()
+    curve = (
+        "The error that a method estimated against the patterns shown until then. Dotted: the "
+        f"error asked for, {target:.3g} of a relit image's norm."
+    )
+    if compared["true_error"].notna().any():
+        curve += " Dashed: the mean error over the relighting patterns at the end."
+        beside = "The last estimate, the mean error over the relighting patterns, and their ratio."
+    else:
+        beside = "The last estimate; the truth is not known here."
+    figure = estimates_figure(inputs, steps, compared, target)
     return Section(
-        "speed", name, [*curves, Tabulation("Error after each level", "As in the plot.", shown)]
+        "estimates",
+        "Estimated error while it ran",
+        [
+            Illustration("Estimated error against patterns", curve, "estimated_error", figure),
+            table_of(
+                "Estimated and true error",
+                beside,
+                compared,
+                inputs.labels,
+                [
+                    ("patterns", "patterns", number),
+                    ("asked for, %", "target_error", percent),
+                    ("estimated, %", "estimated_error", percent),
+                    ("true, %", "true_error", percent),
+                    ("estimated over true", "ratio", fixed(2)),
+                ],
+                csv="estimates.csv",
+            ),
+            table_of(
+                "Estimates level by level",
+                "Patterns shown up to each level and the error estimated after it.",
+                steps,
+                inputs.labels,
+                [
+                    ("level", "level", number),
+                    ("patterns", "patterns", number),
+                    ("estimated error, %", "estimated_error", percent),
+                ],
+                csv="estimate_history.csv",
+            ),
+        ],
+        [_ABOUT],
     )
 
 
-def _figure(inputs: Inputs, table: pd.DataFrame, scenes: Sequence[str]) -> Figure:
-    """Draw the errors against the patterns, level by level, a panel for each scene."""
-    figure, axes = new_figure(1, len(scenes), (2.55 * len(scenes) + 0.5, 3.2), sharey="row")
-    for axis, scene in zip(axes[0], scenes, strict=True):
-        logarithmic(axis)
-        for method, levels in table[table["scene"] == scene].groupby("method", sort=False):
-            draw_method(axis, levels["patterns"], 100 * levels["error"], str(method))
-        axis.axvline(
-            inputs.of_scene(scene)[0].rays, color="#5c5c5c", linewidth=0.9, linestyle=":",
-            label="patterns of brute force",
-        )  # fmt: skip
-        axis.set_title(scene, fontsize=9.5, pad=8)
-        axis.set_xlabel("patterns", fontsize=8)
-        _number_minutes(axis, inputs.config.capture.seconds_per_pattern / 60)
-    label_left(axes[0, 0], "error, %")
-    axes[0, 0].set_ylim(*logarithmic_limits(100 * table["error"]))
-    shared_legend(figure)
-    return figure
+def histories(runs: Sequence[Run]) -> pd.DataFrame:
+    """Return the estimates of all runs: ``scene``, ``method`` and `HISTORY_COLUMNS`."""
+    import pandas as pd
 
-
-def _number_minutes(axis: Axes, minutes: float) -> None:
-    """Number the time above a panel, at so many minutes a pattern."""
-    functions = (lambda patterns: patterns * minutes, lambda time: time / minutes)
-    above = axis.secondary_xaxis("top", functions)
-    number_axis(above.xaxis)
-    above.tick_params(labelsize=8, width=0.6, length=3)
-    above.set_xlabel("capture, min", fontsize=8)
-
-
-def _in_words(table: pd.DataFrame) -> str:
-    """Say where each method's curve begins and ends."""
-    ends = [
-        f"{words(scene)}, {methods.listed([str(method)])}: "
-        + ", ".join(
-            f"{percent(row.error)} % after {number(row.patterns)} patterns"
-            for row in (own.iloc[0], own.iloc[-1])
-        )
-        for (scene, method), own in table.groupby(["scene", "method"], sort=False)
+    rows = [
+        {"scene": run.scene, "method": run.method, **step}
+        for run in runs
+        for step in estimates(run.facts["levels"])
     ]
-    return f"Error against patterns. {'. '.join(ends)}."
+    return pd.DataFrame(rows, columns=["scene", "method", *HISTORY_COLUMNS])
+
+
+def compare(inputs: Inputs) -> pd.DataFrame:
+    """Set each run's last estimate beside its true error.
+
+    Returns
+    -------
+    DataFrame
+        For each run that estimated its error ``scene``, ``method``, ``patterns`` of the whole run,
+        ``target_error``, ``estimated_error``, ``true_error``: the mean total error over the
+        relighting patterns, and ``ratio`` of estimate to truth; the last two NaN where the truth
+        is not known, the ratio also where the error is 0.
+    """
+    import pandas as pd
+
+    rows: list[dict[str, Any]] = []
+    for run in inputs.runs:
+        steps = estimates(run.facts["levels"])
+        if steps:
+            own = run.own(inputs.errors)
+            true = float(own["rms_total"].mean()) if len(own) else math.nan
+            estimated = steps[-1]["estimated_error"]
+            asked = run.facts["options"].get("target_error", math.nan)
+            about = {"scene": run.scene, "method": run.method, "patterns": run.patterns}
+            errors = {"target_error": asked, "estimated_error": estimated, "true_error": true}
+            rows.append({**about, **errors, "ratio": estimated / (true or math.nan)})
+    return pd.DataFrame(rows)
+
+
+def estimates_figure(
+    inputs: Inputs, steps: pd.DataFrame, compared: pd.DataFrame, target: float
+) -> Figure:
+    """Draw the estimates of `histories` against patterns, and the true errors of `compare`."""
+
+    def draw_scene(axis: Axes, scene: str) -> None:
+        for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
+            seen = own[own["estimated_error"] > 0]
+            axis.plot(seen["patterns"], 100 * seen["estimated_error"], **inputs.style(str(method)))
+        known = compared[compared["scene"] == scene].dropna(subset=["true_error"])
+        for run in known.to_dict("records"):
+            colour = inputs.style(run["method"])["color"]
+            axis.axhline(100 * run["true_error"], linestyle="--", linewidth=1.1, color=colour)
+        axis.axhline(100 * target, linestyle=":", linewidth=0.9, color=_GREY)
+
+    errors = [*steps["estimated_error"], *compared["true_error"], target]
+    return scene_curves(list(dict.fromkeys(steps["scene"])), draw_scene, steps["patterns"], errors)

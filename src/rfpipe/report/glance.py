@@ -1,79 +1,81 @@
-"""What the report begins with: each scene relit beside truth, and what each method took for it."""
+"""What each method took: scenes relit beside truth, patterns, bytes, errors, and seconds."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.report import methods
-from rfpipe.report.blocks import Column, Gallery, Picture, Section, Table, Tabulation, table_of
-from rfpipe.report.drawing import UNLIT_GAIN, unlit_gain
+from rfpipe.report.drawing import UNLIT_GAIN, draw, new_figure, shared_legend, unlit_gain
 from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.page import Block, Column, Gallery, Illustration, Section, table_of
 from rfpipe.report.text import fixed, number, percent, words
 from rfpipe.stages.evaluating.metrics import relative_rms
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 _SHOWN = "horizontal_bar"  # crosses the edge of two planes, where indirect light shows best
+
+# Stages of an acquisition in order; all but the capture are processing.
+_STAGES = {
+    "schedule": "#8fb3d9", "capture": "#d9d9d9", "merge": "#3a6fb0", "normalize": "#9aca8c",
+    "refine": "#e0914a", "assemble": "#7d5ba6",
+}  # fmt: skip
 
 
 def glance_section(inputs: Inputs) -> Section:
     """A picture of each scene, and every run on one line."""
     numbers = results(inputs)
-    pictures = [scene_picture(inputs.of_scene(scene)[0]) for scene in inputs.scenes]
+    columns: list[Column] = [
+        ("patterns", "patterns", number),
+        ("brute force", "rays", number),
+        ("time, min", "minutes", fixed(1)),
+        ("stored, MB", "megabytes", fixed(2)),
+    ]
+    shown = "Each scene under floodlight, and relit with a bar of light that nobody took"
     if inputs.has_truth:
+        shown += ", beside the truth, and the difference"
         about = (
-            "Error: relative RMS of the pictures relit with bars, noise, a binary picture, a small "
-            "spot and the crease where surfaces meet, against the scene's exact light transport; "
-            "their mean, the largest, and the mean on those pixels alone that the pattern leaves "
-            "dark, which show indirect light."
+            "Error: relative RMS of pictures relit with bars, noise, a binary picture, a small "
+            "spot and the crease where surfaces meet, against the exact light transport."
         )
+        columns += [
+            ("mean error, %", "mean_error", percent),
+            ("largest error, %", "worst_error", percent),
+            ("mean on unlit pixels, %", "unlit_error", percent),
+        ]
     else:
         about = "The truth of a real scene is not known."
         if any(run.verified for run in inputs.runs):
-            about += (
-                " Error: of pictures that no method saw, captured and relit, without their noise; "
-                "their mean, and the largest."
-            )
-    per_pattern = inputs.config.capture.seconds_per_pattern
+            about += " Error: of pictures that no method saw, without their noise."
+            columns += [
+                ("mean error, %", "verified_error", percent),
+                ("largest error, %", "verified_worst_error", percent),
+            ]
+    seconds = f"{inputs.config.capture.seconds_per_pattern:g} s a pattern"
     caption = (
-        f"Patterns shown; minutes of capture, at {per_pattern:g} s a pattern, and processing"
-        f"{inputs.without_references}; bytes on disk, 1 MB = 10⁶ bytes. {about}"
+        f"Minutes of capture, at {seconds} and without the reference brackets, and of processing; "
+        f"1 MB = 10⁶ bytes. {about}"
     )
-    table = _table(inputs, numbers)
-    return Section(
-        "glance",
-        "At a glance",
-        [Gallery(pictures), Tabulation("What it took", caption, table, is_folded=False)],
-        [_scenes_text(inputs), _found(numbers)],
+    table = table_of(
+        "What it took", caption, numbers, inputs.labels, columns, csv="results.csv", is_folded=False
     )
+    pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
+    text = [f"{shown}.", _in_a_sentence(inputs, numbers)]
+    return Section("glance", "At a glance", [pictures, table], text)
 
 
-def _scenes_text(inputs: Inputs) -> str:
-    """Say what the pictures show."""
-    text = (
-        "Each scene under floodlight, and relit from what was acquired with a bar of light, a "
-        "picture that nobody took"
-    )
-    if not inputs.has_truth:
-        return f"{text}."
-    text += ", beside the truth"
-    return text + ", and the difference."
-
-
-def _found(numbers: pd.DataFrame) -> str:
-    """Sum each method up in a sentence."""
+def _in_a_sentence(inputs: Inputs, numbers: pd.DataFrame) -> str:
+    """Sum each method up."""
     sentences = []
     for method, own in numbers.groupby("method", sort=False):
-        sentence = f"{methods.title(str(method))}: {_range(own['patterns'], number)} patterns"
-        if own["mean_error"].notna().any():
-            error = _range(own["mean_error"], percent)
-            sentence += f" for a mean error of {error}\N{NO-BREAK SPACE}%"
-        sentences.append(sentence)
+        error = f" for a mean error of {_range(own['mean_error'], percent)} %"
+        known = error if own["mean_error"].notna().any() else ""
+        patterns = _range(own["patterns"], number)
+        sentences.append(f"{inputs.title(str(method))}: {patterns} patterns{known}")
     rays = _range(numbers["rays"], number)
-    sentences.append(f"Brute force, one pattern a projector pixel, would take {rays}.")
-    return ". ".join(sentences)
+    return ". ".join([*sentences, f"Brute force, one pattern a projector pixel: {rays}."])
 
 
 def _range(values: Any, shown: Any) -> str:
@@ -137,50 +139,71 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
     }
 
 
-def _table(inputs: Inputs, found: pd.DataFrame) -> Table:
-    """Return patterns, minutes, bytes and errors of each run, as `results` found, on one line."""
-    columns: list[Column] = [
-        ("patterns", "patterns", number),
-        ("brute force", "rays", number),
-        ("time, min", "minutes", fixed(1)),
-        ("stored, MB", "megabytes", fixed(2)),
-        ("mean", "mean_error", percent),
-        ("largest", "worst_error", percent),
-        ("mean on unlit pixels", "unlit_error", percent),
-    ]
-    groups = [("", 2), ("cost", 4), ("error of relit pictures, %", 3)]
-    if not inputs.has_truth:
-        columns, groups = columns[:4], []
-        if any(run.verified for run in inputs.runs):
-            groups = [("", 2), ("cost", 4), ("error of pictures that no method saw, %", 2)]
-            columns += [
-                ("mean", "verified_error", percent),
-                ("largest", "verified_worst_error", percent),
-            ]
-    return table_of(found, inputs.labels, columns, groups, csv="results.csv")
-
-
-def scene_picture(run: Run) -> Picture:
+def scene_picture(inputs: Inputs, run: Run) -> Illustration:
     """Show a scene under floodlight and relit, beside the truth where that is known."""
     names = run.facts["names"]
     index = names.index(_SHOWN) if _SHOWN in names else 0
-    pattern, relit = run.read("patterns")[index], run.read_shown("relit")[index]
-    floodlit = run.read_shown("floodlit_truth" if run.has_truth else "floodlit_captured")
+    pattern, image = run.read("patterns")[index], run.read("relit")[index]
+    floodlit = run.read("floodlit_truth" if run.has_truth else "floodlit_captured")
     is_brightened = run.has_truth and run.is_coaxial and not run.settings.is_light_field
     gain = unlit_gain(pattern) if is_brightened else 1.0
-    light = [run.light("floodlit", floodlit), run.light("relit", relit, gain)]
+    relit = run.panel(run.middle(image), "relit", gain=gain)
+    light = [run.panel(run.middle(floodlit), "floodlit"), relit]
+    errors = []
     if run.has_truth:
-        light.append(run.light("truth", run.read_shown("truth")[index], gain))
-        error = relative_rms(run.read("relit")[index], run.read("truth")[index])
-        said = f"error {percent(error)} %"
+        truth = run.read("truth")[index]
+        light.append(run.panel(run.middle(truth), "truth", gain=gain))
+        errors = [relit.less(light[-1])]
+        said = f"error {percent(relative_rms(image, truth))} %"
     else:
-        error = relative_rms(run.read("floodlit_relit"), run.read("floodlit_captured"))
+        error = relative_rms(run.read("floodlit_relit"), floodlit)
         said = f"floodlit image relit to {percent(error)} % of the captured one"
     caption = (
-        f"{run.method_title}, {number(run.patterns)} patterns: {said} with the "
-        f"{words(names[index])}."
+        f"{inputs.title(run.method)}, {number(run.patterns)} patterns: {said} with the "
+        f"{words(names[index])}; white is radiance {run.white:.3g}."
     )
     if is_brightened:
-        caption += f" Its unlit pixels are shown {UNLIT_GAIN:g} times brighter."
-    compared = (1, 2) if run.has_truth else None
-    return Picture(run.title, caption, f"scene_{run.scene}", light, compared)
+        caption += f" Unlit pixels are shown {UNLIT_GAIN} times brighter."
+    kept = {panel.title: panel.image for panel in light}
+    return Illustration(run.scene, caption, f"scene_{run.scene}", draw([[*light, *errors]]), kept)
+
+
+def times_section(inputs: Inputs) -> Section:
+    """Seconds of each stage, and of an HDR image."""
+    blocks: list[Block] = []
+    stages: Any = inputs.times.pivot_table(
+        index=["scene", "method"], columns="stage", values="seconds", aggfunc="sum", sort=False
+    ).fillna(0.0)
+    if len(stages):
+        about = "Wall-clock seconds of each stage's jobs, their start included, over all levels."
+        blocks.append(Illustration("Time by stage", about, "processing_time", _stacked(stages)))
+    columns = ["scene", "method", "patterns", "capture_jobs_s", "processing_s"]
+    costs = results(inputs)[columns]
+    costs = costs.assign(processing_s_per_image=costs["processing_s"] / costs["patterns"])
+    is_simulated = inputs.config.capture.rig == "simulated"
+    table = table_of(
+        "Processing time",
+        "Processing is everything but the capture" + ", which is simulated." * is_simulated,
+        costs.merge(stages, how="left", on=["scene", "method"]),
+        inputs.labels,
+        [
+            ("HDR images", "patterns", number),
+            ("capture, s", "capture_jobs_s", fixed(1)),
+            ("processing, s", "processing_s", fixed(1)),
+            ("ms an image", "processing_s_per_image", fixed(1, 1000)),
+        ],
+        csv="processing.csv",
+    )
+    return Section("time", "Where the processing time goes", [*blocks, table])
+
+
+def _stacked(stages: pd.DataFrame) -> Figure:
+    """Draw the seconds of each acquisition, stacked by stage."""
+    figure, ((axis,),) = new_figure(1, 1, (8.6, 0.36 * len(stages) + 1.2))
+    names = [name for name in _STAGES if name in stages]
+    colours: Any = [_STAGES[name] for name in names]
+    stages[names].plot.barh(stacked=True, ax=axis, color=colours, width=0.7, legend=False)
+    axis.invert_yaxis()
+    axis.set(xlabel="seconds", ylabel="")
+    shared_legend(figure)
+    return figure

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,18 +14,17 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from rfpipe.config import Config, SceneSettings
-from rfpipe.report import methods
-from rfpipe.report.blocks import Column
-from rfpipe.report.light import Light
+from rfpipe.report.drawing import Panel
+from rfpipe.report.page import Column
+from rfpipe.report.text import words
 from rfpipe.stages.relight import right_half
 from rfpipe.stages.verification import MANIFEST as VERIFIED
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
-from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Inputs", "Run", "load_inputs"]
+_ASSEMBLE = ("assemble", "transport")  # as a rule, and as the loop over the stages names it
 
 
 @dataclass(frozen=True)
@@ -55,16 +57,6 @@ class Run:
     verified_images: ArrayBundle | None = None
 
     @property
-    def title(self) -> str:
-        """The scene's name."""
-        return self.scene
-
-    @property
-    def method_title(self) -> str:
-        """The method's name in words."""
-        return methods.title(self.method)
-
-    @property
     def patterns(self) -> int:
         """Patterns shown."""
         return int(self.facts["patterns"])
@@ -75,21 +67,9 @@ class Run:
         return math.prod(self.settings.ray_shape)
 
     @property
-    def image_shape(self) -> tuple[int, int]:
-        """Height and width of the camera's image, or of each view's."""
-        height, width = self.settings.camera_ray_shape[-2:]
-        return height, width
-
-    @property
     def is_coaxial(self) -> bool:
         """Whether camera and projector share their rays, so that it is known which are unlit."""
         return bool(self.facts["coaxial"])
-
-    @property
-    def middle_view(self) -> int:
-        """Number of the view in the middle of a light field's array."""
-        rows, columns = self.settings.view_grid
-        return rows // 2 * columns + columns // 2
 
     @property
     def has_truth(self) -> bool:
@@ -112,9 +92,11 @@ class Run:
         name = "floodlit_truth" if self.has_truth else "floodlit_captured"
         return float(self.read(name).max(initial=0.0)) or 1.0
 
-    def light(self, what: str, radiance: NDArray[Any], gain: NDArray[Any] | float = 1.0) -> Light:
+    def panel(
+        self, radiance: NDArray[Any], title: str = "", below: str = "", gain: Any = 1.0
+    ) -> Panel:
         """Return a picture (H, W, C) of the scene with the run's exposure."""
-        return Light(self.title, what, radiance, self.white, gain)
+        return Panel(radiance, title, below, self.white, gain)
 
     @property
     def has_indirect_light(self) -> bool:
@@ -136,11 +118,12 @@ class Run:
         """Read one of the arrays."""
         return self.images.read(name)
 
-    def read_shown(self, name: str) -> NDArray[Any]:
-        """Read an array of radiance images (..., H, W, C): of several cameras the middle one's."""
-        images = self.read(name)
-        has_views = len(self.settings.camera_ray_shape) > 2
-        return images[..., self.middle_view, :, :, :] if has_views else images
+    def middle(self, images: NDArray[Any]) -> NDArray[Any]:
+        """Return images (..., H, W, C) of the camera's rays; of several views the middle one's."""
+        if len(self.settings.camera_ray_shape) == 2:
+            return images
+        rows, columns = self.settings.view_grid
+        return images[..., rows // 2 * columns + columns // 2, :, :, :]
 
 
 @dataclass(frozen=True)
@@ -155,8 +138,7 @@ class Inputs:
     errors, speed_error : DataFrame
         See `rfpipe.stages.evaluating.evaluate`.
     times : DataFrame
-        ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
-        ``seconds`` of each stage of each level; may be empty.
+        ``scene``, ``method`` and the columns of `job_times`; may be empty.
     results : Path
         The folder of it all.
     """
@@ -174,9 +156,9 @@ class Inputs:
         return all(run.has_truth for run in self.runs)
 
     @property
-    def capture_named(self) -> str:
-        """What its captures are called."""
-        return "simulated capture" if self.config.capture.rig == "simulated" else "capture"
+    def scenes(self) -> list[str]:
+        """The scenes of the runs."""
+        return list(dict.fromkeys(run.scene for run in self.runs))
 
     @property
     def methods(self) -> list[str]:
@@ -184,50 +166,46 @@ class Inputs:
         return list(dict.fromkeys(run.method for run in self.runs))
 
     @property
-    def light_fields(self) -> list[Run]:
+    def of_stacks(self) -> list[Run]:
         """The runs of light fields whose light moves from view to view."""
         return [run for run in self.runs if "views_relit" in run.images.names]
-
-    def of_method(self, method: str) -> list[Run]:
-        """Return the runs of a method."""
-        return [run for run in self.runs if run.method == method]
-
-    @property
-    def without_references(self) -> str:
-        """What to add where a time is without the brackets that come first, as the costs are."""
-        capture = self.config.capture
-        if self.config.camera is None:
-            return ""
-        brackets = capture.black_frames + capture.floodlit_frames
-        minutes = brackets * capture.seconds_per_pattern / 60
-        looks = SYMMETRY_FRAMES
-        more = f"; {looks} random patterns more, to see whether a rig is coaxial" if looks else ""
-        return (
-            f", without the reference brackets ({capture.black_frames} all-off and "
-            f"{capture.floodlit_frames} all-on ones, {minutes:.1f} min{more})"
-        )
-
-    @property
-    def labels(self) -> list[Column]:
-        """The columns that name a run at the left of a table, where records have their names."""
-        return [("scene", "scene", self.title_of), ("method", "method", methods.title)]
-
-    @property
-    def scenes(self) -> list[str]:
-        """The scenes of the runs."""
-        return list(dict.fromkeys(run.scene for run in self.runs))
-
-    def title_of(self, scene: str) -> str:
-        """Return the title of a scene; its name where no run is of it."""
-        return next((run.title for run in self.of_scene(scene)), scene)
 
     def of_scene(self, scene: str) -> list[Run]:
         """Return the runs of a scene."""
         return [run for run in self.runs if run.scene == scene]
 
+    @cached_property
+    def _subjects(self) -> dict[str, Any]:
+        sections = (self.config.methods_of(scene).items() for scene in self.config.scenes)
+        return {name: section.subject for own in sections for name, section in own}
+
+    def title(self, method: str) -> str:
+        """Return a method's name in words, with its section's where that is another."""
+        subject = self._subjects[method]
+        own = "" if subject.name == method else f" ({words(method)})"
+        return f"{subject.title}{own}"
+
+    def style(self, method: str) -> dict[str, Any]:
+        """Return matplotlib's label, colour, marker and line of a method's curve."""
+        of = self._subjects[method]
+        drawn = {"color": of.colour, "marker": of.marker, "linestyle": of.line}
+        size = {"linewidth": 1.4, "markersize": 4.5, "markerfacecolor": "white"}
+        return {"label": self.title(method), **drawn, **size}
+
+    def listed(self, methods: Iterable[str]) -> str:
+        """Return the names of methods as part of a sentence."""
+        names = (self.title(method) for method in methods)
+        *first, last = [name[0].lower() + name[1:] for name in names]
+        return f"{', '.join(first)} and {last}" if first else last
+
+    @property
+    def labels(self) -> list[Column]:
+        """The columns that name a run at the left of a table."""
+        return [("scene", "scene", str), ("method", "method", self.title)]
+
 
 def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) -> Inputs:
-    """Find what the stages left in a results folder.
+    """Read what the stages left in a results folder.
 
     Parameters
     ----------
@@ -242,17 +220,13 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
     runs, times = [], []
     for scene, method in config.acquisitions:
         folder = results / scene / method
-        manifest = folder / "relight.json"
-        if not manifest.exists():
+        facts, images = _opened(folder / "relight.json")
+        if images is None:
             continue
-        images = open_arrays(manifest.with_suffix(".zarr"))
-        transport = folder / "transport.json"
-        acquired = read_manifest(transport) if transport.exists() else {}
-        facts = read_manifest(manifest)
-        verified = _verified(folder / VERIFIED) if config.verification_pictures else ({}, None)
+        acquired = read_json(folder / "transport.json")
+        verified = _opened(folder / VERIFIED) if config.verification_pictures else ({}, None)
         runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired, *verified))
-        times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
-    methods.know(config)
+        times += [{"scene": scene, "method": method, **row} for row in job_times(folder)]
     return Inputs(
         config,
         runs,
@@ -263,27 +237,42 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
     )
 
 
-def _verified(manifest: Path) -> tuple[dict[str, Any], ArrayBundle | None]:
-    """Read what a verification found, if there was one."""
-    if not manifest.exists():
-        return {}, None
-    return read_manifest(manifest), open_arrays(manifest.with_suffix(".zarr"))
+def read_json(manifest: Path) -> dict[str, Any]:
+    """Return a manifest, or {} where there is none."""
+    return read_manifest(manifest) if manifest.exists() else {}
 
 
-def _time_files(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*.benchmark.tsv"))
+def _opened(manifest: Path) -> tuple[dict[str, Any], ArrayBundle | None]:
+    """Return a manifest and the arrays beside it, or ({}, None)."""
+    facts = read_json(manifest)
+    return facts, open_arrays(manifest.with_suffix(".zarr")) if facts else None
 
 
-def _job_times(folder: Path) -> list[dict[str, Any]]:
-    """Read the times that the stages of an acquisition left, as many as there are."""
-    import pandas as pd
+def job_times(folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the times that the jobs of an acquisition left, as many as there are.
 
-    found = []
-    for path in _time_files(folder):
+    Yields
+    ------
+    dict
+        ``level`` (-1 for the transport's assembly), ``stage``, ``seconds``.
+    """
+    files = [*folder.glob("*.benchmark.tsv"), *folder.glob("L[0-9][0-9]/*.benchmark.tsv")]
+    for path in sorted(files):
         level, stage = path.parent.name, path.name.removesuffix(".benchmark.tsv")
-        seconds = float(pd.read_csv(path, sep="\t")["s"].mean())
-        if path.parent != folder and level.startswith("L"):
-            found.append({"level": int(level[1:]), "stage": stage, "seconds": seconds})
-        elif stage == "transport":
-            found.append({"level": -1, "stage": "assemble", "seconds": seconds})
-    return found
+        with path.open(encoding="utf-8") as file:
+            times = [float(row["s"]) for row in csv.DictReader(file, delimiter="\t")]
+        if not times:
+            continue
+        seconds = sum(times) / len(times)
+        if path.parent != folder:
+            yield {"level": int(level[1:]), "stage": stage, "seconds": seconds}
+        elif stage in _ASSEMBLE:
+            yield {"level": -1, "stage": "assemble", "seconds": seconds}
+
+
+def rig_of(results: Path, run: Run) -> dict[str, Any]:
+    """Return the description of the rig that captured a run, or {}."""
+    manifest = results / run.scene / run.method / "L00" / "capture.json"
+    if not manifest.is_file():
+        return {}
+    return dict(json.loads(manifest.read_text(encoding="utf-8")).get("rig", {}))

@@ -1,20 +1,16 @@
-"""The section on what becomes of each level's nodes [Fig. 5.10]."""
+"""What becomes of each level's nodes [Fig. 5.10]."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from rfpipe.report import methods
-from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
-from rfpipe.report.drawing import label_left, new_figure, parts
+from rfpipe.report.drawing import ABREAST, new_figure, shared_legend
 from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.page import Block, Illustration, Section, Table, table_of
 from rfpipe.report.text import number
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _KINDS = {
@@ -40,25 +36,16 @@ def leaves_section(inputs: Inputs) -> Section | None:
             for row in run.facts["levels"]
         ]
     )
+    blocks: list[Block] = [_table(inputs, levels)]
     drawn = [run for run in runs if _is_hierarchy(run.own(levels))]
-    groups = [
-        [run for run in drawn if run.method == method and run.settings.is_light_field == is_field]
-        for method in inputs.methods
-        for is_field in (False, True)
-    ]
-    rows = [part for group in groups for part, _ in parts(group)]
-    caption = (
-        "What becomes of the parts of T that are measured at each level, its nodes, in per cent "
-        "of them: a leaf is stored as it is, the others are subdivided. With symmetric "
-        "photography a node is a pair of blocks; empty ones are the sparse part of T, rank-1 ones "
-        "the data-sparse part. With dual photography a node is a block as seen by one camera "
-        "pixel, and a leaf a response that is stored at this level. The last level's leaves are "
-        "scalars."
-    )
-    about = "Patterns and nodes of each level, added over the scenes of a method."
-    blocks: list[Block] = [Tabulation("Levels", about, _table(inputs, levels))]
-    if rows:
-        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", _figure(rows, levels)))
+    if drawn:
+        caption = (
+            "What becomes of the nodes of each level, in per cent: a leaf is stored as it is, the "
+            "others are subdivided. With symmetric photography a node is a pair of blocks, with "
+            "dual photography a block as seen by one camera pixel."
+        )
+        figure = _figure(inputs, drawn, levels)
+        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", figure))
     return Section("leaves", "Leaves at each level (Fig. 5.10)", blocks)
 
 
@@ -67,48 +54,42 @@ def _is_hierarchy(levels: pd.DataFrame) -> bool:
     return bool((levels[list(_KINDS)].sum(axis=1) == levels["nodes"]).all())
 
 
-def _figure(rows: list[list[Run]], table: pd.DataFrame) -> Figure:
-    """Draw a row of panels for each method, a panel for each scene."""
-    columns = max(len(runs) for runs in rows)
-    width = max(2.45 * columns + 0.4, 6.6)  # of the legend
-    figure, axes = new_figure(len(rows), columns, (width, 2.35 * len(rows) + 0.35))
-    for panels, runs in zip(axes, rows, strict=True):
-        for axis in panels[len(runs) :]:
-            axis.set_axis_off()
-        for axis, run in zip(panels, runs, strict=False):
-            _stack_levels(axis, run.own(table))
-            axis.set_title(f"{run.scene}\n{run.method_title}", fontsize=8.5, pad=4)
-        label_left(panels[0], "nodes, %")
-    for axis in axes[-1]:
-        axis.set_xlabel("level", fontsize=8)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=8.5, frameon=False)
+def _figure(inputs: Inputs, runs: list[Run], table: pd.DataFrame) -> Figure:
+    """Draw a panel for each run."""
+    columns = min(ABREAST, len(runs))
+    rows = -(-len(runs) // columns)
+    figure, axes = new_figure(rows, columns, (max(2.45 * columns + 0.4, 6.6), 2.35 * rows + 0.6))
+    names, colours = zip(*_KINDS.values(), strict=True)
+    for axis in axes.flat[len(runs) :]:
+        axis.set_axis_off()
+    for axis, run in zip(axes.flat, runs, strict=False):
+        levels = run.own(table).query("nodes > 0").set_index("level")
+        shares = 100 * levels[list(_KINDS)].div(levels["nodes"], axis=0).set_axis(names, axis=1)
+        bars: dict[str, Any] = {
+            "width": 0.82,
+            "edgecolor": "#444444",
+            "linewidth": 0.5,
+            "legend": False,
+        }
+        shares.plot.bar(stacked=True, ax=axis, color=[*colours], rot=0, **bars)
+        axis.set(ylim=(0, 100), yticks=[0, 50, 100], ylabel="nodes, %")
+        axis.set_title(f"{run.scene}\n{inputs.title(run.method)}", fontsize=8.5, pad=4)
+    shared_legend(figure)
     return figure
-
-
-def _stack_levels(axis: Axes, levels: pd.DataFrame) -> None:
-    levels = levels[levels["nodes"] > 0]
-    bottom = np.zeros(len(levels))
-    for kind, (label, colour) in _KINDS.items():
-        share = 100 * (levels[kind] / levels["nodes"]).to_numpy()
-        axis.bar(
-            levels["level"], share, 0.82, bottom=bottom, color=colour, edgecolor="#444444",
-            linewidth=0.5, label=label,
-        )  # fmt: skip
-        bottom += share
-    axis.set(xticks=levels["level"], ylim=(0, 100), yticks=[0, 50, 100])
 
 
 def _table(inputs: Inputs, levels: pd.DataFrame) -> Table:
     """Return the sums over scenes; the CSV file has each run's own levels."""
     # the second level of a light field has whole views
-    fields = levels["scene"].isin([run.scene for run in inputs.light_fields])
+    fields = levels["scene"].isin([run.scene for run in inputs.of_stacks])
     kinds = ["patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided"]
     sums = levels.groupby([fields, "method", "level"], sort=False)[kinds].sum().reset_index()
     suffix = sums["scene"].map({True: ", light fields", False: ""})
     names = {"rank1": "rank-1 or stored", "rank_k": "rank-k"}
     return table_of(
-        sums.assign(method=sums["method"].map(methods.title) + suffix),
+        "Levels",
+        "Patterns and nodes of each level, added over the scenes of a method.",
+        sums.assign(method=sums["method"].map(inputs.title) + suffix),
         [("method", "method", str)],
         [("level", "level", str), *((names.get(kind, kind), kind, number) for kind in kinds)],
         csv="levels.csv",

@@ -1,74 +1,128 @@
-"""Building the report: one page that opens from disk, its pictures and tables beside it."""
+"""A page that opens from disk: sections of pictures, figures and tables, their files beside it."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from importlib.resources import files
+import io
+import re
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rfpipe.config import Config
-from rfpipe.errors import StoreError
-from rfpipe.report import (
-    errors as errors_,
-)
-from rfpipe.report import (
-    estimates,
-    glance,
-    leaves,
-    methods,
-    pictures,
-    setup,
-    times,
-    verdicts,
-    verification,
-)
-from rfpipe.report.blocks import Section
-from rfpipe.report.inputs import Inputs, load_inputs
-from rfpipe.report.origin import RESULTS_NAME, provenance_of
-from rfpipe.report.placing import place
-from rfpipe.report.text import ray_size
-from rfpipe.stages.folder import FILES, write_files
+from numpy.typing import NDArray
+
+from rfpipe.pictures.images import write_image
+from rfpipe.stages.evaluating.evaluate import write_table
 from rfpipe.store.files import write_atomically
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
-def build_report(
-    config: Config, results: Path, page: Path, errors: Path, speed_error: Path
-) -> None:
-    """Write the report.
+_LINK = re.compile(r'(?:href|src)="(?!#|data:|https?:)([^"]+)"')
+
+
+@dataclass(frozen=True)
+class Illustration:
+    """A figure with its caption.
+
+    Attributes
+    ----------
+    name, caption : str
+    slug : str
+        Stem of its files, ``figures/{slug}.png`` and ``figures/{slug}_{picture}.exr``.
+    figure : Figure
+    light : mapping of str to ndarray, shape (H, W, C)
+        Pictures that are kept as linear radiance, too.
+    is_folded : bool
+        Whether a reader has to open it.
+    """
+
+    name: str
+    caption: str
+    slug: str
+    figure: Figure
+    light: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    is_folded: bool = False
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Figures that flow over the page's width."""
+
+    figures: Sequence[Illustration]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its caption.
+
+    Attributes
+    ----------
+    name, caption : str
+    columns : list of str
+    rows : list of list of str
+    text_columns : int
+        Columns from the left that hold text.
+    csv : str
+        Name of the file in ``tables/`` with its numbers, or "".
+    numbers : DataFrame, optional
+        What is written there; None where another stage wrote it.
+    is_folded : bool
+        Whether a reader has to open it.
+    """
+
+    name: str
+    caption: str
+    columns: list[str]
+    rows: list[list[str]]
+    text_columns: int = 1
+    csv: str = ""
+    numbers: pd.DataFrame | None = None
+    is_folded: bool = True
+
+
+Block = Gallery | Illustration | Table
+Column = tuple[str, Any, Callable[[Any], str]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """Paragraphs, then blocks."""
+
+    anchor: str
+    title: str
+    blocks: Sequence[Block]
+    text: Sequence[str] = ()
+
+
+def table_of(
+    name: str,
+    caption: str,
+    records: pd.DataFrame | Sequence[Mapping[Any, Any]],
+    labels: Sequence[Column],
+    columns: Sequence[Column],
+    **options: Any,
+) -> Table:
+    """Return a table of records, a row each, which its CSV file holds as numbers.
 
     Parameters
     ----------
-    config : Config
-    results : Path
-        What the stages left, see `rfpipe.report.inputs.load_inputs`.
-    page : Path
-        The page to write; pictures embedded. ``figures/*.png`` and ``*.exr``, ``tables/*.csv``
-        and ``results.json`` come to lie beside it.
-    errors, speed_error : Path
-        The tables of the evaluate stage.
-
-    Raises
-    ------
-    StoreError
-        When no acquisition of the configuration has been relit.
+    name, caption : str
+    records : DataFrame or sequence of mapping
+    labels, columns : sequence of (str, object, callable)
+        Columns of text at the left, and the others: heading, key, and what makes text of a value.
+    **options
+        The rest of `Table`.
     """
-    inputs = load_inputs(config, results, errors, speed_error)
-    if not inputs.runs:
-        raise StoreError(
-            f"{results}: holds no relit acquisition of the scenes "
-            f"{', '.join(config.scenes)}; run the relight stage first"
-        )
-    title, lead = config.title, _lead(inputs)
-    swatches = methods.swatches(inputs.methods) | verdicts.STANDING_COLOURS
-    shown = make_sections(inputs)
-    write_page(page, title, lead, shown, swatches, _SOURCE, _views(inputs, page))
-    summary = {"title": title, "lead": lead, "provenance": provenance_of(inputs)}
-    write_atomically(page.with_name(RESULTS_NAME), json.dumps(summary, indent=2).encode())
-    suffixes = (".csv", ".exr", ".html", ".json", ".png")
-    files = (path for path in sorted(page.parent.rglob("*")) if path.suffix in suffixes)
-    write_files(page.with_name(FILES), (path for path in files if path.name != FILES))
+    import pandas as pd
+
+    shown, numbers = [*labels, *columns], pd.DataFrame(records)
+    each = records.to_dict("records") if isinstance(records, pd.DataFrame) else records
+    rows = [[text(record.get(key)) for _, key, text in shown] for record in each]
+    options = {"text_columns": len(labels), "numbers": numbers, **options}
+    return Table(name, caption, [heading for heading, *_ in shown], rows, **options)
 
 
 def write_page(
@@ -76,104 +130,84 @@ def write_page(
     title: str,
     lead: str,
     sections: Sequence[Section],
-    swatches: Mapping[str, str] | None = None,
-    source: str = "",
+    swatches: Mapping[str, str],
     views: Mapping[str, Sequence[tuple[str, str]]] | None = None,
 ) -> None:
-    """Write a page that opens from disk, its pictures embedded.
+    """Write a page; figures are embedded, and lie in ``figures/``, tables in ``tables/``.
 
     Parameters
     ----------
     page : Path
-        ``figures/*.png`` and ``*.exr``, and ``tables/*.csv`` come to lie beside it.
     title, lead : str
-        Its heading, and a sentence on what it is about.
     sections : sequence of Section
-    swatches : mapping of str to str, optional
-        Colours that stand before these texts in tables.
-    source : str
-        What stands at the page's end.
+    swatches : mapping of str to str
+        Colours of texts in tables.
     views : mapping of str to sequence of (str, str), optional
-        Pages to light a scene on, by the scene: method, and the page's path from this one.
+        The viewer's pages by scene: method, and path from this page.
     """
-    text = _render(
-        title=title,
-        lead=lead,
-        sections=[place(page.parent, section) for section in sections],
-        swatches=swatches or {},
-        source=source,
-        views=views or {},
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("rfpipe.report", ".")
+    options: Any = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True}
+    parts = [(one, [_placed(page.parent, block) for block in one.blocks]) for one in sections]
+    text = (
+        Environment(loader=loader, **options)
+        .get_template("page.html.j2")
+        .render(title=title, lead=lead, sections=parts, swatches=swatches, views=views or {})
     )
     write_atomically(page, text.encode())
 
 
-def make_sections(inputs: Inputs) -> list[Section]:
-    """Return the sections that there is something to show in."""
-    if inputs.has_truth:
-        shown = [
-            pictures.methods_section(inputs),
-            errors_.errors_section(inputs),
-            pictures.matrices_section(inputs),
-            pictures.levels_section(inputs),
-        ]
-    else:
-        shown = [pictures.captured_section(inputs)]
-    candidates = [
-        glance.glance_section(inputs),
-        verification.verification_section(inputs),
-        errors_.speed_section(inputs),
-        *shown,
-        verdicts.verdicts_section(inputs),
-        estimates.estimates_section(inputs),
-        leaves.leaves_section(inputs),
-        times.times_section(inputs),
-        setup.setup_section(inputs),
+def _placed(folder: Path, block: Block) -> dict[str, Any]:
+    """Write a block's files; return what the template needs of it."""
+    if isinstance(block, Gallery):
+        return {"gallery": [_placed(folder, each) for each in block.figures]}
+    if isinstance(block, Table):
+        if block.numbers is not None and block.csv:
+            write_table(folder / "tables" / block.csv, block.numbers)
+        return {"table": block}
+    image, names = _png(block.figure), [f"figures/{block.slug}.png"]
+    write_atomically(folder / names[0], image)
+    for name, radiance in block.light.items():
+        names.append(f"figures/{block.slug}_{name}.exr")
+        write_image(folder / names[-1], radiance, about={"DateTime": ""})  # of writing otherwise
+    box = block.figure.bbox
+    size = {"width": int(box.width), "height": int(box.height)}
+    return {"figure": block, "files": names, "image": b64encode(image).decode(), **size}
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def check_page(page: Path) -> list[str]:
+    """Return the faults of a page and of the figures beside it.
+
+    Parameters
+    ----------
+    page : Path
+        Such as ``results/report/index.html``, with ``figures/*.png`` beside it.
+
+    Returns
+    -------
+    list of str
+        A sentence each: a link to a file that is missing, a picture of one colour, a page without
+        any picture.
+    """
+    import OpenImageIO as oiio
+
+    text = page.read_text(encoding="utf-8")
+    faults = [
+        f"{page}: links {link}, which is missing"
+        for link in dict.fromkeys(_LINK.findall(text))
+        if not (page.parent / link).is_file()
     ]
-    return [section for section in candidates if section is not None and section.blocks]
-
-
-def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
-    """Return the viewer's pages that lie in the folder ``view`` beside the page."""
-    found: dict[str, list[tuple[str, str]]] = {}
-    for run in inputs.runs:
-        path = f"view/{run.scene}_{run.method}.html"
-        if (page.parent / path).is_file():
-            found.setdefault(run.title, []).append((run.method_title, path))
-    return found
-
-
-def _lead(inputs: Inputs) -> str:
-    """Say in a sentence what the report is about."""
-    settings = [inputs.config.scenes[scene] for scene in inputs.scenes]
-    sizes = list(dict.fromkeys(ray_size(scene) for scene in settings))
-    camera = inputs.config.camera
-    if inputs.config.capture.rig == "remote":
-        taken = "by a rig behind an acquisition server"
-    elif inputs.config.capture.rig == "offline":
-        taken = "from pictures that were taken elsewhere and imported"
-    elif camera is None:
-        taken = "from exact radiance"
-    else:
-        taken = f"through a simulated {camera.bits}-bit camera with noise"
-    compared = ", and compared with ground truth" if inputs.has_truth else ""
-    count = "one scene" if len(settings) == 1 else f"{len(settings)} scenes"
-    return (
-        f"The light transport between a projector and a camera, {count} of "
-        f"{' and '.join(sizes)} rays, acquired {taken} with {methods.listed(inputs.methods)}"
-        f"{compared}."
-    )
-
-
-_SOURCE = (
-    "Figures and tables are numbered as in the thesis that they follow: G. Garg, Efficiently "
-    "Acquiring Reflectance Fields Using Patterned Illumination, PhD thesis, Stanford University, "
-    "2006."
-)
-
-
-def _render(**parts: Any) -> str:
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    source = files("rfpipe.report").joinpath("page.html.j2").read_text(encoding="utf-8")
-    return environment.from_string(source).render(**parts)
+    if "<img" not in text:
+        faults.append(f"{page}: shows no picture")
+    for picture in sorted(page.parent.glob("figures/*.png")):
+        pixels = oiio.ImageBuf(str(picture)).get_pixels(oiio.UINT8)
+        if pixels is None or (pixels == pixels[:1, :1]).all():
+            faults.append(f"{picture}: blank, all pixels are of one colour")
+    return faults

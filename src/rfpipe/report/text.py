@@ -1,4 +1,4 @@
-"""Numbers and sizes as text."""
+"""Numbers, sizes and verdicts as text."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rfpipe.config import Config, SceneSettings
-
-__all__ = ["DASH", "TIMES", "fixed", "number", "percent", "ray_size", "size", "wishes", "words"]
+from rfpipe.config import SceneSettings
 
 DASH = "\N{EN DASH}"
-TIMES = "\N{MULTIPLICATION SIGN}"
-_JOINT = "\N{NO-BREAK SPACE}"
+
+STANDING_COLOURS = {
+    "good": "#2f7d36",
+    "NOT GOOD": "#c62828",
+    "can't tell": "#d99a00",
+    "NOT MEASURED": "#7b1f1f",
+}
+"""Colours of the verdicts, as they read."""
 
 
 def number(value: Any, form: str = ",.0f", scale: float = 1.0) -> str:
@@ -39,30 +43,13 @@ def words(name: Any) -> str:
     return str(name).replace("_", " ")
 
 
-def wishes(config: Config) -> str:
-    """Say what the methods were asked for: the option by which each trades patterns."""
-    asked: dict[str, None] = {}
-    for scene in config.scenes:
-        for name, section in config.methods_of(scene).items():
-            method = section.subject
-            if method.trades:
-                value = section.options()[method.trades]
-                own = config.scenes[scene].methods is not None
-                of_scene = f" ({words(scene)})" if own else ""
-                asked[f"{words(name)} {words(method.trades)} {value:g}{of_scene}"] = None
-    return ", ".join(asked) or "no particular accuracy"
-
-
 def size(*lengths: int) -> str:
     """Return the size of an image: height, width."""
-    return f"{_JOINT}{TIMES}{_JOINT}".join(map(str, lengths))
+    return "\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}".join(map(str, lengths))
 
 
 def ray_size(scene: SceneSettings) -> str:
-    """Return the size of a projector's rays: rows and columns of views before the image's.
-
-    With that of the camera's rays, where it differs.
-    """
+    """Return the size of a projector's rays, views first; and the camera's where it differs."""
     if not scene.is_coaxial:
         return f"{size(*scene.ray_shape)} to {size(*scene.camera_ray_shape)}"
     views = scene.view_grid if scene.is_light_field else ()

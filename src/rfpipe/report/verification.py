@@ -1,18 +1,19 @@
-"""Pictures that no method saw, captured and relit; and what else tells of the rig's day."""
+"""What pictures that no method saw tell of a transport; devices and calibration of its rig."""
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
-from rfpipe.report.blocks import Block, Gallery, Picture, Section, Tabulation, table_of
-from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.text import DASH, fixed, number, percent, words
-
-__all__ = ["verification_section"]
-
+from rfpipe.report.drawing import draw
+from rfpipe.report.inputs import Inputs, Run, rig_of
+from rfpipe.report.page import Block, Gallery, Illustration, Section, Table, table_of
+from rfpipe.report.text import fixed, number, percent, words
+from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
 # What devices count of a capture without faults.
 _USUAL = (" frames", " shown", " played", " doubted", " loaded_again", " one_by_one")
+_AGAIN = ("reconnected", "reopened")
 
 
 def verification_section(inputs: Inputs) -> Section | None:
@@ -20,156 +21,140 @@ def verification_section(inputs: Inputs) -> Section | None:
     runs = [run for run in inputs.runs if run.verified]
     if not runs:
         return None
+    about = [{"scene": run.scene, "method": run.method, **run.verified} for run in runs]
     blocks: list[Block] = [
-        Tabulation("Verification", _ABOUT, _of_runs(inputs, runs), is_folded=False),
-        *(Gallery(_pictures(run)) for run in runs),
-        Tabulation("Verification, picture by picture", _BY_PICTURE, _by_picture(inputs, runs)),
-        Tabulation("The rig during the capture", _OF_THE_RIG, _rig(inputs, runs), is_folded=False),
+        table_of(
+            "Verification",
+            "Pictures captured after the acquisition, beside what the transport makes of their "
+            "patterns: relative RMS difference on the rays that the camera knows, brightness "
+            "brought to that at the beginning, the captured pictures' noise taken off.",
+            [{**row, "pictures": len(row["pictures"])} for row in about],
+            inputs.labels,
+            [
+                ("pictures", "pictures", number),
+                ("mean error, %", "mean_error", percent),
+                ("largest error, %", "worst_error", percent),
+                ("under", "worst_picture", words),
+                ("noise floor, %", "noise", percent),
+            ],
+            is_folded=False,
+        ),
+        *(Gallery(_pictures(inputs, run)) for run in runs),
+        table_of(
+            "Verification, picture by picture",
+            "The error is the difference without the noise's share.",
+            [
+                {"scene": run.scene, "method": run.method, **picture}
+                for run in runs
+                for picture in run.verified["pictures"]
+            ],
+            [*inputs.labels, ("picture", "name", words)],
+            [
+                ("error, %", "error", percent),
+                ("its standard error, %", "standard_error", percent),
+                ("noise floor, %", "noise", percent),
+                ("difference with noise, %", "difference", percent),
+            ],
+            csv="verification_pictures.csv",
+        ),
+        table_of(
+            "The rig during the capture",
+            "Largest change of the floodlit image; of a repeated random pattern beyond brightness "
+            "and noise; largest residual of reciprocity on a rig taken for coaxial (about 1 if it "
+            "is) and the error that it means at least; what devices counted. A dash: not measured.",
+            [_of_the_rig(run) for run in runs],
+            inputs.labels,
+            [
+                ("change of the lamp, %", "drift", percent),
+                ("of the picture, %", "moved", percent),
+                ("reciprocity, standard deviations", "reciprocity_deviations", fixed(1)),
+                ("reciprocity, error, %", "reciprocity", percent),
+                ("saturated samples", "saturated", number),
+                ("saturated, %", "saturated_share", percent),
+                ("frames failed, lost or late", "troubled", number),
+                ("devices reconnected, reopened", "reconnected", number),
+            ],
+            csv="verification_rig.csv",
+            is_folded=False,
+        ),
     ]
     title = "Verified by pictures that no method saw"
-    return Section("verification", title, blocks, _text(inputs, runs))
+    text = [sentence for run in runs for sentence in _text(inputs, run)]
+    return Section("verification", title, blocks, text)
 
 
-def _text(inputs: Inputs, runs: list[Run]) -> list[str]:
-    """Sum it up, with all that was wrong."""
-    bound = inputs.config.verification.fail_above
-    said = []
-    for run in runs:
-        facts = run.verified
-        text = (
-            f"{run.title}, {run.method_title.lower()}: {len(facts['pictures'])} pictures are relit "
-            f"to {percent(facts['mean_error'])} % on average, the worst, {facts['worst_picture']}, "
-            f"to {percent(facts['worst_error'])} %; the noise floor is {percent(facts['noise'])} %."
-        )
-        if bound is not None:
-            is_above = facts["mean_error"] is None or facts["mean_error"] > bound
-            text += (
-                f" THIS IS ABOVE the {percent(bound)} % that was accepted."
-                if is_above
-                else f" At most {percent(bound)} % was accepted."
-            )
-        said += [text, *(f"NOTICED DURING THE CAPTURE, {alarm}." for alarm in facts["alarms"])]
-    return said
-
-
-def _of_runs(inputs: Inputs, runs: list[Run]) -> Any:
-    return table_of(
-        [{"scene": run.scene, "method": run.method, **_flat(run.verified)} for run in runs],
-        inputs.labels,
-        [
-            ("pictures", "pictures", number),
-            ("mean", "mean_error", percent),
-            ("largest", "worst_error", percent),
-            ("under", "worst_picture", words),
-            ("noise floor", "noise", percent),
-        ],
-        [("", 3), ("error, %", 3), ("of the pictures, %", 1)],
-        csv="verification.csv",
+def _text(inputs: Inputs, run: Run) -> list[str]:
+    """Sum a verification up, with all that was wrong."""
+    bound, facts = inputs.config.verification.fail_above, run.verified
+    text = (
+        f"{run.scene}, {inputs.title(run.method).lower()}: {len(facts['pictures'])} pictures are "
+        f"relit to {percent(facts['mean_error'])} % on average, the worst, "
+        f"{facts['worst_picture']}, to {percent(facts['worst_error'])} %; the noise floor is "
+        f"{percent(facts['noise'])} %."
     )
-
-
-def _flat(facts: dict[str, Any]) -> dict[str, Any]:
-    names = ("mean_error", "worst_error", "worst_picture", "noise")
-    return {"pictures": len(facts["pictures"]), **{name: facts[name] for name in names}}
-
-
-def _by_picture(inputs: Inputs, runs: list[Run]) -> Any:
-    rows = [
-        {"scene": run.scene, "method": run.method, **picture}
-        for run in runs
-        for picture in run.verified["pictures"]
-    ]
-    columns = [
-        ("error, %", "error", percent),
-        ("its standard error, %", "standard_error", percent),
-        ("noise floor, %", "noise", percent),
-        ("difference with noise, %", "difference", percent),
-    ]
-    labels = [*inputs.labels, ("picture", "name", words)]
-    return table_of(rows, labels, columns, csv="verification_pictures.csv")
-
-
-def _rig(inputs: Inputs, runs: list[Run]) -> Any:
-    rows = [_of_the_rig(run) for run in runs]
-    columns = [
-        ("lamp, %", "drift", percent),
-        ("the picture, %", "moved", percent),
-        ("standard deviations", "reciprocity_deviations", fixed(1)),
-        ("error at least, %", "reciprocity", percent),
-        ("samples", "saturated", number),
-        ("per cent", "saturated_share", percent),
-        ("failed, lost or late", "troubled", _count),
-        ("reconnected, reopened", "reconnected", _count),
-    ]
-    groups = [
-        ("", 2), ("largest change of", 2), ("reciprocity", 2), ("saturated", 2),
-        ("devices: frames and attempts", 2),
-    ]  # fmt: skip
-    return table_of(rows, inputs.labels, columns, groups, csv="verification_rig.csv")
+    if bound is not None:
+        is_above = facts["mean_error"] is None or facts["mean_error"] > bound
+        text += " THIS IS ABOVE the " if is_above else " It is not above the "
+        text += f"{percent(bound)} % that was accepted."
+    return [text, *(f"NOTICED DURING THE CAPTURE, {alarm}." for alarm in facts["alarms"])]
 
 
 def _of_the_rig(run: Run) -> dict[str, Any]:
-    facts = run.verified
-    names = ("drift", "moved", "reciprocity", "reciprocity_deviations", "saturated")
-    devices: dict[str, int] = facts["devices"]
-    again = {name for name in devices if name.endswith(("reconnected", "reopened"))}
+    facts, devices = run.verified, run.verified["devices"]
+    again = {name for name in devices if name.endswith(_AGAIN)}
     # what was doubted and found right, or shown in another way, isn't lost
-    usual = {name for name in devices if name.endswith(_USUAL)}
+    troubled = {name for name in devices if not name.endswith(_USUAL)} - again
+    names = ("drift", "moved", "reciprocity", "reciprocity_deviations", "saturated")
     return {
         "scene": run.scene,
         "method": run.method,
         **{name: facts[name] for name in names},
         "saturated_share": facts["saturated"] / max(facts["samples"], 1),
-        "troubled": sum(devices[name] for name in set(devices) - again - usual)
-        if devices
-        else None,
+        "troubled": sum(devices[name] for name in troubled) if devices else None,
         "reconnected": sum(devices[name] for name in again) if devices else None,
         **devices,
     }
 
 
-def _count(value: float | None) -> str:
-    return DASH if value is None else number(value)
-
-
-def _pictures(run: Run) -> list[Picture]:
+def _pictures(inputs: Inputs, run: Run) -> list[Illustration]:
     """Show each picture as relit and as captured, and their difference."""
     assert run.verified_images is not None
     relit, captured = (run.verified_images.read(name) for name in ("relit", "captured"))
-    if len(run.settings.camera_ray_shape) > 2:
-        relit, captured = (images[:, run.middle_view] for images in (relit, captured))
-    found = []
+    shown = []
     for index, picture in enumerate(run.verified["pictures"]):
-        name = picture["name"]
-        light = [run.light("relit", relit[index]), run.light("captured", captured[index])]
+        light = [
+            run.panel(run.middle(images[index]), title)
+            for images, title in ((relit, "relit"), (captured, "captured"))
+        ]
         caption = (
-            f"{run.method_title}: error {percent(picture['error'])} % (noise floor "
+            f"{inputs.title(run.method)}: error {percent(picture['error'])} % (noise floor "
             f"{percent(picture['noise'])} %)."
         )
-        slug = f"verified_{run.scene}_{run.method}_{name}"
-        title = f"{run.title}, {words(name)}"
-        found.append(Picture(title, caption, slug, light, (0, 1)))
-    return found
+        slug = f"verified_{run.scene}_{run.method}_{picture['name']}"
+        figure = draw([[*light, light[0].less(light[1])]])
+        kept = {panel.title: panel.image for panel in light}
+        name = f"{run.scene}, {words(picture['name'])}"
+        shown.append(Illustration(name, caption, slug, figure, kept))
+    return shown
 
 
-_ABOUT = (
-    "Pictures that were captured after the acquisition for this alone, beside what the acquired "
-    "transport makes of their patterns: relative RMS difference on the rays that the camera knows, "
-    "its brightness brought to that at the acquisition's beginning, the captured picture's own "
-    "noise taken off. The noise floor is that noise. The natural picture is made of overlapping "
-    "discs in shades of grey, which have a photograph's statistics; it and the slope need a "
-    "projector whose response is known, the others are of light and dark alone."
-)
-
-_BY_PICTURE = (
-    "The error is the difference without the noise's share, 0 where nothing but noise is seen."
-)
-
-_OF_THE_RIG = (
-    "Largest change of the lamp's light between looks at the floodlit image, which the "
-    "verification takes at its beginning and end; of a fine random pattern that is repeated to see "
-    "whether the rig moved, beyond brightness and noise; the largest residual of reciprocity "
-    "between the patterns of a method that takes the rig for a coaxial one (a right rig has about "
-    "1), and the error that it means at least; samples saturated at every exposure; and what the "
-    "devices counted. A dash: not looked at."
-)
+def verdicts_section(inputs: Inputs) -> Section:
+    """What the calibration found of the rig that captured the runs; no blocks without such one."""
+    told: dict[str, list[str]] = {}
+    for run in inputs.runs:
+        rig = rig_of(inputs.results, run)
+        if rig.get("kind") == "devices":
+            verdicts = json.dumps(rig.get(VERDICTS_KEY) or {})
+            told.setdefault(verdicts, []).append(f"{run.scene} by {run.method}")
+    text: list[str] = []
+    blocks = []
+    for same, runs in told.items():
+        verdicts, who = json.loads(same), ", ".join(runs)
+        text += [f"{who}: {fault}" for fault in faults_of(verdicts)]
+        rows = [[one["title"], STANDINGS[one["standing"]]] for one in verdicts.values()]
+        if not rows:
+            rows = [["no calibration", STANDINGS["unknown"]]]
+            text.append(f"{who}: without a calibration; pictures may not be radiance.")
+        table = Table("Verdicts", who, ["step", "verdict"], rows, 2, is_folded=False)
+        blocks.append(table)
+    return Section("calibration", "Calibration of the rig", blocks, text)

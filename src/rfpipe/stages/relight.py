@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import fingerprint
+from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.stages.merger import read_floodlit
 from rfpipe.store import open_arrays, read_manifest
@@ -290,6 +291,9 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
         names = list(relighting_patterns(transport.projector_shape))
+    truths = arrays.get("truth", arrays["relit"][:0])
+    errors = [relative_rms(*each) for each in zip(arrays["relit"], truths, strict=False)]
+    errors = [error for error in errors if np.isfinite(error)]
     write_bundle(
         folder / "relight.json",
         fingerprint({"transport": acquired["digest"], "scene": scene, "code": code}),
@@ -305,6 +309,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
             "patterns": acquired["patterns"],
             "bytes": transport.nbytes,
             "levels": transport.level_rows,
+            "mean_error": sum(errors) / len(errors) if errors else None,
             "options": acquired["options"],
             "units": RADIANCE_UNIT,
         },

@@ -1,0 +1,108 @@
+"""The report of a run: its sections, its summary, and the manifest of its files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rfpipe.config import Config
+from rfpipe.errors import StoreError
+from rfpipe.report import errors as errors_
+from rfpipe.report import glance, leaves, pictures, setup, verification
+from rfpipe.report.inputs import Inputs, load_inputs
+from rfpipe.report.page import Section, write_page
+from rfpipe.report.text import STANDING_COLOURS, ray_size
+from rfpipe.stages.folder import FILES, write_files
+from rfpipe.store.files import write_atomically
+
+_SUFFIXES = (".csv", ".exr", ".html", ".json", ".png")
+
+
+def build_report(
+    config: Config, results: Path, page: Path, errors: Path, speed_error: Path
+) -> None:
+    """Write the report.
+
+    Parameters
+    ----------
+    config : Config
+    results : Path
+        What the stages left, see `rfpipe.report.inputs.load_inputs`.
+    page : Path
+        The page to write; pictures embedded. ``figures/*.png`` and ``*.exr``, ``tables/*.csv``
+        and ``results.json`` come to lie beside it.
+    errors, speed_error : Path
+        The tables of the evaluate stage.
+
+    Raises
+    ------
+    StoreError
+        When no acquisition of the configuration has been relit.
+    """
+    inputs = load_inputs(config, results, errors, speed_error)
+    if not inputs.runs:
+        raise StoreError(
+            f"{results}: holds no relit acquisition of the scenes "
+            f"{', '.join(config.scenes)}; run the relight stage first"
+        )
+    lead = _lead(inputs)
+    colours = {inputs.title(name): inputs.style(name)["color"] for name in inputs.methods}
+    swatches = colours | STANDING_COLOURS
+    write_page(page, config.title, lead, make_sections(inputs), swatches, _views(inputs, page))
+    about = {"title": config.title, "lead": lead, "provenance": setup.provenance_of(inputs)}
+    write_atomically(page.with_name("results.json"), json.dumps(about, indent=2).encode())
+    files = (path for path in sorted(page.parent.rglob("*")) if path.suffix in _SUFFIXES)
+    write_files(page.with_name(FILES), (path for path in files if path.name != FILES))
+
+
+def make_sections(inputs: Inputs) -> list[Section]:
+    """Return the sections that there is something to show in."""
+    if inputs.has_truth:
+        shown = [
+            pictures.methods_section(inputs),
+            errors_.errors_section(inputs),
+            pictures.matrices_section(inputs),
+            pictures.levels_section(inputs),
+        ]
+    else:
+        shown = [pictures.captured_section(inputs)]
+    candidates = [
+        glance.glance_section(inputs),
+        verification.verification_section(inputs),
+        errors_.speed_section(inputs),
+        *shown,
+        verification.verdicts_section(inputs),
+        errors_.estimates_section(inputs),
+        leaves.leaves_section(inputs),
+        glance.times_section(inputs),
+        setup.setup_section(inputs),
+    ]
+    return [section for section in candidates if section is not None and section.blocks]
+
+
+def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
+    """Return the viewer's pages that lie in the folder ``view`` beside the page, by scene."""
+    views: dict[str, list[tuple[str, str]]] = {}
+    for run in inputs.runs:
+        path = f"view/{run.scene}_{run.method}.html"
+        if (page.parent / path).is_file():
+            views.setdefault(run.scene, []).append((inputs.title(run.method), path))
+    return views
+
+
+def _lead(inputs: Inputs) -> str:
+    """Say in a sentence what the report is about."""
+    settings = [inputs.config.scenes[scene] for scene in inputs.scenes]
+    sizes = " and ".join(dict.fromkeys(ray_size(scene) for scene in settings))
+    camera = inputs.config.camera
+    simulated = f"through a simulated {camera.bits}-bit camera with noise" if camera else ""
+    taken = {
+        "remote": "by a rig behind an acquisition server",
+        "offline": "from pictures that were taken elsewhere and imported",
+    }.get(inputs.config.capture.rig, simulated or "from exact radiance")
+    compared = ", and compared with ground truth" if inputs.has_truth else ""
+    count = "one scene" if len(settings) == 1 else f"{len(settings)} scenes"
+    return (
+        f"The light transport between a projector and a camera, {count} of {sizes} rays, acquired "
+        f"{taken} with {inputs.listed(inputs.methods)}{compared}."
+    )
