@@ -79,8 +79,6 @@ class Faults:
         Of that many of the next the connection is cut in the middle of the content.
     deny : bool
         Whether they are answered by 403.
-    seconds : float
-        That each of them takes longer.
     most : int or None
         Writes to let pass; others wait until this changes.
     under_way : set of int
@@ -92,7 +90,6 @@ class Faults:
     fail: int = 0
     cut: int = 0
     deny: bool = False
-    seconds: float = 0.0
     most: int | None = None
     under_way: set[int] = field(default_factory=set)
     requests: list[tuple[str, str, int, int]] = field(default_factory=list)
@@ -121,7 +118,6 @@ def proxy(behind: str) -> Iterator[Faults]:
         def pass_on(self) -> None:
             length = int(self.headers.get("Content-Length", 0))
             if self.command in ("PUT", "POST"):
-                time.sleep(faults.seconds)
                 while faults.most is not None and len(faults.written()) >= faults.most:
                     time.sleep(0.01)
                 if faults.cut:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,6 +20,12 @@ class Served:
     address: str = ""
     requests: list[tuple[str, int]] = field(default_factory=list)
     """Path and bytes of every answer."""
+    told: list[str | None] = field(default_factory=list)
+    """Authorization of every request."""
+    seconds: float = 0.0
+    """Before each eighth of an answer."""
+    stalls: int = 0
+    """So many answers end in their middle, with the connection open."""
 
     @property
     def nbytes(self) -> int:
@@ -51,13 +58,24 @@ def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
         def _answer(self, status: int, content: bytes, of: str = "") -> None:
             # counted first, since the client goes on as soon as it has the last byte
             served.requests.append((self.path, len(content)))
+            served.told.append(self.headers["Authorization"])
             self.send_response(status)
             self.send_header("Content-Length", str(len(content)))
             if of:
                 self.send_header("Content-Range", of)
+            self.send_header("ETag", '"one"')
             self.end_headers()
-            if self.command != "HEAD":
-                self.wfile.write(content)
+            if self.command == "HEAD":
+                return
+            eighth = len(content) // 8 + 1
+            for start in range(0, len(content), eighth):
+                time.sleep(served.seconds)
+                # before it writes: after the last piece a client may be at its next test already
+                if served.stalls and start > len(content) // 2:
+                    served.stalls -= 1
+                    time.sleep(4.0)
+                    return
+                self.wfile.write(content[start : start + eighth])
 
         do_HEAD = do_GET  # noqa: N815
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from re import fullmatch
 from typing import Annotated, Any
 
 import yaml
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from rfpipe.config.base import Settings, explained
 from rfpipe.config.reading import read_yaml
@@ -40,59 +40,33 @@ _TERMS = {
 Graph = dict[str, dict[str, Any]]
 
 
-def _like(pattern: str, expected: str) -> AfterValidator:
-    """Check a text by a pattern, whose first group is what is kept."""
-
-    def read(text: str) -> str:
-        found = fullmatch(pattern, text)
-        if found is None:
-            raise ValueError(f"should be {expected}")
-        return found[1]
-
-    return AfterValidator(read)
-
-
 def _checked_digit(orcid: str) -> str:
     """Check an ORCID iD by its last digit (ISO 7064, 11-2)."""
     total = 0
     for digit in orcid.replace("-", "")[:15]:
         total = (total + int(digit)) * 2
     if "0123456789X"[(12 - total % 11) % 11] != orcid[-1]:
-        raise ValueError("should be an ORCID iD, whose last digit fits the others")
+        raise ValueError("should have a last digit that fits the others")
     return orcid
 
 
+def _bare(text: object) -> str:
+    return re.sub(r"^(https://(doi|orcid)\.org/|doi:)", "", str(text))
+
+
 Line = Annotated[str, Field(min_length=1, max_length=4000, pattern=r"\S")]
-License = Annotated[
-    str,
-    _like(
-        rf"(https?://\S+|{_SPDX}|MIT|ISC|Unlicense|WTFPL)",
-        "a licence's name in the SPDX list, such as CC-BY-4.0, CC0-1.0, CC-BY-SA-4.0, or the "
-        "address of its text",
-    ),
-]
-Orcid = Annotated[
-    str,
-    _like(
-        r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])",
-        "an ORCID iD such as 0000-0002-1825-0097",
-    ),
-    AfterValidator(_checked_digit),
-]
-Doi = Annotated[
-    str,
-    _like(
-        r"(?:https://doi\.org/|doi:)?(10\.\d{4,9}/\S+)",
-        "a DOI such as 10.5281/zenodo.1234567",
-    ),
-]
+Bare = Annotated[str, BeforeValidator(_bare)]
 
 
 class Creator(Settings):
     """One who is to be cited; read from ``Family, Given; ORCID; affiliation``, too."""
 
     name: Line
-    orcid: Orcid | None = None
+    orcid: Annotated[Bare, AfterValidator(_checked_digit)] | None = Field(
+        None,
+        pattern=r"^\d{4}-\d{4}-\d{4}-\d{3}[\dX]$",
+        description="ORCID iD such as 0000-0002-1825-0097",
+    )
     affiliation: Line | None = None
 
     @model_validator(mode="before")
@@ -130,12 +104,17 @@ class Citation(Settings):
     creators: tuple[Creator, ...] = Field(
         min_length=1, description="each as 'Family, Given; ORCID; affiliation'; or give --creator"
     )
-    license: License = Field(description="its name in the SPDX list; or give --license")
+    license: str = Field(
+        pattern=rf"^(https?://\S+|{_SPDX}|MIT|ISC|Unlicense|WTFPL)$",
+        description="its name in the SPDX list, such as CC-BY-4.0, or an address; or --license",
+    )
     publisher: Line = _UNPUBLISHED
     published: date
     version: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")] = "1.0.0"
     keywords: tuple[Line, ...] = ("light transport", "reflectance field", "relighting")
-    doi: Doi | None = None
+    doi: Bare | None = Field(
+        None, pattern=r"^10\.\d{4,9}/\S+$", description="such as 10.5281/zenodo.1234567"
+    )
 
     @property
     def license_url(self) -> str:

@@ -164,14 +164,11 @@ def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
     few ranges of a zip file hold all of it.
     """
 
-    def order(file: Path) -> tuple[tuple[bool, str], ...]:
-        return tuple((part != METADATA, part) for part in file.relative_to(folder).parts)
-
-    for file in sorted(folder.rglob("*"), key=order):
-        inside = file.relative_to(folder)
+    files = [file.relative_to(folder) for file in folder.rglob("*") if file.is_file()]
+    for inside in sorted(files, key=lambda file: [(part != METADATA, part) for part in file.parts]):
         hidden = any(part.startswith((".", "__pycache__")) for part in inside.parts)
-        if file.is_file() and not hidden and not file.name.endswith(_LEFT_OUT):
-            yield f"{name}/{inside.as_posix()}", file
+        if not hidden and not inside.name.endswith(_LEFT_OUT):
+            yield f"{name}/{inside.as_posix()}", folder / inside
 
 
 def find_run(folder: Path) -> Run:

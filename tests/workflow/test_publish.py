@@ -122,16 +122,3 @@ def test_pictures_and_transports_are_the_runs(crate: Path, undisturbed: Workflow
     light = np.random.default_rng(0).random((5, 8), np.float32)
     relit = rfpipe.open_transport(crate / name).relight(light)
     assert np.array_equal(rfpipe.open_transport(undisturbed.folder / name).relight(light), relit)
-
-
-def test_a_folder_zips_into_what_opens(crate: Path, tmp_path: Path) -> None:
-    """Somebody else's zip of the folder, compressed, serves as well."""
-    with zipfile.ZipFile(tmp_path / "other.zip", "w", zipfile.ZIP_DEFLATED) as archive:
-        for file in sorted(crate.rglob("*")):
-            archive.write(file, file.relative_to(crate))
-    name = "results/tiny/symmetric/transport.zarr"
-    opened = rfpipe.open_transport(tmp_path / "other.zip" / name)
-    assert np.array_equal(
-        opened.relight(np.ones((8, 8))),
-        rfpipe.open_transport(crate / name).relight(np.ones((8, 8))),
-    )
