@@ -163,7 +163,6 @@ def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
     What describes the whole comes first, and what describes an array before its numbers, so that
     few ranges of a zip file hold all of it.
     """
-
     files = [file.relative_to(folder) for file in folder.rglob("*") if file.is_file()]
     for inside in sorted(files, key=lambda file: [(part != METADATA, part) for part in file.parts]):
         hidden = any(part.startswith((".", "__pycache__")) for part in inside.parts)
