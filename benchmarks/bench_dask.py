@@ -14,7 +14,6 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -24,31 +23,15 @@ import numpy as np
 import pandas as pd
 import psutil
 
-from rfpipe.provenance import generator
 from rfpipe.stages import merge
-from rfpipe.stages.evaluating.evaluate import errors_table
-from rfpipe.stages.folder import AcquisitionFolder, write_bundle
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, read_manifest
 
 OUTPUT = Path("results/bench")
-PICTURES, RUNS, PIECES = 32, 4, 100
+PIECES = 100
 
 Use = Callable[[Resources], object]
-
-
-@dataclass(frozen=True)
-class Light:
-    """A pattern of noise."""
-
-    name: str
-    seed: int
-    shape: tuple[int, ...]
-
-    def weights(self) -> np.ndarray:
-        """Make it."""
-        return generator(self.seed).random(self.shape, np.float32)
 
 
 def nothing(first: int, _last: int) -> int:
@@ -83,18 +66,11 @@ def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
     for file in source.glob("*.json"):
         shutil.copy(file, place)
     folder = AcquisitionFolder(place)
-    shape = tuple(read_schedule(folder, level).shape)
     yield "overhead", partial(idle, place)
     yield (
         f"merge, {about['levels'][level]['patterns']} patterns",
         partial(merged_anew, folder, level),
     )
-    images = generator(0).random((5, *shape, 3), np.float32)
-    arrays = {"relit": images, "truth": images + np.float32(0.01), "patterns": images[..., 0]}
-    facts = {"scene": "x", "method": "symmetric", "names": list("abcde"), "coaxial": True}
-    relit = place / "errors" / "relight.json"
-    write_bundle(relit, "", {**arrays, "floodlit_truth": images[0]}, facts)
-    yield f"evaluate, {RUNS} runs", lambda resources: errors_table([relit] * RUNS, resources)
 
 
 def cpu_seconds() -> float:

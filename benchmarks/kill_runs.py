@@ -94,14 +94,14 @@ def _run(folder: Path, mode: str) -> float:
 
 
 def _killed(folder: Path, mode: str, moment: float) -> str:
-    """Kill a run after some seconds; return the stage whose log was written last."""
+    """Kill a run after some seconds; return the stage that wrote last."""
     process = _start(folder, mode)
     sleep(moment)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     _start(folder, mode, "--unlock").wait()
-    logs = [*folder.glob("results/*/*/L*/*.log"), *folder.glob("results/*/*/assemble.log")]
-    return max(logs, key=lambda log: log.stat().st_mtime_ns).stem if logs else "the start"
+    stores = [*folder.glob("results/*/*/L*/*.zarr"), *folder.glob("results/*/*/transport.zarr")]
+    return max(stores, key=lambda path: path.stat().st_mtime_ns).stem if stores else "the start"
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

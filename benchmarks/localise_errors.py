@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import rfpipe
 from rfpipe.scenes.relighting import relighting_patterns
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
 from rfpipe_mitsuba.worlds import WORLDS

@@ -9,9 +9,8 @@ from rfpipe.config import Config
 from rfpipe.photometry import sensor_from_config
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
-from rfpipe.stages import relight
+from rfpipe.stages import evaluate, relight
 from rfpipe.stages.acquire import acquire
-from rfpipe.stages.evaluating import evaluate
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 

@@ -21,7 +21,7 @@ from rfpipe.errors import RfpipeError
 from rfpipe.photometry import MergeOptions, Sensor
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import Scene
-from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluate import relative_rms, unlit_rms
 
 __all__ = ["machine", "measure"]
 

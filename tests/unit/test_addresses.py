@@ -16,7 +16,7 @@ from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, RfpipeError, StoreError
 from rfpipe.rigs import RemoteRig
-from rfpipe.stages.jobs.cluster import connected
+from rfpipe.stages.jobs.workers import connected
 
 TOKEN = "a-token-for-tests-only"
 SECRET = "geheim"

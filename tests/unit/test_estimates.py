@@ -17,9 +17,8 @@ from rfpipe.report.errors import compare, estimates_figure, estimates_section, h
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
-from rfpipe.stages import relight
-from rfpipe.stages.evaluating import evaluate
-from rfpipe.stages.jobs.progress import log_estimate
+from rfpipe.stages import evaluate, relight
+from rfpipe.stages.refine import log_estimate
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates, history

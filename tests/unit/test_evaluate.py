@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rfpipe.stages.evaluating import evaluate
-from rfpipe.stages.evaluating.evaluate import error_rows
+from rfpipe.stages import evaluate
 from rfpipe.store import write_arrays, write_manifest
 
 
@@ -32,14 +31,3 @@ def test_errors_are_blank_where_they_are_undefined(tmp_path):
     assert float(row["psnr_db"]) == pytest.approx(10 * math.log10(1 / 0.25), abs=1e-3)
     by_level = pd.read_csv(speed)[["level", "patterns", "capture_s", "error"]]
     assert by_level.to_numpy().tolist() == [[0, 1, 2, 1], [2, 3, 6, 0.5]]
-
-
-def test_error_rows_name_each_pattern():
-    patterns = np.zeros((2, 1, 2))
-    patterns[:, 0, 0] = 1
-    truth = np.array([[[[1.0], [0.1]]], [[[1.0], [0.2]]]])
-    relit = np.array([[[[1.0], [0.1]]], [[[1.0], [0.3]]]])
-    first, second = error_rows(relit, truth, patterns, ["one", "two"], white=1.0)
-    assert (first["pattern"], first["rms_unlit"]) == ("one", 0)
-    assert second["rms_unlit"] == pytest.approx(0.5)
-    assert second["ciede2000"] > first["ciede2000"] == 0

@@ -19,7 +19,7 @@ from rfpipe.methods.adaptive.footprints.method import ROUNDS, Footprints
 from rfpipe.methods.adaptive.footprints.series import Series
 from rfpipe.methods.adaptive.patterns import view_patterns
 from rfpipe.patterns import Schedule
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

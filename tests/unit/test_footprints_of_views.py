@@ -22,7 +22,7 @@ from rfpipe.methods.adaptive.footprints.candidates import Candidates as Found
 from rfpipe.methods.adaptive.footprints.chart import chart_of
 from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
 from rfpipe.scenes import room_scene
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -8,7 +8,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig, SimulatedRig
 from rfpipe.scenes import relighting_patterns, room_scene
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.relight import images_of, one_view_at_a_time
 from rfpipe.testing import dot_test
 

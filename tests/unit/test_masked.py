@@ -15,7 +15,7 @@ from rfpipe.photometry.normalize import level_gain
 from rfpipe.rigs import Rig
 from rfpipe.scenes import reference_scene
 from rfpipe.stages.acquire import AcquisitionResult
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.stages.evaluating.metrics import colour_difference, psnr, relative_rms, unlit_rms
+from rfpipe.stages.evaluate import colour_difference, psnr, relative_rms, unlit_rms
 
 
 def image(*values: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
 from rfpipe.stages.acquire import AcquisitionResult
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.store.arrays import open_arrays, write_arrays
 from rfpipe.testing import dot_test
 from rfpipe.transport import Transport, open_transport, save_transport

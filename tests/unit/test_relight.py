@@ -17,7 +17,7 @@ from rfpipe.scenes import (
 )
 from rfpipe.stages import relight
 from rfpipe.stages.acquire import acquire
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.relight import NO_LEAF, leaf_levels, relit_arrays, right_half
 from rfpipe.store import open_arrays, read_manifest, write_manifest
 from rfpipe.transport import Transport, save_transport

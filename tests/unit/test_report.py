@@ -26,8 +26,7 @@ from rfpipe.report.leaves import leaves_section
 from rfpipe.report.pictures import amplification, levels_section
 from rfpipe.report.text import number, percent, size
 from rfpipe.scenes import RELIGHTING_PATTERNS
-from rfpipe.stages import relight
-from rfpipe.stages.evaluating import evaluate
+from rfpipe.stages import evaluate, relight
 from rfpipe.stages.folder import write_bundle
 from rfpipe.stages.verification import compare
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest

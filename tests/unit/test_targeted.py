@@ -19,7 +19,7 @@ from rfpipe.methods.adaptive.patterns import held_out_strip
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.provenance import generator
 from rfpipe.scenes import hard_cases, reference_scene
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.plan import Plan
 from rfpipe.store import write_manifest

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import fcntl
-import logging
 import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -67,14 +66,3 @@ def _once(folder: Path, run: Callable[[Workflow], str]) -> Workflow:
 def copy(undisturbed: Workflow, tmp_path: Path) -> Workflow:
     """A complete run to disturb."""
     return undisturbed.copy_to(tmp_path / "copy")
-
-
-@pytest.fixture
-def closed_logs() -> Iterator[None]:
-    """Close the logs that stages leave open where they fail, as their job ends then."""
-    log = logging.getLogger("rfpipe")
-    before = list(log.handlers)
-    yield
-    for handler in set(log.handlers) - set(before):
-        log.removeHandler(handler)
-        handler.close()

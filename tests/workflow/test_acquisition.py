@@ -126,7 +126,7 @@ def _acquire_for(path: Path, seconds: float) -> None:
 
 
 def _stage_under_way(path: Path) -> str:
-    """Return the stage whose log was begun last."""
-    logs = [*path.glob("L*/*.log")]
-    newest = np.argmax([log.stat().st_mtime_ns for log in logs]) if logs else 0
-    return logs[newest].stem if logs else ""
+    """Return the stage whose store was begun last."""
+    stores = [*path.glob("L*/*.zarr")]
+    newest = np.argmax([store.stat().st_mtime_ns for store in stores]) if stores else 0
+    return stores[newest].stem if stores else ""

@@ -19,7 +19,7 @@ from rfpipe.config import load_rig_config
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.layout import pixel_middles
 from rfpipe.scenes import relighting_patterns, scene_from_config
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.relight import images_of
 from rfpipe.store import open_arrays
 

@@ -54,7 +54,7 @@ def test_a_node_killed_in_the_middle_of_an_acquisition(
     slurm.start_node(node)
     said = workflow.end(process)
     assert "Trying to restart job" in said
-    log = workflow.path("long/brute_force/L00/capture.log").read_text()
+    log = workflow.path("long/brute_force/acquire.log").read_text()
     assert f"{taken} of 40 patterns are captured; going on at pattern {taken}" in log
     assert workflow.contents("long/brute_force") == undisturbed.contents("long/brute_force")
 

@@ -38,9 +38,6 @@ from rfpipe.store import FrameStore, read_manifest
 FRAMES = 6
 
 
-pytestmark = pytest.mark.usefixtures("closed_logs")
-
-
 def judge(acquisition: Acquisition, accepted: float = 0.05) -> dict[str, Any]:
     found = symmetry.read_asymmetry(acquisition.folder)
     assert found is not None

@@ -58,9 +58,6 @@ def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str,
     return read_manifest(folder.path / verification.MANIFEST)
 
 
-pytestmark = pytest.mark.usefixtures("closed_logs")
-
-
 class Stopping(OperatorRig):
     """A rig that stops at a key, and counts what it shows."""
 

@@ -1,5 +1,4 @@
-from rfpipe.stages import acquisition
-from rfpipe.stages.stage_job import stage_job
+from rfpipe.stages.acquisition import run, stage_job
 
 with stage_job(snakemake) as job:
-    acquisition.run(job.plan, job.folder, job.capture, job.params.settings, job.resources)
+    run(job.plan, job.folder, job.capture, job.params.settings, job.resources)

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from rfpipe.stages.evaluating import evaluate
+from rfpipe.stages import evaluate
 from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])

@@ -1,5 +1,5 @@
 from rfpipe.stages import verification
-from rfpipe.stages.stage_job import stage_job
+from rfpipe.stages.acquisition import stage_job
 
 with stage_job(snakemake) as job:
     verification.run(

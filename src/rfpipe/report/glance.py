@@ -9,7 +9,7 @@ from rfpipe.report.drawing import UNLIT_GAIN, draw, new_figure, shared_legend, u
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import Block, Column, Gallery, Illustration, Section, table_of
 from rfpipe.report.text import fixed, number, percent, words
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -136,7 +136,7 @@ class Inputs:
     runs : list of Run
         In the configuration's order.
     errors, speed_error : DataFrame
-        See `rfpipe.stages.evaluating.evaluate`.
+        See `rfpipe.stages.evaluate`.
     times : DataFrame
         ``scene``, ``method`` and the columns of `job_times`; may be empty.
     results : Path

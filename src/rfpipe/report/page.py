@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from rfpipe.pictures.images import write_image
-from rfpipe.stages.evaluating.evaluate import write_table
+from rfpipe.stages.evaluate import write_table
 from rfpipe.store.files import write_atomically
 
 if TYPE_CHECKING:

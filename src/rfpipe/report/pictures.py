@@ -21,7 +21,7 @@ from rfpipe.report.drawing import (
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import Block, Illustration, Section
 from rfpipe.report.text import words
-from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluate import relative_rms, unlit_rms
 from rfpipe.stages.relight import NO_LEAF, right_half
 
 DECADES = 7

@@ -43,7 +43,7 @@ class AcquisitionResult:
     patterns : int
         Patterns shown, the floodlit one included, the all-off ones not.
     capture_seconds, processing_seconds : float
-        Wall time inside the rig, and of everything else.
+        Wall time of captures, and of everything else.
     saturated : int
         Samples that were saturated in every exposure; 0 in a well exposed acquisition.
     masked : ndarray of bool, shape (*camera_shape)
@@ -174,7 +174,6 @@ def acquire(
     plan = Plan(
         named.name, named, rig.camera_shape, rig.projector_shape, rig.channels, options, asymmetry
     )
-    timed: Any = _TimedRig(rig)
     folder = AcquisitionInMemory()
     watching = {"mode": watch, "looks": 0, "mutual_error": NOTICED * asymmetry}
     capturing: dict[str, Any] = {
@@ -191,7 +190,7 @@ def acquire(
         "normalize": {"mode": normalization, **code}, "refine": code,
     }  # fmt: skip
     resources = Resources()
-    run_levels(plan, folder, partial(capture.run, timed), settings, resources)
+    run_levels(plan, folder, partial(capture.run, rig), settings, resources)
     transport, masked = assembled(plan, folder)
     verified = None
     if verification:
@@ -199,7 +198,8 @@ def acquire(
         write_schedule(folder, "", schedule, names=names)
         # a look at the lamp before the first and after the last
         capturing |= {"symmetry_frames": 0, "drift_patterns": verification, "watching": None}
-        capture.run(timed, folder, VERIFICATION, **capturing)
+        with folder.doing(VERIFICATION, "capture"):
+            capture.run(rig, folder, VERIFICATION, **capturing)
         merge.run(folder, VERIFICATION, **merging, divide_out_drift=True)
         verified = compared(folder, transport)
     captured, merged = (
@@ -209,31 +209,10 @@ def acquire(
     return AcquisitionResult(
         transport,
         sum(facts["patterns"] for facts in captured),
-        timed.seconds,
-        perf_counter() - began - timed.seconds,
+        folder.seconds["capture"],
+        perf_counter() - began - folder.seconds["capture"],
         sum(facts["saturated"] for facts in merged),
         masked,
         verified,
         tuple(facts[MUTUAL] for facts in captured if MUTUAL in facts),
     )
-
-
-class _TimedRig:
-    """A rig whose captures are timed; everything else is the rig's own."""
-
-    def __init__(self, rig: Rig) -> None:
-        self._rig = rig
-        self.seconds = 0.0
-
-    def __getattr__(self, name: str) -> Any:
-        attribute = getattr(self._rig, name)
-        if name not in ("capture", "show_sequence"):
-            return attribute
-
-        def timed(*shown: Any) -> NDArray[Any]:
-            began = perf_counter()
-            frames: NDArray[Any] = attribute(*shown)
-            self.seconds += perf_counter() - began
-            return frames
-
-        return timed

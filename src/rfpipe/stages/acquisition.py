@@ -1,6 +1,6 @@
-"""A whole acquisition, level after level, in one process: on files, or in memory.
+"""The stages of an acquisition: one as a job of the workflow, or all of them in one process.
 
-On files each stage leaves its store, manifest, log and time as if it were a job. What stands there
+On files each stage leaves its store, manifest and time as if it were a job. What stands there
 already, made from the same things, is left as it is: an acquisition that was stopped goes on where
 it stopped, also where jobs of single stages have begun it.
 """
@@ -8,16 +8,22 @@ it stopped, also where jobs of single stages have begun it.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property, partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rfpipe.errors import DamagedStageError
-from rfpipe.stages import assemble, merge, normalize, refine, schedule
-from rfpipe.stages.folder import AcquisitionFolder, clear
+from rfpipe.stages.folder import STAGES, AcquisitionFolder, clear
+from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import Plan
+from rfpipe.store import StoreLock
+
+if TYPE_CHECKING:
+    from rfpipe.stages.plan import Plan
 
 Settings = Mapping[str, Mapping[str, Any]]
 
@@ -52,7 +58,7 @@ def run(
     while True:
         try:
             run_levels(plan, folder, capture, stages, resources)
-            assemble.run(plan, folder, **stages["assemble"])
+            _function("assemble", plan, resources)(folder, **stages["assemble"])
         except DamagedStageError as error:
             if error.manifest in cleared or not clear(error):
                 raise
@@ -70,14 +76,102 @@ def run_levels(
     resources: Resources,
 ) -> None:
     """Take an acquisition through all stages of all levels, whatever stands there; see `run`."""
-    work: dict[str, Callable[..., None]] = {
-        "schedule": partial(schedule.run, plan),
-        "capture": partial(capture, resources=resources.here),
-        "merge": partial(merge.run, resources=resources),
-        "normalize": partial(normalize.run, plan),
-        "refine": partial(refine.run, plan, resources=resources),
+    work = {
+        name: partial(capture, resources=resources.here)
+        if name == "capture"
+        else _function(name, plan, resources)
+        for name in STAGES
     }
     for level in folder.levels():
         for name, stage in work.items():
             with folder.doing(level, name):
                 stage(folder, level, **stages[name])
+
+
+def _function(name: str, plan: Plan | None, resources: Resources) -> Callable[..., None]:
+    """Return the function of a stage but the capture, which loads what it needs alone."""
+    stage: Callable[..., None] = import_module(f"rfpipe.stages.{name}").run
+    stage = partial(stage, plan) if plan and name != "merge" else stage
+    return partial(stage, resources=resources) if name in ("merge", "refine") else stage
+
+
+@dataclass(frozen=True)
+class StageJob:
+    """What a job of an acquisition works on.
+
+    Attributes
+    ----------
+    folder : AcquisitionFolder
+    level : int
+        0 where the job is of no level.
+    params : snakemake.io.Params
+        The rule's.
+    resources : Resources
+    asked : snakemake.io.Resources
+        All of the job's resources.
+    """
+
+    folder: AcquisitionFolder
+    level: int
+    params: Any
+    resources: Resources
+    asked: Any
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan of the rule's parameters."""
+        from rfpipe.stages.plan import Plan
+
+        return Plan(**self.params.plan)
+
+    @cached_property
+    def capture(self) -> Callable[..., None]:
+        """The capture stage with its rig, which alone loads what rigs need."""
+        from rfpipe.stages import captures
+
+        return captures.of_job(self)
+
+    def do(self, rule: str) -> None:
+        """Do the stage of a rule."""
+        if rule.startswith("capture"):
+            stage: Callable[..., None] = partial(self.capture, resources=self.resources.here)
+        else:
+            stage = _function(rule, None if rule == "merge" else self.plan, self.resources)
+        of_level = () if rule == "assemble" else (self.level,)
+        stage(self.folder, *of_level, **self.params.settings)
+
+
+@contextmanager
+def stage_job(snakemake: Any) -> Iterator[StageJob]:
+    """Begin a job of an acquisition, which no other process works on meanwhile.
+
+    Parameters
+    ----------
+    snakemake : object
+        As Snakemake gives it to the job's script.
+
+    Raises
+    ------
+    LockedError
+        When another process works on the same acquisition, such as a job that outlived a workflow
+        that was killed.
+    DamagedStageError
+        When a stage before is damaged. Its manifest is removed, but a capture's, so that the next
+        run makes it anew.
+    """
+    start(snakemake.log[0])
+    wildcards = snakemake.wildcards
+    folder = AcquisitionFolder(Path("results", wildcards.scene, wildcards.method))
+    resources = Resources.of_job(snakemake)
+    level = int(wildcards.get("level", 0))
+    with StoreLock(folder.path):
+        try:
+            yield StageJob(folder, level, snakemake.params, resources, snakemake.resources)
+        except DamagedStageError as error:
+            if not clear(error):
+                raise
+            raise DamagedStageError(
+                f"{str(error).partition('. To do so')[0]}. {error.manifest} is removed: the next "
+                "run makes it anew",
+                error.manifest,
+            ) from error

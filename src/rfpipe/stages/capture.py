@@ -8,12 +8,14 @@ from collections.abc import Mapping
 from functools import partial
 from math import prod
 from time import monotonic, sleep
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
+from rfpipe.errors import StoreError
 from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, WARM_UP_KEY
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
@@ -232,6 +234,23 @@ def _write_sensor(folder: AcquisitionFolder, sensor: Sensor) -> dict[str, Any]:
 def _counts(rig: Rig, references: tuple[int, int]) -> tuple[int, int]:
     """Return how many all-off and all-on brackets there are."""
     return (1, 1) if isinstance(rig.sensor, ExactSensor) else references
+
+
+def stands_already(folder: AcquisitionFolder, level: int, options: Mapping[str, Any]) -> bool:
+    """Whether a level's manifest is about all that `run` is to capture, by the rig it was begun by.
+
+    Parameters
+    ----------
+    options : mapping
+        Keyword arguments of `run`.
+    """
+    try:
+        rig, sensor = folder.read_manifest(level, "capture")["rig"], read_sensor(folder)
+    except StoreError:
+        return False
+    known: Any = SimpleNamespace(describe=lambda: rig, sensor=sensor, projector_shape=())
+    counts = options["references"], options.get("symmetry_frames", 0)
+    return _stands(folder, level, *brackets_of(known, folder, level, *counts))
 
 
 def _stands(

@@ -6,24 +6,21 @@ import logging
 import os
 import shlex
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rfpipe.errors import CaptureError, InputError, PicturesNeeded, StoreError
-from rfpipe.photometry import sensor_from_description
+from rfpipe.errors import CaptureError, PicturesNeeded, StoreError
 from rfpipe.rigs import RemoteRig
 from rfpipe.rigs.calibrated import warn_of
 from rfpipe.rigs.protocol import read_token
 from rfpipe.stages import capture
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
-from rfpipe.store import FrameStore, open_arrays
+from rfpipe.store import FrameStore
 
 Capture = Callable[..., None]
 """``capture(folder, level, **options)``: `rfpipe.stages.capture.run` with its rig."""
@@ -119,25 +116,17 @@ def by_server(
         When the rig isn't there, has other rays, or is another than that of what was captured
         before.
     """
-
-    def connected() -> RemoteRig:
-        if placing is not None:
-            placing.place(folder.path.parent.name)
-        rig = RemoteRig(url, read_token(Path(token_file) if token_file else None), patience_seconds)
-        try:
-            _check_rays(rig, rays, url)
-            if level == 0:
-                warn_of(rig.describe(), url)
-        except BaseException:
-            rig.close()
-            raise
-        return rig
-
-    rig = _begun(rays, folder, connected) or connected()
-    try:
+    if capture.stands_already(folder, level, options):
+        return
+    if placing is not None:
+        placing.place(folder.path.parent.name)
+    rig = RemoteRig(url, read_token(Path(token_file) if token_file else None), patience_seconds)
+    with closing(rig):
+        _check_rays(rig, rays, url)
+        if level == 0:
+            warn_of(rig.describe(), url)
+        _check_begun(rig, folder)
         capture.run(rig, folder, level, **options)
-    finally:
-        rig.close()
 
 
 @dataclass
@@ -186,64 +175,17 @@ def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
             )
 
 
-def _begun(
-    rays: Mapping[str, Any], folder: AcquisitionFolder, connect: Callable[[], RemoteRig]
-) -> _BegunRig | None:
-    """Return the rig that an acquisition was begun with, None where nothing is captured yet."""
+def _check_begun(rig: RemoteRig, folder: AcquisitionFolder) -> None:
+    """Refuse to go on with another rig than that of the frames that are on disk."""
     try:
         with FrameStore.open(folder.store(0, REFERENCE)) as frames:
-            described = frames.attributes["rig"] if frames.done.any() else None
-        store = folder.store(0, capture.SENSOR)
-        arrays = open_arrays(store).read_all() if store.exists() else None
-        return described and _BegunRig(rays, described, arrays, connect)
-    except (StoreError, InputError, KeyError):
-        return None  # the rig itself will say, and whoever reads the frames
-
-
-class _BegunRig:
-    """The rig of frames that are on disk, which is connected to only for more of them."""
-
-    seconds_per_pattern = 0.0
-
-    def __init__(
-        self, rays: Mapping[str, Any], described: dict[str, Any], arrays: Any,
-        connect: Callable[[], RemoteRig],
-    ) -> None:  # fmt: skip
-        self.camera_shape = tuple(rays["camera_shape"])
-        self.projector_shape = tuple(rays["projector_shape"])
-        self.channels = rays["channels"]
-        self.sensor = sensor_from_description(described["sensor"], arrays)
-        self._described, self._connect = described, connect
-        self._rig: RemoteRig | None = None
-        self._before: dict[str, dict[str, int]] = {}
-
-    def capture(
-        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
-    ) -> NDArray[Any]:
-        """Show patterns; CaptureError also where the rig is another than at the beginning."""
-        if self._rig is None:
-            self._rig = self._connect()
-            self._before = self._rig.statistics
-            described = capture.frame_settings(self._rig)
-            if described != self._described:
-                raise CaptureError(
-                    f"{self._rig.url}: the rig is not that of the patterns captured before ("
-                    f"{differing(self._described, described)}). Serve it with those settings, or "
-                    "remove the acquisition's folder to begin anew"
-                )
-        return self._rig.capture(patterns, keys)
-
-    @property
-    def statistics(self) -> dict[str, dict[str, int]]:
-        """What the rig's devices counted since it was connected to."""
-        return {
-            device: {what: n - self._before.get(device, {}).get(what, 0) for what, n in of.items()}
-            for device, of in (self._rig.statistics if self._rig else {}).items()
-        }
-
-    def describe(self) -> dict[str, Any]:
-        return self._described
-
-    def close(self) -> None:
-        if self._rig is not None:
-            self._rig.close()
+            begun_with = frames.attributes["rig"] if frames.done.any() else None
+    except (StoreError, KeyError):
+        return  # nothing is captured, or its own stage will say what is damaged
+    described = capture.frame_settings(rig)
+    if begun_with not in (None, described):
+        raise CaptureError(
+            f"{rig.url}: the rig is not that of the patterns captured before ("
+            f"{differing(begun_with, described)}). Serve it with those settings, or remove the "
+            "acquisition's folder to begin anew"
+        )

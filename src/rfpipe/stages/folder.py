@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
 from rfpipe.keys import VERIFICATION_KEY
 from rfpipe.provenance import versions
-from rfpipe.stages.jobs.job import stage_log
 from rfpipe.store import (
     ArrayBundle,
     FrameStore,
@@ -165,7 +164,9 @@ class AcquisitionFolder:
         self, level: int, stage: str, made_from: str, arrays: Arrays, facts: Facts, **more: Any
     ) -> None:
         """Write arrays and manifest of a stage; see `write_bundle`."""
-        write_bundle(self.manifest(level, stage), made_from, arrays, facts, **more)
+        made = {"fingerprint": made_from, "versions": versions()}
+        entry = self.write_part(level, stage, arrays, facts=facts, **made, **more)
+        self.write_manifest(level, stage, {**facts, **entry, **made})
 
     def write_part(self, level: int, part: str, arrays: Arrays, **about: Any) -> Facts:
         """Write arrays without a manifest; return the store's entry for one."""
@@ -250,11 +251,10 @@ class AcquisitionFolder:
 
     @contextmanager
     def doing(self, level: int, stage: str) -> Iterator[None]:
-        """Log a stage's work beside its manifest; keep its seconds, if there was any."""
+        """Keep the seconds of a stage's work beside its manifest, if there was any."""
         manifest = self.manifest(level, stage)
         before, began = manifest.exists() and manifest.stat().st_mtime_ns, perf_counter()
-        with stage_log(manifest.with_suffix(".log")):
-            yield
+        yield
         if manifest.stat().st_mtime_ns != before:
             times = manifest.with_suffix(".benchmark.tsv")
             times.write_text(f"s\n{perf_counter() - began:.4f}\n", encoding="ascii")

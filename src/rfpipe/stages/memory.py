@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from itertools import count
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -16,13 +19,20 @@ from rfpipe.units import RADIANCE
 
 
 class AcquisitionInMemory(AcquisitionFolder):
-    """An acquisition that ends with its process: manifests have no digests, raw frames no merge."""
+    """An acquisition that ends with its process: no digests, and no raw frames once merged.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        Wall time of each stage.
+    """
 
     def __init__(self) -> None:
         super().__init__(Path())
         self._held: dict[tuple[int, str], tuple[Arrays, Facts]] = {}
         self._manifests: dict[tuple[int, str], Facts] = {}
         self._frames: dict[Path, FramesInMemory] = {}
+        self.seconds: dict[str, float] = defaultdict(float)
 
     @property
     def is_kept(self) -> bool:
@@ -36,12 +46,6 @@ class AcquisitionInMemory(AcquisitionFolder):
 
     def standing(self, level: int, stage: str, made_from: str) -> Facts | None:
         return None
-
-    def write(
-        self, level: int, stage: str, made_from: str, arrays: Arrays, facts: Facts, **more: Any
-    ) -> None:
-        entry = self.write_part(level, stage, arrays, facts=facts, **more)
-        self._manifests[level, stage] = facts | entry
 
     def write_part(self, level: int, part: str, arrays: Arrays, **about: Any) -> Facts:
         self._held[level, part] = arrays, about
@@ -70,12 +74,17 @@ class AcquisitionInMemory(AcquisitionFolder):
         yield images, images
         del self._frames[self.store(level, "capture")]
 
-    def doing(self, level: int, stage: str) -> Any:
-        return nullcontext()
+    @contextmanager
+    def doing(self, level: int, stage: str) -> Iterator[None]:
+        began = perf_counter()
+        yield
+        self.seconds[stage] += perf_counter() - began
 
 
 class FramesInMemory:
-    """Frames in memory, with what stages use of `rfpipe.store.FrameStore`."""
+    """Frames in memory, with what stages use of `rfpipe.store.FrameStore` and `ItemWriter`."""
+
+    dropped = False
 
     def __init__(self, shape: tuple[int, ...], dtype: Any) -> None:
         self.shape, self.dtype = shape, np.dtype(dtype)
@@ -84,39 +93,27 @@ class FramesInMemory:
 
     @property
     def complete(self) -> bool:
-        """True when every item is there."""
         return bool(self.done.all())
 
     def missing(self, longest: int) -> list[tuple[int, int]]:
-        """List the runs of items still to come, of at most so many."""
-        count = self.shape[0]
-        return [(first, min(first + longest, count)) for first in range(0, count, longest)]
+        stop = self.shape[0]
+        return [(first, min(first + longest, stop)) for first in range(0, stop, longest)]
 
-    def write(self, start: int, block: NDArray[Any]) -> None:
-        """Keep items."""
+    def write(self, start: int, block: NDArray[Any]) -> list[str]:
         self._items[start : start + len(block)] = block
         self.done[start : start + len(block)] = True
+        return []
 
     @contextmanager
     def adding(self, start: int) -> Iterator[Any]:
-        """Provide what takes the items from `start` on, block by block."""
-        at = start
-
-        def add(block: NDArray[Any]) -> list[str]:
-            nonlocal at
-            self.write(at, block)
-            at += len(block)
-            return []
-
-        yield add
+        at = count(start)
+        yield lambda block: [self.write(next(at), item[None]) for item in block] and []
 
     def enter(self, start: int, digests: list[str]) -> None:
         """Do nothing: there is no journal."""
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
-        """Return items ``start:stop``."""
         return self._items[start:stop]
 
     def entry(self) -> dict[str, Any]:
-        """Describe it for a manifest."""
         return {"digest": "", "dtype": self.dtype.str, "shape": list(self.shape)}

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from rfpipe.methods import Pack
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.transport.base import estimates
 from rfpipe.units import RADIANCE_UNIT
+
+_log = logging.getLogger(__name__)
 
 
 def run(
@@ -31,7 +37,6 @@ def run(
         Digest of the code behind the stage.
     resources : Resources, optional
         What the stage may use; by default one thread and 4 GiB.
-
     """
     plan.settle(folder)
     planned = folder.read_manifest(level, "schedule")
@@ -73,3 +78,16 @@ def run(
     }
     folder.write(level, "refine", made_from, arrays, facts, states=states)
     plan.carry(facts["next"], state)
+
+
+def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:
+    """Log the error that a method estimated after the last of its levels, if it did."""
+    estimated = estimates(level_rows)
+    if estimated and estimated[-1]["level"] == level_rows[-1]["level"]:
+        last = estimated[-1]
+        target_error = getattr(options, "target_error", None)
+        asked = "" if target_error is None else f", {100 * target_error:.3g} % asked for"
+        _log.info(
+            "level %d: estimated error %.2f %% after %d patterns%s",
+            last["level"], 100 * last["estimated_error"], last["patterns"], asked,
+        )  # fmt: skip

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.stages.merger import read_floodlit
 from rfpipe.store import open_arrays, read_manifest
@@ -100,13 +100,27 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         )
     truth_of = partial(images_of, scene)
     patterns = np.stack(list(scene_patterns(scene).values()))
-    details = _between_views if RayDomain(shapes[1]).is_stack else _within_image
-    return {
+    arrays = {
         **_relit(transport, patterns),
         "truth": truth_of(patterns),
         "floodlit_truth": truth_of(np.ones((1, *shapes[1]), np.float32))[0],
         "albedo": scene.albedo,
-        **details(transport, truth_of),
+    }
+    if RayDomain(shapes[1]).is_stack:
+        lights = one_view_at_a_time(shapes[1])
+        stack = (len(lights), *RayDomain(shapes[0]).stack_shape, transport.channels)
+        views = transport.relight_batch(lights).reshape(stack), truth_of(lights).reshape(stack)
+        return arrays | dict(zip(("views_relit", "views_truth"), views, strict=True))
+    half = right_half(shapes[1])
+    rows = _middle_row(shapes[0]), _middle_row(shapes[1])
+    levels = leaf_levels(transport, *rows)
+    return {
+        **arrays,
+        "half_relit": transport.relight(half),
+        "half_truth": truth_of(half[None])[0],
+        "line_relit": _entries(transport.relight_batch, shapes[1], *rows),
+        "line_truth": _entries(truth_of, shapes[1], *rows),
+        **({} if levels is None else {"line_levels": levels}),
     }
 
 
@@ -142,35 +156,6 @@ def _relit(transport: Transport, patterns: Float) -> dict[str, NDArray[Any]]:
         "floodlit_relit": relit[-1],
         "levels_relit": np.stack(cut),
     }
-
-
-def _between_views(
-    transport: Transport, truth_of: Callable[[Float], Float]
-) -> dict[str, NDArray[Any]]:
-    """Return the arrays that `relit_arrays` has of a stack alone."""
-    lights = one_view_at_a_time(transport.projector_shape)
-    stack = RayDomain(transport.camera_shape).stack_shape
-    shape = (len(lights), *stack, transport.channels)
-    relit, truth = transport.relight_batch(lights), truth_of(lights)
-    return {"views_relit": relit.reshape(shape), "views_truth": truth.reshape(shape)}
-
-
-def _within_image(
-    transport: Transport, truth_of: Callable[[Float], Float]
-) -> dict[str, NDArray[Any]]:
-    """Return the arrays that `relit_arrays` has of images alone."""
-    half = right_half(transport.projector_shape)
-    rows = _middle_row(transport.camera_shape), _middle_row(transport.projector_shape)
-    arrays: dict[str, NDArray[Any]] = {
-        "half_relit": transport.relight(half),
-        "half_truth": truth_of(half[None])[0],
-        "line_relit": _entries(transport.relight_batch, transport.projector_shape, *rows),
-        "line_truth": _entries(truth_of, transport.projector_shape, *rows),
-    }
-    levels = leaf_levels(transport, *rows)
-    if levels is not None:
-        arrays["line_levels"] = levels
-    return arrays
 
 
 def _middle_row(shape: tuple[int, ...]) -> int:
@@ -215,24 +200,24 @@ def leaf_levels(
     shape = transport.camera_shape[-1], transport.projector_shape[-1]
     levels = np.full(shape, NO_LEAF, np.int16)
     if isinstance(transport, HierarchicalTransport):
-        for leaves in transport.leaf_sets:
-            number, of_ray = _blocks_of_line(transport.tree, leaves.level, projector_row)
-            first, second = number[leaves.block_a], number[leaves.block_b]
-            inside = (first >= 0) & (second >= 0)
-            held = np.zeros(shape, np.bool_)
-            held[first[inside], second[inside]] = held[second[inside], first[inside]] = True
-            levels[held[np.ix_(of_ray, of_ray)]] = leaves.level
-        return levels
-    if isinstance(transport, MultilevelTransport):
-        for pairs in transport.pair_sets:
-            number, of_ray = _blocks_of_line(transport.tree, pairs.level, projector_row)
-            block, pixel = number[pairs.block], pairs.pixel - camera_row * shape[0]
-            inside = (block >= 0) & (pixel >= 0) & (pixel < shape[0])
-            held = np.zeros(shape, np.bool_)
-            held[pixel[inside], block[inside]] = True
-            levels[held[:, of_ray]] = pairs.level
-        return levels
-    return None
+        sets: Any = transport.leaf_sets
+    elif isinstance(transport, MultilevelTransport):
+        sets = transport.pair_sets
+    else:
+        return None
+    for held_at in sets:
+        number, of_ray = _blocks_of_line(transport.tree, held_at.level, projector_row)
+        if isinstance(transport, HierarchicalTransport):
+            a, b = number[held_at.block_a], number[held_at.block_b]
+            down, across, of_row = np.append(a, b), np.append(b, a), of_ray
+        else:
+            down, across = held_at.pixel - camera_row * shape[0], number[held_at.block]
+            of_row = np.arange(shape[0])
+        inside = (down >= 0) & (down < shape[0]) & (across >= 0)
+        held = np.zeros(shape, np.bool_)
+        held[down[inside], across[inside]] = True
+        levels[held[np.ix_(of_row, of_ray)]] = held_at.level
+    return levels
 
 
 def _blocks_of_line(
@@ -294,23 +279,17 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     truths = arrays.get("truth", arrays["relit"][:0])
     errors = [relative_rms(*each) for each in zip(arrays["relit"], truths, strict=False)]
     errors = [error for error in errors if np.isfinite(error)]
-    write_bundle(
-        folder / "relight.json",
-        fingerprint({"transport": acquired["digest"], "scene": scene, "code": code}),
-        arrays,
-        {
-            "stage": "relight",
-            "transport": acquired["digest"],
-            "scene": acquired["scene"],
-            "method": acquired["method"],
-            "names": names,
-            "coaxial": scene.is_coaxial,
-            "row": _middle_row(transport.camera_shape),
-            "patterns": acquired["patterns"],
-            "bytes": transport.nbytes,
-            "levels": transport.level_rows,
-            "mean_error": sum(errors) / len(errors) if errors else None,
-            "options": acquired["options"],
-            "units": RADIANCE_UNIT,
-        },
-    )
+    made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
+    facts = {
+        "stage": "relight",
+        "transport": acquired["digest"],
+        **{name: acquired[name] for name in ("scene", "method", "patterns", "options")},
+        "names": names,
+        "coaxial": scene.is_coaxial,
+        "row": _middle_row(transport.camera_shape),
+        "bytes": transport.nbytes,
+        "levels": transport.level_rows,
+        "mean_error": sum(errors) / len(errors) if errors else None,
+        "units": RADIANCE_UNIT,
+    }
+    write_bundle(folder / "relight.json", made_from, arrays, facts)

@@ -8,7 +8,9 @@ the picture where it stopped; a transport that was made anew is compared with th
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +22,6 @@ from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint
 from rfpipe.stages import merge
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, standing, write_bundle
-from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.schedule import read_schedule, write_schedule
@@ -178,8 +179,7 @@ def run(
     """
     manifest = folder.manifest(VERIFICATION, "schedule")
     manifest.parent.mkdir(exist_ok=True)
-    with stage_log(manifest.with_suffix(".log")):
-        _schedule(folder, pictures)
+    _schedule(folder, pictures)
     # looks at the rig before the first picture and after the last, if there were any before
     was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
     options = {
@@ -189,11 +189,9 @@ def run(
         "batch_patterns": 1,
         "watching": {"mode": "warn" if was_watched else "off", "looks": pictures},
     }
-    with stage_log(manifest.with_name("capture.log")):
-        capture(folder, VERIFICATION, **options, resources=resources.here)
+    capture(folder, VERIFICATION, **options, resources=resources.here)
     merging = {**settings["merge"], "divide_out_drift": True}
-    with stage_log(manifest.with_name("merge.log")):
-        merge.run(folder, VERIFICATION, **merging, resources=resources)
+    merge.run(folder, VERIFICATION, **merging, resources=resources)
     _compare(folder, merging["code"])
 
 
@@ -290,37 +288,29 @@ def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
     largest residual in standard deviations; each None where nothing looked. ``alarms``: where the
     rig moved, or wasn't aligned; ``saturated`` of ``samples``; ``devices``: counts.
     """
-    drift: list[float] = []
-    moved: list[float] = []
-    errors: list[float] = []
-    deviations: list[float] = []
-    alarms: list[str] = []
-    devices: dict[str, int] = {}
-    saturated = samples = 0
-    for name, merged, captured in _levels(folder):
-        saturated += merged["saturated"]
-        samples += merged["samples"]
-        if DRIFT in merged:
-            drift.append(float(np.abs(np.asarray(merged[DRIFT]["gain"]) - 1).max(initial=0.0)))
-        if looks := merged.get(MOVES):
-            moved += [0.0, *looks["change"]]
-            alarms += [f"{name}: the rig or the scene moved"] * bool(looks["moved"])
-        if mutual := captured.get(MUTUAL):
-            errors.append(mutual["error"])
-            deviations.append(mutual["deviations"])
-            if mutual["first"] is not None:
-                alarms.append(f"{name}, pattern {mutual['first']}: not aligned")
-        for device, count in captured.get("devices", {}).items():
-            devices[device] = devices.get(device, 0) + count
+    levels = list(_levels(folder))
+    drift = [np.abs(np.asarray(merged[DRIFT]["gain"]) - 1).max() for _, merged, _ in levels
+             if DRIFT in merged]  # fmt: skip
+    looks = [(name, merged[MOVES]) for name, merged, _ in levels if MOVES in merged]
+    mutual = [(name, captured[MUTUAL]) for name, _, captured in levels if MUTUAL in captured]
+    moved = [max([0.0, *look["change"]]) for _, look in looks]
+    alarms = [f"{name}: the rig or the scene moved" for name, look in looks if look["moved"]]
+    alarms += [
+        f"{name}, pattern {of['first']}: not aligned"
+        for name, of in mutual
+        if of["first"] is not None
+    ]
+    devices: Counter[str] = Counter()
+    for _, _, captured in levels:
+        devices.update(captured.get("devices", {}))
     return {
-        "drift": max(drift, default=None),
+        "drift": max(map(float, drift), default=None),
         "moved": max(moved, default=None),
-        "reciprocity": max(errors, default=None),
-        "reciprocity_deviations": max(deviations, default=None),
+        "reciprocity": max((of["error"] for _, of in mutual), default=None),
+        "reciprocity_deviations": max((of["deviations"] for _, of in mutual), default=None),
         "alarms": alarms,
-        "saturated": saturated,
-        "samples": samples,
-        "devices": devices,
+        **{name: sum(merged[name] for _, merged, _ in levels) for name in ("saturated", "samples")},
+        "devices": dict(devices),
     }
 
 
@@ -328,9 +318,6 @@ def _levels(folder: AcquisitionFolder) -> Iterator[tuple[str, dict[str, Any], di
     """Yield the name and the manifests of merge and capture of each level, the pictures' last."""
     levels = sorted(int(path.parent.name[1:]) for path in folder.path.glob("L[0-9]*/merge.json"))
     for level in [*levels, VERIFICATION]:
-        try:
-            merged = folder.read_manifest(level, "merge")
-            captured = folder.read_manifest(level, "capture")
-        except StoreError:
-            continue
-        yield name_of(level), merged, captured
+        with suppress(StoreError):
+            merged, captured = (folder.read_manifest(level, name) for name in ("merge", "capture"))
+            yield name_of(level), merged, captured

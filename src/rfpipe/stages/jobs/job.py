@@ -8,12 +8,11 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from rfpipe.errors import DamagedStageError, PicturesNeeded, RfpipeError
+from rfpipe.errors import RfpipeError
 
 _log = logging.getLogger("rfpipe")
 
@@ -33,7 +32,8 @@ def start(log_file: str) -> None:
     os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     path = Path(log_file)
     path.parent.mkdir(parents=True, exist_ok=True)
-    to_file = _file(path, "w")
+    to_file = _LogFile(path, mode="w")
+    to_file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     to_terminal = logging.StreamHandler()
     to_terminal.setFormatter(_Brief(path))
     _log.setLevel(logging.INFO)
@@ -44,40 +44,6 @@ def start(log_file: str) -> None:
     sys.excepthook = _report
     atexit.register(_log_usage)
     signal.signal(signal.SIGTERM, _interrupt)
-
-
-@contextmanager
-def stage_log(path: Path) -> Iterator[None]:
-    """Also log to a stage's own file, after what is there, and under its name on stderr.
-
-    Where the stage fails it stays so: the job ends, and its message belongs there. It goes on where
-    a damaged stage may be made anew, or pictures are to be taken.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    to_file = _file(path, "a")
-    named = {handler: handler.formatter for handler in _log.handlers}
-    for handler, formatter in named.items():
-        if isinstance(formatter, _Brief):
-            handler.setFormatter(_Brief(path))
-    _log.addHandler(to_file)
-    ends = True
-    try:
-        yield
-    except BaseException as error:
-        ends = isinstance(error, DamagedStageError | PicturesNeeded)
-        raise
-    finally:
-        if ends:
-            _log.removeHandler(to_file)
-            to_file.close()
-            for handler, formatter in named.items():
-                handler.setFormatter(formatter)
-
-
-def _file(path: Path, mode: str) -> logging.FileHandler:
-    handler = _LogFile(path, mode=mode)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    return handler
 
 
 class _LogFile(logging.FileHandler):
@@ -93,7 +59,7 @@ class _LogFile(logging.FileHandler):
 
 
 class _Brief(logging.Formatter):
-    """The message alone, after the name of the job or stage; tracebacks are for the file."""
+    """The message alone, after the name of the job; tracebacks are for the file."""
 
     def __init__(self, log_file: Path) -> None:
         super().__init__(f"{'/'.join(log_file.with_suffix('').parts[-4:])}: %(message)s")

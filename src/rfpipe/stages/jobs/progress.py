@@ -1,10 +1,9 @@
-"""Progress: a bar on a terminal, else a line now and then in the log; a method's own estimates."""
+"""Progress: a bar on a terminal, else a line now and then in the log."""
 
 from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Mapping, Sequence
 from io import StringIO
 from time import monotonic
 from typing import Any
@@ -68,34 +67,5 @@ class Progress:
         self._bar.close()
         count, seconds = self._bar.n - self._done, monotonic() - self._began
         if count > 0 and seconds >= self._least:
-            _log.info(
-                "%s: %d %ss in %s",
-                self._name,
-                count,
-                self._unit,
-                self._bar.format_interval(seconds),
-            )
-
-
-def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:
-    """Log the error that a method estimated after the last of its levels, if it did.
-
-    Parameters
-    ----------
-    level_rows : sequence of dict
-        Of the levels so far, as `rfpipe.transport.Transport.level_rows`.
-    options : Options
-        The method's; its ``target_error``, where it has one, is the error asked for.
-    """
-    # the merge has progress, too, and nothing to do with transports
-    from rfpipe.transport.base import estimates
-
-    estimated = estimates(level_rows)
-    if estimated and estimated[-1]["level"] == level_rows[-1]["level"]:
-        last = estimated[-1]
-        target_error = getattr(options, "target_error", None)
-        asked = "" if target_error is None else f", {100 * target_error:.3g} % asked for"
-        _log.info(
-            "level %d: estimated error %.2f %% after %d patterns%s",
-            last["level"], 100 * last["estimated_error"], last["patterns"], asked,
-        )  # fmt: skip
+            took = self._bar.format_interval(seconds)
+            _log.info("%s: %d %ss in %s", self._name, count, self._unit, took)

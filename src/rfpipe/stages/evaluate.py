@@ -1,0 +1,204 @@
+"""Stage: how far relit images are from the truth: all error figures of a run, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.store import ArrayBundle, open_arrays, read_manifest
+from rfpipe.store.files import write_atomically
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Image = NDArray[Any]
+
+_ABOUT = ["scene", "method"]
+
+
+def run(
+    relight_manifests: list[Path], errors: Path, speed_error: Path, seconds_per_pattern: float
+) -> None:
+    """Write `errors_table` and `speed_error_table` as CSV; a figure that isn't defined is blank."""
+    write_table(errors, errors_table(relight_manifests))
+    write_table(speed_error, speed_error_table(relight_manifests, seconds_per_pattern))
+
+
+def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
+    """Return the errors of each acquisition's relit images; a captured scene has none.
+
+    Parameters
+    ----------
+    relight_manifests : iterable of Path
+        ``relight.json`` beside ``relight.zarr``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``scene``, ``method``, ``pattern``; relative RMS error in total, ``rms_total``, and on the
+        pixels that the pattern leaves dark, ``rms_unlit``; ``psnr_db``, its peak the truth's
+        maximum; ``ciede2000``, the mean, with the true floodlit image's maximum as white.
+    """
+    import pandas as pd
+
+    columns = [*_ABOUT, "pattern", "rms_total", "rms_unlit", "psnr_db", "ciede2000"]
+    rows = []
+    for facts, images in _with_truth(relight_manifests):
+        white = float(images.read("floodlit_truth").max(initial=0.0))
+        arrays = (images.read(name) for name in ("relit", "truth", "patterns"))
+        for name, image, true, pattern in zip(facts["names"], *arrays, strict=True):
+            # a camera aside has no pixels that are known to be unlit
+            unlit = unlit_rms(image, true, pattern) if facts["coaxial"] else float("nan")
+            figures = [relative_rms(image, true), unlit, psnr(image, true)]
+            colours = colour_difference(image, true, white)
+            rows.append([*(facts[key] for key in _ABOUT), name, *figures, colours])
+    return pd.DataFrame(rows, columns=columns)
+
+
+def speed_error_table(
+    relight_manifests: Iterable[Path], seconds_per_pattern: float
+) -> pd.DataFrame:
+    """Return cost and error of each acquisition after each level that it knows.
+
+    Parameters
+    ----------
+    relight_manifests : iterable of Path
+        As of `errors_table`.
+    seconds_per_pattern : float
+        Of a real rig.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``scene``, ``method``, ``level``; ``patterns`` and seconds of capture, ``capture_s``, up to
+        there; ``error``, the relative RMS error of the first relighting pattern's image.
+    """
+    import pandas as pd
+
+    rows = []
+    for facts, images in _with_truth(relight_manifests):
+        truth, relit = images.read("truth")[0], images.read("levels_relit")
+        levels = facts["levels"][-len(relit) :]
+        shown = np.cumsum([row["patterns"] for row in facts["levels"]])[-len(relit) :]
+        for row, patterns, image in zip(levels, shown, relit, strict=True):
+            if row["patterns"] or len(relit) == 1:
+                about = (*(facts[key] for key in _ABOUT), row["level"], int(patterns))
+                rows.append((*about, patterns * seconds_per_pattern, relative_rms(image, truth)))
+    return pd.DataFrame(rows, columns=[*_ABOUT, "level", "patterns", "capture_s", "error"])
+
+
+def write_table(path: Path, table: pd.DataFrame) -> None:
+    """Write a table of numbers as CSV, to six digits."""
+    text = table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    write_atomically(path, text.encode())
+
+
+def _with_truth(manifests: Iterable[Path]) -> Iterator[tuple[dict[str, Any], ArrayBundle]]:
+    for path in manifests:
+        images = open_arrays(path.with_suffix(".zarr"))
+        if "truth" in images.names:
+            yield read_manifest(path), images
+
+
+def relative_rms(image: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> float:
+    """Return ``||image - truth|| / ||truth||``, over all pixels and channels.
+
+    Parameters
+    ----------
+    image, truth : ndarray of float, shape (*camera_shape, C)
+        Radiance.
+    where : ndarray of bool, shape (*camera_shape), optional
+        The pixels to count; all by default.
+
+    Returns
+    -------
+    float
+        0 for equal images; NaN where there is no pixel, or no light in the truth.
+
+    Raises
+    ------
+    InputError
+        When the shapes differ.
+    """
+    image, truth = _checked(image, truth)
+    if where is not None:
+        image, truth = image[where], truth[where]
+    light = float(np.linalg.norm(truth))
+    return float(np.linalg.norm(image - truth)) / light if light > 0 else float("nan")
+
+
+def unlit_rms(image: Image, truth: Image, pattern: Image) -> float:
+    """Return `relative_rms` over the pixels where `pattern` (*camera_shape) is 0.
+
+    With a coaxial rig these pixels show indirect light alone. NaN where there are none, or they
+    get no light.
+    """
+    return relative_rms(image, truth, np.asarray(pattern) == 0)
+
+
+def psnr(image: Image, truth: Image) -> float:
+    """Return the peak signal-to-noise ratio in dB; the peak is the truth's maximum.
+
+    Infinite for equal images, NaN when the truth is black.
+    """
+    image, truth = _checked(image, truth)
+    peak = float(truth.max(initial=0.0))
+    if peak <= 0:
+        return float("nan")
+    error = float(np.mean(np.square(image - truth)))
+    return 10 * float(np.log10(peak * peak / error)) if error > 0 else float("inf")
+
+
+def colour_difference(image: Image, truth: Image, white: float) -> float:
+    """Return the mean CIEDE2000 difference over the pixels.
+
+    Radiance is rendered as linear RGB with the sRGB primaries and D65 as white.
+
+    Parameters
+    ----------
+    image, truth : ndarray of float, shape (*camera_shape, C)
+        C is 3, or 1 for grey. Negative radiance counts as none.
+    white : float
+        Radiance shown as white: the maximum of the true floodlit image, above 0.
+
+    Returns
+    -------
+    float
+        About 1 is what an eye just notices; NaN when `white` isn't above 0.
+
+    Raises
+    ------
+    InputError
+        When the shapes differ or C is neither 1 nor 3.
+    """
+    image, truth = _checked(image, truth)
+    if image.shape[-1] not in (1, 3):
+        raise InputError(f"images of {image.shape[-1]} channels have no colour; expected 1 or 3")
+    if not white > 0:
+        return float("nan")
+    import colour
+
+    light = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+
+    def lab(radiance: Image) -> Image:
+        grey_or_rgb = np.maximum(radiance, 0) / white
+        rgb = np.broadcast_to(grey_or_rgb, (*radiance.shape[:-1], 3))
+        xyz = colour.RGB_to_XYZ(rgb, "sRGB", apply_cctf_decoding=False)
+        converted: Image = colour.XYZ_to_Lab(xyz, light)
+        return converted
+
+    return float(np.mean(colour.delta_E(lab(image), lab(truth), method="CIE 2000")))
+
+
+def _checked(image: Image, truth: Image) -> tuple[Image, Image]:
+    image, truth = np.asarray(image, np.float64), np.asarray(truth, np.float64)
+    if image.shape != truth.shape:
+        raise InputError(
+            f"an image of shape {image.shape} can't be compared with a truth of {truth.shape}"
+        )
+    return image, truth

@@ -1,1 +1,0 @@
-"""Errors of what was acquired: figures of relit pictures."""
