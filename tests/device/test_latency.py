@@ -1,15 +1,24 @@
 """The delay from display to camera: measured, and noticed where settings are too short for it."""
 
+from contextlib import nullcontext
+from typing import Any
+
 import numpy as np
 import pytest
 from tests.device.test_bench import RAYS, bench, settings
 
 from rfpipe.calibration import latency
+from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.latency import PICTURES, measure_latency
+from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.build import devices_from_config
 
 pytestmark = pytest.mark.slow
+
+
+def bench_of(projector: Any, camera: Any) -> Bench:
+    return Bench(projector, camera, CalibrationConfig(), None, {}, lambda _: nullcontext())
 
 
 def measured(delay: float, settle: float):  # type: ignore[no-untyped-def]
@@ -19,7 +28,7 @@ def measured(delay: float, settle: float):  # type: ignore[no-untyped-def]
     )
     projector, camera = devices_from_config(config)
     try:
-        return projector, measure_latency(projector, camera)
+        return projector, measure_latency(bench_of(projector, camera))
     finally:
         camera.close()
         projector.close()
@@ -50,7 +59,7 @@ def test_a_projector_that_is_covered_says_so(monkeypatch: pytest.MonkeyPatch) ->
     try:
         projector.show_now = lambda picture: None
         with pytest.raises(CaptureError, match="doesn't tell a white picture from a black one"):
-            measure_latency(projector, camera)
+            measure_latency(bench_of(projector, camera))
     finally:
         camera.close()
         projector.close()

@@ -11,20 +11,15 @@ from rfpipe.calibration.bench import Bench as Steps
 from rfpipe.calibration.black import measure_dark
 from rfpipe.calibration.correspondence import (
     SmoothMap,
+    find_views,
     fit_blur,
     fit_map,
     map_of_pixels,
+    maps_of_views,
     measure_correspondence,
-    structured_light,
 )
-from rfpipe.calibration.rays import (
-    RayFit,
-    blurring,
-    fit_rays,
-    measure_rays,
-)
-from rfpipe.calibration.verdicts import Findings
-from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
+from rfpipe.calibration.rays import RayFit, blurring, fit_rays, measure_rays
+from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, MergeOptions
@@ -35,16 +30,16 @@ from rfpipe.scenes.relighting import relighting_patterns
 HOMOGRAPHY = np.array([[4.1, 0.12, 3.0], [-0.2, 3.9, 5.0], [2e-4, -1e-4, 1.0]])
 
 
-def correspondence_of(bench: Bench, period: int = 16, steps: int = 6) -> Findings:
-    sensor, shape = bench.camera.sensor, bench.projector.shape
-    taken = Steps(
-        bench.projector, bench.camera, CalibrationConfig(), None, {}, lambda _: nullcontext()
-    )
-    off = taken.take([np.zeros(shape, np.float32)] * 4)
-    dark = measure_dark(off, sensor.exposures, sensor.white_level)
-    lit = replace(taken, found={"dark": dark})
-    pictures = structured_light(shape, period, steps)
-    return measure_correspondence(lit.radiance(pictures), shape, period, steps)
+def steps_of(bench: Bench, **settings: object) -> Steps:
+    """A bench with its black level measured, and a projector of linear light."""
+    config = CalibrationConfig(dark_frames=4, **settings)
+    steps = Steps(bench.projector, bench.camera, config, None, {}, lambda _: nullcontext())
+    light = Findings(Verdict("good", ""), {}, {"light": np.linspace(0, 1, 256)})
+    return replace(steps, found={"dark": measure_dark(steps), "light": light})
+
+
+def correspondence_of(bench: Bench, **settings: object) -> Findings:
+    return measure_correspondence(steps_of(bench, **settings))
 
 
 def map_of(found: Findings) -> SmoothMap:
@@ -94,7 +89,7 @@ def test_pixels_that_see_no_stripes_are_not_valid() -> None:
 def test_darkness_has_no_correspondence() -> None:
     bench = wedge_bench(rays=(8, 8), display=(32, 32), camera=(24, 24))
     bench.path.radiance = lambda light: np.zeros((24, 24, 1), np.float32)  # type: ignore[method-assign]
-    found = correspondence_of(bench, 8, 4)
+    found = correspondence_of(bench, period_pixels=8, phase_steps=4)
     assert found["valid"].sum() == 0
     verdict = found.verdict
     assert verdict.standing == "poor"
@@ -137,11 +132,6 @@ def test_too_few_points_make_no_map() -> None:
         fit_map(np.zeros((5, 2)), np.zeros((5, 2)))
     with pytest.raises(CaptureError, match="span no plane"):
         fit_map(np.zeros((40, 2)), np.zeros((40, 2)))
-
-
-def rays_of(bench: Bench, period: int = 16, rays: tuple[int, int] = (16, 16)) -> Findings:
-    found = correspondence_of(bench, period)
-    return measure_rays(found, CalibrationConfig(), bench.projector.shape, rays)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +188,9 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
 
 
 def test_too_coarse_a_camera_leaks_and_says_so() -> None:
-    found = rays_of(wedge_bench(camera=(20, 22)), 32)
+    steps = steps_of(wedge_bench(camera=(20, 22)), period_pixels=32)
+    seen = {"correspondence": measure_correspondence(steps)}
+    found = measure_rays(replace(steps, rays=(16, 16), found=seen))
     assert found["leak"].max() > 0.02
     assert found["largest_noise"] > 1.2
     assert found.verdict.standing == "poor"
@@ -213,8 +205,7 @@ def test_views_of_an_array_are_found_and_rectified() -> None:
     for quad, (row, column) in zip(corners, np.ndindex(grid), strict=True):
         expected = 64 * np.array([column, row]) + np.array([(0, 0), (64, 0), (64, 64), (0, 64)])
         assert np.abs(np.array(quad) - expected).max() < 3
-    layout = layout_of_views(corners, (8, 8), (192, 192))
-    assert layout.shape == rays
+    layout = ProjectorLayout.within(corners, rays, (192, 192))
     maps = maps_of_views(found, corners)
     true = bench.path.projector_points(pixel_middles((144, 144)))
     seen = found["valid"] & np.isfinite(true[..., 0])
@@ -237,12 +228,12 @@ def test_views_of_an_array_are_found_and_rectified() -> None:
 
 def test_views_that_are_not_there_are_said() -> None:
     bench = surface_bench((4, 8, 8), (128, 128), (96, 96), (2, 2))
-    found = correspondence_of(bench)
+    steps = steps_of(bench, views=(2, 2))
+    found = measure_correspondence(steps)
     with pytest.raises(CaptureError, match="4 views are told apart"):
         find_views(found, (3, 3))
-    corners = find_views(found, (2, 2))
     with pytest.raises(CaptureError, match="too many"):
-        layout_of_views(corners, (100, 100), (128, 128))
+        measure_rays(replace(steps, rays=(100, 100), found={"correspondence": found}))
 
 
 def test_a_mosaic_is_calibrated_by_the_sum_of_its_colours() -> None:

@@ -122,7 +122,7 @@ def test_flare_and_vignetting_are_told_apart(flare: float, vignetting: float) ->
     )  # fmt: skip
     pictures = taken(wedge(), camera)
     alone = Resampling(SHAPE, SHAPE, eye_array(RAYS, dtype=np.float32, format="csr"))
-    causes = find_causes(*pictures, alone, measure_symmetry(*pictures))
+    causes = find_causes(pictures, alone)
     both = bool(flare and vignetting)  # each is fitted to first order
     assert causes["flare"] == pytest.approx(flare, abs=0.015 if both else 0.006)
     assert causes["vignetting"] == pytest.approx(vignetting, abs=0.15 if both else 0.05)

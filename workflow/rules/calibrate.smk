@@ -2,13 +2,12 @@
 
 if SETTINGS.rig_file is not None:
 
-    from rfpipe.calibration.folder import settings_of_step
-    from rfpipe.calibration.steps import steps_of
+    from rfpipe.calibration.folder import settings_of_step, steps_of
     from rfpipe.config import load_rig_config
 
     RIG = load_rig_config(SETTINGS.rig_file)
     CALIBRATION = RIG.calibration or "calibration"
-    CALIBRATION_STEPS = {step.name: step for step in steps_of(RIG.calibrate)}
+    CALIBRATION_STEPS = steps_of(RIG.calibrate)
 
     rule calibration_step:
         """What one step of the calibration shows, takes and finds."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -19,6 +19,7 @@ from rfpipe.rigs.window import STEPS as WEIGHTS
 from rfpipe.rigs.window import code_table
 
 Float = NDArray[np.float32]
+Double = NDArray[np.float64]
 
 
 class Counts(Protocol):
@@ -28,7 +29,7 @@ class Counts(Protocol):
         """Count so many more."""
 
 
-Progress = Callable[[str, int], AbstractContextManager[Counts]]
+Progress = Callable[[str, int], AbstractContextManager[Counts | None]]
 """Makes one for a title and a number, such as `rfpipe.stages.jobs.progress.Progress`."""
 
 
@@ -45,19 +46,8 @@ def driving() -> Iterator[None]:
         raise DeviceError(error) from error
 
 
-def uniform(projector: Projector, weight: float) -> Float:
-    """Return a picture of one weight everywhere."""
-    return np.broadcast_to(np.float32(weight), projector.shape)
-
-
 def camera_model(camera: Camera) -> CameraModel:
-    """Return the camera's own model.
-
-    Raises
-    ------
-    CaptureError
-        When the camera has no noise model that could be calibrated.
-    """
+    """Return the camera's own model; CaptureError when it has none that could be calibrated."""
     if not isinstance(camera.sensor, CameraModel):
         raise CaptureError(
             f"a camera with a {type(camera.sensor).__name__} has no noise to calibrate; expected "
@@ -94,7 +84,7 @@ class Bench:
     found : mapping of str to Findings
         Of the steps that this one needs.
     progress : callable
-        Makes what counts so many pictures.
+        ``progress(pictures)`` makes what counts so many pictures.
     """
 
     projector: Projector
@@ -109,37 +99,43 @@ class Bench:
         """The camera with the numbers measured so far."""
         return replace(camera_model(self.camera), **camera_numbers(self.found))
 
+    def flat(self, weight: float) -> Float:
+        """Return a picture of one weight everywhere."""
+        return np.broadcast_to(np.float32(weight), self.projector.shape)
+
     def take(
-        self, pictures: Iterable[Float], count: int | None = None, *, linear: bool = False
+        self,
+        pictures: Sequence[Any],
+        *,
+        linear: bool = False,
+        drawn: Callable[[Any], Float] = np.asarray,
     ) -> Iterator[NDArray[Any]]:
         """Show pictures one by one; yield the bracket of each, shape (E, Hc, Wc[, C]).
 
         Parameters
         ----------
-        pictures : iterable of ndarray of float32, shape (H, W)
-            Weights in [0, 1]: codes, or light.
-        count : int, optional
-            Their number, where they have no length.
+        pictures : sequence of ndarray of float32, shape (H, W)
+            Weights in [0, 1]: codes, or light. Or whatever `drawn` makes such a picture of.
         linear : bool
             Whether the weights are light, looked up in the projector's measured response.
+        drawn : callable, optional
         """
         codes = code_table(self.found["light"]["light"]) if linear else None
-        total = len(pictures) if isinstance(pictures, Sequence) else count or 0
-        with self.progress(total) as counts:
+        with self.progress(len(pictures)) as counts:
             for index, picture in enumerate(pictures):
-                shown, name = picture, f"calibration picture {index}"
+                shown = drawn(picture)
                 if codes is not None:
-                    at = np.rint(np.clip(picture, 0, 1) * WEIGHTS).astype(np.int64)
+                    at = np.rint(np.clip(shown, 0, 1) * WEIGHTS).astype(np.int64)
                     shown = (codes[at] / np.float32(255)).astype(np.float32)
                 with driving():
-                    frames = bracket_of(self.projector, self.camera, shown, name)
+                    frames = bracket_of(self.projector, self.camera, shown, f"picture {index}")
                 if counts is not None:
                     counts.advance(1)
                 yield frames
 
     def radiance(
         self, pictures: Sequence[Float], *, linear: bool = False
-    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    ) -> Iterator[tuple[Double, Double]]:
         """Show pictures; yield merged radiance and variance of each, (Hc, Wc).
 
         Channels are added up: the light is white.

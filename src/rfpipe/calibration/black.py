@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.sight import SATURATED
+from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.defects import MAD_TO_DEVIATION, DarkFrames
+from rfpipe.units import SATURATION_FRACTION
 
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,27 +24,8 @@ _BAND = 2  # camera pixels on either side of the projector's outline that are co
 _LEAST_PIXELS = 40
 
 
-def measure_dark(
-    brackets: Iterable[NDArray[Any]],
-    exposures: Sequence[float],
-    white_level: int,
-    sight: Findings | None = None,
-    electrons_per_count: float = 1.0,
-) -> Findings:
+def measure_dark(bench: Bench) -> Findings:
     """Measure brackets of the all-off picture.
-
-    Parameters
-    ----------
-    brackets : iterable of ndarray of uint16, shape (E, ...)
-        Two or more.
-    exposures : sequence of float, length E
-        Exposure times in seconds.
-    white_level : int
-        Full scale in counts: exposures that are saturated without light tell nothing of darkness.
-    sight : Findings, optional
-        Of the scene, which tells light from dark current.
-    electrons_per_count : float
-        As well as it is known.
 
     Returns
     -------
@@ -54,7 +35,7 @@ def measure_dark(
     Raises
     ------
     CaptureError
-        When there are fewer than two brackets, or all exposures are saturated.
+        When all exposures are saturated: they tell nothing of darkness.
 
     Notes
     -----
@@ -62,17 +43,16 @@ def measure_dark(
     whatever light is left. Fixed differences between photosites are the same at all exposures and
     don't enter it.
     """
-    frames = DarkFrames()
-    for bracket in brackets:
+    model = bench.model
+    frames, white_level = DarkFrames(), model.white_level
+    for bracket in bench.take([bench.flat(0)] * bench.settings.dark_frames):
         frames.add(bracket[None])
-    if frames.count < 2:
-        raise CaptureError(f"{frames.count} dark frames; expected 2 or more")
-    black, spread, times = frames.mean, frames.variance, np.asarray(exposures, float)
-    usable = np.logical_and.accumulate(frames.most < SATURATED * white_level, axis=0)
+    black, spread, times = frames.mean, frames.variance, np.asarray(model.exposures, float)
+    usable = np.logical_and.accumulate(frames.most < SATURATION_FRACTION * white_level, axis=0)
     if not usable[0].any():
         raise CaptureError(
-            f"all of the all-off picture is saturated even at {min(exposures):.3g} s: darken the "
-            "room, and see that the projector shows black, or close the aperture"
+            f"all of the all-off picture is saturated even at {times[0]:.3g} s: darken the room, "
+            "and see that the projector shows black, or close the aperture"
         )
     # the same photosites at all exposures, most of them: those that saturate would bend the line
     last = max(k for k in range(len(black)) if k == 0 or usable[k].mean() > 0.5)
@@ -80,48 +60,47 @@ def measure_dark(
     good = ~hot & usable[last]
     level, variance = black[:, good].mean(axis=1), spread[:, good].mean(axis=1)
     # counts are whole: rounding hides what is far below it
-    sure = np.maximum(variance, 1 / 12) / (frames.count * good.sum())
-    line, covariance = _line(times[: last + 1], level[: last + 1], np.sqrt(sure[: last + 1]))
-    black_level, current = line
-    if last == 0 and len(times) > 1:
-        current = max(0.0, (white_level - level[0]) / times[1])  # or more
+    error = np.sqrt(np.maximum(variance, 1 / 12) / (frames.count * good.sum()))[: last + 1]
+    (current, black_level), covariance = (0.0, float(level[0])), np.diag([0, error[0] ** 2])
+    if last:
+        (current, black_level), covariance = np.polyfit(
+            times[: last + 1], level[: last + 1], 1, w=1 / error, cov="unscaled"
+        )
+    elif len(times) > 1:  # or more
+        current = max(0.0, (white_level - level[0]) / times[1])
         black_level = max(0.0, black_level - current * times[0])
-    span, longest = white_level - black_level, float(times[-1])
-    noise = np.sqrt(variance)
+    span, longest, noise = white_level - black_level, float(times[-1]), np.sqrt(variance)
     headroom = np.divide(level, noise, out=np.full(level.shape, np.inf), where=noise > 0)
+    filled = current * longest / span
     facts = {
         "frames": frames.count,
-        "exposures_s": list(exposures),
+        "exposures_s": times.tolist(),
         "longest_s": longest,
         "level_counts": level.tolist(),
         "variance_counts2": variance.tolist(),
         "black_level_counts": float(black_level),
-        "black_level_error": float(np.sqrt(covariance[0, 0])),
+        "black_level_error": float(np.sqrt(covariance[1, 1])),
         "current_counts_per_s": float(current),
-        "current_error": float(np.sqrt(covariance[1, 1])),
+        "current_error": float(np.sqrt(covariance[0, 0])),
         "hot_photosites": int(hot.sum()),
         "hot_share": float(hot.mean()),
         "noise_counts": float(noise[np.argmin(headroom)]),
         "headroom_deviations": float(headroom.min()) if np.isfinite(headroom).any() else None,
-        "filled_share": float(current * longest / span),
+        "filled_share": float(filled),
         "bearable_s": float(0.05 * span / current) if current > 0 else None,
     }
-    glow = dict.fromkeys(("projector_black", "black_fills", "room_fills", "current_fills"))
-    if sight is not None:
-        noise_of_mean = variance / frames.count
-        rate, error, known = _rates(black - black_level, times, noise_of_mean, usable & ~hot)
-        least = 0.025 * span / longest if facts["filled_share"] > 0.05 else None
-        glow = _glow(rate, error, known, sight, electrons_per_count, least)
-    arrays = {"black": black.astype(np.float32), "hot": hot}
-    return Findings.of("dark", {**facts, **glow}, arrays)
-
-
-def _line(x: Double, y: Double, error: Double) -> tuple[tuple[float, float], Double]:
-    """Fit y = a + b x; return (a, b) and their covariance. One point has no slope."""
-    if len(x) == 1:
-        return (float(y[0]), 0.0), np.diag([error[0] ** 2, 0.0])
-    (slope, intercept), covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
-    return (float(intercept), float(slope)), covariance[::-1, ::-1]
+    if "scene" in bench.found:
+        known = (usable & ~hot) if hot.ndim == 2 else (usable & ~hot).all(axis=-1)
+        above = (black - black_level).reshape(*black.shape[:3], -1).mean(axis=-1)
+        time = np.where(known, times[:, None, None], 0)
+        squares = np.maximum(np.square(time).sum(axis=0), np.finfo(float).tiny)
+        noise_of_mean = np.maximum(variance / frames.count, 1e-3)[:, None, None]
+        error = np.sqrt((np.square(time) * noise_of_mean).sum(axis=0)) / squares
+        rate = (time * above).sum(axis=0) / squares
+        least = 0.025 * span / longest if filled > 0.05 else None
+        scene, electrons = bench.found["scene"], model.electrons_per_count
+        facts |= _glow(rate, error, np.asarray(known.any(axis=0)), scene, electrons, least)
+    return Findings.of("dark", facts, {"black": black.astype(np.float32), "hot": hot})
 
 
 def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:
@@ -147,21 +126,6 @@ def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:
     return hot
 
 
-def _rates(
-    above: Double, times: Double, variance: Double, good: Mask
-) -> tuple[Double, Double, Mask]:
-    """Return counts a second of each pixel (H, W) in the dark, their error, and which are good."""
-    if above.ndim == 4:
-        above, good = above.mean(axis=-1), np.asarray(good.all(axis=-1))
-    weight = np.where(good, times[:, None, None], 0)
-    squares = np.square(weight).sum(axis=0)
-    known = squares > 0
-    over = np.where(known, squares, 1)
-    noise = np.maximum(variance, 1e-3)[:, None, None]
-    error = np.sqrt((np.square(weight) * noise).sum(axis=0)) / over
-    return (weight * above).sum(axis=0) / over, error, known
-
-
 def _glow(
     rate: Double, error: Double, good: Mask, sight: Findings, electrons: float, least: float | None
 ) -> dict[str, Any]:
@@ -172,60 +136,36 @@ def _glow(
     is left is even or not; a sensor's current is even, and small. Where `least` is given, the dark
     is too light, and causes are named; a current from `least` on.
     """
+    from scipy.ndimage import distance_transform_edt
+
     white, lit = sight["white"].astype(np.float64), sight["lit"]
-    facts: dict[str, Any] = dict.fromkeys(
-        ("projector_black", "projector_black_error", "room_light_of_white", "even_counts_per_s",
-         "uneven_counts_per_s", "black_fills", "room_fills", "current_fills")
-    )  # fmt: skip
     if good.sum() < _LEAST_PIXELS:
-        return facts
+        return {}
     at, tells = good, white
-    inside, outside = _across(lit, good)
+    # pixels on the outline itself are lit in part
+    away = distance_transform_edt(lit), distance_transform_edt(~lit)
+    inside, outside = (good & (pixels > 1.5) & (pixels < 2 + _BAND) for pixels in away)
     if min(inside.sum(), outside.sum()) >= _LEAST_PIXELS and (
         white[inside].mean() > white[outside].mean()
     ):
         at, tells = inside | outside, inside.astype(np.float64)
     x, y, z = (values[at] - values[at].mean() for values in (white, rate, tells))
-    along = float(z @ x)
-    black, black_error = 0.0, np.inf
-    if along > 0:
-        black = float(z @ y) / along
-        rest = max(float((y - black * x).std()), float(np.median(error)))
+    along, black, typical = float(z @ x), 0.0, float(np.median(error[good]))
+    if along > 0 and lit.any():
+        slope = float(z @ y) / along
+        rest = max(float((y - slope * x).std()), float(np.median(error)))
         # neighbours share what the model doesn't know: a quarter of the pixels are independent
-        black_error = 2 * rest * float(np.sqrt(z @ z)) / along
-    if not (black > 5 * black_error and lit.any()):
-        black = 0.0
+        black = slope if slope > 10 * rest * float(np.sqrt(z @ z)) / along else 0.0
     left = rate[good] - black * white[good]
     even = float(np.median(left))
-    typical = float(np.median(error[good]))
-    beyond = np.percentile(np.abs(left - even), 95) ** 2 - (2 * typical) ** 2
-    uneven = float(np.sqrt(max(beyond, 0.0)))
+    spread = np.percentile(np.abs(left - even), 95) ** 2 - (2 * typical) ** 2
+    uneven = float(np.sqrt(max(spread, 0.0)))
     # an imperfect white picture leaves a tenth of the black's shape
     if uneven < max(typical, 0.1 * black * float(white[good].max())):
         uneven = 0.0
-    is_current = even * electrons <= _MOST_CURRENT
-    room = (0.0 if is_current else max(even, 0.0)) + uneven
-    light = float(white[good & lit].mean()) if (good & lit).any() else 0.0
-    return {
-        "projector_black": black,
-        "projector_black_error": black_error if np.isfinite(black_error) else None,
-        "room_light_of_white": room / light if light > 0 else None,
-        "even_counts_per_s": even,
-        "uneven_counts_per_s": uneven,
-        "black_fills": black if least is not None else None,
-        "room_fills": room if least is not None else None,
-        "current_fills": even if least is not None and room == 0 and even > least else None,
-    }
-
-
-def _across(lit: Mask, good: Mask) -> tuple[Mask, Mask]:
-    """Return the good pixels just inside and just outside the projector's outline."""
-    from scipy.ndimage import binary_dilation, binary_erosion
-
-    square = np.ones((3, 3), bool)
-    # pixels on the outline itself are lit in part
-    inner = binary_erosion(lit, square, border_value=1)
-    inside = inner & ~binary_erosion(inner, square, iterations=_BAND, border_value=1)
-    outer = ~binary_dilation(lit, square)
-    outside = outer & binary_dilation(lit, square, iterations=1 + _BAND)
-    return inside & good, outside & good
+    room = uneven + (max(even, 0.0) if even * electrons > _MOST_CURRENT else 0.0)
+    facts = {"projector_black": black, "even_counts_per_s": even, "uneven_counts_per_s": uneven}
+    if least is not None:
+        facts |= {"black_fills": black, "room_fills": room}
+        facts |= {"current_fills": even} if room == 0 and even > least else {}
+    return facts

@@ -1,18 +1,19 @@
-"""Which point of the projector each camera pixel looks at, the smooth map behind it, and blur."""
+"""Which projector point each camera pixel looks at, the smooth maps behind it, views, and blur."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
-from rfpipe.rigs.layout import apply_homography, pixel_middles
+from rfpipe.rigs.layout import Quadrilateral, apply_homography, homography, pixel_middles
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -119,34 +120,10 @@ class AxisCode:
         return np.abs(wave), np.angle(wave)
 
 
-def structured_light(shape: tuple[int, int], period: int, steps: int) -> list[Float]:
-    """Return the pictures of a projector (H, W): those that tell x, then those that tell y."""
-    return [
-        np.broadcast_to(np.expand_dims(line, axis), shape)
-        for axis, extent in ((0, shape[1]), (1, shape[0]))
-        for line in AxisCode(extent, period, steps).lines()
-    ]
+def measure_correspondence(bench: Bench) -> Findings:
+    """Show structured light, that tells x and then y, and decode it.
 
-
-def measure_correspondence(
-    images: Iterable[tuple[Double, Double]],
-    shape: tuple[int, int],
-    period: int,
-    steps: int,
-    lit: Mask | None = None,
-) -> Findings:
-    """Decode structured light.
-
-    Parameters
-    ----------
-    images : iterable of (radiance, variance), each (Hc, Wc)
-        Under the pictures of `structured_light`.
-    shape : (int, int)
-        Of the projector.
-    period, steps : int
-        As the pictures were made with.
-    lit : ndarray of bool, shape (Hc, Wc), optional
-        Where the projector's own light falls; most of it should be decoded.
+    Most of where the projector's own light falls should be decoded.
 
     Returns
     -------
@@ -154,23 +131,36 @@ def measure_correspondence(
         Arrays (Hc, Wc): ``x`` and ``y``, projector pixels from its upper left corner;
         ``error`` and ``modulation``, those of the worse axis; ``contrast`` (2, Hc, Wc); ``valid``.
     """
-    taken = list(images)
-    half = len(AxisCode(shape[1], period, steps).lines())
-    x, y = (
-        AxisCode(extent, period, steps).decode(
-            *(np.stack(part) for part in zip(*axis, strict=True))
-        )
-        for extent, axis in ((shape[1], taken[:half]), (shape[0], taken[half:]))
+    shape, settings = bench.projector.shape, bench.settings
+    codes = [
+        AxisCode(extent, settings.period_pixels, settings.phase_steps) for extent in shape[::-1]
+    ]
+    lines = [code.lines() for code in codes]
+    images = bench.radiance(
+        [
+            np.broadcast_to(np.expand_dims(line, axis), shape)
+            for axis, along in enumerate(lines)
+            for line in along
+        ],
+        linear=True,
     )
+    decoded = []
+    for code, along in zip(codes, lines, strict=True):
+        taken = zip(*(next(images) for _ in along), strict=True)
+        decoded.append(code.decode(*(np.stack(part) for part in taken)))
+    x, y = decoded
     valid = x["valid"] & y["valid"]
-    count, is_few = int(valid.sum()), valid.sum() < 100
     error = np.maximum(x["error"], y["error"]).astype(np.float32)
-    of_lit = None if is_few or lit is None or not lit.any() else float(valid[lit].mean())
+    lit, is_few = (
+        bench.found["scene"]["lit"] if "scene" in bench.found else valid,
+        valid.sum() < 100,
+    )
+    of_lit = None if is_few or not lit.any() else float(valid[lit].mean())
     is_sparse = is_few or (of_lit is not None and of_lit < 0.7)
     facts = {
         "projector_shape": list(shape),
-        "period_pixels": period,
-        "valid_pixels": count,
+        "period_pixels": settings.period_pixels,
+        "valid_pixels": int(valid.sum()),
         "valid_share": float(valid.mean()),
         "decoded_of_lit": of_lit,
         "median_error_pixels": None if is_sparse else float(np.median(error[valid])),
@@ -228,19 +218,6 @@ class SmoothMap:
         if self.distortion is None:
             return mapped
         return mapped + _terms((points - self.centre) / self.scale) @ self.distortion
-
-    def facts(self) -> dict[str, Any]:
-        """Plain data for reports."""
-        return {
-            "homography": self.homography.tolist(),
-            "distortion": None if self.distortion is None else self.distortion.tolist(),
-            "centre": self.centre.tolist(),
-            "scale": self.scale,
-            "points": self.points,
-            "inliers": self.inliers,
-            "rms_pixels": self.rms,
-            "error_pixels": self.error,
-        }
 
 
 def map_of_pixels(correspondence: Findings, inside: Mask) -> SmoothMap:
@@ -358,6 +335,82 @@ def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> tuple[float
     spread = MAD_TO_DEVIATION * float(np.median(np.abs(values - square)))
     error = 1.2533 * spread / float(np.sqrt(values.size))
     return (float(np.sqrt(square)) if square > 3 * error else 0.0), error
+
+
+def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadrilateral]:
+    """Find the quadrilaterals that views light, as mirrors cut the camera's picture.
+
+    Views are rows and columns of an array, as they lie on the projector.
+
+    Returns
+    -------
+    list of Quadrilateral
+        Row by row: (x, y) of the upper left, upper right, lower right and lower left corner, in
+        projector pixels. Each is what the camera sees of a view, a little less.
+
+    Raises
+    ------
+    CaptureError
+        When fewer views are found.
+    """
+    from scipy.ndimage import label
+
+    points, count = points_of(correspondence), views[0] * views[1]
+    parts, found = label(_connected(points, correspondence["valid"]))
+    sizes = np.bincount(parts.ravel(), minlength=found + 1)[1:]
+    large = np.count_nonzero(sizes >= LEAST_POINTS)
+    if large < count:
+        raise CaptureError(
+            f"{large} views are told apart in the camera's picture; expected {views[0]} x "
+            f"{views[1]}. Leave dark gaps between the mirrors' pictures, or give the views' "
+            "corners in the settings"
+        )
+    quads = [_corners(points[parts == part]) for part in np.argsort(sizes)[::-1][:count] + 1]
+    middle = np.mean(quads, axis=1)
+    rows = np.argsort(middle[:, 1], kind="stable").reshape(views)
+    ordered = np.concatenate([row[np.argsort(middle[row, 0], kind="stable")] for row in rows])
+    return [[(float(x), float(y)) for x, y in quads[index]] for index in ordered]
+
+
+def maps_of_views(correspondence: Findings, corners: Sequence[Quadrilateral]) -> list[SmoothMap]:
+    """Fit the map from camera to projector of each view, to the pixels that look into it."""
+    maps = []
+    for quad in corners:
+        to_unit = np.linalg.inv(homography((1, 1), quad))
+        place = apply_homography(to_unit, points_of(correspondence))
+        inside = correspondence["valid"] & ((place >= 0) & (place <= 1)).all(axis=-1)
+        maps.append(map_of_pixels(correspondence, inside))
+    return maps
+
+
+def _connected(points: Double, valid: Mask) -> Mask:
+    """Return the valid pixels but those next to a jump of the projector's coordinates."""
+    inside = valid.copy()
+    for axis in (0, 1):
+        there = np.moveaxis(points, axis, 0)
+        known, kept = np.moveaxis(valid, axis, 0), np.moveaxis(inside, axis, 0)
+        step = np.linalg.norm(np.diff(there, axis=0), axis=-1)
+        both = known[1:] & known[:-1]
+        if both.any():
+            jump = both & (step > 6 * max(float(np.median(step[both])), 1e-6))
+            kept[1:] &= ~jump
+            kept[:-1] &= ~jump
+    return inside
+
+
+def _corners(points: Double) -> Double:
+    """Return the corners (4, 2) of the quadrilateral that points (n, 2) fill, moved inwards.
+
+    The corners are the points farthest out along the diagonals of the bounding box, stray ones
+    left out.
+    """
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    margin = 0.02 * (high - low)
+    points = points[((points >= low - margin) & (points <= high + margin)).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    towards = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    corners = points[np.argmax((points - low) / (high - low) @ towards.T, axis=0)]
+    return np.asarray(corners + 0.02 * (corners.mean(axis=0) - corners))  # off the mirror's edge
 
 
 def _inliers(residual: Double, deviations: float = _INLIER) -> Mask:

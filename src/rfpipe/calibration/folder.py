@@ -1,17 +1,23 @@
-"""Running the steps of a calibration, each once, and writing what the rig is built with."""
+"""The steps of a calibration, each run once, and what the rig is built with."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rfpipe.calibration.bench import Bench, DeviceError, Progress, camera_numbers
-from rfpipe.calibration.steps import STEPS, Step, steps_of
+from rfpipe.calibration.bench import Bench, DeviceError, Progress, camera_model, camera_numbers
+from rfpipe.calibration.black import measure_dark
+from rfpipe.calibration.correspondence import measure_correspondence
+from rfpipe.calibration.latency import measure_latency
+from rfpipe.calibration.rays import measure_rays
+from rfpipe.calibration.responses import measure_light, measure_linearity, measure_transfer
+from rfpipe.calibration.sight import measure_sight, sight_pictures
+from rfpipe.calibration.symmetry import measure_rig
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig, RigConfig
 from rfpipe.errors import InputError, IntegrityError, RfpipeError, StoreError
@@ -24,6 +30,71 @@ from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import StoreLock, open_arrays, read_manifest, write_arrays, write_manifest
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a calibration.
+
+    Attributes
+    ----------
+    name, title : str
+    needs : tuple of str
+        Steps whose findings it builds on.
+    settings : tuple of str
+        Settings that shape its findings.
+    measure : callable
+        Drives the devices and returns the findings.
+    is_coaxial : bool
+        Whether it is for rigs whose camera and projector share their rays.
+    """
+
+    name: str
+    title: str
+    needs: tuple[str, ...]
+    settings: tuple[str, ...]
+    measure: Callable[[Bench], Findings]
+    is_coaxial: bool = False
+
+
+def _scene(bench: Bench) -> Findings:
+    model, period = camera_model(bench.camera), bench.settings.period_pixels
+    frames = list(bench.take(sight_pictures(bench.projector.shape, period)))
+    return measure_sight(frames, model.exposures, model.white_level, period)
+
+
+_LIT = ("dark", "linearity", "light")
+
+STEPS: dict[str, Step] = {
+    step.name: step
+    for step in (
+        Step("latency", "Delay from display to camera", (), (), measure_latency),
+        Step("scene", "What the camera sees", (), ("period_pixels",), _scene),
+        Step("dark", "Black level and dark frames", ("scene",), ("dark_frames",), measure_dark),
+        Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), measure_linearity),
+        Step("light", "Response of the projector", _LIT[:2], ("codes", "tolerance"), measure_light),
+        Step("transfer", "Photon-transfer curve", _LIT, ("levels", "repeats"), measure_transfer),
+        Step(
+            "correspondence", "Correspondence of projector and camera",
+            ("scene", *_LIT, "transfer"), ("period_pixels", "phase_steps"), measure_correspondence,
+        ),
+        Step(
+            "rays", "Rays of camera and projector", ("correspondence",),
+            ("views", "corners", "tolerance"), measure_rays, is_coaxial=True,
+        ),
+        Step(
+            "symmetry", "Symmetry", (*_LIT, "transfer", "rays"),
+            ("dark_frames", "symmetry_patterns", "tolerance"), measure_rig, is_coaxial=True,
+        ),
+    )
+}  # fmt: skip
+"""The steps in their order."""
+
+
+def steps_of(settings: CalibrationConfig) -> dict[str, Step]:
+    """Return the steps of a rig by name."""
+    every = STEPS.items()
+    return {name: step for name, step in every if settings.coaxial or not step.is_coaxial}
 
 
 @dataclass(frozen=True)
@@ -64,16 +135,14 @@ class CalibrationFolder:
                 f"{self.manifest(step)}: the step {step} isn't done; run `rfpipe calibrate` or "
                 f"that step first"
             )
-        manifest = read_manifest(self.manifest(step))
-        bundle = open_arrays(self.store(step))
+        manifest, bundle = read_manifest(self.manifest(step)), open_arrays(self.store(step))
         if bundle.digest != manifest["arrays"]:
             raise IntegrityError(
                 f"{self.store(step)}: is not the store that {step}.json tells of; remove both and "
                 "run the step again"
             )
-        arrays = {name: bundle.read(name) for name in bundle.names}
         verdict = Verdict(manifest["standing"], manifest["verdict"])
-        return Findings(verdict, manifest["facts"], arrays)
+        return Findings(verdict, manifest["facts"], bundle.read_all())
 
     def verdicts(self) -> dict[str, dict[str, str]]:
         """Return title, standing and verdict of the steps that are done."""
@@ -91,18 +160,10 @@ class CalibrationFolder:
         """Write the findings of a step; its manifest last."""
         self.path.joinpath("steps").mkdir(parents=True, exist_ok=True)
         self.manifest(step).unlink(missing_ok=True)
+        standing, text = findings.verdict
         digest = write_arrays(self.store(step), findings.arrays, {})
-        write_manifest(
-            self.manifest(step),
-            {
-                "step": step,
-                "made_for": made_for,
-                "standing": findings.verdict.standing,
-                "verdict": findings.verdict.text,
-                "facts": findings.facts,
-                "arrays": digest,
-            },
-        )
+        about = {"step": step, "made_for": made_for, "standing": standing, "verdict": text}
+        write_manifest(self.manifest(step), {**about, "facts": findings.facts, "arrays": digest})
 
 
 def uncalibrated(config: RigConfig) -> RigConfig:
@@ -128,25 +189,15 @@ def calibrate_rig(
     progress: Progress | None = None,
     *,
     again: bool = False,
-) -> CalibrationFolder:
+) -> None:
     """Open the devices of a rig, do the steps of its calibration, and give the devices back.
 
-    Parameters as `calibrate`.
-
-    Raises
-    ------
-    ConfigError
-        When the rig is a simulated one, which has no devices.
-    CaptureError
-        When a device fails; steps that are done stay.
+    Parameters as `calibrate`; raises ConfigError, too, where the rig has no devices.
     """
-    place = CalibrationFolder(folder)
     projector, camera = devices_from_config(uncalibrated(config))
     with closing(projector), closing(camera):
-        calibrate(
-            projector, camera, place, config.calibrate, config.rays, only, progress, again=again
-        )
-    return place
+        place, settings = CalibrationFolder(folder), config.calibrate
+        calibrate(projector, camera, place, settings, config.rays, only, progress, again=again)
 
 
 def calibrate(
@@ -194,13 +245,11 @@ def calibrate(
     LockedError
         When another process calibrates into this folder.
     """
-    steps = {step.name: step for step in steps_of(settings)}
+    steps = steps_of(settings)
     wanted = list(steps if only is None else only)
-    unknown = [name for name in wanted if name not in steps]
-    if unknown:
-        raise InputError(
-            f"calibration step {unknown[0]!r} is none of this rig's: {', '.join(steps)}"
-        )
+    for name in wanted:
+        if name not in steps:
+            raise InputError(f"calibration step {name!r} is none of this rig's: {', '.join(steps)}")
     folder.path.mkdir(parents=True, exist_ok=True)
     devices = {"projector": projector.describe(), "camera": camera.describe()}
     with StoreLock(folder.path / "steps"):
@@ -222,7 +271,7 @@ def calibrate(
                 continue
             count = partial(progress, step.title) if progress else lambda _: nullcontext()
             bench = Bench(projector, camera, settings, rays, needs, count)
-            findings = _measured(step, bench, folder)
+            findings = _measured(step, bench, folder.verdicts())
             folder.write(step.name, findings, made_for)
             level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
             _log.log(level, "%s: %s. %s", step.title, *findings.verdict)
@@ -230,7 +279,7 @@ def calibrate(
             finish(folder, settings)
 
 
-def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> Calibration:
+def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
     """Write the calibration that the steps make up; numbers of failed steps are missing.
 
     Raises
@@ -238,10 +287,9 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> Calibratio
     StoreError
         When a step isn't done.
     """
-    every = {step.name: folder.read(step.name) for step in steps_of(settings)}
+    every, verdicts = {name: folder.read(name) for name in steps_of(settings)}, folder.verdicts()
     found = {name: one for name, one in every.items() if one.verdict.standing != "failed"}
     rays = found["rays"].arrays if "rays" in found else None
-    verdicts = folder.verdicts()
     calibration = Calibration(
         None if rays is None else ProjectorLayout.from_arrays(rays),
         None if rays is None else Resampling.from_arrays(rays),
@@ -252,22 +300,24 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> Calibratio
         {name: {**verdicts[name], **findings.facts} for name, findings in every.items()},
     )
     write_calibration(folder.path, calibration)
-    return calibration
 
 
-def _measured(step: Step, bench: Bench, folder: CalibrationFolder) -> Findings:
+def _measured(step: Step, bench: Bench, verdicts: dict[str, dict[str, str]]) -> Findings:
     """Measure a step; where that can't be done though the devices work, that is the finding."""
-    poor = [name for name in ("scene", "dark", "rays") if _is_poor(folder, name)]
     failed = [name for name, one in bench.found.items() if one.verdict.standing == "failed"]
     if failed:
         text = f"Not measured, as this failed: {STEPS[failed[0]].title.lower()}."
         return Findings(Verdict("failed", text))
+    poor = [
+        name for name in ("scene", "dark", "rays")
+        if name in verdicts and verdicts[name]["standing"] == "poor"
+    ]  # fmt: skip
     try:
         findings = step.measure(bench)
     except DeviceError as failure:
         raise failure.args[0] from None
     except RfpipeError as error:
-        why = [f" {STEPS[name].title}: {folder.read(name).verdict.text}" for name in poor[:1]]
+        why = [f" {verdicts[name]['title']}: {verdicts[name]['verdict']}" for name in poor[:1]]
         return Findings(Verdict("failed", f"Could not be measured: {error}.{''.join(why)}"))
     standing, text = findings.verdict
     follows = [name for name in poor if name != "dark" and name in _below(step)]
@@ -282,7 +332,3 @@ def _measured(step: Step, bench: Bench, folder: CalibrationFolder) -> Findings:
 def _below(step: Step) -> set[str]:
     """Return the steps that one builds on, those that they build on among them."""
     return {*step.needs, *(name for need in step.needs for name in _below(STEPS[need]))}
-
-
-def _is_poor(folder: CalibrationFolder, step: str) -> bool:
-    return folder.is_done(step) and folder.read(step).verdict.standing == "poor"

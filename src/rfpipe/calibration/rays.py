@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.correspondence import (
     SmoothMap,
+    find_views,
     fit_blur,
     map_of_pixels,
+    maps_of_views,
 )
 from rfpipe.calibration.verdicts import Findings
-from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
-from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.resampling import Resampling, normalised
 from rfpipe.rigs.layout import DARK, ProjectorLayout
@@ -33,6 +34,7 @@ _DOUBT = 0.02
 # Mixing of a camera pixel, as the share of it that looks at other rays, at which its error by an
 # imperfect map equals that of pixels that look at one ray.
 
+_BLURRED = 0.25  # blur over a ray's side that is undone with little noise
 _RIDGE = 1e-4  # of the mean diagonal: what rays can't be told apart from is not amplified for ever
 _LEAST_SHARE = 1e-3  # of a camera pixel that rays must have for it to be looked at
 _CHUNK = 4096  # patches solved at once
@@ -63,29 +65,21 @@ class RayFit:
     pixels: Double
 
 
-def measure_rays(
-    correspondence: Findings,
-    settings: CalibrationConfig,
-    display: tuple[int, int],
-    rays: tuple[int, int] | None = None,
-) -> Findings:
-    """Find the rays of a rig.
-
-    Parameters
-    ----------
-    correspondence : Findings
-    settings : CalibrationConfig
-        Its views and corners, and the tolerance: half of it is for light that leaks.
-    display : (int, int)
-        Of the projector in pixels.
-    rays : (int, int), optional
-        Ray domain, or that of each view; None: each projector pixel is a ray.
+def measure_rays(bench: Bench) -> Findings:
+    """Find the rays of a rig; of the tolerance, half is for light that leaks.
 
     Returns
     -------
     Findings
         Arrays of layout and resampling; ``leak``, ``noise`` and ``pixels`` over the rays.
+
+    Raises
+    ------
+    CaptureError
+        When the camera sees none of the rays, or a ray has no projector pixel.
     """
+    correspondence, settings = bench.found["correspondence"], bench.settings
+    display, rays = bench.projector.shape, bench.rays
     valid, corners = correspondence["valid"], settings.corners
     if settings.views is not None and corners is None:
         corners = tuple(find_views(correspondence, settings.views))  # type: ignore[arg-type]
@@ -96,11 +90,16 @@ def measure_rays(
         # as many rays a view as the smallest view has projector pixels a side
         sides = np.linalg.norm(np.roll(corners, -1, axis=1) - np.array(corners), axis=-1)
         wide, tall = np.maximum(sides.reshape(-1, 2).min(axis=0).astype(int), 1)
-        layout = layout_of_views(corners, rays or (int(tall), int(wide)), display)
+        shape = (len(corners), *(rays or (int(tall), int(wide))))
+        layout = ProjectorLayout.within(corners, shape, display)
         maps = maps_of_views(correspondence, corners)
+    if unlit := np.count_nonzero(layout.pixels_of_ray == 0):
+        raise CaptureError(
+            f"{unlit} of {layout.pixels_of_ray.size} rays have no projector pixel; "
+            f"{layout.shape[-2:]} rays a view are too many for its place on the projector"
+        )
     blur, blur_error = fit_blur(correspondence, maps)
     fit = fit_rays(maps, layout, valid.shape, blur)
-    sharp = fit_rays(maps, layout, valid.shape) if blur else fit
     arrays = {
         **fit.layout.arrays(),
         **fit.resampling.arrays(),
@@ -110,31 +109,29 @@ def measure_rays(
         "shape": list(layout.shape),
         "corners": None if corners is None else [list(map(list, quad)) for quad in corners],
         "blur_error": blur_error,
-        "maps": [one.facts() for one in maps],
+        "homographies": [one.homography.tolist() for one in maps],
         "map_rms_pixels": max(one.rms for one in maps),
         "map_error_pixels": max(one.error for one in maps),
-        **_judged(fit, sharp, blur, settings.tolerance),
+        **_judged(fit, blur, settings.tolerance),
     }
     return Findings.of("rays", facts, arrays)
 
 
-def _judged(fit: RayFit, sharp: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
-    """Return how rays are seen and mixed; `sharp` is the fit without the blur of so many pixels."""
-
-    def mixing(one: RayFit) -> float:
-        # a ray that few pixels see alone has up to twice a pixel's noise; four times is too much
-        return max(float(np.percentile(one.leak, 99)) / (tolerance / 2), float(one.noise.max()) / 4)
-
-    seen, mixed = fit.resampling.seen, mixing(fit)
+def _judged(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
+    """Return how rays are seen and mixed, by a blur of so many pixels or by their size."""
+    seen, leak = fit.resampling.seen, float(np.percentile(fit.leak, 99))
     pixels = float(np.median(fit.pixels[seen.ravel()]))
-    by_blur = blur > 0 and mixing(sharp) <= max(1.0, mixed / 2)
     of_ray = blur / float(np.sqrt(pixels))
+    # a ray that few pixels see alone has up to twice a pixel's noise; four times is too much
+    mixed = max(leak / (tolerance / 2), float(fit.noise.max()) / 4)
     rows, columns = np.nonzero((~seen).reshape(-1, *seen.shape[-2:]).any(axis=0))
     words = []
-    if rows.size:
-        down, across = (rows.mean() + 0.5) / seen.shape[-2], (columns.mean() + 0.5) / seen.shape[-1]
-        for at, less, more in ((down, "upper", "lower"), (across, "left", "right")):
-            words += [less] if at < 0.4 else [more] if at > 0.6 else []
+    for at, extent, less, more in (
+        (rows, seen.shape[-2], "upper", "lower"),
+        (columns, seen.shape[-1], "left", "right"),
+    ):
+        if at.size and abs((at.mean() + 0.5) / extent - 0.5) > 0.1:
+            words.append(less if at.mean() < extent / 2 else more)
     return {
         "count": seen.size,
         "unseen_rays": int((~seen).sum()),
@@ -143,15 +140,11 @@ def _judged(fit: RayFit, sharp: RayFit, blur: float, tolerance: float) -> dict[s
         "pixels_a_ray": pixels,
         "blur_pixels": blur,
         "blur_of_ray": of_ray,
-        "larger_rays": max(
-            1.5, 4 * of_ray
-        ),  # a quarter of a ray's side is undone with little noise
-        "leak": float(np.percentile(fit.leak, 99)),
-        "leak_if_sharp": float(np.percentile(sharp.leak, 99)),
+        "larger_rays": max(1.5, of_ray / _BLURRED),
+        "leak": leak,
         "mean_leak": float(fit.leak.mean()),
         "largest_noise": float(fit.noise.max()),
-        "mixed_by_blur": mixed if by_blur else None,
-        "mixed_by_pixels": None if by_blur else mixed,
+        "mixed_by_blur" if of_ray > _BLURRED else "mixed_by_pixels": mixed,
     }
 
 

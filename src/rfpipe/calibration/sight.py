@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.pictures.images import srgb
+from rfpipe.units import SATURATION_FRACTION
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-SATURATED = 0.98
-"""Fraction of full scale from which on counts are saturated, as in the merge."""
 
 _AIM = 0.75  # fraction of full scale of the brightest pixels at the shortest exposure
 _SURE = 5.0  # standard deviations of light
@@ -72,8 +70,10 @@ def measure_sight(
         falls; ``saturated`` and ``dark``, lit pixels that are so at all exposures; ``focus``,
         contrast of fine stripes over that of wide ones, NaN where not lit.
     """
-    frames = np.stack([_grey(bracket) for bracket in brackets])
-    full = np.stack([_full(bracket, white_level) for bracket in brackets])
+    counts = np.stack(brackets)
+    counts = counts.reshape(*counts.shape[:4], -1)
+    frames = counts.mean(axis=-1)
+    full: Mask = np.asarray((counts >= SATURATION_FRACTION * white_level).any(axis=-1))
     off, on = frames[:_REPEATS], frames[_REPEATS : 2 * _REPEATS]
     dim, stripes = np.split(frames[2 * _REPEATS :], [len(_DIM_CODES)])
     off_full: Mask = np.asarray(full[:_REPEATS].any(axis=0))
@@ -94,47 +94,45 @@ def measure_sight(
     above = wide > 2 * _SURE * noise[best[0]]
     lit = _filled(above & (wide > 0.4 * at_best(signal)))  # more contrast than what is scattered
     saturated = lit & white_full[0]
-    fine = np.maximum(np.minimum(fine_x, fine_y), 0)
+    fine = np.minimum(fine_x, fine_y)
     focus = np.divide(fine, wide, out=np.full(wide.shape, np.nan), where=lit & above)
     rates, unknown = at_best(signal / times), white_full[0].copy()
-    # of what is saturated, by dimmer pictures; what a code gives of the next one's light is
-    # measured where both are known
-    known, of_white, brighter_code = np.where(unknown, np.nan, rates), 1.0, 255
+    of_white = 1.0
+    # of what is saturated, by dimmer pictures, whose light is a share of white's
     for index, code in reversed(list(enumerate(_DIM_CODES))):
         light = (dim[index, 0] - black[0]) / exposures[0]
-        light[full[2 * _REPEATS + index, 0]] = np.nan
-        both = np.isfinite(light) & (known > 10 * noise[0] / exposures[0])
-        of_white *= (
-            max(float(np.median(light[both] / known[both])), 1e-6)
-            if both.sum() >= _FEW
-            else (code / brighter_code) ** _USUAL_GAMMA
-        )
-        fresh = unknown & np.isfinite(light)
-        rates[fresh] = light[fresh] / of_white
-        unknown, known, brighter_code = unknown & ~fresh, light, code
+        is_known = ~full[2 * _REPEATS + index, 0]
+        shared = is_known & ~unknown & (rates > 10 * noise[0] / exposures[0])
+        of_white = (code / 255) ** _USUAL_GAMMA
+        if shared.sum() >= _FEW:
+            of_white = max(float(np.median(light[shared] / rates[shared])), 1e-6)
+        rates[unknown & is_known] = light[unknown & is_known] / of_white
+        unknown &= ~is_known
     rates[unknown] = max(rates.max(), white_level / exposures[0] / of_white)
-    of_lit = rates[lit] if lit.sum() >= _FEW else rates.ravel()
     # the brightest half per cent are glints
+    is_few = bool(lit.sum() < _FEW)
+    of_lit = rates.ravel() if is_few else rates[lit]
     brightest, brighter = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
     middle = np.median(black, axis=(1, 2))
-    last = max(int((middle < SATURATED * white_level).sum()) - 1, 0)
+    last = max(int((middle < SATURATION_FRACTION * white_level).sum()) - 1, 0)
     glow = max((middle[last] - middle[0]) / (exposures[last] - exposures[0]), 0.0) if last else 0.0
     level = min(max(middle[0] - glow * exposures[0], 0.0), white_level / 2)
     seen = (signal > _SURE * noise[:, None, None]) & ~off_full
     facts = {
-        **_judged(lit, saturated, off_full, rates),
+        **_outline(lit, rates),
         **_exposed(brightest, brighter, glow, white_level - level, exposures),
         "stripes_pixels": period,
         "focus_contrast": float(np.nanmedian(focus)) if np.isfinite(focus).any() else None,
         "black_level": float(level),
+        "saturated_share": float(saturated.sum() / max(lit.sum(), 1)),
+        "black_saturated_share": float(off_full[0].mean()),
     }
-    few, dark = bool(lit.sum() < _FEW), facts["brighter_level"] < 0.1
-    is_black = facts["black_saturated_share"] <= 0.01
+    is_black, is_dark = facts["black_saturated_share"] <= 0.01, facts["brighter_level"] < 0.1
     facts |= {
         "overexposed_share": facts["saturated_share"] if is_black else None,
-        "brighter_level": facts["brighter_level"] if is_black and not few else None,
-        "is_unlit": int(is_black and few and dark),
-        "is_stripeless": int(is_black and few and not dark),
+        "brighter_level": facts["brighter_level"] if is_black and not is_few else None,
+        "is_unlit": int(is_black and is_few and is_dark),
+        "is_stripeless": int(is_black and is_few and not is_dark),
     }
     arrays = {
         "white": rates.astype(np.float32),
@@ -170,8 +168,8 @@ def sight_picture(
     return picture
 
 
-def _judged(lit: Mask, saturated: Mask, off_full: Mask, rates: Double) -> dict[str, Any]:
-    """Return shares of the picture, light beyond the outline, and where the outline is cut."""
+def _outline(lit: Mask, rates: Double) -> dict[str, Any]:
+    """Return the outline's share of the picture, light beyond it, and where it is cut."""
     from scipy.ndimage import distance_transform_edt
 
     beyond = distance_transform_edt(~lit) > max(4.0, 0.03 * max(lit.shape))
@@ -180,8 +178,6 @@ def _judged(lit: Mask, saturated: Mask, off_full: Mask, rates: Double) -> dict[s
     left = [name for name, side in sides.items() if side.mean() > 0.1]
     return {
         "lit_share": float(lit.mean()),
-        "saturated_share": float(saturated.sum() / max(lit.sum(), 1)),
-        "black_saturated_share": float(off_full[0].mean()),
         "veil": max(float(np.median(rates[beyond]) / rates.mean()), 0.0) if has_veil else None,
         "edges_left": len(left),
         "edges": ", ".join(left),
@@ -206,21 +202,10 @@ def _exposed(
     return {
         "shortest_s": exposures[0],
         "longest_s": exposures[-1],
-        "times_too_bright": float(brightest * exposures[0] / (SATURATED * span)),
+        "times_too_bright": float(brightest * exposures[0] / (SATURATION_FRACTION * span)),
         "brighter_level": float(brighter * exposures[-1] / span),
         "proposed_exposures_s": proposed,
     }
-
-
-def _grey(frames: NDArray[np.uint16]) -> Double:
-    """Return frames (E, H, W) of those with channels, by their mean."""
-    return np.asarray(frames if frames.ndim == 3 else frames.mean(axis=-1), np.float64)
-
-
-def _full(frames: NDArray[np.uint16], white_level: int) -> Mask:
-    """Return where any channel of frames (E, H, W) is saturated."""
-    full = frames >= SATURATED * white_level
-    return np.asarray(full if full.ndim == 3 else full.any(axis=-1))
 
 
 def _filled(lit: Mask) -> Mask:

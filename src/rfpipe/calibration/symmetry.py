@@ -1,8 +1,12 @@
-"""How far a rig is from coaxial: whether light goes from camera to projector as it comes (2.10)."""
+"""How far a rig is from coaxial: whether light goes from camera to projector as it comes (2.10).
+
+By random patterns that are shown for that, or by the pictures of an acquisition themselves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from math import prod
 from typing import Any, NamedTuple
 
@@ -10,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
-from rfpipe.photometry.resampling import Resampling
+from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import MergeOptions, Sensor
 from rfpipe.provenance import generator
+from rfpipe.rigs.layout import ProjectorLayout
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -23,6 +29,8 @@ CONFIDENCE = 2.0
 """Standard errors that a verdict leaves to chance."""
 
 _LEAST = float(np.finfo(np.float64).tiny)  # where there is no light at all
+_UNKNOWN = 0.5  # squared error that unknown pixels may seem to make, for their share
+_WITNESSES = 24  # pictures that each new one is held against: chance has no say in so many
 
 
 class Pictures(NamedTuple):
@@ -40,6 +48,10 @@ class Pictures(NamedTuple):
     signs: Double
     radiance: Double
     variance: Double
+
+
+Taken = tuple[Double, Double, list[Pictures]]
+"""The floodlit image and its variance, (N, C), and pictures for each side of patches."""
 
 
 class Scale(NamedTuple):
@@ -161,10 +173,8 @@ def symmetry_patterns(
 
 
 def merged_pictures(
-    brackets: Iterable[NDArray[Any]],
-    sensor: Sensor,
-    patterns: Iterable[tuple[int, Double]],
-) -> tuple[Double, Double, list[Pictures]]:
+    brackets: Iterable[NDArray[Any]], sensor: Sensor, patterns: Iterable[tuple[int, Double]]
+) -> Taken:
     """Merge what `measure_symmetry` needs.
 
     Parameters
@@ -194,10 +204,20 @@ def merged_pictures(
     return lit.mean(axis=0), noise.mean(axis=0) / len(on), pictures
 
 
+def measure_rig(bench: Bench) -> Findings:
+    """Show random patterns on the rays; judge their pictures."""
+    arrays, settings = bench.found["rays"].arrays, bench.settings
+    layout, resampling = ProjectorLayout.from_arrays(arrays), Resampling.from_arrays(arrays)
+    counts = settings.symmetry_patterns, settings.dark_frames
+    patterns = list(symmetry_patterns(layout.shape, *counts))
+    lit = [signs > 0 for _, group in patterns for signs in group]
+    brackets = bench.take(lit, linear=True, drawn=layout.picture)
+    taken = merged_pictures(brackets, ResampledSensor(bench.model, resampling), patterns)
+    return symmetry_findings(taken, settings.tolerance, resampling)
+
+
 def symmetry_findings(
-    taken: tuple[Double, Double, list[Pictures]],
-    tolerance: float,
-    resampling: Resampling | None = None,
+    taken: Taken, tolerance: float, resampling: Resampling | None = None
 ) -> Findings:
     """Predict the error that asymmetry makes, and name its causes.
 
@@ -208,12 +228,11 @@ def symmetry_findings(
     tolerance : float
         Relative error of a relit picture that the rig is to stay below.
     resampling : Resampling, optional
-        That the pictures came through: tells where in the camera's picture rays lie.
+        That the pictures came through: tells where in the camera's picture rays lie, and so causes.
     """
     scales = measure_symmetry(*taken)
     worst = worst_of(scales)
     error, margin = worst.predicted, CONFIDENCE * worst.predicted_error
-    causes = find_causes(*taken, resampling, scales)
     facts = {
         "tolerance": tolerance,
         "error": error,
@@ -230,7 +249,8 @@ def symmetry_findings(
             }
             for scale in scales
         ],
-        **causes,
+        "unexplained_error": error,
+        **(find_causes(taken, resampling) if resampling else {}),
     }
     arrays = {
         f"{name}_{scale.side}": getattr(scale, name)
@@ -240,23 +260,17 @@ def symmetry_findings(
     return Findings.of("symmetry", facts, arrays)
 
 
-def find_causes(
-    floodlit: Double,
-    variance: Double,
-    pictures: list[Pictures],
-    resampling: Resampling | None,
-    scales: list[Scale],
-) -> dict[str, float | None]:
+def find_causes(taken: Taken, resampling: Resampling) -> dict[str, float]:
     """Fit flare and vignetting to the asymmetry of pictures under random patterns.
 
-    Parameters as `symmetry_findings`; `scales` as measured with whatever is in the pictures.
+    Parameters as `symmetry_findings`.
 
     Returns
     -------
     dict
         ``flare``, light that the lens spreads evenly over the picture; ``vignetting``, light that
         the camera loses in its corners beyond what the projector loses in its own; the relative
-        error in relit pictures that each ``makes``, None where it isn't significant; and the
+        error in relit pictures that each ``makes``, if it is significant; and the
         ``unexplained_error``.
 
     Notes
@@ -267,9 +281,7 @@ def find_causes(
     to first order: linear in both, and all else is known from the pictures. Patterns of single
     rays are left out where there are coarser ones: blur and misalignment bend those most.
     """
-    if resampling is None:
-        none = dict.fromkeys(("flare_makes", "vignetting_makes"))
-        return {**none, "unexplained_error": worst_of(scales).predicted}
+    floodlit, variance, pictures = taken
     radius, share = _squared_radius(resampling)
     coarse = [one for one in pictures if one.side > 1] or pictures
     signs = np.concatenate([np.ones((1, len(radius))), *(one.signs for one in coarse)])
@@ -298,17 +310,16 @@ def find_causes(
     flare, slope = inverse @ (x.T @ (weight * y) + [0.0, float(weight @ spread(radius))])
     rest = y - x @ [flare, slope]
     excess = max(1.0, float(weight @ rest**2) / max(len(y) - 2, 1))
-    flare_error, slope_error = np.sqrt(np.maximum(np.diag(inverse), 0) * excess)
-    vignetting = slope / (1 + max(slope, 0.0))
-
-    def is_cause(value: float, error: float) -> bool:
-        # a few thousandths aren't worth a word; more than 0.6 is another thing that grows outwards
-        return bool(max(3 * error, 0.003) < value < 0.6)
-
-    f = flare if is_cause(flare, flare_error) else 0.0
-    b = slope if is_cause(vignetting, slope_error) else 0.0
+    errors = np.sqrt(np.maximum(np.diag(inverse), 0) * excess)
+    found = {"flare": flare, "vignetting": slope / (1 + max(slope, 0.0))}
+    # a few thousandths aren't worth a word; more than 0.6 is another thing that grows outwards
+    is_cause = [
+        max(3 * error, 0.003) < value < 0.6
+        for value, error in zip(found.values(), errors, strict=True)
+    ]
 
     def without(f: float, b: float) -> list[Scale]:
+        """Measure the asymmetry of the pictures without some flare and falloff."""
         factor = 1 + b * radius[:, None]
 
         def mended(images: Double) -> Double:
@@ -320,21 +331,18 @@ def find_causes(
         ]
         return measure_symmetry(mended(floodlit), variance * factor**2, parts)
 
-    left = without(f, b) if f or b else scales
-
-    def makes(other: list[Scale]) -> float:
-        pairs = zip(other, left, strict=True)
-        return max(float(np.sqrt(max(a.predicted**2 - b.predicted**2, 0))) for a, b in pairs)
-
-    return {
-        "flare": float(flare),
-        "flare_error": float(flare_error),
-        "vignetting": float(vignetting),
-        "vignetting_error": float(slope_error),
-        "flare_makes": makes(without(0.0, b)) if f else None,
-        "vignetting_makes": makes(without(f, 0.0)) if b else None,
-        "unexplained_error": worst_of(left).predicted,
-    }
+    causes = np.where(is_cause, [flare, slope], 0.0)
+    left = without(*causes)
+    facts = {"unexplained_error": worst_of(left).predicted}
+    for name, error, is_one, alone in zip(found, errors, is_cause, np.diag(causes), strict=True):
+        facts |= {name: float(found[name]), f"{name}_error": float(error)}
+        if is_one:
+            squares = (
+                a.predicted**2 - b.predicted**2
+                for a, b in zip(without(*(causes - alone)), left, strict=True)
+            )
+            facts[f"{name}_makes"] = float(np.sqrt(max(0.0, *squares)))
+    return facts
 
 
 def _squared_radius(resampling: Resampling) -> tuple[Double, float]:
@@ -348,3 +356,114 @@ def _squared_radius(resampling: Resampling) -> tuple[Double, float]:
     of_rays = np.asarray(resampling.matrix @ (radius / max(radius[0, 0], 1)).ravel())
     looking = np.count_nonzero(np.asarray(abs(resampling.matrix).sum(axis=0)) > 0)
     return of_rays, looking / prod(resampling.camera_shape)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How one picture agrees with the previous ones.
+
+    Attributes
+    ----------
+    deviations : float
+        RMS of ``p' c_q - q' c_p`` over its standard deviation by the noise: 1 on a right rig, 0
+        where there is nothing to be held against.
+    error : float
+        What taking T for symmetric makes wrong in this picture, relative to its norm: at least so
+        much, as far as the previous patterns tell.
+    """
+
+    deviations: float
+    error: float
+
+    def is_wrong(self, worth_a_word: float, significance: float = 6.0) -> bool:
+        """Whether it is more than noise, and more than is worth a word."""
+        return self.deviations > significance and self.error > worth_a_word
+
+
+class Reciprocity:
+    """Holds each picture of a coaxial rig against previous ones of the acquisition.
+
+    Parameters
+    ----------
+    floodlit, variance : ndarray of float32, shape (*camera_shape, C)
+        The floodlit image and its variance: the first witness. Infinite variance: not known.
+
+    Notes
+    -----
+    With ``T = T'``, light from where pattern q is lit to where p is lit is what goes from p to q:
+    ``p' c_q = q' c_p``. Of picture q and the witnesses p the residual is ``r_p = p' c_q g - q'
+    c_p``, with one gain g for each channel, found by least squares, so that a lamp that drifts is
+    no asymmetry. ``r = W K q`` of ``K = T - T'`` is the projection of ``K q`` on the witnesses, the
+    rows of W: ``r' (W W')^+ r <= |K q|^2``, and a picture under q is wrong by ``K q / 2``. The
+    noise's share of both is known and is taken off.
+    """
+
+    def __init__(self, floodlit: Float, variance: Float) -> None:
+        known = np.isfinite(variance)
+        rays, channels = known[..., 0].size, floodlit.shape[-1]
+        self._unseen = _UNKNOWN * (1 - float(known.mean()))
+        self._patterns = np.empty((_WITNESSES, rays), np.float32)
+        self._images, self._noise = np.empty((2, _WITNESSES, rays, channels), np.float32)
+        self._gram = np.zeros((_WITNESSES, _WITNESSES))
+        self._count = 0
+        self._keep(np.ones(rays, np.float32), *_flat(floodlit, variance))
+
+    def judge(self, pattern: Float, radiance: Float, variance: Float) -> Residual:
+        """Hold a picture against the previous ones, and keep it as a witness.
+
+        Parameters
+        ----------
+        pattern : ndarray of float32, shape (*projector_shape)
+        radiance, variance : ndarray of float32, shape (*camera_shape, C)
+        """
+        q = np.asarray(pattern, np.float32).reshape(-1)
+        image, noise = _flat(radiance, variance)
+        held = min(self._count, _WITNESSES)
+        patterns, images = self._patterns[:held], self._images[:held]
+        back = np.tensordot(q, images, (0, 1)).astype(np.float64)  # q' c_p, (P, C)
+        ahead = (patterns @ image).astype(np.float64)  # p' c_q
+        spread = np.tensordot(q * q, self._noise[:held], (0, 1)).astype(np.float64)
+        spread += (patterns * patterns) @ noise
+        spread = np.maximum(spread, np.finfo(np.float32).eps ** 2 * np.maximum(ahead, back) ** 2)
+        sure = np.divide(1, spread, out=np.zeros_like(spread), where=spread > 0)
+        over, above = (sure * ahead * ahead).sum(axis=0), (sure * ahead * back).sum(axis=0)
+        gain = np.divide(above, over, out=np.ones_like(over), where=over > 0)
+        image, noise = (part.astype(np.float32) for part in (image * gain, noise * gain**2))
+        found = self._residual(ahead * gain - back, spread, image, noise)
+        self._keep(q, image, noise)
+        return found
+
+    def _residual(self, residual: Double, spread: Double, image: Float, noise: Float) -> Residual:
+        held, channels = residual.shape
+        light = float((np.square(image) - noise).sum(dtype=np.float64))
+        if held < 2 or light <= 0:
+            return Residual(0.0, 0.0)
+        squares = np.divide(residual**2, spread, out=np.zeros_like(spread), where=spread > 0)
+        deviations = float(np.sqrt(squares.sum() / ((held - 1) * channels)))
+        values, vectors = np.linalg.eigh(self._gram[:held, :held])
+        # directions of pattern space that the witnesses hardly span are all noise
+        chosen = values > 0.05 * np.diag(self._gram)[:held].min()
+        ways = vectors[:, chosen]
+        along = (ways.T @ residual) ** 2 - (ways**2).T @ spread
+        error = float((along.sum(axis=1) / values[chosen]).sum()) / (4 * light) - self._unseen
+        return Residual(deviations, float(np.sqrt(max(error, 0.0))))
+
+    def _keep(self, pattern: Float, image: Float, noise: Float) -> None:
+        """Keep a witness; the floodlit image stays, the others make way in turn."""
+        if not pattern.any():
+            return
+        at = self._count
+        if at >= _WITNESSES:
+            at = 1 + (at - _WITNESSES) % (_WITNESSES - 1)
+        self._count += 1
+        self._patterns[at], self._images[at], self._noise[at] = pattern, image, noise
+        held = min(self._count, _WITNESSES)
+        self._gram[at, :held] = self._gram[:held, at] = self._patterns[:held] @ pattern
+
+
+def _flat(radiance: Float, variance: Float) -> tuple[Float, Float]:
+    """Return an image and its variance as (N, C); pixels that aren't known are 0 in both."""
+    known = np.isfinite(variance)
+    flat = (np.where(known, image, 0) for image in (radiance, variance))
+    image, noise = (each.reshape(-1, radiance.shape[-1]).astype(np.float32) for each in flat)
+    return image, noise

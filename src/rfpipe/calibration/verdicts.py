@@ -63,7 +63,7 @@ class Findings:
 
 
 # A row: step, standing and, but for the sentence of a good step, the fact with its limit, a number
-# or another fact. A fact that is None is not judged. A note is added to whatever the verdict is.
+# or another fact. A fact that is missing is not judged. A note is added to whatever the verdict is.
 _TABLE = """
 latency good: A picture is seen {delay_ms:.0f} ms after it was drawn, in all of {trials} trials.
 latency poor unsettled_seconds > 0: Even {unsettled_seconds:g} s after a picture was drawn, the
@@ -201,7 +201,7 @@ def verdict_of(step: str, facts: Facts) -> Verdict:
         limit = 0.0
         if rule:
             fact, sign, bound = rule
-            value, limit = facts[fact], facts[bound] if bound in facts else float(bound)
+            value, limit = facts.get(fact), facts[bound] if bound in facts else float(bound)
             if value is None or not (value > limit if sign == ">" else value < limit):
                 continue
         said[standing].append((" ".join(text.split()), limit))

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.folder import STEPS, CalibrationFolder
 from rfpipe.calibration.sight import YELLOW, sight_picture
-from rfpipe.calibration.steps import STEPS
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import StoreError
 from rfpipe.report.drawing import Map, draw, new_figure

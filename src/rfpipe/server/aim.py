@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from rfpipe.calibration.bench import camera_model
-from rfpipe.calibration.sight import SATURATED, measure_sight, sight_picture, sight_pictures
+from rfpipe.calibration.sight import measure_sight, sight_picture, sight_pictures
 from rfpipe.errors import RfpipeError
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 from rfpipe.server.run import bound_socket
 from rfpipe.server.settings import ServerSettings
+from rfpipe.units import SATURATION_FRACTION
 
 Devices = Callable[[], tuple[Projector, Camera]]
 Mode = Literal["measure", "white", "stripes", "off"]
@@ -241,7 +242,7 @@ def _held(
 ) -> tuple[NDArray[np.float64], float]:
     """Return each pixel's longest exposure that isn't saturated, and the saturated share."""
     frames = bracket if bracket.ndim == 3 else bracket.max(axis=-1)
-    full = frames >= SATURATED * white_level
+    full = frames >= SATURATION_FRACTION * white_level
     best = np.maximum((~full).sum(axis=0) - 1, 0)[None]
     # the darkest of a frame are about as dark as without light
     light = frames - np.percentile(frames, 1, axis=(1, 2), keepdims=True)

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.reciprocity import Reciprocity
-from rfpipe.calibration.symmetry import random_signs
+from rfpipe.calibration.symmetry import Reciprocity, random_signs
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.keys import DRIFT_KEY, LOOK_KEY
 from rfpipe.photometry.sensor import Merged
