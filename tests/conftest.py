@@ -27,7 +27,13 @@ _WORKFLOW = _HERE / "workflow"
 
 _hidden = needs.hide()
 
-_LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger("rfpipe.server"))
+_LOGGERS = (
+    logging.getLogger(),
+    logging.getLogger("rfpipe"),
+    logging.getLogger("rfpipe.server"),
+    logging.getLogger("uvicorn.error"),
+    logging.getLogger("uvicorn.access"),
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -33,7 +33,7 @@ class Running:
 
     @property
     def worker(self) -> Any:
-        return self.app.state.worker
+        return self.app.state.served.worker
 
     def client(self, patience_seconds: float = 20.0) -> RemoteRig:
         return RemoteRig(self.url, TOKEN, patience_seconds)
@@ -46,7 +46,7 @@ class Running:
 def running(rig: Rig | Callable[[], Rig], **settings: Any) -> Iterator[Running]:
     """Serve a rig until the end of the block."""
     allowed = ServerSettings(**{"port": 0, "lease_seconds": 4.0, **settings})
-    with bound_socket(allowed) as bound:
+    with bound_socket(allowed.host, allowed.port) as bound:
         port = bound.getsockname()[1]
         server = make_server(rig, TOKEN, allowed)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})

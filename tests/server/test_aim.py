@@ -26,7 +26,6 @@ def bench() -> Bench:
 @pytest.fixture
 def watch(bench: Bench) -> Iterator[Watch]:
     watch = Watch(lambda: (bench.projector, bench.camera), period=16)
-    watch.start()
     yield watch
     watch.close()
 
@@ -132,4 +131,4 @@ def test_devices_that_can_t_be_opened_end_it() -> None:
         raise CaptureError("no camera answers")
 
     with pytest.raises(CaptureError, match="no camera answers"):
-        Watch(missing, period=16).start()  # type: ignore[arg-type]
+        Watch(missing, period=16)  # type: ignore[arg-type]

@@ -30,7 +30,8 @@ LARGE_RIG = """
 import sys, time
 import numpy as np
 from rfpipe.photometry import CameraModel
-from rfpipe.server import ServerSettings, serve
+from rfpipe.server import ServerSettings
+from rfpipe.server.run import serve
 
 class LargeRig:
     camera_shape = projector_shape = (1080, 1920)

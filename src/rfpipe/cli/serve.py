@@ -13,7 +13,9 @@ def serve(
         Path, typer.Argument(metavar="RIG.yaml", help="The rig's settings; see config/rig.yaml.")
     ],
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8750,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes a free one.")
+    ] = 8750,
     allow_remote: Annotated[
         bool,
         typer.Option(
@@ -29,7 +31,8 @@ def serve(
         ),
     ] = None,
     lease_seconds: Annotated[
-        float, typer.Option(help="How long a client keeps the rig without a sign of life.")
+        float,
+        typer.Option(min=0.5, help="Seconds that a client keeps the rig without a sign of life."),
     ] = 15.0,
     log_file: Annotated[Path | None, typer.Option(help="File to log to beside stderr.")] = None,
     force: Annotated[
@@ -45,7 +48,7 @@ def serve(
     from rfpipe.rigs.calibrated import calibration_of, check_verdicts
     from rfpipe.rigs.protocol import read_token
     from rfpipe.server import ServerSettings
-    from rfpipe.server import serve as run
+    from rfpipe.server.run import serve as run
 
     settings = ServerSettings(
         host=host,

@@ -6,7 +6,8 @@ import hmac
 import io
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from importlib.resources import files
 from typing import Annotated, Any, Literal, NamedTuple
@@ -22,8 +23,7 @@ from rfpipe.calibration.bench import camera_model
 from rfpipe.calibration.sight import measure_sight, sight_picture, sight_pictures
 from rfpipe.errors import RfpipeError
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
-from rfpipe.server.run import bound_socket
-from rfpipe.server.settings import ServerSettings
+from rfpipe.server.run import bound_socket, local_config
 from rfpipe.units import SATURATION_FRACTION
 
 Devices = Callable[[], tuple[Projector, Camera]]
@@ -33,6 +33,7 @@ Mode = Literal["measure", "white", "stripes", "off"]
 AGAIN_SECONDS = 2.0
 """Wait after a device failed, before it is tried again."""
 
+_HARDLY = 0.01  # of a picture's pixels may be saturated
 _COOKIE = "rfpipe-aim"
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -65,13 +66,9 @@ def aim(devices: Devices, period: int, port: int, say: Callable[[str], object]) 
         When the devices can't be opened.
     """
     token = secrets.token_urlsafe(24)
-    watch = Watch(devices, period)
-    with bound_socket(ServerSettings(port=port)) as bound, closing(watch):
-        watch.start()
-        config = uvicorn.Config(
-            create_app(watch, token), log_config=None, access_log=False, ws="none",
-            server_header=False, proxy_headers=False, timeout_graceful_shutdown=2,
-        )  # fmt: skip
+    with bound_socket("127.0.0.1", port) as bound, closing(Watch(devices, period)) as watch:
+        app = create_app(watch, token)
+        config = local_config(app, access_log=False, timeout_graceful_shutdown=2)
         say(f"http://127.0.0.1:{bound.getsockname()[1]}/?token={token}")
         with suppress(KeyboardInterrupt):  # uvicorn raises it again after its end
             uvicorn.Server(config).run(sockets=[bound])
@@ -141,24 +138,26 @@ class Watch:
         Returns projector and camera; is called in the thread that uses them.
     period : int
         Of the stripes in projector pixels.
+
+    Raises
+    ------
+    RfpipeError
+        When a device can't be opened.
     """
 
     def __init__(self, devices: Devices, period: int) -> None:
-        self._devices = devices
         self._period = period
         self._mode: Mode = "measure"
         self.look = Look(0, b"", {})
         self._error: str | None = None
-        self._stopping, self._turned, self._opened = (threading.Event() for _ in range(3))
-        self._failure: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="aim", daemon=True)
-
-    def start(self) -> None:
-        """Open the devices and begin; raises RfpipeError when a device can't be opened."""
-        self._thread.start()
-        self._opened.wait()
-        if self._failure is not None:
-            raise self._failure
+        self._stopping, self._turned = threading.Event(), threading.Event()
+        self._thread = ThreadPoolExecutor(1, "aim")
+        try:
+            projector, camera = self._thread.submit(devices).result()
+        except BaseException:
+            self._thread.shutdown()
+            raise
+        self._thread.submit(self._run, projector, camera)
 
     @property
     def state(self) -> dict[str, Any]:
@@ -174,17 +173,9 @@ class Watch:
     def close(self) -> None:
         """Give the devices back, after the exposure in hand."""
         self._stopping.set()
-        if self._thread.ident is not None:
-            self._thread.join()
+        self._thread.shutdown()
 
-    def _run(self) -> None:
-        try:
-            projector, camera = self._devices()
-        except BaseException as error:
-            self._failure = error
-            return
-        finally:
-            self._opened.set()
+    def _run(self, projector: Projector, camera: Camera) -> None:
         with closing(projector), closing(camera):
             while not self._stopping.is_set():
                 self._turned.clear()
@@ -204,9 +195,8 @@ class Watch:
             if self._stopping.is_set() or self._turned.is_set():
                 return
         model = camera_model(camera)
-        times, white_level = model.exposures, model.white_level
         if mode == "measure":
-            sight = measure_sight(taken, times, white_level, self._period)
+            sight = measure_sight(taken, model.exposures, model.white_level, self._period)
             lit, dark = sight["lit"], sight["dark"]
             picture = sight_picture(sight["white"], sight["saturated"], dark, lit)
             proposal = ", ".join(f"{one:g}" for one in sight["proposed_exposures_s"])
@@ -217,12 +207,11 @@ class Watch:
                 "dark": float(dark.sum() / max(lit.sum(), 1)),
                 "lit": sight["lit_share"],
                 "focus": sight["focus_contrast"],
-                "exposures": list(times),
+                "exposures": list(model.exposures),
                 "proposal": f"sensor:\n  exposures: [{proposal}]",
             }
         else:
-            picture, saturated = _held(taken[0], times, white_level)
-            facts = {**self.look.facts, "saturated_now": saturated}
+            picture, facts = _held(taken[0], model.white_level), self.look.facts
         self.look = Look(self.look.number + 1, _png(picture), facts)
 
 
@@ -237,21 +226,14 @@ def _pictures(mode: Mode, shape: tuple[int, int], period: int) -> Iterator[NDArr
         yield np.full(shape, float(mode == "white"), np.float32)
 
 
-def _held(
-    bracket: NDArray[np.uint16], exposures: Sequence[float], white_level: int
-) -> tuple[NDArray[np.float64], float]:
-    """Return each pixel's longest exposure that isn't saturated, and the saturated share."""
+def _held(bracket: NDArray[np.uint16], white_level: int) -> NDArray[np.float64]:
+    """Return the longest exposure that is hardly saturated."""
     frames = bracket if bracket.ndim == 3 else bracket.max(axis=-1)
     full = frames >= SATURATION_FRACTION * white_level
-    best = np.maximum((~full).sum(axis=0) - 1, 0)[None]
-    # the darkest of a frame are about as dark as without light
-    light = frames - np.percentile(frames, 1, axis=(1, 2), keepdims=True)
-    rates = light / np.reshape(exposures, (-1, 1, 1))
-    shortest: NDArray[np.bool_] = full[0]
-    picture = sight_picture(
-        np.take_along_axis(rates, best, 0)[0], shortest, np.zeros_like(shortest)
-    )
-    return picture, float(shortest.mean())
+    best = max(int((full.mean(axis=(1, 2)) < _HARDLY).sum()) - 1, 0)
+    # the darkest are about as dark as without light
+    light = frames[best] - np.percentile(frames[best], 1)
+    return sight_picture(light, full[best], np.zeros_like(full[best]))
 
 
 def _png(picture: NDArray[np.float64]) -> bytes:

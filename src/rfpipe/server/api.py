@@ -7,18 +7,20 @@ import hashlib
 import logging
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
-from concurrent.futures import Future
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from functools import cached_property
+from functools import partial
 from math import prod
 from typing import Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Depends, FastAPI, Header, HTTPException, Request, Response
+from fastapi.responses import StreamingResponse
 from fastapi.security import HTTPBearer
+from numpy.typing import NDArray
 
 import rfpipe
-from rfpipe.errors import CaptureError, InputError, TransferError
+from rfpipe.pictures.images import png_bytes
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.messages import MEDIA_TYPE, decode_patterns, pack
@@ -32,67 +34,40 @@ from rfpipe.rigs.protocol import (
     StatusAnswer,
 )
 from rfpipe.server.guard import CAPTURE_PATH, PROBLEM_TYPE, Guard, Problem, add_handlers
-from rfpipe.server.preview import preview_png
 from rfpipe.server.settings import ServerSettings
-from rfpipe.server.worker import (
-    CaptureConflictError,
-    CaptureStoppedError,
-    LeaseHeldError,
-    LeaseLapsedError,
-    Leases,
-    RigBusyError,
-    RigWorker,
-)
+from rfpipe.server.worker import Leases, RigWorker
+from rfpipe.units import SATURATION_FRACTION
 
 _log = logging.getLogger("rfpipe.server")
 
-_STATUSES = {
-    InputError: 422,
-    TransferError: 422,
-    CaptureConflictError: 422,
-    LeaseHeldError: 409,
-    LeaseLapsedError: 410,
-    RigBusyError: 429,
-    CaptureStoppedError: 503,
-    CaptureError: 502,
-}
-"""How the endpoints answer where an error of these is raised; its text is the detail."""
+_MOST_PIXELS = 512  # of a preview
+_PIECE = 2**18  # bytes of an answer that are sent once those before it were taken
 
-
-def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Return the errors of an endpoint for the OpenAPI description."""
-    content = {PROBLEM_TYPE: {"schema": Problem.model_json_schema()}}
-    return {status: {"description": "See detail.", "content": content} for status in statuses}
-
-
-_COMMON = _problems(400, 401, 405, 413)
-_open = APIRouter(prefix="/v1", responses=_COMMON)
+_problem = {"content": {PROBLEM_TYPE: {"schema": Problem.model_json_schema()}}}
+_errors: Any = {status: {"description": "See detail.", **_problem} for status in ("4XX", "5XX")}
+_open = APIRouter(prefix="/v1", responses=_errors)
 _closed = APIRouter(
-    prefix="/v1", responses=_COMMON, dependencies=[Depends(HTTPBearer(auto_error=False))]
+    prefix="/v1", responses=_errors, dependencies=[Depends(HTTPBearer(auto_error=False))]
 )
+
+
+def _binary(media_type: str) -> Any:
+    """Describe an endpoint whose answer is a file of one type."""
+    return {"response_class": Response, "responses": {200: {"content": {media_type: {}}}}}
 
 
 class _Served:
     """What the endpoints share."""
 
-    def __init__(self, worker: RigWorker, leases: Leases, settings: ServerSettings) -> None:
-        self.worker, self.leases = worker, leases
+    def __init__(self, worker: RigWorker, settings: ServerSettings) -> None:
+        self.worker, self.leases = worker, worker.leases
         self.began = time.monotonic()
         self.rig = _described(worker.rig, settings)
-        self.drawn = 0, b""
+        arrays = getattr(worker.rig.sensor, "arrays", dict)
+        self.arrays = pack({}, arrays(), deflate=True)  # of a resampled sensor
         self.drawing = threading.Lock()
+        # held while a capture's body is in memory: one at a time
         self.reading = asyncio.Lock()
-        """Held while a capture's body is in memory: one at a time."""
-
-    @cached_property
-    def arrays(self) -> bytes:
-        """The message of the arrays of a resampled sensor."""
-        arrays = getattr(self.worker.rig.sensor, "arrays", dict)
-        return pack({}, arrays(), deflate=True)
-
-    def lease(self, identity: str) -> LeaseAnswer:
-        """Return the answer to who holds the rig."""
-        return LeaseAnswer(lease=identity, seconds=self.leases.seconds)
 
 
 def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> FastAPI:
@@ -116,8 +91,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     RfpipeError
         When the rig can't be opened.
     """
-    leases = Leases(settings.lease_seconds)
-    worker = RigWorker(rig, leases, settings.kept_captures)
+    worker = RigWorker(rig, Leases(settings.lease_seconds), settings.kept_captures)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -134,12 +108,11 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
         lifespan=lifespan,
         redirect_slashes=False,
     )
-    app.state.worker = worker
-    app.state.served = _Served(worker, leases, settings)
+    app.state.served = _Served(worker, settings)
     app.include_router(_open)
     app.include_router(_closed)
     app.add_middleware(Guard, token=token, settings=settings)
-    add_handlers(app, _STATUSES)
+    add_handlers(app)
     return app
 
 
@@ -186,42 +159,37 @@ async def rig(served: Served) -> RigAnswer:
     return served.rig
 
 
-@_closed.get("/rig/arrays", response_class=Response, responses={200: {"content": {MEDIA_TYPE: {}}}})
-def rig_arrays(served: Served) -> Response:
+@_closed.get("/rig/arrays", **_binary(MEDIA_TYPE))
+async def rig_arrays(served: Served) -> Response:
     """Return the arrays of a resampled sensor; none of another one."""
-    with served.drawing:
-        return Response(served.arrays, media_type=MEDIA_TYPE)
+    return Response(served.arrays, media_type=MEDIA_TYPE)
 
 
-@_closed.post("/lease", responses=_problems(409, 422))
+@_closed.post("/lease")
 async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
     """Take the rig for oneself."""
     identity = served.leases.acquire(request.client)
     _log.info("%s takes the rig", request.client)
-    return served.lease(identity)
+    return LeaseAnswer(lease=identity, seconds=served.leases.seconds)
 
 
-@_closed.put("/lease", responses=_problems(410, 422))
+@_closed.put("/lease")
 async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
     """Keep the rig: the heart-beat of its holder."""
     served.leases.renew(lease)
-    return served.lease(lease)
+    return LeaseAnswer(lease=lease, seconds=served.leases.seconds)
 
 
-@_closed.delete("/lease", status_code=204, responses=_problems(410, 422))
+@_closed.delete("/lease", status_code=204)
 async def release(lease: LeaseHeader, served: Served) -> None:
     """Give the rig back."""
-    _log.info("%s gives the rig back", served.leases.release(lease))
+    _log.info("%s gives the rig back", served.leases.renew(lease, 0))
     served.worker.forget()
 
 
 @_closed.post(
     CAPTURE_PATH.removeprefix("/v1"),
-    response_class=Response,
-    responses={
-        200: {"content": {MEDIA_TYPE: {}}, "description": "The brackets, in the patterns' order."},
-        **_problems(409, 410, 415, 422, 429, 502, 503),
-    },
+    **_binary(MEDIA_TYPE),
     openapi_extra={
         "requestBody": {
             "required": True,
@@ -235,47 +203,52 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
     if request.headers.get("content-type") != MEDIA_TYPE:
         raise HTTPException(415, f"the body must be of the type {MEDIA_TYPE}")
     served.worker.check_free(key)  # before anything of the body is read
-    future = await _submitted(request, lease, key, served)
-    # shielded: a client that goes away doesn't take the exposure back
-    message = await asyncio.shield(asyncio.wrap_future(future))
-    return Response(message, media_type=MEDIA_TYPE)
-
-
-async def _submitted(request: Request, lease: str, key: str, served: _Served) -> Future[bytes]:
-    """Read the body of a capture and have its patterns exposed; the body isn't kept."""
     limits = served.rig.limits
-
-    def submit() -> Future[bytes]:
-        digest = hashlib.sha256(body).hexdigest()
-        future = served.worker.again(key, digest, lease)
-        if future is not None:
-            return future
-        # all are checked before the first is shown
-        patterns = decode_patterns(
-            body, served.rig.projector_shape, limits.patterns, limits.request_bytes
-        )
-        return served.worker.submit(key, digest, lease, patterns)
-
     async with served.reading:
         body = b"".join([piece async for piece in request.stream()])
-        return await asyncio.to_thread(submit)
+        digest = hashlib.sha256(body).hexdigest()
+        patterns = partial(
+            decode_patterns, body, served.rig.projector_shape, limits.patterns, limits.request_bytes
+        )
+        future = await asyncio.to_thread(served.worker.submit, key, digest, lease, patterns)
+        del body, patterns
+    # shielded: a client that goes away doesn't take the exposure back
+    message = await asyncio.shield(asyncio.wrap_future(future))
+    headers = {"Content-Length": str(len(message))}
+    return StreamingResponse(_in_pieces(message), media_type=MEDIA_TYPE, headers=headers)
 
 
-@_closed.get(
-    "/preview.png",
-    response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **_problems(404)},
-)
+async def _in_pieces(message: bytes) -> AsyncIterator[bytes]:
+    for first in range(0, len(message), _PIECE):
+        yield message[first : first + _PIECE]
+
+
+@_closed.get("/preview.png", **_binary("image/png"))
 def preview(served: Served) -> Response:
-    """Draw the last bracket: exposures, saturation and histograms."""
+    """Draw the last bracket, with what is saturated in red."""
     shown = served.worker.last
     if shown is None:
         raise HTTPException(404, "nothing was captured since the server's start")
     with served.drawing:
-        if served.drawn[0] != shown.number:
-            exposures = served.worker.rig.sensor.exposures
-            served.drawn = shown.number, preview_png(shown, served.rig.sensor, exposures)
-        return Response(served.drawn[1], media_type="image/png")
+        return Response(preview_png(shown, served.rig.sensor), media_type="image/png")
+
+
+def preview_png(bracket: NDArray[Any], sensor: Mapping[str, Any]) -> bytes:
+    """Return a bracket ``(E, *shape[, C])`` as a PNG file: its exposures side by side.
+
+    Views stand one above the other. Where the sensor's description tells the camera's bits, pixels
+    are red that the merge takes for saturated.
+    """
+    camera = sensor.get("sensor", sensor)  # of a resampled one, that behind it
+    full_scale = 2 ** camera["bits"] - 1 if "bits" in camera else 0
+    frames = bracket[..., None] if camera.get("bayer") is not None else bracket
+    images = frames.reshape(len(frames), -1, *frames.shape[-2:])
+    step = max(1, -(-max(images.shape[1:3]) // _MOST_PIXELS))
+    images = images[:, ::step, ::step]
+    light = np.repeat(images / (full_scale or images.max() or 1), 3 // images.shape[-1], axis=-1)
+    if full_scale:
+        light[(images >= SATURATION_FRACTION * full_scale).any(axis=-1)] = (0.7, 0.01, 0.01)
+    return png_bytes(np.concatenate([*light], axis=1), 1.0)
 
 
 def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:

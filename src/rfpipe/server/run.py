@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import socket
 from collections.abc import Callable
 from contextlib import closing, suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import uvicorn
+from fastapi import FastAPI
 
 from rfpipe.errors import ConfigError
 from rfpipe.rigs import Rig
@@ -35,25 +35,8 @@ class _Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
-class _JsonLines(logging.Formatter):
-    """One JSON object a record."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        extra = ((name, getattr(record, name, None)) for name in ("client", "ms", "bytes"))
-        line = {
-            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            "message": record.getMessage(),
-            **{name: value for name, value in extra if value},
-        }
-        if record.exc_info:
-            line["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(line)
-
-
 def start_log(file: Path | None = None) -> None:
-    """Log lines of JSON to stderr, and to the end of a file where one is named.
+    """Log as a run does, to stderr, and to the end of a file where one is named.
 
     Raises
     ------
@@ -67,8 +50,8 @@ def start_log(file: Path | None = None) -> None:
         except OSError as error:
             raise ConfigError(f"{file}: can't be written as a log file: {error}") from error
     for handler in handlers:
-        handler.setFormatter(_JsonLines())
-    for name in ("rfpipe", "uvicorn.error"):
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    for name in ("rfpipe", "uvicorn.error", "uvicorn.access"):
         logger = logging.getLogger(name)
         logger.handlers = list(handlers)
         logger.setLevel(logging.INFO)
@@ -78,44 +61,42 @@ def start_log(file: Path | None = None) -> None:
 def make_server(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> _Server:
     """Return the server of a rig, whose `run` takes the `bound_socket`."""
     app = create_app(rig, token, settings)
-    config = uvicorn.Config(
+    config = local_config(
         app,
         http=guarded_protocol(settings),
-        ws="none",
-        log_config=None,
-        access_log=False,
-        proxy_headers=False,
-        server_header=False,
+        headers=[("cache-control", "no-store"), ("x-content-type-options", "nosniff")],
         timeout_keep_alive=120,
         # for requests under way; the exposure in hand has what time it takes
         timeout_graceful_shutdown=30,
         h11_max_incomplete_event_size=16 * 2**10,
     )
-    return _Server(config, app.state.worker)
+    return _Server(config, app.state.served.worker)
 
 
-def bound_socket(settings: ServerSettings) -> socket.socket:
-    """Bind the address, before the rig is opened.
+def local_config(app: FastAPI, **options: Any) -> uvicorn.Config:
+    """Return uvicorn's settings of an application that stands behind no proxy that it trusts."""
+    none: dict[str, Any] = {"log_config": None, "proxy_headers": False, "server_header": False}
+    return uvicorn.Config(app, ws="none", **none, **options)
+
+
+def bound_socket(host: str, port: int) -> socket.socket:
+    """Return a socket that listens, before the rig is opened.
 
     Raises
     ------
     ConfigError
-        When it is taken or not this machine's.
+        When the address is taken or not this machine's.
     """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            settings.host, settings.port, type=socket.SOCK_STREAM
-        )[0]
-        is_dual = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
-        # listens at once: else others on this port are refused only once the rig is open
-        bound = socket.create_server(address, family=family, backlog=512, dualstack_ipv6=is_dual)
-    except OSError as error:
+        bound = socket.create_server((host, port), family=family, backlog=512)
+    except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"server: can't listen on {settings.host}, port {settings.port}: {error}. Stop what "
-            "listens there, or choose another --port"
+            f"server: can't listen on {host}, port {port}: {error}. Stop what listens there, or "
+            "choose another --port"
         ) from error
     # with its protocol named: else asyncio leaves Nagle's delay of 40 ms in each answer
-    return socket.socket(family, kind, protocol, bound.detach())
+    return socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP, bound.detach())
 
 
 def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> None:
@@ -137,7 +118,7 @@ def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) ->
         When the rig can't be opened.
     """
     start_log(settings.log_file)
-    with bound_socket(settings) as bound:
+    with bound_socket(settings.host, settings.port) as bound:
         server = make_server(rig, token, settings)
         host, port = bound.getsockname()[:2]
         _log.info("serving the rig on http://%s:%d", f"[{host}]" if ":" in host else host, port)

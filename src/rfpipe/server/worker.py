@@ -9,10 +9,11 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from starlette.exceptions import HTTPException
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
@@ -24,12 +25,8 @@ from rfpipe.rigs.protocol import Metrics
 _log = logging.getLogger("rfpipe.server")
 
 
-class LeaseHeldError(Exception):
-    """Another client holds the rig."""
-
-
-class LeaseLapsedError(Exception):
-    """A lease is unknown here: it lapsed, was released, or the server was started anew."""
+def _come_again(status: int, detail: str) -> HTTPException:
+    return HTTPException(status, detail, {"Retry-After": "1"})
 
 
 class Leases:
@@ -55,62 +52,38 @@ class Leases:
         return self._client if self._clock() < self._until else None
 
     def acquire(self, client: str) -> str:
-        """Take the rig and return the holder's secret; LeaseHeldError where another has it."""
+        """Take the rig and return the holder's secret; 409 where another has it."""
         with self._lock:
             if self.holder is not None:
-                raise LeaseHeldError(
-                    f"the rig is held by {self._client!r}, and for "
-                    f"{self._until - self._clock():.1f} s yet if its heart stops; wait until it is "
-                    "released"
+                left = self._until - self._clock()
+                raise _come_again(
+                    409,
+                    f"the rig is held by {self._client!r}, and for {left:.1f} s yet if its heart "
+                    "stops; wait until it is released",
                 )
             self._identity, self._client = secrets.token_urlsafe(24), client
             self._until = self._clock() + self.seconds
             return self._identity
 
-    def renew(self, identity: str) -> None:
-        """Take a heart-beat; raises LeaseLapsedError where it comes too late."""
-        with self._lock:
-            self._check(identity)
-            self._until = self._clock() + self.seconds
+    def renew(self, identity: str, seconds: float | None = None) -> str:
+        """Take a heart-beat and return the client; 410 where the lease isn't in force.
 
-    def release(self, identity: str) -> str:
-        """Give the rig back and return the client; LeaseLapsedError where it isn't the holder."""
+        `seconds` is how long the lease lasts from now, 0 to give the rig back.
+        """
         with self._lock:
-            self._check(identity)
-            self._until = self._clock()
+            if not self.is_held_by(identity):
+                raise HTTPException(
+                    410,
+                    "this lease is not in force: it lapsed or the server was started anew; acquire "
+                    "again",
+                )
+            self._until = self._clock() + (self.seconds if seconds is None else seconds)
             return self._client
 
     def is_held_by(self, identity: str) -> bool:
         """Tell whether this lease is in force."""
         given, known = (one.encode("utf-8", "surrogatepass") for one in (identity, self._identity))
         return self.holder is not None and secrets.compare_digest(given, known)
-
-    def _check(self, identity: str) -> None:
-        if not self.is_held_by(identity):
-            raise LeaseLapsedError(
-                "this lease is not in force: it lapsed or the server was started anew; acquire "
-                "again"
-            )
-
-
-class CaptureConflictError(Exception):
-    """A request came again under its key with other patterns."""
-
-
-class RigBusyError(Exception):
-    """Another capture is under way."""
-
-
-class CaptureStoppedError(Exception):
-    """The server is being stopped, or the client's lease lapsed; the rest wasn't exposed."""
-
-
-class Shown(NamedTuple):
-    """The last bracket: its number since the start, its pattern's key and its frames."""
-
-    number: int
-    key: tuple[int, ...]
-    bracket: NDArray[Any]
 
 
 @dataclass
@@ -120,18 +93,8 @@ class _Capture:
     digest: str
     lease: str
     message: Message
+    result: Future[bytes]
     exposed: int = 0
-    result: Future[bytes] | None = None
-
-    @property
-    def is_under_way(self) -> bool:
-        """Whether it was begun and goes on."""
-        return self.result is not None and not self.result.done()
-
-    @property
-    def has_failed(self) -> bool:
-        """Whether it ended before its last pattern."""
-        return self.result is not None and self.result.done() and bool(self.result.exception())
 
 
 class RigWorker:
@@ -153,7 +116,7 @@ class RigWorker:
     """
 
     def __init__(self, rig: Rig | Callable[[], Rig], leases: Leases, kept: int) -> None:
-        self._leases = leases
+        self.leases = leases
         self._kept = kept
         self._captures: dict[str, _Capture] = {}
         self._lock = threading.Lock()
@@ -161,7 +124,8 @@ class RigWorker:
         self._is_closed = False
         self._thread = ThreadPoolExecutor(1, "rig")
         self.metrics = Metrics()
-        self.last: Shown | None = None
+        self.last: NDArray[Any] | None = None
+        """The last bracket."""
         try:
             self.rig: Rig = self._thread.submit(rig).result() if callable(rig) else rig
         except BaseException:
@@ -169,7 +133,7 @@ class RigWorker:
             raise
 
     def check_free(self, identity: str) -> None:
-        """Raise RigBusyError where `submit` would, whatever the patterns are.
+        """Refuse a new capture by 429 while another is under way.
 
         Asked before anything of a request is read, or held in memory.
         """
@@ -177,32 +141,10 @@ class RigWorker:
             if identity not in self._captures:
                 self._check_free()
 
-    def again(self, identity: str, digest: str, lease: str) -> Future[bytes] | None:
-        """Return the result of a request that came before and goes on, or is done; None if not.
-
-        Raises
-        ------
-        CaptureConflictError
-            When the identity was used with another content.
-        """
-        with self._lock:
-            capture = self._captures.get(identity)
-            if capture is None:
-                return None
-            if capture.digest != digest:
-                raise CaptureConflictError(
-                    "this Idempotency-Key was used with other patterns; take a new one"
-                )
-            capture.lease = lease
-            if capture.has_failed:
-                return None
-            self.metrics.answered_again += 1
-            return capture.result
-
     def submit(
-        self, identity: str, digest: str, lease: str, patterns: SentPatterns
+        self, identity: str, digest: str, lease: str, patterns: Callable[[], SentPatterns]
     ) -> Future[bytes]:
-        """Have the patterns of a request exposed that isn't under way.
+        """Have the patterns of a request exposed, unless it came before; one call at a time.
 
         Parameters
         ----------
@@ -211,30 +153,42 @@ class RigWorker:
         digest : str
             Of its content.
         lease : str
-        patterns : SentPatterns
+        patterns : callable
+            Returns the patterns, all checked; called where they are to be exposed.
 
         Returns
         -------
         Future
-            Of the message with the brackets. Raises CaptureError, InputError or
-            CaptureStoppedError; what was exposed until then is kept, and the same request goes on
-            from there.
+            Of the message with the brackets. Raises CaptureError, InputError, or HTTPException 503
+            where the server stops or the lease lapsed; what was exposed until then is kept, and the
+            same request goes on from there.
 
         Raises
         ------
-        RigBusyError
-            When another request's capture is under way.
+        HTTPException
+            429 while another capture is under way, 422 where the identity was used with another
+            content.
         """
         with self._lock:
+            before = self._captures.get(identity)
+            if before is not None and before.digest != digest:
+                raise HTTPException(
+                    422, "this Idempotency-Key was used with other patterns; take a new one"
+                )
+            if before is not None:
+                before.lease = lease
+                if not (before.result.done() and before.result.exception()):
+                    self.metrics.answered_again += 1
+                    return before.result
+        sent = patterns()
+        with self._lock:
             self._check_free()
-            capture = self._captures.get(identity)
-            if capture is None:
+            if before is None:
                 self._forget(self._kept - 1)
-                capture = _Capture(digest, lease, Message({"keys": patterns.keys}))
-                self._captures[identity] = capture
-            capture.lease = lease
-            capture.result = self._thread.submit(self._expose, capture, patterns)
-            return capture.result
+                message = Message({"keys": sent.keys})
+                before = self._captures[identity] = _Capture(digest, lease, message, Future())
+            before.result = self._thread.submit(self._expose, before, sent)
+            return before.result
 
     def forget(self) -> None:
         """Free the brackets kept for requests that may come again: their client is done."""
@@ -251,7 +205,7 @@ class RigWorker:
         return self._stopping.is_set()
 
     def close(self) -> None:
-        """Wait for the exposure in hand and close the devices; closing twice is no error."""
+        """Stop, wait for the exposure in hand, and close the rig; once."""
         self.stop()
         with self._lock:
             if self._is_closed:
@@ -263,14 +217,14 @@ class RigWorker:
             self._thread.shutdown()
 
     def _check_free(self) -> None:
-        busy = [capture for capture in self._captures.values() if capture.is_under_way]
+        busy = [capture for capture in self._captures.values() if not capture.result.done()]
         # one that has lost its lease ends before its next pattern, and may be waited for by one
-        if len(busy) >= 2 or any(self._leases.is_held_by(capture.lease) for capture in busy):
-            raise RigBusyError("another capture is under way; send one at a time")
+        if len(busy) >= 2 or any(self.leases.is_held_by(capture.lease) for capture in busy):
+            raise _come_again(429, "another capture is under way; send one at a time")
 
     def _forget(self, kept: int) -> None:
         """Forget all but the latest captures, and none that is under way."""
-        done = [name for name, capture in self._captures.items() if not capture.is_under_way]
+        done = [name for name, capture in self._captures.items() if capture.result.done()]
         for name in done[: max(0, len(done) - kept)]:
             del self._captures[name]
 
@@ -279,16 +233,16 @@ class RigWorker:
         step = max(1, sequence_patterns(self.rig))
         for first in range(capture.exposed, len(patterns), step):
             if self.is_stopping:
-                raise CaptureStoppedError("the server is being stopped; send it again")
-            if not self._leases.is_held_by(capture.lease):
-                raise CaptureStoppedError("the lease lapsed; send it again")
+                raise _come_again(503, "the server is being stopped; send it again")
+            if not self.leases.is_held_by(capture.lease):
+                raise _come_again(503, "the lease lapsed; send it again")
             last = min(first + step, len(patterns))
             keys = patterns.keys[first:last]
             began = time.perf_counter()
             brackets = self._taken(patterns.expanded(first, last), keys)
             self.metrics.exposing_seconds += time.perf_counter() - began
             self.metrics.brackets += last - first
-            self.last = Shown(self.metrics.brackets, keys[-1], brackets[-1])
+            self.last = brackets[-1]
             for index, bracket in enumerate(brackets, first):
                 capture.message.add(str(index), bracket)
             capture.exposed = last
