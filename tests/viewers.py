@@ -60,8 +60,7 @@ def rounded(transport: Transport, folder: Path) -> Transport:
 
 
 def _wavelet() -> Transport:
-    from rfpipe.transport.wavelet.cells import Cells
-    from rfpipe.transport.wavelet.transport import WaveletTransport
+    from rfpipe.transport.wavelet import Cells, WaveletTransport
 
     random = np.random.default_rng(4)
     size = Cells((11, 14), 2).haar.size

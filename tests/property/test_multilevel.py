@@ -11,7 +11,7 @@ from tests.helpers import acquire_matrix, dense
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.dual import Dual
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multilevel import MultilevelTransport
 
 shapes = st.one_of(
     st.tuples(st.integers(1, 9), st.integers(1, 9)),

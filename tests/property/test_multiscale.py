@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from tests.helpers import dense
 
 from rfpipe.testing import dot_test
-from rfpipe.transport.multiscale.basis import (
+from rfpipe.transport.multiscale import (
     MultiscaleBasis,
+    MultiscaleTransport,
     cells,
     coarsest_scale,
     functions_over,
 )
-from rfpipe.transport.multiscale.transport import MultiscaleTransport
 
 SHAPES = st.one_of(
     st.tuples(st.integers(1, 23), st.integers(1, 23)),

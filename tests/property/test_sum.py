@@ -9,9 +9,9 @@ from tests.property.test_hierarchical import random_transport, shapes
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.dense import DenseTransport
-from rfpipe.transport.multilevel.pairs import PairSet
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.pairs import PairSet
 from rfpipe.transport.sum import SumTransport
 
 ROWS = [{"level": level, "patterns": 1} for level in range(9)]

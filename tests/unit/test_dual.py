@@ -13,7 +13,7 @@ from rfpipe.methods.dual import Dual
 from rfpipe.scenes import reference_scene
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multilevel import MultilevelTransport
 
 
 def sparse_random(camera: int, projector: int, share: float, seed: int = 0) -> np.ndarray:

@@ -21,7 +21,8 @@ from rfpipe.stages import evaluate, relight
 from rfpipe.stages.refine import log_estimate
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
-from rfpipe.transport.base import HISTORY_COLUMNS, estimates, history
+from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 
 LOW_RANK = "benchmarks.rivals.low_rank:LowRank"
 ROWS = [
@@ -43,6 +44,10 @@ CONFIG = Config.model_validate(
         },
     }
 )
+
+
+def history(rows: list) -> pd.DataFrame:
+    return DenseTransport((1, 1), (1, 1), 1, rows, {}).history
 
 
 def test_history_adds_up_patterns_and_leaves_out_levels_without_an_estimate() -> None:

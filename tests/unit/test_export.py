@@ -25,7 +25,7 @@ from rfpipe.export import (
 from rfpipe.pictures.images import read_image, srgb, write_image
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.transport import coarser, open_transport
-from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.arrays import DenseTransport
 
 CAMERA, PROJECTOR, VIEWS = (6, 8), (5, 7), (2, 4, 6)
 RANDOM = np.random.default_rng(3)

@@ -8,10 +8,10 @@ from tests.helpers import acquire_matrix, dense
 
 from rfpipe.methods.dual import Dual
 from rfpipe.transport import Transport, open_transport, save_transport
-from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.filling import fill_from_transpose
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multilevel import MultilevelTransport
 
 SHAPE, RAYS = (5, 6), 30
 MASK = np.zeros(SHAPE, np.bool_)

@@ -8,7 +8,7 @@ import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport import Transport
-from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.sum import SumTransport

@@ -8,8 +8,8 @@ import pytest
 from rfpipe.blocks import RayDomain
 from rfpipe.store.files import bytes_on_disk
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.multilevel.pairs import PairSet
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.pairs import PairSet
 
 CAMERA = RayDomain((1, 2))
 

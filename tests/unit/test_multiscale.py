@@ -11,15 +11,15 @@ from tests.helpers import dense
 
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multiscale.basis import (
+from rfpipe.transport.multiscale import (
     REACH,
     MultiscaleBasis,
+    MultiscaleTransport,
     cells,
     functions_over,
 )
-from rfpipe.transport.multiscale.transport import MultiscaleTransport
 from rfpipe.transport.sum import SumTransport
 
 ROWS = [{"level": level, "patterns": 3} for level in range(4)]

@@ -16,10 +16,8 @@ from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.dense import DenseTransport
-from rfpipe.transport.wavelet.cells import Cells, cell_side
-from rfpipe.transport.wavelet.haar import Haar
-from rfpipe.transport.wavelet.transport import WaveletTransport
+from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.wavelet import Cells, Haar, WaveletTransport, cell_side
 
 STACKS = st.tuples(st.integers(1, 3), st.integers(1, 27), st.integers(1, 27))
 

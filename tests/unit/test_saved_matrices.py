@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import rfpipe
 from rfpipe.errors import InputError, StoreError
-from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.matrix_out import MATRIX_FILES
 
 CAMERA, PROJECTOR = (3, 5), (2, 4, 3)

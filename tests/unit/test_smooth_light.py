@@ -11,7 +11,7 @@ from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.adaptive.smooth_fit import Evidence, Observations, Patches, solve
 from rfpipe.methods.conjugate_gradients import conjugate_gradients
 from rfpipe.scenes import reference_scene
-from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
+from rfpipe.transport.multiscale import MultiscaleBasis, cells, functions_over
 
 SHARE = 0.002
 

@@ -9,8 +9,8 @@ import pytest
 from tests.viewers import KINDS, rounded, run_program, transport_of
 
 from rfpipe.errors import InputError
-from rfpipe.transport.multilevel.transport import MultilevelTransport
-from rfpipe.transport.wavelet.haar import Haar
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.wavelet import Haar
 from rfpipe.viewer import lower
 from rfpipe.viewer.program import pack_program
 from rfpipe.viewer.smooth import haar_matrix

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.transport.rays import square_means
+from rfpipe.transport.rays import squares
 
 __all__ = ["Scale"]
 
@@ -54,5 +54,7 @@ class Scale:
     def apply(self, image: Float) -> Float:
         """Return an image ``(H, W, C)`` at this size; the last means may be of fewer rays."""
         if self.reduce > 1:
-            image = np.moveaxis(square_means(np.moveaxis(image, -1, 0), self.reduce), 0, -1)
+            grid, sums = squares(image.shape[:2], self.reduce)
+            means = sums @ image.reshape(-1, image.shape[-1]) / sums.sum(axis=1)[:, None]
+            image = means.reshape(*grid, -1).astype(np.float32)
         return image.repeat(self.enlarge, axis=0).repeat(self.enlarge, axis=1)

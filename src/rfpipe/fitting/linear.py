@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.series import Float, Series
+from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
-from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.low_rank import LowRankTransport
 
 Double = NDArray[np.float64]

@@ -19,8 +19,8 @@ from rfpipe.methods.images import batches
 from rfpipe.methods.states import MethodState, grown, kept, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
-from rfpipe.transport.multilevel.pairs import PairSet, fold, looks_symmetric, no_pairs
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.pairs import PairSet, fold, looks_symmetric, no_pairs
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]

@@ -19,7 +19,7 @@ from rfpipe.stages.merger import read_floodlit
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:

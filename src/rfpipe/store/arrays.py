@@ -114,25 +114,14 @@ class ArrayBundle:
             raise self._damage(name, entry) from cause
         return array
 
-    def read_runs(self, name: str, runs: NDArray[np.int64]) -> NDArray[Any]:
-        """Read runs of an array along its last axis, one after the other, and little else of it.
+    def take(self, name: str, items: NDArray[np.int64]) -> NDArray[Any]:
+        """Read items of an array along its last axis, ``(..., items)``, and little else of it.
 
         Each chunk that is read is checked against its checksum. Errors as `read`.
-
-        Parameters
-        ----------
-        name : str
-        runs : ndarray of int64, shape (n, 2)
-            Begin and end of each.
-
-        Returns
-        -------
-        ndarray
-            ``(..., items)``.
         """
         entry = self._entry(name)
         try:
-            return ChunkedArray(self.path / (self._prefix + name), exactly=True).read_runs(runs)
+            return ChunkedArray(self.path / (self._prefix + name), exactly=True).take(items)
         except (IntegrityError, *DAMAGE) as error:
             raise self._damage(name, entry) from error
 
@@ -204,7 +193,7 @@ def write_arrays(
     small
         Whether to compress harder, see `rfpipe.store.chunks.small_layout`.
     by_parts
-        Whether to cut arrays finer, for those who read parts of them by `ArrayBundle.read_runs`.
+        Whether to cut arrays finer, for those who read parts of them by `ArrayBundle.take`.
 
     Returns
     -------

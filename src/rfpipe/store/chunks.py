@@ -169,22 +169,20 @@ class ChunkedArray:
                 self._unpack(content, array[(*[slice(None)] * self.axis, some)])
         return array
 
-    def read_runs(self, runs: NDArray[np.int64]) -> NDArray[Any]:
-        """Return runs ``(n, 2)`` along the last axis, one after the other, ``(..., items)``.
+    def take(self, items: NDArray[np.int64]) -> NDArray[Any]:
+        """Return items along the last axis, ``(..., items)``; errors as `read`.
 
-        Of an array that is cut there, little else is read. Errors as `read`.
+        Of an array that is cut there, little else is read.
         """
         if self.axis != len(self.shape) - 1 or not self._checked:
-            return take_runs(self.read(), runs)
-        items = _items(runs)
-        chunks = np.unique(items // self.items_per_chunk)
-        held = np.empty((*self.shape[:-1], len(chunks) * self.items_per_chunk), self.dtype)
-        for place, content in enumerate(self._contents(chunks.tolist())):
-            first = place * self.items_per_chunk
-            self._unpack(content, held[..., first : first + self.items_per_chunk])
+            return np.ascontiguousarray(self.read()[..., items])
         number, within = np.divmod(items, self.items_per_chunk)
-        places = np.searchsorted(chunks, number) * self.items_per_chunk + within
-        return np.ascontiguousarray(held[..., places])
+        chunks, place = np.unique(number, return_inverse=True)
+        held = np.empty((*self.shape[:-1], len(chunks) * self.items_per_chunk), self.dtype)
+        for index, content in enumerate(self._contents(chunks.tolist())):
+            first = index * self.items_per_chunk
+            self._unpack(content, held[..., first : first + self.items_per_chunk])
+        return np.ascontiguousarray(held[..., place * self.items_per_chunk + within])
 
     def read_chunk(self, first: int, out: NDArray[Any]) -> None:
         """Read items of a chunk, from its `first` on, into a contiguous array; errors as `read`."""
@@ -262,17 +260,6 @@ class ChunkedArray:
             self._blosc.decode(content, whole)
         if not is_whole:
             out[...] = whole[tuple(map(slice, out.shape))]
-
-
-def take_runs(array: NDArray[Any], runs: NDArray[np.int64]) -> NDArray[Any]:
-    """Return runs ``(n, 2)`` of an array along its last axis, one after the other."""
-    return np.ascontiguousarray(array[..., _items(runs)])
-
-
-def _items(runs: NDArray[np.int64]) -> NDArray[np.int64]:
-    lengths = runs[:, 1] - runs[:, 0]
-    first: NDArray[np.int64] = np.repeat(runs[:, 0] - np.cumsum(lengths) + lengths, lengths)
-    return first + np.arange(lengths.sum())
 
 
 def _index(lengths: Sequence[int], chunks: int) -> bytes:

@@ -1,7 +1,7 @@
 """Transport operators: dense, multilevel sparse (dual) and the hierarchical tensor."""
 
-from rfpipe.transport.base import Transport, TransposedTransport
+from rfpipe.transport.base import Transport, TransposedTransport, save_transport
 from rfpipe.transport.rays import coarser
-from rfpipe.transport.storage import open_transport, save_transport
+from rfpipe.transport.storage import open_transport
 
 __all__ = ["Transport", "TransposedTransport", "coarser", "open_transport", "save_transport"]

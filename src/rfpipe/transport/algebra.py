@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import prod
 from typing import Any
 
@@ -68,25 +68,16 @@ class MatrixAlgebra(ABC):
             For another shape, as a pattern's, which is for `relight`; for NaN, infinities, and
             the whole numbers of a picture.
         """
-        vectors = self._operand(x, -2, "T @ x", "(N,), (N, K) or (C, N, K), N projector rays")
-        if vectors.ndim > 1:  # the columns
-            vectors = vectors.swapaxes(-1, -2)
-        return self._product(vectors, self.forward, -1)
+        return self._product(x, -2, "T @ x", "(N,), (N, K) or (C, N, K), N projector rays")
 
     def __rmatmul__(self, x: ArrayLike) -> Float:
         """Multiply from the right: ``(M,)``, ``(K, M)`` or ``(C, K, M)``, M camera rays.
 
         Returns
         -------
-        ndarray of float32, shape (C, N) or (C, K, N)
-
-        Raises
-        ------
-        InputError
-            As ``T @ x``.
+        ndarray of float32, shape (C, N) or (C, K, N); errors as ``T @ x``
         """
-        vectors = self._operand(x, -1, "x @ T", "(M,), (K, M) or (C, K, M), M camera rays")
-        return self._product(vectors, self.adjoint, -2)
+        return self._product(x, -1, "x @ T", "(M,), (K, M) or (C, K, M), M camera rays")
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return `toarray`, for numpy's functions."""
@@ -176,33 +167,29 @@ class MatrixAlgebra(ABC):
             else:
                 yield of_seen, of_lit, np.moveaxis(found, 0, -1)
 
-    def _operand(self, x: ArrayLike, axis: int, product: str, expected: str) -> Float:
-        """Return what a transport is multiplied with, checked."""
+    def _product(self, x: ArrayLike, axis: int, product: str, expected: str) -> Float:
+        """Return ``T @ x``, whose rays are x's axis -2, or ``x @ T``, where they are its last."""
         vectors = as_weights(x, f"x of {product}").astype(np.float32, copy=False)
-        shape = self.projector_shape if axis == -2 else self.camera_shape
-        rays = prod(shape)
-        along = -1 if vectors.ndim == 1 else axis
+        left = axis == -2
+        shape = self.projector_shape if left else self.camera_shape
+        axis = -1 if vectors.ndim == 1 else axis
         in_channels = vectors.ndim < 3 or vectors.shape[0] in (1, self.channels)
-        if not (1 <= vectors.ndim <= 3 and vectors.shape[along] == rays and in_channels):
-            light = "T.relight(x)" if axis == -2 else "T.T.relight(x)"
+        if not (1 <= vectors.ndim <= 3 and vectors.shape[axis] == prod(shape) and in_channels):
             raise InputError(
-                f"x of {product} has the shape {vectors.shape}; expected {expected} = {rays:,}. "
-                f"For light as an image, {shape}, it is {light}"
+                f"x of {product} has the shape {vectors.shape}; expected {expected} = "
+                f"{prod(shape):,}. For light as an image, {shape}, it is "
+                f"{'T' if left else 'T.T'}.relight(x)"
             )
         if not np.isfinite(vectors).all():
             raise InputError(f"x of {product} holds NaN or infinite values; all must be finite")
-        return vectors
-
-    def _product(self, vectors: Float, apply: Callable[..., Float], axis: int) -> Float:
-        """Apply to a vector, or to the rows of ``(K, N)`` or ``(C, K, N)``; K becomes `axis`."""
-        planar = vectors[None, None] if vectors.ndim == 1 else vectors[:, None]
-        if vectors.ndim == 3:
-            planar = vectors.swapaxes(0, 1)
+        planar = np.moveaxis(np.atleast_2d(vectors), axis, -1)
+        planar = planar.swapaxes(0, 1) if vectors.ndim == 3 else planar[:, None]
         # white light is the same memory for each channel
-        shape = (len(planar), self.channels, planar.shape[-1])
-        light = np.broadcast_to(np.ascontiguousarray(planar), shape)
-        found = apply(light, range(self.channels))
-        return found[0] if vectors.ndim == 1 else np.moveaxis(found, 0, axis)
+        light = np.broadcast_to(
+            np.ascontiguousarray(planar), (len(planar), self.channels, planar.shape[-1])
+        )
+        images = (self.forward if left else self.adjoint)(light, range(self.channels))
+        return images[0] if vectors.ndim == 1 else np.moveaxis(images, 0, -1 if left else -2)
 
 
 def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
@@ -214,18 +201,17 @@ def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
         If there is none, no such one, or they are no numbers; `name` tells which.
     """
     count = prod(shape)
-    if rays is None or isinstance(rays, slice):
-        found = np.arange(count)[slice(None) if rays is None else rays]
+    given = rays if rays is None or isinstance(rays, slice) else np.asarray(rays)
+    if given is None or isinstance(given, slice):
+        found = np.arange(count)[given or slice(None)]
+    elif given.dtype == np.bool_ and given.size != count:
+        raise InputError(f"{name}: a mask of {given.shape}; expected {shape}")
+    elif given.dtype == np.bool_:
+        found = np.flatnonzero(given)
+    elif given.dtype.kind in "iu" or not given.size:
+        found = given.reshape(-1).astype(np.int64)
     else:
-        given = np.asarray(rays)
-        if given.dtype == np.bool_:
-            if given.size != count:
-                raise InputError(f"{name}: a mask of {given.shape}; expected {shape}")
-            found = np.flatnonzero(given)
-        elif given.dtype.kind in "iu" or not given.size:
-            found = given.reshape(-1).astype(np.int64)
-        else:
-            raise InputError(f"{name}: {given.dtype} values; expected numbers of rays, or a mask")
+        raise InputError(f"{name}: {given.dtype} values; expected numbers of rays, or a mask")
     if not len(found):
         raise InputError(f"{name}: no rays are chosen of {count:,}")
     wrong = found[(found < 0) | (found >= count)]

@@ -172,6 +172,8 @@ class Transport(Light):
     channels : int
     level_rows : list of dict
         The rows of `levels`.
+    held
+        Arrays, or what has arrays, in memory or read when used.
     nbytes : int, optional
         Bytes on disk; by default those of the arrays in memory.
     """
@@ -179,18 +181,23 @@ class Transport(Light):
     kind: ClassVar[str]
     """By which stores name the class."""
 
+    stored_names: ClassVar[tuple[str, ...]] = ("camera_shape", "projector_shape")
+    """Attributes that a store keeps and the constructor takes, beside channels and levels."""
+
     def __init__(
         self,
         camera_shape: tuple[int, ...],
         projector_shape: tuple[int, ...],
         channels: int,
         level_rows: list[dict[str, Any]],
+        held: Any,
         nbytes: int | None = None,
     ) -> None:
         self.camera_shape = tuple(camera_shape)
         self.projector_shape = tuple(projector_shape)
         self.channels = channels
         self.level_rows = level_rows
+        self._held = held
         self._nbytes = nbytes
 
     def __repr__(self) -> str:
@@ -200,16 +207,43 @@ class Transport(Light):
             f"{self.projector_shape}, {channels}, {self.nbytes / 1e6:.3g} MB)"
         )
 
-    @abstractmethod
+    def holding(self, level_rows: list[dict[str, Any]], held: Any) -> Self:
+        """Return a transport between the same rays that is made of something else."""
+        stored: dict[str, Any] = {name: getattr(self, name) for name in self.stored_names}
+        return type(self)(channels=self.channels, level_rows=level_rows, held=held, **stored)
+
     def pack(
         self, number_format: NumberFormat = "float32"
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the named arrays and the attributes that a store keeps."""
+        return self._packed(number_format), {
+            "kind": self.kind,
+            "number_format": number_format,
+            **{name: getattr(self, name) for name in self.stored_names},
+            "channels": self.channels,
+            "levels": self.level_rows,
+        }
 
     @classmethod
-    @abstractmethod
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
-        """Build a transport from a store; what fits into `memory_budget` bytes stays there."""
+        """Build a transport from a store; what fits into `memory_budget` bytes stays in memory."""
+        about = bundle.attributes
+        return cls(
+            channels=about["channels"],
+            level_rows=about["levels"],
+            held=cls._opened(bundle, bundle.nbytes <= memory_budget),
+            nbytes=bundle.nbytes_stored,
+            **{name: about[name] for name in cls.stored_names if name in about},
+        )
+
+    def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
+        """Return what is held as named arrays, for `pack`."""
+        raise NotImplementedError
+
+    @classmethod
+    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Any:
+        """Return what a store holds, read when used, to be kept in memory or not, for `unpack`."""
+        raise NotImplementedError
 
     @abstractmethod
     def _bytes_in_memory(self) -> int:
@@ -256,10 +290,7 @@ class Transport(Light):
 
     @property
     def known_levels(self) -> range:
-        """Levels after which the transport is known: the last one, where it is fitted as a whole.
-
-        What fewer pictures would have made of such a transport, it doesn't tell.
-        """
+        """Levels after which the transport is known: the last, where it is fitted as a whole."""
         return range(self.last_level, self.last_level + 1)
 
     @property
@@ -277,7 +308,10 @@ class Transport(Light):
     @property
     def history(self) -> pd.DataFrame:
         """The method's estimates of its error: `HISTORY_COLUMNS`, a row for each level with one."""
-        return history(self.level_rows)
+        import pandas as pd
+
+        table = pd.DataFrame(estimates(self.level_rows), columns=list(HISTORY_COLUMNS))
+        return table.astype({"level": "int64", "patterns": "int64", "estimated_error": "float64"})
 
     @property
     def nbytes(self) -> int:
@@ -300,23 +334,21 @@ class Transport(Light):
         limit_bytes: int = LIMIT,
         number_format: NumberFormat | None = None,
     ) -> None:
-        """Write the transport as it is into a store, ``.zarr``, or its matrix into a file.
+        """Write the transport into a store, ``.zarr``, or its matrix into a file.
 
         Parameters
         ----------
-        path : path
-            A store is opened again by `rfpipe.open_transport`. Of a matrix see `Light.save`.
-        rows, columns, limit_bytes
-            Of a matrix, see there.
+        path, rows, columns, limit_bytes
+            Of a matrix, see `Light.save`.
         number_format : {"float32", "uint16", "uint8"}, optional
-            Of a store, see `rfpipe.transport.save_transport`; by default it keeps every bit.
+            Of a store, see `save_transport`; by default it keeps every bit.
 
         Raises
         ------
         InputError
             As `Light.save`, and where an option is not for that kind of file.
         StoreError
-            As there.
+            As `Light.save`.
         """
         if Path(path).suffix.lower() != ".zarr":
             if number_format is not None:
@@ -325,20 +357,44 @@ class Transport(Light):
         elif rows is not None or columns is not None:
             raise InputError(f"{path}: a store holds the whole transport; rows and columns don't")
         else:
-            self.store(path, number_format or "float32")
+            save_transport(self, path, number_format or "float32")
 
-    def store(
-        self, path: str | Path, number_format: NumberFormat = "float32", **attributes: Any
-    ) -> str:
-        """Write a store; see `rfpipe.transport.save_transport`."""
-        if number_format not in get_args(NumberFormat):
-            expected = ", ".join(get_args(NumberFormat))
-            raise InputError(f"number format {number_format!r}; expected one of {expected}")
-        arrays, own = self.pack(number_format)
-        by_parts = len(self.camera_shape) > 2
-        return write_arrays(
-            Path(path), arrays, {**attributes, **own}, small=True, by_parts=by_parts
-        )
+
+def save_transport(
+    transport: Transport,
+    path: str | Path,
+    number_format: NumberFormat = "float32",
+    **attributes: Any,
+) -> str:
+    """Write a transport into a chunked, compressed store, complete or not at all.
+
+    Parameters
+    ----------
+    transport : Transport
+    path : path
+        The store's folder; an older store there is replaced.
+    number_format : {"float32", "uint16", "uint8"}
+        "float32" keeps every bit. The others round, factors of leaves by about 1e-5 and 3e-3 of
+        their values; "uint8" is the default of runs (``storage.number_format``).
+    **attributes
+        Plain data to keep beside the transport's own (scene, method, fingerprints).
+
+    Returns
+    -------
+    str
+        Digest of the contents.
+
+    Raises
+    ------
+    InputError
+        If the number format is none of the three.
+    """
+    if number_format not in get_args(NumberFormat):
+        expected = ", ".join(get_args(NumberFormat))
+        raise InputError(f"number format {number_format!r}; expected one of {expected}")
+    arrays, own = transport.pack(number_format)
+    by_parts = len(transport.camera_shape) > 2
+    return write_arrays(Path(path), arrays, {**attributes, **own}, small=True, by_parts=by_parts)
 
 
 class TransposedTransport(Light):
@@ -408,14 +464,6 @@ def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
             error = float(row["estimated_error"])
             found.append({"level": int(row["level"]), "patterns": shown, "estimated_error": error})
     return found
-
-
-def history(level_rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Return `estimates` as a table: int64, int64 and float64, empty where there is none."""
-    import pandas as pd
-
-    table = pd.DataFrame(estimates(level_rows), columns=list(HISTORY_COLUMNS))
-    return table.astype({"level": "int64", "patterns": "int64", "estimated_error": "float64"})
 
 
 def _rays(shape: tuple[int, ...]) -> str:

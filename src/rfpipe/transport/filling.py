@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 from rfpipe.provenance import generator
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multilevel.pairs import PairSet, agree, fold
-from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.pairs import PairSet, agree, by_level, fold
 from rfpipe.transport.sum import SumTransport
 
-__all__ = ["fill_from_transpose"]
-
-# Rays whose columns are read at a time, and random patterns that tell whether T is symmetric.
-_BATCH, _TRIALS = 16, 4
+_TRIALS = 4  # random patterns that tell whether T is symmetric
 
 
 def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Transport:
@@ -41,68 +38,41 @@ def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Tran
     """
     if not masked.any() or transport.camera_shape != transport.projector_shape:
         return transport
-    rays = np.flatnonzero(masked)
-    channels = range(transport.channels)
-    rows = [transport.adjoint(lit, channels).any(axis=(1, 2)) for lit in _impulses(transport, rays)]
-    rays = rays[~np.concatenate(rows)]
+    rays, every = np.flatnonzero(masked), np.arange(masked.size)
+    parts = transport.blocks(rays, every, by_rows=True)
+    rays = rays[~np.concatenate([rows.any(axis=(0, 2)) for *_, rows in parts])]
     if not len(rays) or not _is_symmetric(transport, ~masked.ravel()):
         return transport
     # what pixels saw of a block's masked rays is spread by what these rays saw: nothing yet
-    source = _spread_evenly(transport)
-    columns = [source.forward(lit, channels) for lit in _impulses(source, rays)]
-    together = np.moveaxis(np.concatenate(columns), 1, 0)
-    seen = together.any(axis=(0, 2))
-    if not seen.any():
+    source = transport.evenly() if isinstance(transport, MultilevelTransport) else transport
+    parts = source.blocks(every, rays, by_rows=False)
+    rows = np.concatenate([columns.swapaxes(1, 2) for *_, columns in parts], axis=1)
+    lit = rows.any(axis=(0, 2))
+    if not lit.any():
         return transport
-    rays, together = rays[seen], together[:, seen]
-    if isinstance(transport, MultilevelTransport):
-        return _with_pairs(transport, rays, together)
-    return _with_terms(transport, rays, together)
+    with_rows = _with_pairs if isinstance(transport, MultilevelTransport) else _with_terms
+    return with_rows(transport, rays[lit], rows[:, lit])
 
 
-def _impulses(transport: Transport, rays: NDArray[np.int64]) -> Iterator[Float]:
-    """Yield planar impulses (k, C, N) at some rays, a few at a time."""
-    size = int(np.prod(transport.camera_shape))
-    for first in range(0, len(rays), _BATCH):
-        some = rays[first : first + _BATCH]
-        lit = np.zeros((len(some), transport.channels, size), np.float32)
-        lit[np.arange(len(some)), :, some] = 1
-        yield lit
-
-
-def _spread_evenly(transport: Transport) -> Transport:
-    """Return a transport whose responses are spread evenly over their blocks."""
-    if not isinstance(transport, MultilevelTransport) or not transport.symmetric:
-        return transport
-    return transport.with_pairs(transport.pair_sets, transport.level_rows, symmetric=False)
-
-
-def _with_pairs(
-    transport: MultilevelTransport, rays: NDArray[np.int64], columns: Float
-) -> MultilevelTransport:
+def _with_pairs(transport: Any, rays: NDArray[np.int64], rows: Float) -> Transport:
     """Add rows (C, n, N) as pairs of a single projector ray and one of `rays`."""
-    tree, last = transport.tree, transport.tree.n_levels - 1
-    which, block = np.nonzero(columns[..., tree.order].any(axis=0))
-    more = PairSet(
-        last,
-        block.astype(np.int32),
-        rays[which].astype(np.int32),
-        columns[:, which, tree.order[block]],
-    )
+    tree, last = transport.tree, transport.finest
+    which, block = np.nonzero(rows[..., tree.order].any(axis=0))
+    pixel, values = rays[which].astype(np.int32), rows[:, which, tree.order[block]]
+    more = PairSet(last, block.astype(np.int32), pixel, values)
     finest = [*(pairs for pairs in transport.pair_sets if pairs.level == last), more]
-    pair_sets = [
-        *(pairs for pairs in transport.pair_sets if pairs.level < last),
-        fold(tree, last, finest, transport.channels, tree.domain.size),
-    ]
-    return transport.with_pairs(pair_sets, transport.level_rows, transport.symmetric)
+    pair_sets = [pairs for pairs in transport.pair_sets if pairs.level < last]
+    pair_sets.append(fold(tree, last, finest, transport.channels, tree.domain.size))
+    filled: Transport = transport.holding(transport.level_rows, by_level(pair_sets))
+    return filled
 
 
-def _with_terms(transport: Transport, rays: NDArray[np.int64], columns: Float) -> SumTransport:
+def _with_terms(transport: Transport, rays: NDArray[np.int64], rows: Float) -> SumTransport:
     """Add rows (C, n, N) as a term for each of `rays`."""
     arrays = {
-        "left": np.zeros_like(columns),
-        "right": np.ascontiguousarray(columns),
-        "strengths": np.ones(columns.shape[:2], np.float32),
+        "left": np.zeros_like(rows),
+        "right": np.ascontiguousarray(rows),
+        "strengths": np.ones(rows.shape[:2], np.float32),
     }
     arrays["left"][:, np.arange(len(rays)), rays] = 1
     domain = transport.camera_shape

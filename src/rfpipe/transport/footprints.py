@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.transport.arrays import ArrayTransport, LazyArrays, runs_of
+from rfpipe.transport.arrays import ArrayTransport, LazyArrays, items_of
 from rfpipe.transport.base import Float
+from rfpipe.transport.hierarchical.leaves import ragged_ranges
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -26,7 +27,7 @@ class FootprintTransport(ArrayTransport):
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
-        See `rfpipe.transport.arrays.HoldingTransport`.
+        See `rfpipe.transport.base.Transport`.
     held : mapping of str to ndarray
         Sparse matrices row by row: row ``i`` of the matrix `name` is non-zero at the columns
         ``{name}_columns[{name}_starts[i] : {name}_starts[i + 1]]``, both int32. ``footprints`` is
@@ -42,24 +43,31 @@ class FootprintTransport(ArrayTransport):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, projector rays)``."""
-        planes = []
-        for k, c in enumerate(channels):
-            light = patterns[:, k].T
-            sent = self._right.T @ (light * self._held["projector_factor"][c][:, None])
-            smooth = self._left @ (self._between("cores", c) @ sent)
-            direct = self._between("footprints", c) @ light
-            planes.append((direct + smooth * self._held["camera_factor"][c][:, None]).T)
-        return np.ascontiguousarray(np.stack(planes, axis=1), np.float32)
+        return self._applied(patterns, channels, ("right", "left"), ("projector", "camera"))
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, camera rays)``."""
+        return self._applied(images, channels, ("left", "right"), ("camera", "projector"))
+
+    def _applied(
+        self,
+        given: Float,
+        channels: Sequence[int],
+        functions: tuple[str, str],
+        sides: tuple[str, str],
+    ) -> Float:
+        """Apply T, or T^T where light goes from the camera's functions to the projector's."""
+        sending, taking = (self._functions[name] for name in functions)
+        gives, takes = (self._held[f"{side}_factor"] for side in sides)
         planes = []
         for k, c in enumerate(channels):
-            light = images[:, k].T
-            sent = self._left.T @ (light * self._held["camera_factor"][c][:, None])
-            smooth = self._right @ (self._between("cores", c).T @ sent)
-            direct = self._between("footprints", c).T @ light
-            planes.append((direct + smooth * self._held["projector_factor"][c][:, None]).T)
+            light = given[:, k].T
+            cores: Any = self._matrix("cores", self._held["cores"][c])
+            direct: Any = self._matrix("footprints", self._held["footprints"][c])
+            if sides[0] == "camera":
+                cores, direct = cores.T, direct.T
+            smooth = taking @ (cores @ (sending.T @ (light * gives[c][:, None])))
+            planes.append((direct @ light + smooth * takes[c][:, None]).T)
         return np.ascontiguousarray(np.stack(planes, axis=1), np.float32)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> FootprintTransport:
@@ -76,35 +84,35 @@ class FootprintTransport(ArrayTransport):
             if matrix not in wanted:
                 return held[name]
             rows, starts = wanted[matrix], held[f"{matrix}_starts"].astype(np.int64)
+            lengths = np.diff(starts) * rows
             if part == "starts":
-                return np.append(0, np.cumsum(np.diff(starts) * rows))
-            return runs_of(held, name, np.stack([starts[:-1], starts[1:]], axis=1)[rows])
+                return np.append(0, np.cumsum(lengths))
+            return items_of(held, name, ragged_ranges(starts[:-1], lengths))
 
-        return self._holding(self.level_rows, LazyArrays([*held], read))
+        return self.holding(self.level_rows, LazyArrays([*held], read))
 
     def direct(self) -> FootprintTransport:
         """Return the footprints alone."""
         dark = {name: np.zeros_like(self._held[name]) for name in ("cores", "camera_factor")}
-        return self._holding(self.level_rows, {**self._held, **dark})
+        return self.holding(self.level_rows, {**self._held, **dark})
 
     @cached_property
-    def _left(self) -> csr_array[np.float32]:
-        return self._matrix("left", self._held["left"], len(self._held["cores_starts"]) - 1)
+    def _functions(self) -> dict[str, csr_array[np.float32]]:
+        """L and R."""
+        return {name: self._matrix(name, self._held[name]) for name in ("left", "right")}
 
     @cached_property
-    def _right(self) -> csr_array[np.float32]:
-        last = (self._held[name].max(initial=-1) for name in ("right_columns", "cores_columns"))
-        return self._matrix("right", self._held["right"], int(max(last)) + 1)
-
-    def _between(self, name: str, channel: int) -> csr_array[np.float32]:
-        """Return D or S of a channel."""
+    def _columns(self) -> dict[str, int]:
+        """How many columns the matrices have."""
+        last = [self._held[name].max(initial=-1) for name in ("right_columns", "cores_columns")]
+        of_right = int(max(last)) + 1
+        of_left = len(self._held["cores_starts"]) - 1
         rays = int(np.prod(self.projector_shape))
-        size = rays if name == "footprints" else self._right.shape[1]
-        return self._matrix(name, self._held[name][channel], size)
+        return {"footprints": rays, "cores": of_right, "left": of_left, "right": of_right}
 
-    def _matrix(self, name: str, values: Float, columns: int) -> csr_array[np.float32]:
+    def _matrix(self, name: str, values: Float) -> csr_array[np.float32]:
         from scipy.sparse import csr_array
 
         starts: Any = self._held[f"{name}_starts"]
-        shape = (len(starts) - 1, columns)
+        shape = (len(starts) - 1, self._columns[name])
         return csr_array((values, self._held[f"{name}_columns"], starts), shape=shape)

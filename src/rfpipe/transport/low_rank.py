@@ -23,7 +23,7 @@ class LowRankTransport(ArrayTransport):
     camera_shape, projector_shape : tuple of int
         The same where there is a diagonal, or no `right`.
     channels, level_rows, nbytes
-        See `rfpipe.transport.arrays.HoldingTransport`.
+        See `rfpipe.transport.base.Transport`.
     held : mapping of str to ndarray
         ``left``, float32 ``(channels, rank, camera rays)``: the images u, radiance or unitless.
         ``strengths``, float32 ``(channels, rank)``: the factors s, of any sign.

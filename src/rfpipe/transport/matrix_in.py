@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import product
 from math import prod
 from pathlib import Path
 from typing import Any, Literal
@@ -117,13 +118,7 @@ def _hdf5(path: Path, name: str | None) -> Any:
     import h5py
 
     with h5py.File(path, "r") as file:
-        held = [key for key in file if not key.startswith("#")]
-        item = file[name] if name and name in file else file[_chosen(path, held, name)]
-        if isinstance(item, h5py.Group):
-            return _sparse(path, item)
-        array = item[()]
-        # MATLAB counts its axes the other way round
-        return array.transpose() if "MATLAB_class" in item.attrs else array
+        return _of_group(path, file, name)
 
 
 def _zarr(path: Path, name: str | None) -> Any:
@@ -134,12 +129,19 @@ def _zarr(path: Path, name: str | None) -> Any:
     try:
         return open_transport(path)
     except StoreError:  # not one of rfpipe's
-        item: Any = zarr.open(path, mode="r")
-    if isinstance(item, zarr.Group):
-        held = set(item.keys())
-        if name is not None or not (held >= _COMPRESSED or held >= _BY_MATLAB):
-            item = item[_chosen(path, held, name)]
-    return item[...] if isinstance(item, zarr.Array) else _sparse(path, item)
+        return _of_group(path, zarr.open(path, mode="r"), name)
+
+
+def _of_group(path: Path, item: Any, name: str | None) -> Any:
+    """Return the array, or sparse matrix, that a group of HDF5 or zarr holds or is."""
+    held = set(item) if hasattr(item, "keys") else None
+    if held is not None and (name is not None or not (held >= _COMPRESSED or held >= _BY_MATLAB)):
+        names = [key for key in held if not key.startswith("#")]
+        item = item[name if name and name in item else _chosen(path, names, name)]
+    if hasattr(item, "keys"):
+        return _sparse(path, item)
+    # MATLAB counts its axes the other way round
+    return item[...].transpose() if "MATLAB_class" in item.attrs else item[...]
 
 
 def _sparse(path: Path, group: Any) -> Any:
@@ -194,27 +196,26 @@ def _channels(held: Any, camera: Shape, projector: Shape, name: str, order: RayO
     array = np.asarray(held)
     if array.dtype.kind not in "fiub":
         raise InputError(f"{name}: holds {array.dtype}; light transport is real numbers")
-    for seen in ((rows,), camera):
-        for lit in ((columns,), projector):
-            planes = _planes(array, seen, lit)
-            if planes is None:
-                continue
-            flat = np.ascontiguousarray(planes.reshape(len(planes), rows, columns))
+    for seen, lit in product(((rows,), camera), ((columns,), projector)):
+        planes = _planes(array, seen, lit)
+        if planes is not None:
+            flat = planes.reshape(len(planes), rows, columns)
             if order == "columns":
                 sides = camera if len(seen) == 1 else None, projector if len(lit) == 1 else None
-                return [np.ascontiguousarray(_by_rows(plane, *sides)) for plane in flat]
-            return list(flat)
+                flat = np.stack([_by_rows(plane, *sides) for plane in flat])
+            return list(np.ascontiguousarray(flat))
     raise _misfit(name, array.shape, camera, projector)
 
 
 def _planes(array: NDArray[Any], camera: Shape, projector: Shape) -> NDArray[Any] | None:
     """Return an array of axes (C, *camera, *projector) of one that has its channels anywhere."""
-    if array.shape == camera + projector:
+    whole = camera + projector
+    if array.shape == whole:
         return array[None]
-    for axis in (0, len(camera), len(camera) + len(projector)):
-        if array.ndim == len(camera) + len(projector) + 1 and array.shape[axis] in (1, 3):
+    for axis in (0, len(camera), len(whole)):
+        if array.ndim == len(whole) + 1 and array.shape[axis] in (1, 3):
             moved = np.moveaxis(array, axis, 0)
-            if moved.shape[1:] == camera + projector:
+            if moved.shape[1:] == whole:
                 return moved
     return None
 
@@ -229,9 +230,7 @@ def _by_rows(matrix: Any, camera: Shape | None, projector: Shape | None) -> Any:
 def _by_columns(shape: Shape) -> NDArray[np.int64]:
     """Return, for each ray in row-major order, its number when counted column by column."""
     *views, height, width = shape
-    image = np.arange(height * width).reshape(width, height).T
-    stack = np.arange(prod(views))[:, None] * (height * width) + image.reshape(-1)
-    return np.asarray(stack.reshape(-1))
+    return np.arange(prod(shape)).reshape(*views, width, height).swapaxes(-1, -2).reshape(-1)
 
 
 def _misfit(name: str, found: Shape, camera: Shape, projector: Shape) -> InputError:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from math import prod
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +24,6 @@ from rfpipe.transport.algebra import (
 )
 from rfpipe.version import __version__
 
-if TYPE_CHECKING:
-    import h5py
-
 ABOUT = (
     "Light transport T by rfpipe: T[channel, row, column] is the radiance that a camera ray (row) "
     "receives when the projector ray (column) has the weight 1. c = T p. Rays are numbered row by "
@@ -41,21 +36,19 @@ _OF_MATLAB = (
     "In MATLAB T is (row, column, channel), rays count from 0 in 'rows' and 'columns', and the "
     "image of c = T(:, :, 1) * p is reshape(c, camera_shape(end:-1:1))'."
 )
-_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # a zip file's first date: equal matrices give equal bytes
 _CHUNK_ENTRIES = 2**18
 _MATLAB_HEADER, _MATLAB_TEXT = 512, 116
 # As every HDF5 library can read it.
 _PACKED: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
-@dataclass(frozen=True)
-class Contents:
+class Contents(NamedTuple):
     """The part of a matrix that is written: some rows and columns, by their rays."""
 
     matrix: MatrixAlgebra
     rows: Index
     columns: Index
-    progress: bool = False
+    progress: bool
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -64,12 +57,10 @@ class Contents:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the small arrays that stand beside T."""
-        return {
-            "camera_shape": np.array(self.matrix.camera_shape, np.int64),
-            "projector_shape": np.array(self.matrix.projector_shape, np.int64),
-            "rows": self.rows,
-            "columns": self.columns,
-        }
+        shapes = {"camera_shape": self.matrix.camera_shape}
+        shapes["projector_shape"] = self.matrix.projector_shape
+        arrays = {name: np.array(shape, np.int64) for name, shape in shapes.items()}
+        return {**arrays, "rows": self.rows, "columns": self.columns}
 
     def blocks(
         self, *, by_rows: bool, channels: Sequence[int] | None = None
@@ -106,9 +97,11 @@ def write_matrix(
             f"{path}: ends in {path.suffix!r}; a matrix is written to {', '.join(MATRIX_FILES)}, a "
             "transport as it is to .zarr"
         )
-    chosen = chosen_rays(rows, matrix.camera_shape, "rows")
     contents = Contents(
-        matrix, chosen, chosen_rays(columns, matrix.projector_shape, "columns"), progress
+        matrix,
+        chosen_rays(rows, matrix.camera_shape, "rows"),
+        chosen_rays(columns, matrix.projector_shape, "columns"),
+        progress,
     )
     nbytes = 4 * prod(contents.shape)
     if nbytes > limit_bytes:
@@ -133,9 +126,9 @@ def _npz(path: Path, contents: Contents) -> None:
     small = {**contents.arrays(), "about": np.array(ABOUT)}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in small.items():
-            with _member(archive, name) as member:
+            with archive.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)
-        with _member(archive, "T") as member:
+        with archive.open("T.npy", "w", force_zip64=True) as member:
             header = {"descr": "<f4", "fortran_order": False, "shape": contents.shape}
             np.lib.format.write_array_header_2_0(member, header)
             for channel in range(contents.shape[0]):
@@ -143,57 +136,11 @@ def _npz(path: Path, contents: Contents) -> None:
                     member.write(np.ascontiguousarray(block[0], "<f4").data)
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
-    about = zipfile.ZipInfo(f"{name}.npy", _LONG_AGO)
-    about.compress_type = zipfile.ZIP_DEFLATED
-    return archive.open(about, "w", force_zip64=True)
-
-
 def _hdf5(path: Path, contents: Contents) -> None:
-    """Write the dataset ``T`` (C, rows, columns), what stands beside it, and attributes."""
-    with _hdf5_file(path) as file:
-        file.attrs["about"] = ABOUT
-        file.attrs["rfpipe"] = __version__
-        for name, array in contents.arrays().items():
-            file[name] = array
-        _, rows, columns = contents.shape
-        chunks = (1, *_chunk(rows, columns))
-        matrix = file.create_dataset("T", contents.shape, "<f4", chunks=chunks, **_PACKED)
-        matrix.attrs["unit"] = "radiance per weight"
-        matrix.attrs["axes"] = "channel, camera ray, projector ray"
-        for of_rows, of_columns, block in contents.blocks(by_rows=rows <= columns):
-            matrix[:, of_rows, of_columns] = block
+    """Write the dataset ``T``, what stands beside it, and texts; as MATLAB has it in a MAT file.
 
-
-def _matlab(path: Path, contents: Contents) -> None:
-    """Write a MAT file of version 7.3: HDF5 behind a header of its own."""
-    with _hdf5_file(path, userblock_size=_MATLAB_HEADER) as file:
-        channels, rows, columns = contents.shape
-        high, wide = _chunk(rows, columns)
-        first = int(channels == 1)  # MATLAB has no axis of one channel
-        shape, chunks = (channels, columns, rows)[first:], (1, wide, high)[first:]
-        matrix = file.create_dataset("T", shape, "<f4", chunks=chunks, **_PACKED)
-        matrix.attrs["MATLAB_class"] = np.bytes_("single")
-        for of_rows, of_columns, block in contents.blocks(by_rows=rows <= columns):
-            part = block.swapaxes(1, 2)
-            matrix[..., of_columns, of_rows] = part if channels > 1 else part[0]
-        for name, array in contents.arrays().items():
-            file[name] = array[:, None].astype("<f8")
-            file[name].attrs["MATLAB_class"] = np.bytes_("double")
-        text = np.frombuffer(f"{ABOUT} {_OF_MATLAB}".encode("utf-16-le"), "<u2")
-        file["about"] = text[:, None]
-        file["about"].attrs["MATLAB_class"] = np.bytes_("char")
-        file["about"].attrs["MATLAB_int_decode"] = np.int32(2)
-    # the block before the HDF5 part, by which MATLAB knows the version
-    said = f"MATLAB 7.3 MAT-file, Platform: rfpipe {__version__}, HDF5 schema 1.00 ."
-    header = said.encode()[:_MATLAB_TEXT].ljust(_MATLAB_TEXT)
-    header += bytes(8) + b"\x00\x02" + b"IM"  # no subsystem; version 2.0; little-endian
-    with path.open("r+b") as opened:
-        opened.write(header.ljust(_MATLAB_HEADER, b"\0"))
-
-
-@contextmanager
-def _hdf5_file(path: Path, **options: Any) -> Iterator[h5py.File]:
+    A MAT file of version 7.3 is HDF5 behind a header, its axes the other way round.
+    """
     try:
         import h5py
     except ImportError as error:
@@ -201,21 +148,49 @@ def _hdf5_file(path: Path, **options: Any) -> Iterator[h5py.File]:
             f"HDF5 and MAT files are written by h5py, which can't be loaded: {error}. Write an "
             f".npz, or {installing('export')}"
         ) from error
-    with h5py.File(path, "w", **options) as file:
-        yield file
+    matlab = path.suffix.lower() == ".mat"
+    channels, rows, columns = contents.shape
+    by_rows = rows <= columns
+    # each chunk is written once, by one part: some whole rows, or columns
+    high, wide = AT_A_TIME, _CHUNK_ENTRIES // AT_A_TIME
+    chunk = (1, min(rows, high if by_rows else wide), min(columns, wide if by_rows else high))
+    order = [0, 1, 2]
+    if matlab:  # which has no axis of one channel
+        order = [0, 2, 1] if channels > 1 else [2, 1]
+    shape, chunks = (tuple(lengths[axis] for axis in order) for lengths in (contents.shape, chunk))
+    with h5py.File(path, "w", userblock_size=_MATLAB_HEADER if matlab else 0) as file:
+        matrix = file.create_dataset("T", shape, "<f4", chunks=chunks, **_PACKED)
+        for of_rows, of_columns, block in contents.blocks(by_rows=by_rows):
+            place = slice(None), of_rows, of_columns
+            turned = block.transpose(order) if len(order) == len(place) else block[0].T
+            matrix[tuple(place[axis] for axis in order)] = turned
+        if matlab:
+            matrix.attrs["MATLAB_class"] = np.bytes_("single")
+            for name, array in contents.arrays().items():
+                file[name] = array[:, None].astype("<f8")
+                file[name].attrs["MATLAB_class"] = np.bytes_("double")
+            text = np.frombuffer(f"{ABOUT} {_OF_MATLAB}".encode("utf-16-le"), "<u2")
+            file["about"] = text[:, None]
+            file["about"].attrs["MATLAB_class"] = np.bytes_("char")
+            file["about"].attrs["MATLAB_int_decode"] = np.int32(2)
+        else:
+            matrix.attrs["unit"] = "radiance per weight"
+            matrix.attrs["axes"] = "channel, camera ray, projector ray"
+            file.attrs["about"], file.attrs["rfpipe"] = ABOUT, __version__
+            for name, array in contents.arrays().items():
+                file[name] = array
+    if matlab:
+        with path.open("r+b") as opened:
+            opened.write(_matlab_header())
 
 
-def _chunk(rows: int, columns: int) -> tuple[int, int]:
-    """Return the shape of the chunks of a matrix, each of which is written once, by one part."""
-    if rows <= columns:  # the parts are whole rows
-        return min(rows, AT_A_TIME), min(columns, _CHUNK_ENTRIES // AT_A_TIME)
-    return min(rows, _CHUNK_ENTRIES // AT_A_TIME), min(columns, AT_A_TIME)
+def _matlab_header() -> bytes:
+    """Return the block before the HDF5 part, by which MATLAB knows the version."""
+    said = f"MATLAB 7.3 MAT-file, Platform: rfpipe {__version__}, HDF5 schema 1.00 ."
+    header = said.encode()[:_MATLAB_TEXT].ljust(_MATLAB_TEXT)
+    header += bytes(8) + b"\x00\x02" + b"IM"  # no subsystem; version 2.0; little-endian
+    return header.ljust(_MATLAB_HEADER, b"\0")
 
 
-MATRIX_FILES: dict[str, Callable[[Path, Contents], None]] = {
-    ".npz": _npz,
-    ".h5": _hdf5,
-    ".hdf5": _hdf5,
-    ".mat": _matlab,
-}
+MATRIX_FILES = {".npz": _npz, ".h5": _hdf5, ".hdf5": _hdf5, ".mat": _hdf5}
 """What writes a matrix, by the end of a file's name."""

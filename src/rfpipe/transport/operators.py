@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,7 @@ def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> Patter
 
 
 class _Channels:
-    """One matrix a channel."""
+    """One matrix a channel, each as the function of its images, and what tells it from others."""
 
     def __init__(self, matrices: Sequence[_Matrix], rows: int) -> None:
         self._matrices = matrices
@@ -100,69 +100,55 @@ class _Channels:
 
     def describe(self) -> dict[str, Any]:
         """Plain data: the digest of each channel's matrix."""
-        return {"kind": "matrices", "channels": [matrix.describe() for matrix in self._matrices]}
+        digests = [{"kind": matrix.kind, "digest": matrix.digest()} for matrix in self._matrices]
+        return {"kind": "matrices", "channels": digests}
 
 
-class _Dense:
-    """A dense matrix in float64."""
+class _Matrix(NamedTuple):
+    """A matrix: `images` takes patterns (B, columns) to float64 (B, rows)."""
 
-    def __init__(self, matrix: Double) -> None:
-        rows, columns = matrix.shape
-        self._shape = (rows, columns)
-        self._matrix = np.zeros((_filled(rows), _filled(columns)))
-        self._matrix[:rows, :columns] = matrix
-
-    def images(self, patterns: Float) -> Double:
-        """Return (B, rows)."""
-        rows, columns = self._shape
-        result = np.empty((len(patterns), rows))
-        for first in range(0, len(patterns), PATTERNS_AT_ONCE):
-            batch = patterns[first : first + PATTERNS_AT_ONCE]
-            filled = np.zeros((PATTERNS_AT_ONCE, self._matrix.shape[1]))
-            filled[: len(batch), :columns] = batch
-            result[first : first + len(batch)] = (filled @ self._matrix.T)[: len(batch), :rows]
-        return result
-
-    def describe(self) -> dict[str, Any]:
-        rows, columns = self._shape
-        return {"kind": "dense", "digest": fingerprint(self._matrix[:rows, :columns])}
+    kind: str
+    images: Callable[[Float], Double]
+    digest: Callable[[], str]
 
 
-class _Sparse:
-    """A sparse matrix in float64, whose product sums each row in stored order."""
+def _dense(matrix: Double) -> _Matrix:
+    rows, columns = matrix.shape
+    filled = np.pad(matrix, [(0, -rows % ALIGNMENT), (0, -columns % ALIGNMENT)])
 
-    def __init__(self, matrix: csr_array[Any]) -> None:
-        self._matrix = matrix
+    def images(patterns: Float) -> Double:
+        count = len(patterns)
+        fill = [(0, -count % PATTERNS_AT_ONCE), (0, -columns % ALIGNMENT)]
+        batches = np.pad(patterns, fill).astype(np.float64)
+        result = np.empty((len(batches), rows))
+        for first in range(0, count, PATTERNS_AT_ONCE):
+            some = slice(first, first + PATTERNS_AT_ONCE)
+            result[some] = (batches[some] @ filled.T)[:, :rows]
+        return result[:count]
 
-    def images(self, patterns: Float) -> Double:
-        """Return (B, rows)."""
-        columns = patterns.T.astype(np.float64)
-        return np.asarray((self._matrix @ columns).T)
-
-    def describe(self) -> dict[str, Any]:
-        parts = [self._matrix.data, self._matrix.indices, self._matrix.indptr]
-        return {"kind": "sparse", "digest": fingerprint([np.asarray(part) for part in parts])}
-
-
-class _Linear:
-    """A scipy LinearOperator, applied to one pattern at a time."""
-
-    def __init__(self, operator: LinearOperator) -> None:
-        self._operator = operator
-
-    def images(self, patterns: Float) -> Double:
-        """Return (B, rows)."""
-        rows = self._operator.shape[0]
-        images = [np.reshape(self._operator.matvec(pattern), rows) for pattern in patterns]
-        return np.array(images, np.float64).reshape(len(patterns), rows)
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data; an operator has no digest, so its probe image stands for it."""
-        probe = np.linspace(0, 1, self._operator.shape[1], dtype=np.float32)
-        return {"kind": "operator", "digest": fingerprint(self.images(probe[None]))}
+    return _Matrix("dense", images, lambda: fingerprint(filled[:rows, :columns]))
 
 
-_Matrix: TypeAlias = _Dense | _Sparse | _Linear
+def _sparse(matrix: csr_array[Any]) -> _Matrix:
+    """Return a sparse matrix, whose product sums each row in stored order."""
+    parts = [np.asarray(part) for part in (matrix.data, matrix.indices, matrix.indptr)]
+    return _Matrix(
+        "sparse",
+        lambda patterns: np.asarray((matrix @ patterns.T.astype(np.float64)).T),
+        lambda: fingerprint(parts),
+    )
+
+
+def _linear(operator: LinearOperator) -> _Matrix:
+    """Return an operator, applied to one pattern at a time; its probe image is its digest."""
+    rows, columns = operator.shape
+
+    def images(patterns: Float) -> Double:
+        found = [np.reshape(operator.matvec(pattern), rows) for pattern in patterns]
+        return np.array(found, np.float64).reshape(len(patterns), rows)
+
+    probe = np.linspace(0, 1, columns, dtype=np.float32)[None]
+    return _Matrix("operator", images, lambda: fingerprint(images(probe)))
 
 
 def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
@@ -183,31 +169,25 @@ def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
             f"({rows} camera rays, {columns} projector rays)"
         )
     if isinstance(matrix, LinearOperator):
-        return _Linear(matrix)
+        return _linear(matrix)
+    if not is_sparse and matrix.dtype.kind not in "fiub":
+        raise InputError(f"{name} has dtype {matrix.dtype}; expected real numbers")
     if is_sparse:
         stored = sparse.csr_array(matrix, dtype=np.float64)
         stored.sum_duplicates()
-        rows_of_entries = np.repeat(np.arange(rows), np.diff(stored.indptr))
-        _check_entries(stored.data, name, lambda i: (rows_of_entries[i], stored.indices[i]))
-        return _Sparse(stored)
-    if matrix.dtype.kind not in "fiub":
-        raise InputError(f"{name} has dtype {matrix.dtype}; expected real numbers")
-    dense = np.asarray(matrix, np.float64)
-    _check_entries(dense.ravel(), name, lambda i: divmod(i, columns))
-    return _Dense(dense)
-
-
-def _check_entries(entries: Double, name: str, locate: Any) -> None:
-    """Raise InputError at the first entry that is negative or not finite."""
+        entries = stored.data
+    else:
+        dense = np.asarray(matrix, np.float64)
+        entries = dense.ravel()
     is_right = (entries >= 0) & (entries < np.inf)  # NaN is neither
     if not is_right.all():
-        index = int(np.argmin(is_right))
-        row, column = locate(index)
+        wrong = int(np.argmin(is_right))
+        row, column = divmod(wrong, columns)
+        if is_sparse:
+            row = int(np.searchsorted(stored.indptr, wrong, "right")) - 1
+            column = int(stored.indices[wrong])
         raise InputError(
-            f"{name} is {entries[index]} at row {int(row)}, column {int(column)}; light transport "
-            "is finite and not negative"
+            f"{name} is {entries[wrong]} at row {row}, column {column}; light transport is finite "
+            "and not negative"
         )
-
-
-def _filled(count: int) -> int:
-    return -(-count // ALIGNMENT) * ALIGNMENT
+    return _sparse(stored) if is_sparse else _dense(dense)

@@ -4,40 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import prod
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport.base import Float, Light
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 _AT_ONCE_BYTES = 64 * 2**20
-
-Map = Callable[[Float], Float]
-
-
-class Side(NamedTuple):
-    """Other rays of a domain.
-
-    Attributes
-    ----------
-    shape : tuple of int
-    spread, gather : callable
-        From planar light of these rays to all rays of the domain, and back.
-    """
-
-    shape: tuple[int, ...]
-    spread: Map
-    gather: Map
 
 
 class RegroupedTransport(Light):
-    """Light between other rays, computed from the whole at each use; see `coarser` and `crop`."""
+    """Light between other rays, ``C T P`` computed at each use; see `coarser` and `crop`.
 
-    def __init__(self, whole: Light, camera: Side, projector: Side, name: str) -> None:
+    Parameters
+    ----------
+    whole : Light
+        T, of M camera rays and N projector rays.
+    camera_shape, projector_shape : tuple of int
+        The other rays, m and n.
+    camera, projector : csr_array of float32, shapes (m, M) and (N, n)
+        C and P.
+    name : str
+        How the rays differ from the whole's.
+    """
+
+    def __init__(
+        self,
+        whole: Light,
+        camera_shape: tuple[int, ...],
+        projector_shape: tuple[int, ...],
+        camera: csr_array[np.float32],
+        projector: csr_array[np.float32],
+        name: str,
+    ) -> None:
         self.channels = whole.channels
-        self.camera_shape, self.projector_shape = camera.shape, projector.shape
+        self.camera_shape, self.projector_shape = camera_shape, projector_shape
         self._whole, self._camera, self._projector, self._name = whole, camera, projector, name
 
     def __repr__(self) -> str:
@@ -47,28 +54,39 @@ class RegroupedTransport(Light):
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
         return self._applied(
             patterns,
-            self._projector.spread,
-            lambda light: self._camera.gather(self._whole.forward(light, channels)),
+            self._projector,
+            lambda light: self._whole.forward(light, channels),
+            self._camera,
         )
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, M)``."""
         return self._applied(
             images,
-            self._camera.spread,
-            lambda light: self._projector.gather(self._whole.adjoint(light, channels)),
+            self._camera.T,
+            lambda light: self._whole.adjoint(light, channels),
+            self._projector.T,
         )
 
-    def _applied(self, planar: Float, spread: Map, apply: Map) -> Float:
+    def _applied(
+        self, planar: Float, spread: Any, apply: Callable[[Float], Float], gather: Any
+    ) -> Float:
         """Apply the whole to some light at a time, white light in the memory of one plane."""
         rays = sum(self._whole.matrix_shape[1:])
         at_a_time = max(1, _AT_ONCE_BYTES // (4 * planar.shape[1] * rays))
         found = []
         for first in range(0, max(len(planar), 1), at_a_time):
             some = planar[first : first + at_a_time]
-            light = spread(some[:, :1] if some.strides[1] == 0 else some)
-            found.append(apply(np.broadcast_to(light, (*some.shape[:2], light.shape[-1]))))
+            light = _each(spread, some[:, :1] if some.strides[1] == 0 else some)
+            light = np.broadcast_to(light, (*some.shape[:2], light.shape[-1]))
+            found.append(_each(gather, apply(light)))
         return np.concatenate(found)
+
+
+def _each(matrix: Any, planar: Float) -> Float:
+    """Return the product of a sparse matrix and each of planar images ``(P, K, rays)``."""
+    product: Float = (matrix @ planar.reshape(-1, planar.shape[-1]).T).T
+    return np.ascontiguousarray(product).reshape(*planar.shape[:2], -1)
 
 
 def coarser(transport: Light, factor: int) -> RegroupedTransport:
@@ -87,17 +105,28 @@ def coarser(transport: Light, factor: int) -> RegroupedTransport:
     """
     if factor != int(factor) or factor < 1:
         raise InputError(f"factor is {factor}; expected a whole number of at least 1")
-    camera, projector = (
-        _coarse_side(shape, int(factor))
-        for shape in (transport.camera_shape, transport.projector_shape)
+    camera_shape, sums = squares(transport.camera_shape, int(factor))
+    projector_shape, repeated = squares(transport.projector_shape, int(factor))
+    sums.data /= np.repeat(np.diff(sums.indptr), np.diff(sums.indptr))
+    return RegroupedTransport(
+        transport, camera_shape, projector_shape, sums, repeated.T.tocsr(), f"coarser by {factor}"
     )
-    sizes = _sums(np.ones(transport.camera_shape, np.float32), int(factor)).reshape(-1)
-    means = Side(
-        camera.shape,
-        lambda light: camera.spread(light / sizes),
-        lambda light: camera.gather(light) / sizes,
-    )
-    return RegroupedTransport(transport, means, projector, f"coarser by {factor}")
+
+
+def squares(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_array[np.float32]]:
+    """Return the grid of squares of rays, and the matrix (squares, rays) that adds them up.
+
+    Squares don't reach over views; those at an image's end may be smaller.
+    """
+    from scipy.sparse import csr_array
+
+    view, row, column = np.indices(RayDomain(shape).stack_shape, np.int64)
+    grid = (*shape[:-2], -(-shape[-2] // side), -(-shape[-1] // side))
+    where = (view, row // side, column // side)
+    square = np.ravel_multi_index(where, RayDomain(grid).stack_shape).ravel()
+    ones = np.ones(square.size, np.float32)
+    matrix = csr_array((ones, (square, np.arange(square.size))), shape=(prod(grid), square.size))
+    return grid, matrix
 
 
 def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTransport:
@@ -117,65 +146,32 @@ def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTr
     """
     seen = _rays(camera, whole.camera_shape, "camera")
     lit = _rays(projector, whole.projector_shape, "projector")
-    seen_side, seen_mask = _some_of(seen, prod(whole.camera_shape))
-    lit_side, lit_mask = _some_of(lit, prod(whole.projector_shape))
-    needed = whole.between_some(seen_mask, lit_mask)
-    return RegroupedTransport(needed, seen_side, lit_side, f"{seen.shape} by {lit.shape} rays")
+    some = [
+        _one_each(rays, prod(shape))
+        for rays, shape in ((seen, whole.camera_shape), (lit, whole.projector_shape))
+    ]
+    needed = whole.between_some(*(matrix.sum(axis=0) > 0 for matrix in some))
+    name = f"{seen.shape} by {lit.shape} rays"
+    return RegroupedTransport(needed, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
 
 
-def square_means(images: Float, factor: int) -> Float:
-    """Return the means of squares of images ``(..., H, W)``; the last ones may be smaller."""
-    return _sums(images, factor) / _sums(np.ones(images.shape[-2:], np.float32), factor)
+def _one_each(rays: NDArray[np.int64], count: int) -> csr_array[np.float32]:
+    """Return the matrix that takes some of so many rays."""
+    from scipy.sparse import csr_array
 
-
-def _sums(images: Float, factor: int) -> Float:
-    """Sum squares of images ``(..., H, W)``."""
-    for axis in (-2, -1):
-        images = np.add.reduceat(images, np.arange(0, images.shape[axis], factor), axis=axis)
-    return images
-
-
-def _coarse_side(fine: tuple[int, ...], factor: int) -> Side:
-    """Return coarse rays that give each fine ray their value, and sum their fine ones."""
-    height, width = fine[-2:]
-    shape = (*fine[:-2], -(-height // factor), -(-width // factor))
-
-    def spread(planar: Float) -> Float:
-        images = planar.reshape(*planar.shape[:2], *shape)
-        repeated = images.repeat(factor, axis=-2).repeat(factor, axis=-1)
-        return np.ascontiguousarray(repeated[..., :height, :width]).reshape(*planar.shape[:2], -1)
-
-    def gather(planar: Float) -> Float:
-        images = planar.reshape(*planar.shape[:2], *fine)
-        return _sums(images, factor).reshape(*planar.shape[:2], -1)
-
-    return Side(shape, spread, gather)
-
-
-def _some_of(rays: NDArray[np.int64], count: int) -> tuple[Side, NDArray[np.bool_]]:
-    """Return some of so many rays, and their mask."""
-    mask = np.zeros(count, bool)
-    mask[rays] = True
-
-    def spread(planar: Float) -> Float:
-        light = np.zeros((*planar.shape[:2], count), np.float32)
-        light[..., rays.reshape(-1)] = planar
-        return light
-
-    return Side(rays.shape, spread, lambda planar: planar[..., rays.reshape(-1)]), mask
+    ones, starts = np.ones(rays.size, np.float32), np.arange(rays.size + 1)
+    return csr_array((ones, rays.ravel(), starts), shape=(rays.size, count))
 
 
 def _rays(chosen: Any, shape: tuple[int, ...], name: str) -> NDArray[np.int64]:
     every = np.arange(prod(shape), dtype=np.int64).reshape(shape)
-    if chosen is None:
-        return every
-    parts = chosen if isinstance(chosen, tuple) else (chosen,)
+    parts = chosen if isinstance(chosen, tuple) else (... if chosen is None else chosen,)
     plain = all(part is Ellipsis or isinstance(part, int | np.integer | slice) for part in parts)
     try:
-        found: Any = every[parts] if plain else None
+        found: Any = every[parts] if plain else every[:0]
     except IndexError:
-        found = None
-    if found is None or found.ndim < 2 or not found.size:
+        found = every[:0]
+    if found.ndim < 2 or not found.size:
         raise InputError(
             f"{name} = {chosen!r} of rays {shape}: expected whole numbers and slices that leave "
             "height and width, such as 4 for the view 4 of several, or np.s_[4, 10:20, :] for "

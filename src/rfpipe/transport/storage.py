@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from rfpipe.errors import StoreError
 from rfpipe.store.arrays import ArrayBundle, open_arrays
@@ -23,48 +23,15 @@ MANIFEST = "manifest-sha256.txt"
 """Of a publication: the SHA-256 and the name of every file, a line each."""
 
 _CLASSES = {
-    "dense": "dense:DenseTransport",
+    "dense": "arrays:DenseTransport",
     "footprints": "footprints:FootprintTransport",
     "hierarchical": "hierarchical.transport:HierarchicalTransport",
     "low_rank": "low_rank:LowRankTransport",
-    "multiscale": "multiscale.transport:MultiscaleTransport",
-    "multilevel": "multilevel.transport:MultilevelTransport",
+    "multiscale": "multiscale:MultiscaleTransport",
+    "multilevel": "multilevel:MultilevelTransport",
     "sum": "sum:SumTransport",
-    "wavelet": "wavelet.transport:WaveletTransport",
+    "wavelet": "wavelet:WaveletTransport",
 }
-
-
-def save_transport(
-    transport: Transport,
-    path: str | Path,
-    number_format: NumberFormat = "float32",
-    **attributes: Any,
-) -> str:
-    """Write a transport into a chunked, compressed store, complete or not at all.
-
-    Parameters
-    ----------
-    transport : Transport
-    path : path
-        The store's folder; an older store there is replaced.
-    number_format : {"float32", "uint16", "uint8"}
-        "float32" keeps every bit. The others round, factors of leaves by about 1e-5 and 3e-3 of
-        their values; "uint8" is the smallest, and the default of runs
-        (``storage.number_format``). The transport in memory is not changed.
-    **attributes
-        Plain data to keep beside the transport's own (scene, method, fingerprints).
-
-    Returns
-    -------
-    str
-        Digest of the contents.
-
-    Raises
-    ------
-    InputError
-        If the number format is none of the three.
-    """
-    return transport.store(path, number_format, **attributes)
 
 
 def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET) -> Transport:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ class SumTransport(Transport):
     """
 
     kind = "sum"
+    _held: tuple[Transport, ...]
 
     def __init__(
         self,
@@ -40,10 +41,23 @@ class SumTransport(Transport):
         level_rows: list[dict[str, Any]],
         nbytes: int | None = None,
     ) -> None:
-        self.parts = tuple(parts)
-        _check(self.parts)
-        part = self.parts[0]
-        super().__init__(part.camera_shape, part.projector_shape, part.channels, level_rows, nbytes)
+        if not parts:
+            raise InputError("a sum of no transports; give at least one part")
+        expected = _extent(parts[0])
+        for index, part in enumerate(parts):
+            if _extent(part) != expected:
+                raise InputError(
+                    f"part {index} of a sum has {_extent(part)}, part 0 has {expected}; all parts "
+                    "need the same camera and projector shapes and the same channels"
+                )
+        part = parts[0]
+        shapes = part.camera_shape, part.projector_shape
+        super().__init__(*shapes, part.channels, level_rows, tuple(parts), nbytes)
+
+    @property
+    def parts(self) -> tuple[Transport, ...]:
+        """The parts."""
+        return self._held
 
     def _bytes_in_memory(self) -> int:
         return sum(part.nbytes for part in self.parts)
@@ -77,19 +91,12 @@ class SumTransport(Transport):
             packed, attributes = part.pack(number_format)
             arrays |= {f"{_prefix(index)}{name}": array for name, array in packed.items()}
             about.append(attributes)
-        return arrays, {
-            "kind": self.kind,
-            "number_format": number_format,
-            "levels": self.level_rows,
-            "parts": about,
-        }
+        more = {"kind": self.kind, "number_format": number_format, "levels": self.level_rows}
+        return arrays, {**more, "parts": about}
 
     @classmethod
-    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
-        """Build a transport from a store; its parts are read when first used.
-
-        The first parts stay in memory, as far as they fit.
-        """
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> SumTransport:
+        """Build a transport from a store; the first parts stay in memory, as far as they fit."""
         about = bundle.attributes
         parts = []
         for index, attributes in enumerate(about["parts"]):
@@ -103,18 +110,6 @@ class SumTransport(Transport):
 def _prefix(index: int) -> str:
     """What the names of a part's arrays begin with."""
     return f"part_{index:02d}_"
-
-
-def _check(parts: Sequence[Transport]) -> None:
-    if not parts:
-        raise InputError("a sum of no transports; give at least one part")
-    expected = _extent(parts[0])
-    for index, part in enumerate(parts):
-        if _extent(part) != expected:
-            raise InputError(
-                f"part {index} of a sum has {_extent(part)}, part 0 has {expected}; all parts need "
-                "the same camera and projector shapes and the same channels"
-            )
 
 
 def _extent(part: Transport) -> str:

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree
 from rfpipe.errors import InputError
 from rfpipe.store.files import digest_of
+from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
-from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.hierarchical.codes import pack_leaves, signed_apart
 from rfpipe.transport.hierarchical.leaves import LeafSet, leaf_offsets, runs
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multilevel.transport import MultilevelTransport
-from rfpipe.transport.multiscale.transport import MultiscaleTransport
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.multiscale import MultiscaleTransport
 from rfpipe.transport.sum import SumTransport
-from rfpipe.transport.wavelet.transport import WaveletTransport
+from rfpipe.transport.wavelet import WaveletTransport
 from rfpipe.viewer.program import CAMERA, PROJECTOR, Kind, Operation, Program
 from rfpipe.viewer.smooth import haar_matrix, pyramid
 

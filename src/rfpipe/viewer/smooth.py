@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.transport.multiscale.basis import (
+from rfpipe.transport.multiscale import (
     COLUMN,
     ROW,
     VIEW,
@@ -15,7 +15,7 @@ from rfpipe.transport.multiscale.basis import (
     cells,
     functions_over,
 )
-from rfpipe.transport.wavelet.haar import Haar
+from rfpipe.transport.wavelet import Haar
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

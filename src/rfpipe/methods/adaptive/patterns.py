@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
-from rfpipe.transport.wavelet.cells import Cells
+from rfpipe.transport.wavelet import Cells
 
 if TYPE_CHECKING:
     from rfpipe.methods.adaptive.smooth import LightRange

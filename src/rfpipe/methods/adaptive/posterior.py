@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
 from rfpipe.methods.conjugate_gradients import conjugate_gradients
-from rfpipe.transport.wavelet.haar import Group, Haar
+from rfpipe.transport.wavelet import Group, Haar
 
 _ROUNDING = float(np.finfo(np.float32).eps)
 _TINY = float(np.finfo(np.float32).tiny)

@@ -20,8 +20,7 @@ from rfpipe.methods.base import Float, LevelImages
 from rfpipe.methods.images import planar_batches
 from rfpipe.methods.states import joined
 from rfpipe.transport.base import Transport
-from rfpipe.transport.wavelet.cells import Cells, cell_side
-from rfpipe.transport.wavelet.transport import WaveletTransport
+from rfpipe.transport.wavelet import Cells, WaveletTransport, cell_side
 
 MOST_CELLS = 4096
 """Of so many cells, the covariance of all pairs takes 64 MiB."""

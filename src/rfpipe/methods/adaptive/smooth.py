@@ -22,13 +22,14 @@ from rfpipe.methods.adaptive.smooth_fit import Evidence, Observations, Patches, 
 from rfpipe.methods.base import Float
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multiscale.basis import (
+from rfpipe.transport.multiscale import (
     MultiscaleBasis,
+    MultiscaleTransport,
+    bounced,
     cells,
     coarsest_scale,
     functions_over,
 )
-from rfpipe.transport.multiscale.transport import MultiscaleTransport, bounced
 from rfpipe.transport.sum import SumTransport
 
 # Fractions of the floodlit image: what a model may be wrong by on a dark pixel before finer

@@ -12,7 +12,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.base import Float
 from rfpipe.methods.conjugate_gradients import conjugate_gradients
-from rfpipe.transport.multiscale.basis import MultiscaleBasis
+from rfpipe.transport.multiscale import MultiscaleBasis
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

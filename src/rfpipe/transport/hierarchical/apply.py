@@ -51,8 +51,6 @@ def apply_leaf_sets(
         The same whatever the number of threads. A pattern's result may differ in the last bits
         between calls with fewer and with more patterns.
     """
-    from rfpipe.transport.hierarchical.kernels import add_reordered
-
     result = np.empty(patterns.shape, np.float32)
     if not patterns.size:
         return result
@@ -63,21 +61,18 @@ def apply_leaf_sets(
         part, images = patterns[first : first + _BATCH], result[first : first + _BATCH]
         if part.strides[1] == 0:
             part = part[:, :1]  # white light, the same for all channels
-        light = np.empty(part.shape, np.float32)
-        add_reordered(part[None], tree.order, light)
-        sums = np.empty((shares, *images.shape), np.float32)
-        _add_up(tree, leaf_sets, light, chosen, sums)
-        add_reordered(sums, tree.inverse, images)
+        sums = np.zeros((shares, *images.shape), np.float32)
+        _add_up(tree, leaf_sets, part[..., tree.order], chosen, sums)
+        np.take(sums.sum(axis=0), tree.inverse, axis=-1, out=images)
     return result
 
 
 def _add_up(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Index, sums: Float
 ) -> None:
-    """Write what each share of the leaves makes of patterns."""
+    """Add what each share of the leaves makes of patterns."""
     from rfpipe.transport.hierarchical import kernels
 
-    kernels.clear(sums)
     lit = _lit_blocks(tree, patterns)
     for leaves in _prepared(tree, leaf_sets):
         bounds, offsets = _cut(tree, leaves, len(sums))
@@ -103,18 +98,11 @@ def _signed_scales(leaves: LeafSet) -> Float:
     return np.broadcast_to(one, (len(leaves.values), len(leaves)))
 
 
-def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.uint8]]:
+def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.bool_]]:
     """Tell for each level which blocks each pattern lights, ``(P, n_blocks)``."""
-    from rfpipe.transport.hierarchical import kernels
-
-    count, _, rays = patterns.shape
-    lit = [np.empty((count, rays), np.uint8)]
-    kernels.lit_rays(patterns, lit[0])
-    if lit[0].all():
-        return [np.ones((count, len(starts) - 1), np.uint8) for starts in tree.starts]
+    lit = [(patterns != 0).any(axis=1)]
     for child_starts in reversed(tree.child_starts):
-        lit.append(np.empty((count, len(child_starts) - 1), np.uint8))
-        kernels.lit_parents(child_starts, lit[-2], lit[-1])
+        lit.append(np.logical_or.reduceat(lit[-1], child_starts[:-1], axis=1))
     return lit[::-1]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,18 +61,19 @@ def pack_leaves(
     if leaves.signs is not None or (leaves.values < 0).any():
         return {**exact, "values": rounded(leaves.values, number_format)}
     dtype = np.dtype(number_format)
-    scales = np.empty((len(leaves.values), len(leaves)), np.float32)
-    if leaves.values.size * dtype.itemsize + scales.nbytes >= leaves.values.nbytes:
+    if leaves.values.size * (4 - dtype.itemsize) <= 4 * len(leaves.values) * len(leaves):
         return exact
-    from rfpipe.transport.hierarchical.kernels import encode
-
-    starts = tree.starts[leaves.level]
-    codes = np.empty(leaves.values.shape, dtype)
-    first, second, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
-    encode(
-        starts, leaves.block_a, leaves.block_b, first, second, leaves.values,
-        np.iinfo(dtype).max, codes, scales,
-    )  # fmt: skip
+    starts, largest = tree.starts[leaves.level], np.iinfo(dtype).max
+    *sides, size = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    begin = np.unique(np.concatenate(sides))
+    maxima = np.maximum.reduceat(leaves.values, begin, axis=1).astype(np.float64)
+    places = [np.searchsorted(begin, side) for side in sides]
+    mean = np.sqrt(maxima[:, places[0]]) * np.sqrt(maxima[:, places[1]])
+    for place in places:  # codes of a leaf that is zero are 0
+        maxima[:, place] = np.where(mean > 0, maxima[:, place], np.inf)
+    relative = leaves.values / np.repeat(maxima, np.diff(np.append(begin, size)), axis=1)
+    codes = (np.sqrt(relative) * largest + 0.5).astype(dtype)
+    scales = (mean / float(largest) ** 2).astype(np.float32)
     return {**blocks, "codes": _differences(codes), "scales": scales}
 
 
@@ -87,11 +89,9 @@ def decoded(tree: BlockTree, leaves: LeafSet) -> LeafSet:
     """Return rounded leaves with float32 factors, others as they are."""
     if leaves.scales is None:
         return leaves
-    from rfpipe.transport.hierarchical.kernels import decode
-
-    values = np.empty(leaves.values.shape, np.float32)
-    decode(leaf_offsets(tree, leaves), leaves.values, leaves.scales, values)
-    return LeafSet(leaves.level, leaves.block_a, leaves.block_b, values, signs=leaves.signs)
+    values = np.square(leaves.values, dtype=np.float32)
+    values *= np.repeat(leaves.scales, np.diff(leaf_offsets(tree, leaves)), axis=1)
+    return replace(leaves, values=values, scales=None)
 
 
 def signed_apart(tree: BlockTree, leaves: LeafSet, number_format: NumberFormat) -> list[LeafSet]:
@@ -109,16 +109,8 @@ def signed_apart(tree: BlockTree, leaves: LeafSet, number_format: NumberFormat) 
         signed |= np.any(leaves.signs < 0, axis=0)
     pair = leaves.block_a * np.int64(tree.n_blocks(leaves.level)) + leaves.block_b
     signed = np.isin(pair, pair[signed])
-    if signed.all():
-        return [leaves]
-    light = leaves.subset(tree, ~signed)
-    if not signed.any():
-        return [leaves if leaves.signs is None else _without_signs(light)]
-    return [_without_signs(light), leaves.subset(tree, signed)]
-
-
-def _without_signs(leaves: LeafSet) -> LeafSet:
-    return LeafSet(leaves.level, leaves.block_a, leaves.block_b, leaves.values, leaves.scales)
+    light, others = (leaves.subset(tree, chosen) for chosen in (~signed, signed))
+    return [part for part in (replace(light, signs=None), others) if len(part)]
 
 
 def _differences(codes: NDArray[Any]) -> NDArray[Any]:

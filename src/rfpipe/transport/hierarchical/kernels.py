@@ -1,4 +1,4 @@
-"""Compiled kernels of the hierarchical tensor: applying, truncating and rounding leaves.
+"""Compiled kernels of the hierarchical tensor: what its leaves make of patterns.
 
 All images and factors are planar and in tree order: channels first, rays contiguous. Factors are
 float32, or unsigned codes of rounded ones (see ``codes.py``), which are squared as they are
@@ -22,8 +22,6 @@ _FAST = {"reassoc", "contract", "nsz", "arcp"}
 _SHORT = 16
 # Products that are added up in float32; their sums are added up in float64.
 _RUN = 8192
-# Rays of a task that goes through images.
-_PART = 2**12
 
 
 def _number(stored: Any) -> Any:
@@ -39,7 +37,7 @@ def _overload_number(stored):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def _dot(factor, weights):  # type: ignore[no-untyped-def]
+def _short_dot(factor, weights):  # type: ignore[no-untyped-def]
     total = np.float32(0.0)
     for k in range(factor.shape[0]):
         total += _number(factor[k]) * weights[k]
@@ -47,10 +45,10 @@ def _dot(factor, weights):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _long_dot(factor, weights):  # type: ignore[no-untyped-def]
+def _dot(factor, weights):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(0, factor.shape[0], _RUN):
-        total += _dot(factor[k : k + _RUN], weights[k : k + _RUN])
+        total += _short_dot(factor[k : k + _RUN], weights[k : k + _RUN])
     return np.float32(total)
 
 
@@ -99,20 +97,6 @@ def _apply_leaf(a0, a1, b0, b1, lit_a, lit_b, values, at, scale, source, target)
 
 
 @numba.njit(cache=True)
-def _apply_long_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # type: ignore[no-untyped-def]
-    """Apply a leaf of so many values that their products can't be added up in float32."""
-    factor_a = values[at : at + a1 - a0]
-    from_a = _long_dot(factor_a, source[a0:a1]) * scale * abs(scale)
-    if a0 == b0:
-        _add_scaled(target[a0:a1], factor_a, from_a)
-        return
-    factor_b = values[at + a1 - a0 : at + a1 - a0 + b1 - b0]
-    from_b = _long_dot(factor_b, source[b0:b1]) * scale * abs(scale)
-    _add_scaled(target[b0:b1], factor_b, from_a)
-    _add_scaled(target[a0:a1], factor_a, from_b)
-
-
-@numba.njit(cache=True)
 def _apply_run(  # type: ignore[no-untyped-def]
     starts, block_a, block_b, first, last, values, scales, at, lit, source, target
 ):
@@ -120,19 +104,16 @@ def _apply_run(  # type: ignore[no-untyped-def]
     for n in range(first, last):
         a, b = block_a[n], block_b[n]
         a0, a1, b0, b1 = starts[a], starts[a + 1], starts[b], starts[b + 1]
-        longest = max(a1 - a0, b1 - b0)
         if lit[a] or lit[b]:
-            if longest <= _SHORT:
+            if max(a1 - a0, b1 - b0) <= _SHORT:
                 _apply_short_leaf(
                     np.uint64(a0), np.uint64(a1), np.uint64(b0), np.uint64(b1), values,
                     np.uint64(at), scales[n], source, target,
                 )  # fmt: skip
-            elif longest <= _RUN:
+            else:
                 _apply_leaf(
                     a0, a1, b0, b1, lit[a], lit[b], values, at, scales[n], source, target
                 )  # fmt: skip
-            else:
-                _apply_long_leaf(a0, a1, b0, b1, values, at, scales[n], source, target)
         at += a1 - a0
         if a != b:
             at += b1 - b0
@@ -210,173 +191,6 @@ def apply_scalars(ray_a, ray_b, values, channels, bounds, group, patterns, out):
                 target[a] += scalars[n] * source[b]
                 if a != b:
                     target[b] += scalars[n] * source[a]
-
-
-@numba.njit(cache=True, parallel=True)
-def lit_rays(patterns, out):  # type: ignore[no-untyped-def]
-    """Tell which rays a pattern (P, K, N) lights in any plane, as uint8 (P, N)."""
-    count, planes, rays = patterns.shape
-    parts = (rays + _PART - 1) // _PART
-    for task in numba.prange(count * parts):
-        p, first = task // parts, task % parts * _PART
-        lit = out[p, first : first + _PART]
-        lit[:] = 0
-        for plane in range(planes):
-            light = patterns[p, plane, first : first + _PART]
-            for n in range(lit.shape[0]):
-                lit[n] |= np.uint8(light[n] != 0)
-
-
-@numba.njit(cache=True, parallel=True)
-def lit_parents(child_starts, lit, out):  # type: ignore[no-untyped-def]
-    """Tell which blocks have a lit child: uint8 (P, children) to uint8 (P, blocks)."""
-    for b in numba.prange(out.shape[1]):
-        for p in range(lit.shape[0]):
-            found = np.uint8(0)
-            for child in range(child_starts[b], child_starts[b + 1]):
-                found |= lit[p, child]
-            out[p, b] = found
-
-
-@numba.njit(cache=True, parallel=True)
-def clear(images):  # type: ignore[no-untyped-def]
-    """Set float32 (shares, P, K, N) to zero, by the threads that will add to it."""
-    shares, count, planes, _ = images.shape
-    for task in numba.prange(shares * planes):
-        for p in range(count):
-            images[task // planes, p, task % planes] = np.float32(0.0)
-
-
-@numba.njit(cache=True, parallel=True)
-def add_reordered(images, index, out):  # type: ignore[no-untyped-def]
-    """Write the sum over the first axis, reordered: ``images.sum(axis=0)[..., index]``.
-
-    Parameters
-    ----------
-    images : float32 (S, P, K, N)
-        Of any strides.
-    index : int64 (N,)
-    out : float32 (P, K, N)
-    """
-    shares, count, planes, rays = images.shape
-    parts = (rays + _PART - 1) // _PART
-    for task in numba.prange(count * parts):
-        p, first = task // parts, task % parts * _PART
-        places = index[first : first + _PART]
-        for plane in range(planes):
-            target = out[p, plane, first : first + _PART]
-            for share in range(shares):
-                source = images[share, p, plane]
-                for n in range(places.shape[0]):
-                    light = source[np.uint64(places[n])]
-                    target[n] = target[n] + light if share else light
-
-
-@numba.njit(cache=True)
-def add_marginals(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, offset_a, offset_b, values, signs, node, first_a, first_b, marginals
-):
-    """Add each leaf's row and column sums to those of the node above it.
-
-    Parameters
-    ----------
-    starts, block_a, block_b, offset_a, offset_b, values
-        As in `apply_leaves`.
-    signs : int8 (C, n) or (C, 0)
-        Of the leaves; none if all are positive.
-    node : int64 (n,)
-        The node above each leaf.
-    first_a, first_b : int64 (n_nodes,)
-        What to add to a tree position to find it in the node's two marginals; equal on the
-        diagonal.
-    marginals : float64 (C, n_marginals)
-        Added to in place.
-    """
-    for n in range(block_a.shape[0]):
-        a0, a1 = starts[block_a[n]], starts[block_a[n] + 1]
-        b0, b1 = starts[block_b[n]], starts[block_b[n] + 1]
-        for c in range(values.shape[0]):
-            factor_a = values[c, offset_a[n] : offset_a[n] + a1 - a0]
-            factor_b = values[c, offset_b[n] : offset_b[n] + b1 - b0]
-            sum_a, sum_b = 0.0, 0.0
-            for k in range(factor_a.shape[0]):
-                sum_a += factor_a[k]
-            for k in range(factor_b.shape[0]):
-                sum_b += factor_b[k]
-            if signs.shape[1] and signs[c, n] < 0:
-                sum_a, sum_b = -sum_a, -sum_b
-            at = first_a[node[n]] + a0
-            for k in range(factor_a.shape[0]):
-                marginals[c, at + k] += factor_a[k] * sum_b
-            if block_a[n] != block_b[n]:
-                at = first_b[node[n]] + b0
-                for k in range(factor_b.shape[0]):
-                    marginals[c, at + k] += factor_b[k] * sum_a
-
-
-@numba.njit(cache=True)
-def _maximum(values):  # type: ignore[no-untyped-def]
-    found = np.float32(0.0)
-    for value in values:
-        found = max(found, value)
-    return np.float64(found)
-
-
-@numba.njit(cache=True, parallel=True)
-def encode(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, offset_a, offset_b, values, largest, codes, scales
-):
-    """Write the codes of each leaf's factors, and its scale.
-
-    Parameters
-    ----------
-    starts : int64 (n_blocks + 1,)
-    block_a, block_b : int32 (n,)
-    offset_a, offset_b : int64 (n,)
-        Where the leaf's two factors begin in `values`.
-    values : float32 (C, n_values)
-        Not negative.
-    largest : int
-        Code of a factor's maximum.
-    codes : unsigned (C, n_values)
-    scales : float32 (C, n)
-        Geometric mean of the two maxima, over ``largest ** 2``; 0 for a leaf that is zero, whose
-        codes are 0, too.
-    """
-    for n in numba.prange(block_a.shape[0]):
-        size_a = starts[block_a[n] + 1] - starts[block_a[n]]
-        size_b = starts[block_b[n] + 1] - starts[block_b[n]]
-        for c in range(values.shape[0]):
-            maximum_a = _maximum(values[c, offset_a[n] : offset_a[n] + size_a])
-            maximum_b = _maximum(values[c, offset_b[n] : offset_b[n] + size_b])
-            mean = np.sqrt(maximum_a) * np.sqrt(maximum_b)
-            scales[c, n] = mean / (np.float64(largest) * largest)
-            for maximum, first, size in (
-                (maximum_a, offset_a[n], size_a),
-                (maximum_b, offset_b[n], size_b),
-            ):
-                for k in range(first, first + size):
-                    root = np.sqrt(values[c, k] / maximum) if mean > 0 else 0.0
-                    codes[c, k] = np.int64(root * largest + 0.5)
-
-
-@numba.njit(cache=True, parallel=True)
-def decode(offsets, codes, scales, values):  # type: ignore[no-untyped-def]
-    """Write the values of each leaf's factors.
-
-    Parameters
-    ----------
-    offsets : int64 (n + 1,)
-        Where each leaf's values begin.
-    codes : unsigned (C, n_values)
-    scales : float32 (C, n)
-    values : float32 (C, n_values)
-    """
-    for n in numba.prange(offsets.shape[0] - 1):
-        for c in range(codes.shape[0]):
-            for k in range(offsets[n], offsets[n + 1]):
-                root = np.float32(codes[c, k])
-                values[c, k] = root * root * scales[c, n]
 
 
 @numba.njit(cache=True, fastmath=_FAST)

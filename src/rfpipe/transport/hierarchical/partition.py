@@ -15,8 +15,6 @@ from rfpipe.blocks import BlockTree
 from rfpipe.transport.base import Float
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
 
-__all__ = ["predict"]
-
 Index = NDArray[np.int64]
 
 # Rays whose images under a batch of patterns stay in a core's cache.
@@ -93,13 +91,21 @@ def _met(starts: Index, others: Index) -> Index:
 
 
 def _sides(leaves: LeafSet, tree: BlockTree) -> tuple[Index, Index]:
-    """List the leaves by block, see `partition_kernels.sort_by_block`; once."""
-    from rfpipe.transport.hierarchical.partition_kernels import sort_by_block
+    """List the leaves that each block has a factor of, block by block; once.
 
+    Returns
+    -------
+    ndarray of int64, shape (n_blocks + 1,)
+        Where each block's list begins, and the length of all.
+    ndarray of int64
+        Twice a leaf's number where the block is its a, one more where it is its b alone.
+    """
     if "sides" not in leaves.kept:
-        first = np.zeros(tree.n_blocks(leaves.level) + 1, np.int64)
-        sides = np.empty(2 * len(leaves), np.int64)
-        sort_by_block(leaves.block_a, leaves.block_b, first, sides)
-        leaves.kept["sides"] = first, sides
+        apart = np.flatnonzero(leaves.block_a != leaves.block_b)
+        block = np.concatenate([leaves.block_a, leaves.block_b[apart]])
+        side = np.concatenate([2 * np.arange(len(leaves)), 2 * apart + 1])
+        order = np.lexsort((side, block))
+        first = np.searchsorted(block[order], np.arange(tree.n_blocks(leaves.level) + 1))
+        leaves.kept["sides"] = first, side[order]
     found: tuple[Index, Index] = leaves.kept["sides"]
     return found

@@ -58,35 +58,6 @@ def _add_leaves(images, c, ray, end, values, begin, scales, count):  # type: ign
     scales[:] = 0.0
 
 
-@numba.njit(cache=True)
-def sort_by_block(block_a, block_b, first, sides):  # type: ignore[no-untyped-def]
-    """List the leaves that each block has a factor of, block by block, in the leaves' order.
-
-    Parameters
-    ----------
-    block_a, block_b : (n,)
-    first : int64 (n_blocks + 1,)
-        Zeros; filled with where each block's list begins, and the length of all at the end.
-    sides : int64 (2 n,)
-        Filled: twice a leaf's number where the block is its a, one more where it is its b alone.
-    """
-    for n in range(block_a.shape[0]):
-        first[block_a[n] + 1] += 1
-        if block_b[n] != block_a[n]:
-            first[block_b[n] + 1] += 1
-    for block in range(1, first.shape[0]):
-        first[block] += first[block - 1]
-    for n in range(block_a.shape[0]):
-        sides[first[block_a[n]]] = 2 * n
-        first[block_a[n]] += 1
-        if block_b[n] != block_a[n]:
-            sides[first[block_b[n]]] = 2 * n + 1
-            first[block_b[n]] += 1
-    for block in range(first.shape[0] - 1, 0, -1):
-        first[block] = first[block - 1]
-    first[0] = 0
-
-
 @numba.njit(cache=True, parallel=True)
 def apply_to_partition(  # type: ignore[no-untyped-def]
     starts, block_a, block_b, offset_a, offset_b, values, signs, first_side, sides, tiles,
@@ -108,7 +79,7 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
     signs : int8 (C, n) or (C, 0)
         Of the leaves; none if all are positive.
     first_side, sides
-        As `sort_by_block` fills them.
+        The leaves of each block, see `rfpipe.transport.hierarchical.partition`.
     tiles : int64 (n_tiles, 3)
         A block, and a run of its tree positions: the first and the end.
     lit_parts : int64 (m,)

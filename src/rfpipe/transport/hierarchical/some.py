@@ -21,6 +21,7 @@ from rfpipe.transport.hierarchical.leaves import (
     leaf_offsets,
     leaf_sizes,
     pair_of_views,
+    ragged_ranges,
 )
 
 VIEWS_PART = "views"
@@ -84,24 +85,27 @@ class StoredLeaves(SetsOnDemand[str, LeafSet]):
     def _some(self, key: str, rays: Rays) -> LeafSet:
         """Read some leaves of a set: first the blocks of the views that are asked for."""
         names, level, tree = self._sets[key], _level(key), rays.tree
-        leaves = np.array([[0, self._bundle.shape(names["block_a"])[0]]])
-        first_values = np.zeros(1, np.int64)
+        views = np.array([[0, self._bundle.shape(names["block_a"])[0]], [0, 0]])
+        asked = np.ones(1, np.bool_)
         if VIEWS_PART in names:
-            offsets = self._bundle.read(names[VIEWS_PART])
+            views = self._bundle.read(names[VIEWS_PART])
             asked = rays.pass_light(1, *np.triu_indices(tree.n_blocks(1)))
-            leaves = np.stack([offsets[0, :-1], offsets[0, 1:]], axis=1)[asked]
-            first_values = offsets[1, :-1][asked]
-        blocks = [self._bundle.read_runs(names[part], leaves) for part in _BLOCKS]
-        sizes = leaf_sizes(tree, level, *blocks)
-        ones = np.ones_like(sizes)
+        first, first_value = views[:, :-1][:, asked]
+        lengths = np.diff(views[0])[asked]
+        of_leaf = ragged_ranges(first, lengths)
+        blocks = [self._bundle.take(names[part], of_leaf) for part in _BLOCKS]
         chosen = rays.pass_light(level, *blocks)
-        lengths = leaves[:, 1] - leaves[:, 0]
-        of_leaf = _joined(_within(leaves[:, 0], lengths, ones)[chosen], ones[chosen])
-        of_values = _joined(_within(first_values, lengths, sizes)[chosen], sizes[chosen])
+        sizes = leaf_sizes(tree, level, *blocks)
+        # values of a pair of views lie one leaf behind the other
+        before = np.cumsum(sizes) - sizes
+        ends = np.cumsum(lengths)
+        of_views = np.append(0, np.cumsum(sizes))[ends - lengths]
+        begin = before + np.repeat(first_value - of_views, lengths)
+        of_values = ragged_ranges(begin[chosen], sizes[chosen])
         arrays = dict(zip(_BLOCKS, (found[chosen] for found in blocks), strict=True))
         for part in names.keys() - {*_BLOCKS, VIEWS_PART}:
-            runs = of_values if part in ("values", "codes") else of_leaf
-            arrays[part] = self._bundle.read_runs(names[part], runs)
+            items = of_values if part in ("values", "codes") else of_leaf[chosen]
+            arrays[part] = self._bundle.take(names[part], items)
         return unpack_leaves(level, arrays)
 
 
@@ -130,20 +134,3 @@ def offsets_of_views(tree: BlockTree, leaves: LeafSet) -> Index:
 
 def _level(key: str) -> int:
     return int(key.split("_")[1])
-
-
-def _within(first: Index, lengths: Index, sizes: Index) -> Index:
-    """Return where items begin of runs that begin at `first`, one behind the other in each."""
-    before = np.append(0, np.cumsum(sizes))
-    begin = before[np.cumsum(lengths) - lengths]
-    found: Index = before[:-1] + np.repeat(first - begin, lengths)
-    return found
-
-
-def _joined(first: Index, sizes: Index) -> Index:
-    """Return runs ``(n, 2)``, those that follow on each other as one."""
-    if not len(first):
-        return np.empty((0, 2), np.int64)
-    ends = first + sizes
-    apart = np.flatnonzero(first[1:] != ends[:-1])
-    return np.stack([first[np.append(0, apart + 1)], ends[np.append(apart, len(ends) - 1)]], axis=1)

@@ -30,7 +30,7 @@ from rfpipe.transport.hierarchical.truncation import collapse, found_later
 from rfpipe.units import NumberFormat
 
 
-class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[LeafSet]):
+class HierarchicalTransport(CoaxialTransport, LevelTransport):
     """Symmetric transport as a hierarchical tensor with rank-1, rank-k and scalar leaves.
 
     A leaf of rank k is k rank-1 leaves over the same pair of blocks, see `LeafSet`.
@@ -91,29 +91,26 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
         """Return the leaves that pass light between some rays, see `Light.between_some`."""
         rays = Rays(self.tree, seen[self.tree.order], lit[self.tree.order])
-        return self._holding(self.level_rows, leaves_between(self._held, rays))
+        return self.holding(self.level_rows, leaves_between(self._held, rays))
 
-    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
+    def _truncated(self, level: int) -> Sequence[LeafSet]:
         """Make leaves of what was subdivided at `level` of the blocks."""
-        if level == self.finest:
-            return self
         held = self._held
-        levels = [leaves.level for leaves in held]
-        of_level = [index for index, found in enumerate(levels) if found == level]
+        levels = np.array([leaves.level for leaves in held])
+        of_level = np.flatnonzero(levels == level).tolist()
         later = found_later(self.tree, SetsOnDemand(of_level, lambda n: held[n], keep=False))
-        split = {index: terms for index, terms in zip(of_level, later, strict=True) if terms.any()}
-        deeper = [index for index, found in enumerate(levels) if found > level]
-        below = SetsOnDemand(
-            [*split, *deeper],
-            lambda n: held[n].subset(self.tree, split[n]) if n in split else held[n],
-            keep=False,
-        )
-        either: list[int | LeafSet] = [
-            *(n for n, found in enumerate(levels) if found <= level and n not in split),
-            *(held[n].subset(self.tree, ~terms) for n, terms in split.items()),
-            *collapse(self.tree, below, level, self.channels),
-        ]
-        leaf_sets = SetsOnDemand(
-            either, lambda found: held[found] if isinstance(found, int) else found, keep=False
-        )
-        return self._holding(level_rows, leaf_sets)
+        split = {n: terms for n, terms in zip(of_level, later, strict=True) if terms.any()}
+
+        def part(key: tuple[int, bool] | LeafSet) -> LeafSet:
+            if isinstance(key, LeafSet):
+                return key
+            index, is_below = key
+            terms = split.get(index)
+            whole: LeafSet = held[index]
+            return whole if terms is None else whole.subset(self.tree, terms == is_below)
+
+        finer, coarser = np.flatnonzero(levels > level), np.flatnonzero(levels <= level)
+        below: list[Any] = [(n, True) for n in (*split, *finer.tolist())]
+        kept: list[Any] = [(n, False) for n in coarser.tolist()]
+        collapsed = collapse(self.tree, SetsOnDemand(below, part, keep=False), level, self.channels)
+        return SetsOnDemand([*kept, *collapsed], part, keep=False)

@@ -132,17 +132,23 @@ def _add_marginals(
     marginals: NDArray[np.float64],
 ) -> None:
     """Add the row and column sums of leaves to those of their nodes."""
-    from rfpipe.transport.hierarchical import kernels
-
     starts, values = tree.starts[leaves.level], leaves.values
+    sizes, is_apart = np.diff(starts), leaves.block_a != leaves.block_b
     if leaves.level == tree.n_levels - 1:
         # A scalar is the leaf x * 1: give it a second factor of one.
-        values = np.stack([values, np.ones_like(values)], axis=2).reshape(len(values), -1)
-        offset_a = 2 * np.arange(len(leaves), dtype=np.int64)
-        offset_b = offset_a + 1
+        values = np.concatenate([values, np.ones_like(values)], axis=1)
+        offsets = [np.arange(len(leaves)), np.arange(len(leaves)) + len(leaves)]
     else:
-        offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
-    kernels.add_marginals(
-        starts, leaves.block_a, leaves.block_b, offset_a, offset_b, values,
-        leaves.signs_if_any, node, *own, marginals,
-    )  # fmt: skip
+        offsets = [*factor_offsets(starts, leaves.block_a, leaves.block_b)[:2]]
+    sides = []
+    for block, offset, first in zip((leaves.block_a, leaves.block_b), offsets, own, strict=True):
+        lengths = sizes[block]
+        factors = values[:, ragged_ranges(offset, lengths)].astype(np.float64)
+        sums = np.add.reduceat(factors, np.cumsum(lengths) - lengths, axis=1)
+        if leaves.signs is not None:
+            sums *= leaves.signs
+        sides.append((ragged_ranges(first[node] + starts[block], lengths), lengths, factors, sums))
+    a, b = sides
+    for (place, lengths, factors, _), sums in ((a, b[-1]), (b, a[-1] * is_apart)):
+        light = factors * np.repeat(sums, lengths, axis=1)
+        marginals += [np.bincount(place, plane, marginals.shape[1]) for plane in light]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64
-from rfpipe.transport.multiscale.basis import (
+from rfpipe.transport.multiscale import (
     Functions,
     MultiscaleBasis,
     along,

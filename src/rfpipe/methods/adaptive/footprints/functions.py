@@ -19,7 +19,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.footprints.chart import ChartBasis
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int64
 from rfpipe.methods.adaptive.smooth_fit import OCTAVES
-from rfpipe.transport.multiscale.basis import REACH, VIEW, MultiscaleBasis
+from rfpipe.transport.multiscale import REACH, VIEW, MultiscaleBasis
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -48,7 +48,7 @@ from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, Seri
 from rfpipe.methods.adaptive.patterns import SEED
 from rfpipe.methods.adaptive.pictures import SIGNIFICANT
 from rfpipe.provenance import generator
-from rfpipe.transport.multiscale.basis import (
+from rfpipe.transport.multiscale import (
     MultiscaleBasis,
     cells,
     coarsest_scale,

@@ -9,6 +9,7 @@ views.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.transport.arrays import ArrayTransport, CoaxialTransport
+from rfpipe.transport.base import Float
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -28,6 +31,9 @@ REACH = 2
 _COARSEST_CELLS = 20
 # Pairs of functions whose coarser one is finer than this part of the coarsest scale are near range.
 _NEAR = 4
+
+# Columns of light that are taken through the pairs at once: they should stay in the cache.
+_COLUMNS = 64
 
 SCALE, VIEW, ROW, COLUMN = range(4)
 """The columns of a table of functions."""
@@ -184,50 +190,113 @@ def numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functio
 def _pairs(
     functions: Functions, centres: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[Functions, Functions]:
-    """Find the pairs of functions within reach, each once."""
-    if not len(functions):
-        none = np.zeros(0, np.int32)
-        return none, none
-    top = int(functions[:, SCALE].max())
-    firsts, seconds = [], []
-    scales = np.unique(functions[:, SCALE])
-    for fine in scales:
-        near = np.flatnonzero(functions[:, SCALE] == fine)
-        for coarse in scales[scales >= fine]:
-            if coarse == top:
-                far = np.flatnonzero(functions[:, SCALE] == coarse)
-                a, b = (grid.ravel() for grid in np.meshgrid(near, far, indexing="ij"))
-                joined = (fine == top) | (functions[a, VIEW] == functions[b, VIEW])
-                a, b = a[joined], b[joined]
-            else:
-                found = _within_reach(functions, centres, near, shape, int(coarse))
-                a = near.repeat((found >= 0).sum(axis=1))
-                b = found[found >= 0].astype(np.intp)
-            once = (a <= b) | (coarse != fine)
-            firsts.append(np.minimum(a, b)[once])
-            seconds.append(np.maximum(a, b)[once])
-    return (
-        np.concatenate(firsts).astype(np.int32),
-        np.concatenate(seconds).astype(np.int32),
-    )
+    """Find the pairs of functions within reach, each once, by their scales and numbers."""
+    from scipy.spatial import cKDTree
+
+    scale, view = functions[:, SCALE], functions[:, VIEW]
+    top = scale.max(initial=0)
+    # views apart, so that no function is within reach of another view's
+    place = np.column_stack([centres, view * 4.0 * (max(shape) + top)])
+    found = []
+    for coarse in np.unique(scale):
+        finer, own = np.flatnonzero(scale <= coarse), np.flatnonzero(scale == coarse)
+        if coarse == top:
+            a, b = (grid.ravel() for grid in np.meshgrid(finer, own, indexing="ij"))
+            near = (scale[a] == top) | (view[a] == view[b])
+        else:
+            trees = cKDTree(place[finer]), cKDTree(place[own])
+            pairs = trees[0].sparse_distance_matrix(
+                trees[1], REACH * float(coarse), p=np.inf, output_type="ndarray"
+            )
+            a, b = finer[pairs["i"]], own[pairs["j"]]
+            near = np.ones(len(a), np.bool_)
+        found.append(np.stack([a, b])[:, near & (a <= b)])
+    a, b = np.concatenate([np.zeros((2, 0), np.int64), *found], axis=1)
+    order = np.lexsort((b, a, scale[b], scale[a]))
+    return a[order].astype(np.int32), b[order].astype(np.int32)
 
 
-def _within_reach(
-    functions: Functions,
-    centres: NDArray[np.float64],
-    near: NDArray[np.int64],
-    shape: tuple[int, ...],
-    scale: int,
-) -> Functions:
-    """Return the functions of a scale within reach of some, (functions, places), -1 for none."""
-    # outside of the grid there is no function
-    room = 2 * REACH + 1
-    around = ((0, 0), (room, room), (room, room))
-    padded = np.pad(numbers(functions, shape, scale), around, constant_values=-1)
-    position = centres[near].T / scale + (0.5 if scale > 1 else -0.5)
-    first = np.ceil(position - REACH).astype(np.int64)
-    row, column = place = first[:, :, None] + np.arange(2 * REACH + 1)
-    down, across = place <= (position + REACH)[:, :, None]
-    view = functions[near, VIEW][:, None, None]
-    found = padded[view, row[:, :, None] + room, column[:, None, :] + room]
-    return np.where(down[:, :, None] & across[:, None, :], found, -1).reshape(len(near), -1)
+class MultiscaleTransport(CoaxialTransport, ArrayTransport):
+    """Symmetric transport ``T = F B S B^T F`` a channel, smooth up to the image F on both sides.
+
+    Parameters
+    ----------
+    shape, channels, level_rows, nbytes
+        See `rfpipe.transport.arrays.CoaxialTransport`.
+    held : mapping of str to ndarray
+        ``factor``, float32 (channels, N): F, radiance of the floodlit image. ``functions``, int32
+        (n, 4): those of B, see `MultiscaleBasis`. ``cores``, float32 (channels, pairs): S, one
+        value a pair of functions, in inverse radiance. ``pairs``, int32 (2, pairs): which
+        functions; left out where they are all pairs of the basis. May be read lazily. Cores
+        cancel, so that no store rounds them.
+    """
+
+    kind = "multiscale"
+
+    @cached_property
+    def basis(self) -> MultiscaleBasis:
+        """The functions."""
+        return MultiscaleBasis(self.camera_shape, self._held["functions"])
+
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, N)``."""
+        images = np.empty(patterns.shape, np.float32)
+        for k, c in enumerate(channels):
+            cores, factor = self._held["cores"][c], self._held["factor"][c]
+            images[:, k] = bounced(self.basis, self._pairs, cores, factor, patterns[:, k])
+        return images
+
+    def between(
+        self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
+    ) -> Float:
+        """Return the light between few patterns, see `Transport.between`."""
+        from scipy.sparse import diags_array
+
+        from rfpipe.transport.pair_kernels import couple
+
+        # no image is made: functions are many fewer than rays
+        scaled = self.basis.sums @ diags_array(self._held["factor"][channel])
+        light, back = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
+        found = np.empty((received.shape[1], sent.shape[1]), np.float32)
+        for first in range(0, sent.shape[1], _COLUMNS):
+            columns = slice(first, first + _COLUMNS)
+            some = np.ascontiguousarray(light[:, columns].toarray())
+            arriving = np.zeros_like(some)
+            couple(*self._pairs, self._held["cores"][channel], some, arriving)
+            found[:, columns] = back @ arriving
+        return found
+
+    @property
+    def _pairs(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        if "pairs" in self._held:
+            first, second = self._held["pairs"]
+            return first, second
+        return self.basis.pairs
+
+
+def bounced(
+    basis: MultiscaleBasis,
+    pairs: tuple[Functions, Functions],
+    cores: Float,
+    factor: Float,
+    patterns: NDArray[Any],
+) -> Float:
+    """Return ``F B S B^T F p`` of one channel for patterns (P, N), float32 (P, N).
+
+    Parameters
+    ----------
+    basis : MultiscaleBasis
+    pairs : tuple of two ndarrays of int32, shape (pairs,)
+        The functions that the cores are about.
+    cores : ndarray of float32, shape (pairs,)
+    factor : ndarray of float32, shape (N,)
+        F.
+    patterns : ndarray of float32 or bool, shape (P, N)
+    """
+    from rfpipe.transport.pair_kernels import couple
+
+    light = np.ascontiguousarray(basis.sums @ (patterns * factor).T)
+    received = np.zeros_like(light)
+    couple(*pairs, cores, light, received)
+    images: Float = (basis.weights @ received).T * factor
+    return images

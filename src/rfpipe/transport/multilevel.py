@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +11,12 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.arrays import LevelTransport, SetsOnDemand, by_prefix, rounded
-from rfpipe.transport.base import Float, Transport
-from rfpipe.transport.multilevel.pairs import (
+from rfpipe.transport.base import Float
+from rfpipe.transport.pairs import (
     PAIR_PARTS,
     PairSet,
     Spread,
+    by_level,
     fold,
     spread_by_transpose,
     spread_evenly,
@@ -27,25 +27,28 @@ from rfpipe.units import NumberFormat
 _BATCH = 16
 
 
-class MultilevelTransport(LevelTransport[PairSet]):
+class MultilevelTransport(LevelTransport):
     """Transport as a sum over levels of sparse matrices (block, pixel) -> value.
 
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
-        See `rfpipe.transport.arrays.HoldingTransport`.
+        See `rfpipe.transport.base.Transport`.
     held : sequence of PairSet
         By level, the coarsest first; may be read when used.
-
-    Attributes
-    ----------
     symmetric : bool
         Whether the transport is its own transpose, as a coaxial rig's is: a response is then spread
         over its block in proportion to the transpose's estimate, else evenly.
     """
 
     kind = "multilevel"
-    symmetric: bool = False
+    stored_names = ("camera_shape", "projector_shape", "symmetric")
+    _held: Sequence[PairSet]
+
+    def __init__(self, *args: Any, symmetric: bool = False, **named: Any) -> None:
+        super().__init__(*args, **named)
+        self.symmetric = symmetric
+        self._spreads: dict[int, Spread] = {}
 
     @classmethod
     def from_pair_sets(
@@ -58,19 +61,13 @@ class MultilevelTransport(LevelTransport[PairSet]):
         symmetric: bool = False,
     ) -> MultilevelTransport:
         """Build a transport from pair sets, at most one a level."""
-        filled = sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
-        made = cls(camera.shape, projector.shape, channels, level_rows, filled)
-        made.symmetric = symmetric
-        return made
+        shapes = camera.shape, projector.shape
+        return cls(*shapes, channels, level_rows, by_level(pair_sets), symmetric=symmetric)
 
-    def with_pairs(
-        self, pair_sets: Sequence[PairSet], level_rows: list[dict[str, Any]], symmetric: bool
-    ) -> MultilevelTransport:
-        """Return a transport between the same rays of other pairs, at most one set a level."""
-        camera, projector = RayDomain(self.camera_shape), self.tree.domain
-        return self.from_pair_sets(
-            camera, projector, self.channels, level_rows, pair_sets, symmetric
-        )
+    def evenly(self) -> MultilevelTransport:
+        """Return the transport whose responses are spread evenly over their blocks."""
+        shapes = self.camera_shape, self.projector_shape
+        return type(self)(*shapes, self.channels, self.level_rows, self._held)
 
     @property
     def pair_sets(self) -> Sequence[PairSet]:
@@ -126,10 +123,6 @@ class MultilevelTransport(LevelTransport[PairSet]):
         for index, pairs in enumerate(self.pair_sets):
             yield pairs, self._spread(index, pairs)
 
-    @cached_property
-    def _spreads(self) -> dict[int, Spread]:
-        return {}
-
     def _spread(self, index: int, pairs: PairSet) -> Spread:
         """Return how a level's responses are spread over their blocks, made when first used."""
         if pairs.level not in self._spreads:
@@ -147,35 +140,19 @@ class MultilevelTransport(LevelTransport[PairSet]):
         for pairs, spread in self.spread_pairs():
             yield pairs, spread, pairs.values if every else pairs.values[chosen]
 
-    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
+    def _truncated(self, level: int) -> list[PairSet]:
         """Give what was subdivided at `level` of the blocks the sum of what was stored below it."""
         kept = [pairs for pairs in self.pair_sets if pairs.level < level]
         folded = [pairs for pairs in self.pair_sets if pairs.level >= level]
-        pixels = RayDomain(self.camera_shape).size
-        kept.append(fold(self.tree, level, folded, self.channels, pixels))
-        return self.with_pairs(kept, level_rows, self.symmetric)
-
-    def pack(
-        self, number_format: NumberFormat = "float32"
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the arrays and attributes that a store keeps."""
-        arrays, attributes = super().pack(number_format)
-        return arrays, {**attributes, "symmetric": self.symmetric}
-
-    @classmethod
-    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
-        """Build a transport from a store; its pairs are read when first used."""
-        opened = super().unpack(bundle, memory_budget)
-        opened.symmetric = bundle.attributes.get("symmetric", False)
-        return opened
+        pixels = int(np.prod(self.camera_shape))
+        return by_level([*kept, fold(self.tree, level, folded, self.channels, pixels)])
 
     def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
         for pairs in self.pair_sets:
-            prefix = f"level_{pairs.level:02d}"
-            arrays[f"{prefix}_block"] = pairs.block
-            arrays[f"{prefix}_pixel"] = pairs.pixel
-            arrays[f"{prefix}_values"] = rounded(pairs.values, number_format)
+            parts = pairs.block, pairs.pixel, rounded(pairs.values, number_format)
+            for part, array in zip(PAIR_PARTS, parts, strict=True):
+                arrays[f"level_{pairs.level:02d}_{part}"] = array
         return arrays
 
     @classmethod

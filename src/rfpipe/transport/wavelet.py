@@ -1,17 +1,26 @@
-"""The orthonormal Haar transform of images on a grid, and where its functions are."""
+"""Symmetric transport of any shape: Haar wavelets on cells of pixels, and what they exchange.
+
+Light of any shape is dim enough, beside what smooth functions hold, to be told from few pictures.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
+from rfpipe.transport.arrays import ArrayTransport, CoaxialTransport
 from rfpipe.transport.base import Float
+from rfpipe.transport.rays import squares
 
-__all__ = ["Group", "Haar"]
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 _HALF = np.float32(0.5)
 _COARSEST = 3  # cells along the shorter side of the coarsest grid, at least
@@ -134,3 +143,99 @@ class Haar:
                 )
             rest = quads.reshape(views, 2 * h, 2 * w, count)
         return np.ascontiguousarray(rest[:, :height, :width]).reshape(-1, count)
+
+
+def cell_side(shape: tuple[int, ...], most: int) -> int:
+    """Return the least side of cells, in pixels, of which there are at most so many.
+
+    Cells don't reach over views: of as many views as that there is one cell each.
+    """
+    views, height, width = RayDomain(shape).stack_shape
+    side = 1
+    while views * -(-height // side) * -(-width // side) > most and side < max(height, width):
+        side += 1
+    return side
+
+
+class Cells:
+    """The cells of a ray domain of N rays.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain.
+    side : int
+        Pixels along either side of a cell, at least 1; those at the image's end may be smaller.
+    """
+
+    def __init__(self, shape: tuple[int, ...], side: int) -> None:
+        self.shape, self.side = tuple(shape), side
+        grid, self._sums = squares(self.shape, side)
+        self.stack = RayDomain(grid).stack_shape
+        self.count = math.prod(grid)
+
+    @cached_property
+    def of_ray(self) -> NDArray[np.int64]:
+        """Each ray's cell, (N,)."""
+        return self._sums.tocsc().indices.astype(np.int64)
+
+    @cached_property
+    def haar(self) -> Haar:
+        """The wavelets."""
+        return Haar(self.stack)
+
+    def total(self, images: NDArray[Any]) -> Float:
+        """Return sums over cells (cells, M) of images (M, N)."""
+        if self.side == 1:
+            return np.ascontiguousarray(images.T, np.float32)
+        sums: Float = self._sums @ np.asarray(images.T, np.float32)
+        return sums
+
+    def spread(self, values: Float) -> Float:
+        """Return images (M, N) that have the values (cells, M) of their cells."""
+        return np.ascontiguousarray(values[self.of_ray].T)
+
+    def shared_out(self, values: Float, over: Float) -> csr_array[np.float32]:
+        """Return each cell's part of an image (N,) over a value a cell, sparse (N, cells)."""
+        from scipy.sparse import csr_array
+
+        whole = over[self.of_ray]
+        shares = np.divide(values, whole, out=np.zeros_like(values), where=whole > 0)
+        where = (np.arange(len(shares)), self.of_ray)
+        return csr_array((shares, where), shape=(len(shares), self.count))
+
+
+class WaveletTransport(CoaxialTransport, ArrayTransport):
+    """Symmetric transport ``T = F W^T C W F`` a channel, between wavelets of two images.
+
+    Parameters
+    ----------
+    shape, channels, level_rows, nbytes
+        See `rfpipe.transport.arrays.CoaxialTransport`.
+    held : mapping of str to ndarray
+        ``side``, int32 (1,): pixels along the side of a cell. ``factor``, float32 (channels, N): F.
+        ``pairs``, int32 (2, pairs): which wavelets exchange light, of those of the cells' `Haar`,
+        the first one's number at most the second's. ``cores``, float32 (channels, pairs): C, of
+        any sign. They cancel, so that no store rounds them. May be read lazily.
+    """
+
+    kind = "wavelet"
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The grid of the wavelets."""
+        return Cells(self.shape, int(self._held["side"][0]))
+
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, N)``."""
+        from rfpipe.transport.pair_kernels import couple
+
+        images = np.empty(patterns.shape, np.float32)
+        cells, (first, second) = self.cells, self._held["pairs"]
+        for k, c in enumerate(channels):
+            factor = self._held["factor"][c]
+            light = cells.haar.forward(cells.total(patterns[:, k] * factor))
+            received = np.zeros_like(light)
+            couple(first, second, self._held["cores"][c], light, received)
+            images[:, k] = cells.spread(cells.haar.inverse(received)) * factor
+        return images

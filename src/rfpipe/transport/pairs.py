@@ -58,6 +58,11 @@ class PairSet:
         return self.block.nbytes + self.pixel.nbytes + self.values.nbytes
 
 
+def by_level(pair_sets: Sequence[PairSet]) -> list[PairSet]:
+    """Return the sets that aren't empty, the coarsest first."""
+    return sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
+
+
 def no_pairs(level: int, channels: int) -> PairSet:
     """Return an empty set of pairs."""
     none = np.empty(0, np.int32)
@@ -70,17 +75,20 @@ def fold(
     """Add up pairs of `level` and of finer levels over their blocks of `level`."""
     if not any(len(pairs) for pairs in pair_sets):
         return no_pairs(level, channels)
-    key = np.concatenate(
-        [
-            tree.ancestors(pairs.level, level)[pairs.block] * pixels + pairs.pixel
-            for pairs in pair_sets
-        ]
-    )
+    keys = [
+        tree.ancestors(pairs.level, level)[pairs.block] * pixels + pairs.pixel
+        for pairs in pair_sets
+    ]
     values = np.concatenate([pairs.values for pairs in pair_sets], axis=1)
-    kept, index = np.unique(key, return_inverse=True)
-    sums = np.stack([np.bincount(index, plane, len(kept)) for plane in values])
+    kept, sums = _summed(np.concatenate(keys), values)
     block, pixel = np.divmod(kept, pixels)
     return PairSet(level, block.astype(np.int32), pixel.astype(np.int32), sums.astype(np.float32))
+
+
+def _summed(keys: NDArray[np.int64], values: Float) -> tuple[NDArray[np.int64], Double]:
+    """Return the keys that there are, ascending, and the sums (C, keys) of their values."""
+    kept, index = np.unique(keys, return_inverse=True)
+    return kept, np.stack([np.bincount(index, plane, len(kept)) for plane in values])
 
 
 @dataclass(frozen=True)
@@ -143,11 +151,9 @@ def spread_by_transpose(tree: BlockTree, pair_sets: Sequence[PairSet], index: in
     for other in pair_sets:
         _add_responses(tree, level, other, lit, ray, shares)
     ends = np.append(0, np.cumsum(sizes))
-    sums = np.add.reduceat(shares, ends[:-1], axis=1)
-    even = np.broadcast_to(np.repeat(1.0 / sizes, sizes), shares.shape)
-    sums = np.repeat(sums, sizes, axis=1)
-    np.divide(shares, sums, out=shares, where=sums > 0)
-    shares[sums <= 0] = even[sums <= 0]
+    sums = np.repeat(np.add.reduceat(shares, ends[:-1], axis=1), sizes, axis=1)
+    even = np.repeat(1.0 / sizes, sizes)
+    shares = np.where(sums > 0, shares / np.where(sums > 0, sums, 1), even)
     return Spread(
         node.astype(np.int32),
         [csr_array((plane, position, ends), (len(nodes), pixels)) for plane in shares],
@@ -193,8 +199,7 @@ def _add_responses(
     count = tree.domain.size
     if pairs.level >= level:
         coarse = tree.ancestors(pairs.level, level)[pairs.block]
-        keys, index = np.unique(coarse * np.int64(count) + pairs.pixel, return_inverse=True)
-        values = np.stack([np.bincount(index, plane, len(keys)) for plane in pairs.values])
+        keys, values = _summed(coarse * np.int64(count) + pairs.pixel, pairs.values)
         wanted, share = block, np.ones(1)
     else:
         keys, values = pairs.block * np.int64(count) + pairs.pixel, pairs.values.astype(float)

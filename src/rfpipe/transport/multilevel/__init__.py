@@ -1,1 +1,0 @@
-"""The multilevel transport of dual photography (thesis §3.2)."""

@@ -1,1 +1,0 @@
-"""Symmetric transport of any shape by Haar wavelets on cells of pixels."""
