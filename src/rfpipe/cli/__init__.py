@@ -8,15 +8,11 @@ from typing import Annotated
 import typer
 
 from rfpipe import plugins
-from rfpipe.cli.aim import aim
-from rfpipe.cli.calibrate import calibrate
-from rfpipe.cli.catalogue import catalogue
 from rfpipe.cli.fit import fit
 from rfpipe.cli.offline import import_, patterns
-from rfpipe.cli.plan import plan
 from rfpipe.cli.relight import relight
-from rfpipe.cli.run import PASSED_ON, run
-from rfpipe.cli.serve import serve
+from rfpipe.cli.rig import aim, calibrate, serve
+from rfpipe.cli.run import PASSED_ON, catalogue, plan, run
 from rfpipe.cli.settings import settings
 from rfpipe.cli.transports import export, info, movie
 from rfpipe.cli.verify import verify
@@ -38,8 +34,7 @@ app = typer.Typer(
 @app.callback()
 def _common(
     version: Annotated[
-        bool,
-        typer.Option("--version", help="Print rfpipe's version and exit.", is_eager=True),
+        bool, typer.Option("--version", help="Print rfpipe's version and exit.", is_eager=True)
     ] = False,
 ) -> None:
     if version:
@@ -48,21 +43,11 @@ def _common(
 
 
 app.command(context_settings=PASSED_ON)(run)
-app.command()(plan)
-app.command()(settings)
-app.command()(catalogue)
-app.command()(verify)
-app.command()(info)
-app.command()(relight)
-app.command()(view)
-app.command()(export)
-app.command()(movie)
-app.command()(fit)
-app.command()(patterns)
+for _one in (plan, settings, catalogue, verify, info, relight, view, export, movie, fit, patterns):
+    app.command()(_one)
 app.command("import")(import_)
-app.command()(aim)
-app.command()(calibrate)
-app.command()(serve)
+for _of_a_rig in (aim, calibrate, serve):
+    app.command()(_of_a_rig)
 for _name in plugins.names(plugins.COMMANDS):
     _command = plugins.find(plugins.COMMANDS, _name)
     if isinstance(_command, typer.Typer):

@@ -7,8 +7,6 @@ from typing import Annotated, Literal
 
 import typer
 
-__all__ = ["fit"]
-
 
 def fit(
     folder: Annotated[
@@ -47,10 +45,7 @@ def fit(
         int, typer.Option(min=1, help="Take the mean of so many by so many camera pixels as a ray.")
     ] = 1,
     coaxial: Annotated[
-        bool,
-        typer.Option(
-            "--coaxial", help="Camera and projector share their rays: few patterns then suffice."
-        ),
+        bool, typer.Option("--coaxial", help="Camera and projector share their rays.")
     ] = False,
     model: Annotated[
         Literal["best", "linear", "near_far"],

@@ -7,23 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rfpipe.cli.run import ConfigFile
+
 if TYPE_CHECKING:
     from rfpipe.rigs.offline import Sheet
 
-__all__ = ["import_", "patterns"]
-
 
 def patterns(
-    config: Annotated[
-        Path,
-        typer.Argument(metavar="CONFIG", help="A YAML file of settings: capture.rig offline."),
-    ],
+    config: ConfigFile,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder of the sheets; each has one in it.")
     ] = Path("patterns"),
-    results: Annotated[Path, typer.Option(help="Where the results lie, or are to lie.")] = Path(
-        "results"
-    ),
+    results: Annotated[Path, typer.Option(help="Of the run, there or to come.")] = Path("results"),
 ) -> None:
     """Write the pictures that a projector is to show next, where the pictures are taken elsewhere.
 

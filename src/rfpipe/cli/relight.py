@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,9 +71,7 @@ def relight(
     scale: Annotated[str, typer.Option(help=PICTURE_SCALE)] = "1",
     resize: Annotated[
         bool,
-        typer.Option(
-            "--resize", help="Resize a pattern that has another size than the rays; says so."
-        ),
+        typer.Option("--resize", help="Resize a pattern of another size than the rays."),
     ] = False,
 ) -> None:
     """Render the image under a pattern, or under each of many.
@@ -87,7 +85,7 @@ def relight(
 
     light, size = opened(path, dual, level, view), Scale.parse(scale)
     patterns = list(_patterns(pattern, light, resize=resize))
-    names = [each.name for each in patterns]
+    names = [name for name, _ in patterns]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
@@ -97,7 +95,7 @@ def relight(
     files = [output if is_picture else output / f"{name}.{form}" for name in names]
 
     def pictures(scale: Scale) -> Iterator[Float]:
-        return relit_pictures(light, (each.weights() for each in patterns), scale)
+        return relit_pictures(light, (weights() for _, weights in patterns), scale)
 
     if white is None and len(patterns) > 1 and form == "png":
         white = max(float(np.percentile(image, _WHITE_PERCENTILE)) for image in pictures(Scale()))
@@ -110,29 +108,10 @@ def relight(
         typer.echo(f"{output}: {len(patterns)} pictures{shown}")
 
 
-@dataclass(frozen=True)
-class _Pattern:
-    """A pattern by where it comes from: of a stack in a file the one at `index`."""
-
-    name: str
-    source: str
-    index: int | None
-    light: Light
-    resize: bool
-
-    def weights(self) -> Float:
-        """Make or read the weights."""
-        if self.index is not None:
-            stacked: Float = _stack(Path(self.source))[self.index]
-            return stacked
-        light = self.light
-        return pattern_weights(
-            self.source, light.projector_shape, light.channels, resize=self.resize
-        )
-
-
-def _patterns(sources: Sequence[str], light: Light, *, resize: bool) -> Iterator[_Pattern]:
-    """Yield all patterns, none of them read yet."""
+def _patterns(
+    sources: Sequence[str], light: Light, *, resize: bool
+) -> Iterator[tuple[str, Callable[[], Float]]]:
+    """Yield all patterns: their names, and what makes or reads their weights."""
     for source in sources:
         file = Path(source)
         if file.is_dir():
@@ -142,9 +121,10 @@ def _patterns(sources: Sequence[str], light: Light, *, resize: bool) -> Iterator
             yield from _patterns(inside, light, resize=resize)
         elif file.suffix.lower() == ".npy":
             for index in range(len(_stack(file))):
-                yield _Pattern(f"{file.stem}_{index:04d}", source, index, light, resize)
+                yield f"{file.stem}_{index:04d}", partial(_one_of, file, index)
         else:
-            yield _Pattern(file.stem, source, None, light, resize)
+            shape, channels = light.projector_shape, light.channels
+            yield file.stem, partial(pattern_weights, source, shape, channels, resize=resize)
 
 
 def _stack(file: Path) -> Float:
@@ -155,6 +135,11 @@ def _stack(file: Path) -> Float:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: can't be read as .npy: {error}") from error
     return stack
+
+
+def _one_of(file: Path, index: int) -> Float:
+    one: Float = _stack(file)[index]
+    return one
 
 
 def pattern_weights(
@@ -185,10 +170,8 @@ def pattern_weights(
     picture = read_image(Path(name))
     expected = RayDomain(shape).picture_shape
     if picture.shape[:2] != expected and resize:
-        typer.echo(
-            f"pattern {name}: resized from {times(picture.shape[:2])} to {times(expected)} pixels",
-            err=True,
-        )
+        sizes = f"from {times(picture.shape[:2])} to {times(expected)} pixels"
+        typer.echo(f"pattern {name}: resized {sizes}", err=True)
         picture = resized(picture, expected).clip(0, 1)
     if picture.shape[:2] != expected:
         raise InputError(

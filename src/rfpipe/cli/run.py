@@ -1,33 +1,33 @@
-"""``rfpipe run``: the workflow, with settings checked first and its report named afterwards."""
+"""``rfpipe run``, ``plan`` and ``catalogue``: a run, before it begins, and what became of it."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
-import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rfpipe.errors import InputError
 
-__all__ = ["PASSED_ON", "Directory", "run", "working_in"]
+if TYPE_CHECKING:
+    import pandas as pd
 
-Directory = Annotated[
-    Path,
-    typer.Option("--directory", "-d", help="The run's folder, as 'rfpipe run' takes it."),
+ConfigFile = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="A YAML file of a run's settings.")
 ]
-
 PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
-"""How the command is registered: all that follows its name is for Snakemake."""
+"""How `run` is registered: all that follows its name is for Snakemake."""
 
 _REPORT = Path("results") / "report" / "index.html"
 _CONFIGS, _DIRECTORY = ("--configfile", "--configfiles"), ("--directory", "-d")
+_SHOWN = 30  # rows of a forecast
+_MOST_NAMED = 8  # folders of scenes that are no more
 
 
 def run(context: typer.Context) -> None:
@@ -39,17 +39,16 @@ def run(context: typer.Context) -> None:
     if not Path("Snakefile").is_file() and not {"-s", "--snakefile"} & set(context.args):
         raise InputError("Snakefile: isn't here; run this in rfpipe's folder, or give --snakefile")
     from rfpipe.config import load_config, read_yaml
+    from rfpipe.stages.jobs.ends import snakemake_program
 
     files = list(_values(context.args, _CONFIGS))
     folder = Path(next(reversed([*_values(context.args, _DIRECTORY)]), ""))
     for file in files:
         read_yaml(file)
     if len(files) == 1:
-        with working_in(folder, Path(files[0])) as settings:
+        with _working_in(folder, Path(files[0])) as settings:
             load_config(settings)
-    beside = Path(sys.executable).with_name("snakemake")
-    program = str(beside) if beside.exists() else shutil.which("snakemake") or "snakemake"
-    ended = _to_its_end([program, *context.args])
+    ended = _to_its_end([snakemake_program(), *context.args])
     if ended:
         raise typer.Exit(ended if ended > 0 else 1)
     report = folder / _REPORT
@@ -58,7 +57,7 @@ def run(context: typer.Context) -> None:
 
 
 @contextmanager
-def working_in(folder: Path, settings: Path) -> Iterator[Path]:
+def _working_in(folder: Path, settings: Path) -> Iterator[Path]:
     """Go to a run's folder, where the files are looked for that its settings name.
 
     Yields the settings' path as it is from there.
@@ -99,3 +98,115 @@ def _values(arguments: Sequence[str], names: Sequence[str]) -> Iterator[str]:
         elif taking:
             yield argument
             taking = names is _CONFIGS
+
+
+def plan(
+    config: ConfigFile,
+    folder: Annotated[
+        Path, typer.Option(help="Where the results are to lie, seen from the run's folder.")
+    ] = Path("results"),
+    directory: Annotated[
+        Path, typer.Option("--directory", "-d", help="The run's folder, as 'rfpipe run' takes it.")
+    ] = Path(),
+) -> None:
+    """Check a settings file and tell what its run will take: patterns, time, memory and disk.
+
+    Every mistake in the file is said. A rig's settings are checked alone.
+
+    Patterns are the method's guess, on the high side: as many a level as the thesis' largest scenes
+    took, or all rounds of methods that end by their own estimate. At most are those of a scene
+    without any structure. Time is that of the capture on a rig; disk is before compression.
+    """
+    from rfpipe.config import load_config, load_rig_config, read_yaml
+    from rfpipe.config.files import is_rig
+    from rfpipe.stages.forecast import forecast, shown_bytes
+    from rfpipe.stages.jobs.workers import machine_memory_mb
+    from rfpipe.store import files
+
+    with _working_in(directory, config) as path:
+        if is_rig(read_yaml(path)):
+            rig = load_rig_config(path)
+            what = "a bench in software" if rig.bench is not None else f"a rig, {rig.kind}"
+            typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
+            return
+        settings = load_config(path)
+        typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions\n")
+        rows = forecast(settings)
+        free = files.free_bytes(folder)
+    typer.echo(_shown(rows.head(_SHOWN)).to_string(index=False))
+    if len(rows) > _SHOWN:
+        typer.echo(f"... and {len(rows) - _SHOWN} more, which the sums take in.")
+    disk, memory = int(rows["disk"].sum()), int(rows["memory"].max())
+    typer.echo(
+        f"\nOne after the other: {_duration(rows['seconds'].sum())} of capture on a rig, "
+        f"{shown_bytes(disk)} of disk; {shown_bytes(free)} are free."
+    )
+    if disk > free:
+        typer.echo(
+            "That may not fit: make room, put the results on another disk, or set "
+            "capture.keep_raw to false. A level that doesn't fit is refused before its capture."
+        )
+    have = machine_memory_mb() * 10**6
+    if memory > have:
+        largest = rows.iloc[int(rows["memory"].argmax())]
+        typer.echo(
+            f"{largest['scene']} by {largest['method']} is likely to take {shown_bytes(memory)} of "
+            f"memory, and this machine has {shown_bytes(have)}: acquire it on another one, with "
+            "fewer rays, or by another method."
+        )
+
+
+def _shown(rows: pd.DataFrame) -> pd.DataFrame:
+    from rfpipe.stages.forecast import shown_bytes
+
+    shown = rows.drop(columns=["scene", "method"]).map("{:,}".format)
+    for name in ("seconds", "most_seconds"):
+        shown[name] = rows[name].map(_duration)
+    for name in ("disk", "memory"):
+        shown[name] = rows[name].map(shown_bytes)
+    names = {"seconds": "on a rig", "most": "at most", "most_seconds": "in"}
+    return rows[["scene", "method"]].join(shown).rename(columns=names)
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    if minutes < 1:
+        return f"{seconds:.0f} s"
+    days, hours = divmod(minutes // 60, 24)
+    if days:
+        return f"{days} d {hours} h"
+    return f"{hours} h {minutes % 60:02d} min" if hours else f"{minutes} min"
+
+
+def catalogue(
+    config: ConfigFile,
+    folder: Annotated[
+        Path, typer.Option(help="The run's results, finished or not, or while it runs.")
+    ] = Path("results"),
+    every: Annotated[
+        float,
+        typer.Option(min=0, help="Write it again every so many seconds, until Ctrl-C; 0: once."),
+    ] = 0.0,
+) -> None:
+    """Write results/catalogue/index.html: what became of each acquisition, with a small picture.
+
+    A run with a collection writes it when it begins and when it ends, however it ends; this command
+    writes it at any time. Sort and filter it in any browser.
+    """
+    from rfpipe.config import load_config
+    from rfpipe.report.catalogue import CATALOGUE, left_over, write_catalogue
+
+    settings = load_config(config)
+    while True:
+        counts = write_catalogue(settings, folder)
+        said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+        typer.echo(f"{folder / CATALOGUE}: {said}")
+        if left := left_over(settings, folder):
+            names = ", ".join(left[:_MOST_NAMED]) + " ..." * (len(left) > _MOST_NAMED)
+            typer.echo(
+                f"no scenes of {config} any more, though {folder} has their folders: {names}. What "
+                "they hold is kept, verified and published, until you remove it"
+            )
+        if not every:
+            return
+        time.sleep(every)

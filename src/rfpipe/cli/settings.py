@@ -21,37 +21,27 @@ def settings(
     ],
 ) -> None:
     """List the methods or the kinds of scenes, each with its options; or print the JSON schema."""
-    if of == "schema":
-        from rfpipe.config.model import Config
-        from rfpipe.config.schema import schema_of
-
-        typer.echo(json.dumps(schema_of(Config), indent=2))
-    elif of == "methods":
-        _list_methods()
-    else:
-        _list_scenes()
-
-
-def _list_methods() -> None:
-    from rfpipe.methods import get_method, method_names
-
-    for name in method_names():
-        method = get_method(name)
-        rig = "coaxial rigs" if method.needs_coaxial_rig else "any rig"
-        typer.echo(f"{name}: {method.title.lower()}, {rig}")
-        _list_options(method.Options)
-
-
-def _list_scenes() -> None:
     from rfpipe import plugins
     from rfpipe.config import SceneSettings
+    from rfpipe.config.model import Config
+    from rfpipe.config.schema import schema_of
+    from rfpipe.methods import get_method, method_names
 
-    typer.echo("every kind:")
-    _list_options(SceneSettings)
-    for name in plugins.names(plugins.SCENES):
-        kind = plugins.find(plugins.SCENES, name)
-        typer.echo(f"{name}: {(kind.__doc__ or '').partition('.')[0]}")
-        _list_options(SceneSettings.model_of(name), beside=SceneSettings)
+    if of == "schema":
+        typer.echo(json.dumps(schema_of(Config), indent=2))
+    elif of == "methods":
+        for name in method_names():
+            method = get_method(name)
+            rig = "coaxial rigs" if method.needs_coaxial_rig else "any rig"
+            typer.echo(f"{name}: {method.title.lower()}, {rig}")
+            _list_options(method.Options)
+    else:
+        typer.echo("every kind:")
+        _list_options(SceneSettings)
+        for name in plugins.names(plugins.SCENES):
+            kind = plugins.find(plugins.SCENES, name)
+            typer.echo(f"{name}: {(kind.__doc__ or '').partition('.')[0]}")
+            _list_options(SceneSettings.model_of(name), beside=SceneSettings)
 
 
 def _list_options(model: type[Described], beside: type[Described] | None = None) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import mul
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -28,19 +29,15 @@ TransportPath = Annotated[
         "(https://, s3://) that holds one.",
     ),
 ]
-Dual = Annotated[
-    bool, typer.Option("--dual", help="Light from the camera, see from the projector.")
-]
+Dual = Annotated[bool, typer.Option("--dual", help="Light from the camera, see the projector.")]
 Level = Annotated[
     int | None, typer.Option(min=0, help="Use the transport as known after this level only.")
 ]
 White = Annotated[
-    float | None,
-    typer.Option(help="Radiance shown as white; by default that of the brightest, all but a few."),
+    float | None, typer.Option(help="Radiance shown as white; by default nearly the brightest.")
 ]
 View = Annotated[
-    int | None,
-    typer.Option(help="Of several views show this one, from 0; all, one above the other, if none."),
+    int | None, typer.Option(help="Of several views show this one, from 0; all without it.")
 ]
 Form = Annotated[
     Literal["exr", "png"],
@@ -63,23 +60,26 @@ def info(
     ],
 ) -> None:
     """Show a transport's shape, channels, bytes and levels; of a folder, name those below it."""
-    if not _is_store(path) and path.is_dir():
-        below = _transports_below(path)
+    from rfpipe.store.places import METADATA, locate
+    from rfpipe.transport.storage import transports_in
+
+    if path.is_dir() and path.suffix != ".zarr" and not (path / METADATA).exists():
+        place = locate(path)
+        below = transports_in(place)
         if not below:
             raise InputError(f"{path}: no transport lies in this folder or below it")
-        for place in below:
-            typer.echo(_line(place))
+        for name in below:
+            typer.echo(_line(place / name))
         return
     transport = open_checked(path)
     rows, columns = map(math.prod, (transport.camera_shape, transport.projector_shape))
     dense = rows * columns * transport.channels * 4  # float32
-    typer.echo(f"camera     {times(transport.camera_shape)} = {rows:,} rays")
-    typer.echo(f"projector  {times(transport.projector_shape)} = {columns:,} rays")
-    typer.echo(f"channels   {transport.channels}")
     typer.echo(
-        f"bytes      {transport.nbytes:,} ({transport.nbytes / dense:.2%} of a dense matrix)"
+        f"camera     {times(transport.camera_shape)} = {rows:,} rays\n"
+        f"projector  {times(transport.projector_shape)} = {columns:,} rays\n"
+        f"channels   {transport.channels}\n"
+        f"bytes      {transport.nbytes:,} ({transport.nbytes / dense:.2%} of a dense matrix)\n"
     )
-    typer.echo()
     typer.echo(transport.levels.to_string(index=False))
 
 
@@ -105,18 +105,6 @@ def open_checked(path: Path | Place) -> Transport:
 def times(shape: tuple[int, ...]) -> str:
     """Show a shape, as in ``62 x 70``."""
     return " x ".join(map(str, shape))
-
-
-def _is_store(path: Path) -> bool:
-    return path.suffix == ".zarr" or (path / "zarr.json").exists()
-
-
-def _transports_below(folder: Path) -> list[Path | Place]:
-    from rfpipe.store.places import locate
-    from rfpipe.transport.storage import transports_in
-
-    place = locate(folder)
-    return [place / name for name in transports_in(place)]
 
 
 def _line(path: Path | Place) -> str:
@@ -153,10 +141,7 @@ def export(
     ] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="PLACE",
-            help="Projector rays, likewise. A column's picture shows where a ray's light goes.",
-        ),
+        typer.Option(metavar="PLACE", help="Projector rays, likewise: where their light goes."),
     ] = None,
     form: Form = "exr",
     scale: Annotated[
@@ -186,7 +171,7 @@ def export(
     size = Scale.parse(scale)
     if output.suffix not in _MATRICES:
         light = opened(path, dual, level)
-        chosen = {
+        chosen: dict[Literal["row", "column"], Any] = {
             "row": _rays(rows, light.camera_shape),
             "column": _rays(columns, light.projector_shape),
         }
@@ -194,57 +179,49 @@ def export(
         return
     if size.enlarge > 1:
         raise InputError(f"scale {scale}: a matrix has no more rays than were acquired; give 1/4")
-    light = opened(path, False, level)
-    if size.reduce > 1:
-        light = coarser(light, size.reduce)
-    if dual:
-        light = light.T
+    light = opened(path, level=level)
+    light = coarser(light, size.reduce) if size.reduce > 1 else light
+    light = light.T if dual else light
     kept = (_rays(rows, light.camera_shape), _rays(columns, light.projector_shape))
     write_matrix(light, output, *kept, int(limit_gib * _GIB), progress=True)
     typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
 
 
 def _write_rays(
-    light: Light,
-    chosen: dict[str, NDArray[np.int64] | None],
-    folder: Path,
-    form: str,
-    size: Scale,
-    white: float | None,
-    limit_gib: float,
-) -> None:
+    light: Light, chosen: dict[Literal["row", "column"], Any],
+    folder: Path, form: str, size: Scale, white: float | None, limit_gib: float,
+) -> None:  # fmt: skip
     """Write a picture for each of some rows and columns."""
     import numpy as np
 
     from rfpipe.export import ray_pictures
     from rfpipe.transport.algebra import gibibytes
 
-    pixels = {"row": math.prod(light.projector_shape), "column": math.prod(light.camera_shape)}
-    found = {side: rays for side, rays in chosen.items() if rays is not None}
-    if not found:
+    shapes = {"row": light.camera_shape, "column": light.projector_shape}
+    pixels = math.prod(light.projector_shape), math.prod(light.camera_shape)
+    counts = [0 if rays is None else len(rays) for rays in chosen.values()]
+    if not any(counts):
         raise InputError(
             f"{folder}: is no matrix (expected {', '.join(_MATRICES)}); for pictures of rays give "
             "--rows or --columns, as in --rows 31,35"
         )
-    entries = sum(pixels[side] * len(rays) for side, rays in found.items()) * light.channels
+    entries = sum(map(mul, pixels, counts)) * light.channels
     expected = int(4 * entries * (size.enlarge / size.reduce) ** 2)
-    count = sum(map(len, found.values()))
     if expected > limit_gib * _GIB:
         raise InputError(
-            f"{count:,} pictures take {gibibytes(expected)}, the limit is {limit_gib:g} GiB; "
+            f"{sum(counts):,} pictures take {gibibytes(expected)}, the limit is {limit_gib:g} GiB; "
             "choose fewer rays, as by ::8,::8, or a smaller scale, or raise the limit"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    for side, numbers in found.items():
-        shape = light.camera_shape if side == "row" else light.projector_shape
-        digits = [len(str(length - 1)) for length in shape]
-        for place, picture in ray_pictures(light, "row" if side == "row" else "column", numbers):
+    for side, numbers in chosen.items():
+        digits = [len(str(length - 1)) for length in shapes[side]]
+        for place, picture in () if numbers is None else ray_pictures(light, side, numbers):
             numbered = (f"{index:0{n}d}" for index, n in zip(place, digits, strict=True))
             file = folder / f"{'_'.join([side, *numbered])}.{form}"
             about = {"rfpipe:kind": side, "rfpipe:ray": ",".join(map(str, place))}
             top = float(np.percentile(picture, 99.5)) if white is None else white
             write_picture(file, size.apply(picture), top or None, about)
-    typer.echo(f"{folder}: {count} pictures")
+    typer.echo(f"{folder}: {sum(counts)} pictures")
 
 
 def movie(
@@ -260,8 +237,7 @@ def movie(
         ),
     ] = "across",
     size: Annotated[
-        float | None,
-        typer.Option(help="Width of the bar or disc, in rays; an eighth of the shorter side."),
+        float | None, typer.Option(help="Rays across the bar or disc; an eighth of the image.")
     ] = None,
     colour: Annotated[
         str | None, typer.Option(help="Weights of the light's channels, as 1,0.8,0.5; white.")
@@ -292,7 +268,9 @@ def movie(
     typer.echo(f"{output}: {count} pictures, white is {used:.4g}")
 
 
-def opened(path: Path, dual: bool, level: int | None, view: int | None = None) -> Light:
+def opened(
+    path: Path, dual: bool = False, level: int | None = None, view: int | None = None
+) -> Light:
     """Open a transport, or its dual, as known after a level, to one view of several."""
     import numpy as np
 

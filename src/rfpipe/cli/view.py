@@ -7,31 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.cli.transports import TransportPath, times
 from rfpipe.errors import InputError
 
 if TYPE_CHECKING:
     from rfpipe.transport import Transport
     from rfpipe.viewer import Compared
 
-__all__ = ["view"]
-
 _PICTURES = (".exr", ".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr")
 _EIGHT_BITS = (".png", ".jpg", ".jpeg")
 
 
 def view(
-    path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="TRANSPORT",
-            help="A transport.zarr that a run left in results/, or the folder that holds one.",
-        ),
-    ],
+    path: TransportPath,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="Page to write; by default SCENE_METHOD.html, in this folder."
-        ),
+        typer.Option("--output", "-o", help="Page to write; by default SCENE_METHOD.html, here."),
     ] = None,
     compare: Annotated[
         Path | None,
@@ -48,11 +39,7 @@ def view(
     title: Annotated[str | None, typer.Option(help="Heading of the page.")] = None,
     largest: Annotated[
         float,
-        typer.Option(
-            min=0,
-            help="Megabytes of data beyond which a folder for a web server is written in place of "
-            "one page.",
-        ),
+        typer.Option(min=0, help="Megabytes beyond which it is a folder for a web server."),
     ] = 30.0,
 ) -> None:
     """Write a page that lights the scene in any browser: offline, from one file, no server.
@@ -112,8 +99,8 @@ def _compared(path: Path, transport: Transport, *, is_truth: bool) -> Compared:
     expected = RayDomain(transport.camera_shape).picture_shape
     if picture.shape[:2] != expected:
         raise InputError(
-            f"{path}: is {picture.shape[0]} x {picture.shape[1]} pixels; expected {expected[0]} x "
-            f"{expected[1]}, the camera's rays, several views one above the other; resize it"
+            f"{path}: is {times(picture.shape[:2])} pixels; expected {times(expected)}, the "
+            "camera's rays, several views one above the other; resize it"
         )
     picture = picture.reshape(*transport.camera_shape, *picture.shape[2:])
     return Compared(picture, path.name, is_truth)
