@@ -120,8 +120,13 @@ def serve(
     from rfpipe.server import ServerSettings
     from rfpipe.server.run import serve as run
 
-    where = {"host": host, "port": port, "allow_remote": allow_remote, "log_file": log_file}
-    settings = ServerSettings(**where, lease_seconds=lease_seconds)
+    settings = ServerSettings(
+        host=host,
+        port=port,
+        allow_remote=allow_remote,
+        lease_seconds=lease_seconds,
+        log_file=log_file,
+    )
     config = load_rig_config(rig)
     if config.kind == "devices" and config.rig is None:
         check_verdicts(calibration_of(config).facts, config.calibration, force=force)
