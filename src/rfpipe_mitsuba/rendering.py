@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.pinhole import Pinhole
+from rfpipe.scenes.sight import Pinhole
 from rfpipe_mitsuba.variant import load_mitsuba
 from rfpipe_mitsuba.views import Side
 from rfpipe_mitsuba.world import Light, World, load_scene

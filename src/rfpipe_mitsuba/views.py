@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from rfpipe.config.base import Settings
 from rfpipe.errors import InputError
-from rfpipe.scenes.pinhole import Pinhole
+from rfpipe.scenes.sight import Pinhole
 
 
 class View(Settings):

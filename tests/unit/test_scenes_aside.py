@@ -20,7 +20,7 @@ from rfpipe.scenes import (
 )
 from rfpipe.scenes.aside import aside_scene
 from rfpipe.scenes.geometries import names_of
-from rfpipe.scenes.geometry import sight_of
+from rfpipe.scenes.sight import sight_of
 from rfpipe.testing import SceneContract
 
 PLATE = Occluder((0.3, 0, 2.2), (0.2, 0, 0.1), (0, 0.3, 0))

@@ -9,7 +9,6 @@ from scipy.sparse.linalg import LinearOperator
 from rfpipe.config import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.scenes import room_scene, scene_from_config
-from rfpipe.scenes.geometry import overlaps
 from rfpipe.scenes.light_field import (
     DISTANCE,
     Panel,
@@ -19,10 +18,11 @@ from rfpipe.scenes.light_field import (
     room_panels,
     sightings,
 )
+from rfpipe.scenes.sight import overlaps
 from rfpipe.testing import dot_test
 
 SURFACES = ("texture", "white", "white")
-SCREEN = Panel("screen", (0, 0, 3), (3, 0, 0), (0, 3, 0), "white", (1, 1, 1))
+SCREEN = Panel((0, 0, 3), (3, 0, 0), (0, 3, 0), "screen", "white", (1, 1, 1))
 SPAN = (37, 29)
 
 
@@ -164,10 +164,10 @@ def test_every_array_sees_fronts_alone(views, shape, span):
 
 
 def test_a_ray_that_sees_nothing_is_named():
-    narrow = Panel("narrow", (0, 0, 3), (0.1, 0, 0), (0, 0.1, 0), "white", (1, 1, 1))
+    narrow = Panel((0, 0, 3), (0.1, 0, 0), (0, 0.1, 0), "narrow", "white", (1, 1, 1))
     with pytest.raises(InputError, match=r"pixel \(0, 0\) of view 0 sees nothing"):
         screen((2, 2), (4, 6), narrow)
-    backward = Panel("backward", (0, 0, 3), (-3, 0, 0), (0, 3, 0), "white", (1, 1, 1))
+    backward = Panel((0, 0, 3), (-3, 0, 0), (0, 3, 0), "backward", "white", (1, 1, 1))
     with pytest.raises(InputError, match="the back of a panel"):
         screen((1, 1), (4, 6), backward)
 

@@ -2,10 +2,8 @@
 
 from rfpipe.scenes.base import CoaxialScene, Scene, apply_in_batches, scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
-from rfpipe.scenes.geometry import Plane, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
 from rfpipe.scenes.light_field import room_scene
-from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.relighting import (
     CREASE,
@@ -15,7 +13,8 @@ from rfpipe.scenes.relighting import (
     scene_patterns,
 )
 from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
-from rfpipe.scenes.visibility import Occluder
+from rfpipe.scenes.sight import Pinhole, surface_points
+from rfpipe.scenes.surfaces import Occluder, Plane
 
 __all__ = [
     "CREASE",

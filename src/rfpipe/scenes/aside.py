@@ -35,18 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.geometry import (
-    Points,
-    Rectangle,
-    Sight,
-    Surface,
-    least_squared,
-    overlaps,
-    sight_of,
-)
-from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.radiosity import RadiosityScene, Rays
-from rfpipe.scenes.visibility import Occluder, Sphere, blocked
+from rfpipe.scenes.sight import Pinhole, Points, Sight, least_squared, overlaps, sight_of
+from rfpipe.scenes.surfaces import Hider, Occluder, Surface, is_hidden
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -163,9 +154,10 @@ def _side(
 
     _require_inside(one.origin, surfaces)
     sight, parts = sight_of(one, surfaces), sight_of(one, surfaces, _PARTS)
-    clear = _is_clear(one.origin, sight, (), occluders)
-    both = _is_clear(one.origin, parts, (), occluders)
-    both &= _is_clear(other.origin, parts, surfaces, occluders)
+    things = tuple(each for each in surfaces if isinstance(each, Hider))
+    clear = _is_clear(one.origin, sight, occluders)
+    both = _is_clear(one.origin, parts, occluders)
+    both &= _is_clear(other.origin, parts, (*things, *occluders))
     shared = _shares(parts, other, both)
     count, each = len(sight.surface), _PARTS**2
     sums = csr_array(
@@ -195,20 +187,11 @@ def _require_inside(origin: Double, surfaces: Sequence[Surface]) -> None:
             )
 
 
-def _is_clear(
-    origin: Double, sight: Sight, surfaces: Sequence[Surface], occluders: Sequence[Occluder]
-) -> NDArray[np.bool_]:
+def _is_clear(origin: Double, sight: Sight, hiders: Sequence[Hider]) -> NDArray[np.bool_]:
     """Tell which points of surfaces a place has in view: their fronts, with nothing before them."""
-    clear: NDArray[np.bool_] = sight.surface >= 0
-    clear &= ((origin - sight.positions) * sight.normals).sum(1) > 0
-    for surface in surfaces:
-        if isinstance(surface, Sphere):
-            clear &= ~surface.hides(origin[None], sight.positions)[0]
-    rectangles = [each.occluder for each in surfaces if isinstance(each, Rectangle)]
-    for occluder in (*rectangles, *occluders):
-        here, there = occluder.coordinates(origin), occluder.coordinates(sight.positions)
-        clear &= ~blocked(here, there)
-    return clear
+    towards = ((origin - sight.positions) * sight.normals).sum(1) > 0
+    hidden = is_hidden(origin, sight.positions, hiders)
+    return np.asarray((sight.surface >= 0) & towards & ~hidden)
 
 
 def _shares(sight: Sight, other: Pinhole, clear: NDArray[np.bool_]) -> csr_array[np.float64]:

@@ -3,27 +3,26 @@
 ``G_ij = cos_i cos_j V_ij / (pi d_ij^2)``, squared distances clamped from below (at the mean pixel
 area, see `Points.least_squared_distance`). Points of one surface don't see each other, so that G
 consists of one block for each pair of surfaces; the block and its transpose serve the two
-directions, which makes G exactly symmetric. Within a block of two planes the cosines factor:
-``d cos_j`` is the height of i over the plane of j, whatever j is, hence
-``G_ij = h_i h_j V_ij / (pi d_ij^4)``. On a sphere the normal n_i of each point is another, and the
-second height gives way to ``max(0, n_i . (x_j - x_i))``, zero where j is in i's own shadow.
+directions, which makes G exactly symmetric.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.geometry import Plane, Points, Surface
-from rfpipe.scenes.visibility import Occluder, Sphere, blocked
+from rfpipe.scenes.sight import Points
+from rfpipe.scenes.surfaces import Hider, Occluder, Surface
 
 Double = NDArray[np.float64]
+Index = NDArray[np.int64]
 
-_STRIP_ENTRIES = 2**20  # entries of G computed at a time
+_STRIP_ENTRIES = 2**18  # entries of G computed at a time
 _TOUCHING = 1e-12  # height over a plane, relative to the distance from the camera, that is rounding
 
 
@@ -34,99 +33,93 @@ class FacingPair:
     Parameters
     ----------
     surfaces
-        Two planes, or the sphere and a plane.
+        The two.
     indices
         int64 (n_1,) and (n_2,): the points on either surface that see the other's, ascending.
-    positions
-        float64 (n_1, 3) and (n_2, 3): the points, scene units.
+    positions, normals
+        float64 (n_1, 3) and (n_2, 3): of the points, scene units.
     heights
-        float64 (n_1,) and (n_2,): positive heights of the points over the other plane; ones for
-        points that face the sphere.
-    occluders
+        float64 (n_1,) and (n_2,): of the points over the other surface, above 0, scene units.
+    hiders
         What may stand between them.
     least_squared_distance
         Lower clamp of the squared distances, scene units squared.
-    between
-        A sphere that may stand between two planes.
     """
 
-    surfaces: tuple[Surface, Plane]
-    indices: tuple[NDArray[np.int64], NDArray[np.int64]]
+    surfaces: tuple[Surface, Surface]
+    indices: tuple[Index, Index]
     positions: tuple[Double, Double]
+    normals: tuple[Double, Double]
     heights: tuple[Double, Double]
-    occluders: tuple[Occluder, ...]
+    hiders: tuple[Hider, ...]
     least_squared_distance: float
-    between: Sphere | None = None
-
-    @property
-    def normals(self) -> Double | None:
-        """Normals of the first surface's points where it is a sphere, float64 (n_1, 3)."""
-        first = self.surfaces[0]
-        return first.normals(self.positions[0]) if isinstance(first, Sphere) else None
 
     @property
     def size(self) -> int:
         """Entries of this block of G."""
         return len(self.indices[0]) * len(self.indices[1])
 
-    def block(self, rows: slice | NDArray[np.int64] = slice(None)) -> Double:
-        """Rows of this block of G, exact: float64 (rows, n_2), in 1 / (scene units squared)."""
-        heights = self.heights[0][rows]
-        out = np.empty((len(heights), len(self.indices[1])))
-        strip = max(1, _STRIP_ENTRIES // max(1, out.shape[1]))
-        here, there = self.positions[0][rows], self.positions[1]
-        normals = None if self.normals is None else self.normals[rows]
-        shadows = [
-            (occluder.coordinates(here), occluder.coordinates(there)) for occluder in self.occluders
-        ]
-        for start in range(0, len(out), strip):
-            part = slice(start, start + strip)
-            squared = np.zeros_like(out[part])
-            for axis in range(3):
-                squared += (here[part, axis, None] - there[:, axis]) ** 2
-            np.maximum(squared, self.least_squared_distance, out=squared)
-            np.divide(heights[part, None] * self.heights[1], np.pi * squared**2, out=out[part])
-            if normals is not None:
-                above = normals[part] @ there.T - (normals[part] * here[part]).sum(1)[:, None]
-                out[part] *= np.maximum(above, 0)
-            if self.between is not None:
-                out[part][self.between.hides(here[part], there)] = 0
-            for mine, other in shadows:
-                out[part][blocked(mine[part, None], other)] = 0
+    @cached_property
+    def _coordinates(self) -> list[list[Double]]:
+        """Either side's points in the coordinates of each hider."""
+        return [[each.coordinates(points) for points in self.positions] for each in self.hiders]
+
+    def unhidden(self, i: Index, j: Index) -> Double:
+        """Entries between points i and j, which broadcast, as if nothing stood between them."""
+        squared, here, there = (np.zeros(np.broadcast_shapes(i.shape, j.shape)) for _ in range(3))
+        for axis in range(3):
+            way = self.positions[1][j, axis] - self.positions[0][i, axis]
+            squared += way * way
+            here += way * self.normals[0][i, axis]
+            there -= way * self.normals[1][j, axis]
+        np.maximum(squared, self.least_squared_distance, out=squared)
+        return np.asarray(np.maximum(here, 0) * np.maximum(there, 0) / (np.pi * squared**2))
+
+    def smooth(self, i: Index, j: Index) -> Double:
+        """Such entries over both heights, which leaves ``1 / (pi d^4)`` between planes."""
+        return self.unhidden(i, j) / (self.heights[0][i] * self.heights[1][j])
+
+    def entries(self, i: Index, j: Index) -> Double:
+        """Entries between points i and j, which broadcast, in 1 / (scene units squared)."""
+        values = self.unhidden(i, j)
+        for hider, (first, second) in zip(self.hiders, self._coordinates, strict=True):
+            values[hider.blocks(first[i], second[j])] = 0
+        return values
+
+    def block(self) -> Double:
+        """The whole block of G, exact: float64 (n_1, n_2)."""
+        i, j = (np.arange(len(each)) for each in self.indices)
+        out = np.empty((len(i), len(j)))
+        strip = max(1, _STRIP_ENTRIES // max(1, len(j)))
+        for start in range(0, len(i), strip):
+            rows = slice(start, start + strip)
+            out[rows] = self.entries(i[rows, None], j[None])
         return out
 
 
-def facing_pairs(points: Points, occluders: Sequence[Occluder] = ()) -> tuple[FacingPair, ...]:
+def facing_pairs(points: Points, occluders: Sequence[Occluder] = ()) -> Iterator[FacingPair]:
     """Pair up the surfaces of a scene, each unordered pair once, with the points that face.
 
-    Between them stand the scene's rectangles and sphere, and what else is given.
+    Between them stand the scene's other rectangles and spheres, and the occluders.
     """
-    pairs = []
     touching = _TOUCHING * np.linalg.norm(points.positions, axis=1)
-    surfaces: list[Surface] = [*points.planes]
-    planes = range(len(surfaces))
-    numbers = list(combinations(planes, 2))
-    if points.sphere is not None:
-        surfaces.append(points.sphere)
-        numbers += [(len(planes), plane) for plane in planes]
-    heights = [surface.heights(points.positions) for surface in surfaces]
-    for a, b in numbers:
+    heights = [surface.heights(points.positions) for surface in points.surfaces]
+    for a, b in combinations(range(len(points.surfaces)), 2):
         first = np.flatnonzero((points.surface == a) & (heights[b] > touching))
         second = np.flatnonzero((points.surface == b) & (heights[a] > touching))
         if len(first) and len(second):
-            of_planes = a in planes
-            pairs.append(
-                FacingPair(
-                    (surfaces[a], points.planes[b]),
-                    (first, second),
-                    (points.positions[first], points.positions[second]),
-                    (heights[b][first], heights[a][second] if of_planes else np.ones(len(second))),
-                    (*points.occluders, *occluders),
-                    points.least_squared_distance,
-                    points.sphere if of_planes else None,
-                )
+            one, two = points.surfaces[a], points.surfaces[b]
+            p, q = points.positions[first], points.positions[second]
+            others = (each for k, each in enumerate(points.surfaces) if k not in (a, b))
+            yield FacingPair(
+                (one, two),
+                (first, second),
+                (p, q),
+                (one.normals(p), two.normals(q)),
+                (heights[b][first], heights[a][second]),
+                (*(each for each in others if isinstance(each, Hider)), *occluders),
+                points.least_squared_distance,
             )
-    return tuple(pairs)
 
 
 def dense_form_factors(points: Points, occluders: Sequence[Occluder] = ()) -> Double:

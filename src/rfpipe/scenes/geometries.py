@@ -3,37 +3,34 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.scenes.geometry import Plane, Surface, block
-from rfpipe.scenes.pinhole import Vector
-from rfpipe.scenes.visibility import Sphere
+from rfpipe.scenes.surfaces import Plane, Sphere, Surface, Vector, block, rotation, vector
 
 _FARTHEST = (0.0, 0.0, 3.0)  # point on the axis where the planes of a crease or corner meet
 
 
-def _wedge(opening: float, *, turned: float = 0.0, tipped: float = 0.0) -> tuple[Plane, Plane]:
+def _wedge(opening: float, *, turned: float = 0.0, tipped: float = 0.0) -> tuple[Surface, ...]:
     """Two planes that meet at an angle: a concave edge, farthest from the camera.
 
     `opening` is the angle between the planes, `turned` the crease's from the vertical, clockwise
     in the image, `tipped` its inclination from the image plane, the lower end nearer; degrees.
     """
-    half = np.radians(opening / 2)
-    turn, tip = _rotation(2, turned), _rotation(0, tipped)
-    normals = [turn @ tip @ (side * np.cos(half), 0, -np.sin(half)) for side in (1, -1)]
-    left, right = (_plane(name, n) for name, n in zip(("left", "right"), normals, strict=True))
-    return left, right
+    half, turn = np.radians(opening / 2), rotation(2, turned) @ rotation(0, tipped)
+    return tuple(
+        Plane(name, _FARTHEST, vector(turn @ (side * np.cos(half), 0, -np.sin(half))))
+        for name, side in (("left", 1), ("right", -1))
+    )
 
 
-def _corner() -> tuple[Plane, ...]:
+def _corner() -> tuple[Surface, ...]:
     """Three planes at right angles, seen along the diagonal."""
-    planes = []
+    normal = np.sqrt([2 / 3, 0, 1 / 3]) * (1, 1, -1)
     # directions of the normals in the image, degrees
-    for name, degrees in (("left", 30), ("right", 150), ("floor", -90)):
-        angle = np.radians(degrees)
-        across = np.sqrt(2 / 3) * np.array([np.cos(angle), np.sin(angle), 0])
-        planes.append(_plane(name, across - [0, 0, np.sqrt(1 / 3)]))
-    return tuple(planes)
+    directions = (("left", 30), ("right", 150), ("floor", -90))
+    return tuple(
+        Plane(name, _FARTHEST, vector(rotation(2, degrees) @ normal))
+        for name, degrees in directions
+    )
 
 
 def _sphere_on_plane() -> tuple[Surface, ...]:
@@ -41,14 +38,14 @@ def _sphere_on_plane() -> tuple[Surface, ...]:
 
     They meet at right angles in a level crease; the camera looks down on the floor.
     """
-    sine, cosine = (float(f(np.radians(35))) for f in (np.sin, np.cos))
-    up, from_wall = np.array([0, -cosine, -sine]), np.array([0, sine, -cosine])
+    tilt = rotation(0, 35)
+    up, from_wall = -tilt[:, 1], -tilt[:, 2]
     crease, radius, gap = np.array([0.0, -0.5, 3.5]), 0.5, 0.35
     centre = crease + radius * up + (gap + radius) * from_wall + [-0.25, 0, 0]
     return (
-        Plane("floor", _vector(crease), _vector(up)),
-        Plane("wall", _vector(crease), _vector(from_wall)),
-        Sphere("sphere", _vector(centre), radius),
+        Plane("floor", vector(crease), vector(up)),
+        Plane("wall", vector(crease), vector(from_wall)),
+        Sphere("sphere", vector(centre), radius),
     )
 
 
@@ -70,25 +67,6 @@ def _coloured_room() -> tuple[Surface, ...]:
     )
 
 
-def _rotation(axis: int, degrees: float) -> NDArray[np.float64]:
-    """Matrix that rotates by some degrees around axis 0 (x) or 2 (z)."""
-    sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
-    matrix = np.eye(3)
-    plane = [i for i in range(3) if i != axis]
-    matrix[np.ix_(plane, plane)] = [[cosine, -sine], [sine, cosine]]
-    return matrix
-
-
-def _plane(name: str, normal: NDArray[np.float64]) -> Plane:
-    """A plane through the farthest point."""
-    return Plane(name, _FARTHEST, _vector(normal))
-
-
-def _vector(values: NDArray[np.float64]) -> Vector:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
 GEOMETRIES: dict[str, tuple[Surface, ...]] = {
     "plane": (Plane("front", (0, 0, 3), (0, 0, -1)),),
     "wedge": (
@@ -105,13 +83,13 @@ GEOMETRIES: dict[str, tuple[Surface, ...]] = {
 """Surfaces of each geometry, in the order in which their albedo is given, those of one name once.
 Each pixel sees the nearest one; the planes bound the camera's room."""
 
+_GREY = (0.63, 0.61, 0.59)
+
 TINTS: dict[str, dict[str, Vector]] = {
     "coloured_room": {
         "left wall": (0.68, 0.17, 0.10),
         "right wall": (0.10, 0.41, 0.25),
-        "floor": (0.63, 0.61, 0.59),
-        "ceiling": (0.63, 0.61, 0.59),
-        "back wall": (0.63, 0.61, 0.59),
+        **dict.fromkeys(("floor", "ceiling", "back wall"), _GREY),
         "block": (0.66, 0.66, 0.65),
         "sphere": (0.68, 0.48, 0.15),
     },

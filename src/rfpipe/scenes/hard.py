@@ -16,7 +16,7 @@ from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint, generator
 from rfpipe.scenes.base import CoaxialScene, apply_in_batches
 from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
-from rfpipe.scenes.visibility import Occluder
+from rfpipe.scenes.surfaces import Occluder
 
 _SHAPE = (16, 16)
 _SEED = 0

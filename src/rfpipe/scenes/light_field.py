@@ -20,17 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.geometry import (
-    Points,
-    Rectangle,
-    block,
-    lying,
-    overlaps,
-    sight_of,
-    standing,
-)
-from rfpipe.scenes.pinhole import Pinhole, Vector
 from rfpipe.scenes.radiosity import RadiosityScene, Rays
+from rfpipe.scenes.sight import Pinhole, Points, overlaps, sight_of
+from rfpipe.scenes.surfaces import Rectangle, Vector, block, lying, rotation, standing, vector
 from rfpipe.scenes.textures import require_kinds, surface_albedo
 
 if TYPE_CHECKING:
@@ -63,7 +55,7 @@ class Panel(Rectangle):
 
     Parameters
     ----------
-    name, centre, edge_u, edge_v
+    centre, edge_u, edge_v, name
         As of any `Rectangle`.
     surface
         ``"white"`` or ``"texture"``.
@@ -272,12 +264,12 @@ def sightings(pinholes: Sequence[Pinhole], grid: TexelGrid) -> tuple[csr_array[n
                 f"pixel ({row}, {column}) of view {view} sees nothing, or the back of a panel; "
                 "give the views a smaller span"
             )
-        moves = sight.moves(np.arange(len(is_front)))
+        moves = sight.moves()
         place, width = np.empty((2, len(is_front), 2))
         for index, panel in enumerate(grid.panels):
             on = sight.surface == index
-            place[on] = panel.occluder.coordinates(sight.positions[on])[:, 1:]
-            sides = panel.occluder.coordinates(np.asarray(panel.centre) + moves[on])
+            place[on] = panel.coordinates(sight.positions[on])[:, 1:]
+            sides = panel.coordinates(np.asarray(panel.centre) + moves[on])
             width[on] = np.sqrt((sides[..., 1:] ** 2).sum(axis=1))
         # rows and columns of texels, where a panel goes from -1 to 1 along either edge
         counts = grid.shapes[sight.surface]
@@ -320,12 +312,9 @@ def room_panels(surfaces: Sequence[str]) -> tuple[Panel, ...]:
 
 def _seen(rectangle: Rectangle, surface: str, *, encloses: bool = False) -> Panel:
     """Return a panel as the views see it, looking down."""
-    sine, cosine = (float(f(np.radians(35))) for f in (np.sin, np.cos))
-
-    def tipped(vector: Vector) -> Vector:
-        x, y, z = vector
-        return (x, y * cosine - z * sine, y * sine + z * cosine)
-
-    x, y, z = tipped(rectangle.centre)
-    edges, name = (tipped(rectangle.edge_u), tipped(rectangle.edge_v)), rectangle.name
-    return Panel(name, (x, y, z + DISTANCE), *edges, surface, _TINTS[name], encloses)
+    name, tilt = rectangle.name, rotation(0, 35)
+    centre, *edges = (
+        tilt @ each for each in (rectangle.centre, rectangle.edge_u, rectangle.edge_v)
+    )
+    placed = vector(np.add(centre, (0, 0, DISTANCE))), vector(edges[0]), vector(edges[1])
+    return Panel(*placed, name, surface, _TINTS[name], encloses)

@@ -24,14 +24,14 @@ from numpy.typing import ArrayLike, NDArray
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe.scenes.formfactors import FacingPair, dense_form_factors, facing_pairs
-from rfpipe.scenes.geometry import Points
-from rfpipe.scenes.visibility import Occluder
+from rfpipe.scenes.formfactors import Index, dense_form_factors, facing_pairs
+from rfpipe.scenes.sight import Points
+from rfpipe.scenes.surfaces import Occluder
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    from rfpipe.scenes.compression import CompressedBlock
+    from rfpipe.scenes.clusters import Compressed
 
 Double = NDArray[np.float64]
 
@@ -40,20 +40,6 @@ DENSE_LIMIT = 2**25
 of a gigabyte of float64."""
 
 DENSE_POINTS = 8192  # above which a dense matrix is refused: it would take over half a gigabyte
-
-
-class DenseBlock:
-    """A block with every entry stored, float64: exact, for small scenes."""
-
-    def __init__(self, pair: FacingPair) -> None:
-        self.indices, self.entries = pair.indices, pair.block()
-        self.nbytes = self.entries.nbytes
-
-    def add_to(self, out: Double, columns: Double) -> None:
-        """Add this block of G, and its transpose, times columns (N, K) to out (N, K)."""
-        first, second = self.indices
-        out[first] += self.entries @ columns[second]
-        out[second] += self.entries.T @ columns[first]
 
 
 class FormFactors:
@@ -72,24 +58,29 @@ class FormFactors:
     def __init__(
         self, points: Points, occluders: Sequence[Occluder] = (), *, compress: bool | None = None
     ) -> None:
-        pairs = facing_pairs(points, occluders)
-        stored: type[DenseBlock | CompressedBlock] = DenseBlock
-        if compress or (compress is None and sum(pair.size for pair in pairs) > DENSE_LIMIT):
-            from rfpipe.scenes.compression import CompressedBlock  # brings in numba
+        pairs = tuple(facing_pairs(points, occluders))
+        self.blocks: list[tuple[tuple[Index, Index], Double | Compressed]] = []
+        self.is_compressed = sum(pair.size for pair in pairs) > DENSE_LIMIT
+        if compress is not None:
+            self.is_compressed = compress
+        if self.is_compressed:
+            from rfpipe.scenes.clusters import compressed  # brings in scipy
 
-            stored = CompressedBlock
-        self.blocks = tuple(stored(pair) for pair in pairs)
+            self.blocks = [(pair.indices, compressed(pair)) for pair in pairs]
+        else:
+            self.blocks = [(pair.indices, pair.block()) for pair in pairs]
 
     @property
     def nbytes(self) -> int:
         """Bytes that the stored operator takes."""
-        return sum(block.nbytes for block in self.blocks)
+        return sum(block.nbytes for _, block in self.blocks)
 
     def apply(self, columns: Double) -> Double:
         """Multiply G with columns (N, K), float64 in and out."""
         out = np.zeros_like(columns)
-        for block in self.blocks:
-            block.add_to(out, columns)
+        for (first, second), block in self.blocks:
+            out[first] += block @ columns[second]
+            out[second] += block.T @ columns[first]
         return out
 
 

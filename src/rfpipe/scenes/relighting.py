@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometry import Points
 from rfpipe.scenes.radiosity import RadiosityScene
+from rfpipe.scenes.sight import Points
 
 RELIGHTING_PATTERNS = ("vertical_bar", "horizontal_bar", "noise", "binary", "spot")
 

@@ -16,12 +16,11 @@ from rfpipe.errors import InputError
 from rfpipe.scenes.aside import aside_scene
 from rfpipe.scenes.base import Scene
 from rfpipe.scenes.geometries import GEOMETRIES, TINTS, names_of
-from rfpipe.scenes.geometry import surface_points
 from rfpipe.scenes.light_field import ROOM_SURFACES, room_scene
-from rfpipe.scenes.pinhole import Pinhole, Vector
 from rfpipe.scenes.radiosity import DENSE_LIMIT, RadiosityScene
+from rfpipe.scenes.sight import Pinhole, surface_points
+from rfpipe.scenes.surfaces import Occluder, Vector, is_hidden
 from rfpipe.scenes.textures import require_kinds, surface_albedo
-from rfpipe.scenes.visibility import Occluder, blocked
 
 REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
     "I": ("plane", ("texture",)),
@@ -112,9 +111,7 @@ def planes_scene(
     points = surface_points(shape, facing)
     rays = np.arange(math.prod(shape))
     albedo = pages.reshape(len(facing), -1, channels)[points.surface, rays]
-    for occluder in occluders:
-        at_camera, at_points = map(occluder.coordinates, (camera.origin, points.positions))
-        albedo[blocked(at_camera, at_points)] = 0
+    albedo[is_hidden(camera.origin, points.positions, occluders)] = 0
     scale = points.mean_area
     if geometry not in ("plane", "wedge"):  # the thesis' own
         scale *= min(1.0, _CONTRAST * float(points.areas.min()) / points.mean_area)
