@@ -77,7 +77,6 @@ class AravisCamera(GenicamCamera):
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
         super().__init__(sensor, **options)
         load_aravis()
-        self._device: int | None = None
         self._stream: int | None = None
         self._payload = 0
         self.shape = self._open()
@@ -85,11 +84,8 @@ class AravisCamera(GenicamCamera):
     @property
     def nodes(self) -> AravisNodes:
         """The open camera's settings."""
-        assert self._device is not None
-        return AravisNodes(self._device)
-
-    def _is_lost(self) -> bool:
-        return self._device is None
+        assert self._handle is not None
+        return AravisNodes(self._handle)
 
     def _trigger(self) -> None:
         self._expect()  # one at a time: what comes without being asked for finds no buffer
@@ -116,7 +112,7 @@ class AravisCamera(GenicamCamera):
         identity, self._serial, self._model = cameras[
             chosen((serial for _, serial, _ in cameras), self._serial)
         ]
-        self._device = tried("arv_open_device", identity)
+        self._handle = tried("arv_open_device", identity)
 
     def _set_up(self) -> tuple[int, int]:
         shape = super()._set_up()
@@ -126,7 +122,7 @@ class AravisCamera(GenicamCamera):
         return shape
 
     def _start(self, room: int = 0) -> None:
-        self._stream = tried("arv_device_create_stream", self._device, None, None)
+        self._stream = tried("arv_device_create_stream", self._handle, None, None)
         for _ in range(room):
             self._expect()
         self.nodes.execute("AcquisitionStart")
@@ -136,14 +132,12 @@ class AravisCamera(GenicamCamera):
         stream, self._stream = self._stream, None
         release(stream)
 
-    def _drop(self) -> None:
-        device, self._device = self._device, None
+    def _release(self, handle: int) -> None:
+        with suppress(AravisError):
+            AravisNodes(handle).execute("AcquisitionStop")
         stream, self._stream = self._stream, None
-        if device is not None:
-            with suppress(AravisError):
-                AravisNodes(device).execute("AcquisitionStop")
         release(stream)
-        release(device)
+        release(handle)
 
 
 class PreparedCamera(AravisCamera):
@@ -166,7 +160,7 @@ class PreparedCamera(AravisCamera):
         self.frame = counts.astype(np.uint8 if bits == 8 else "<u2").tobytes()
 
     def _start(self, room: int = 0) -> None:
-        fake = call("arv_fake_device_get_fake_camera", self._device)
+        fake = call("arv_fake_device_get_fake_camera", self._handle)
         call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
         call("arv_fake_camera_set_trigger_frequency", fake, 1000.0)  # looks for a trigger so often
         super()._start(room)

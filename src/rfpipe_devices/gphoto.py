@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from rfpipe.config.base import Settings, Text
+from rfpipe.config.base import Text
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures.dng import dng_bytes
 from rfpipe.pictures.raw import Raw, read_raw
-from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, TimeoutSeconds
-from rfpipe.rigs.devices import Offset, PictureExtent
+from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, FrameOptions
 from rfpipe.rigs.optics import Scenery
 from rfpipe_devices.gphoto_library import (
     Photo,
@@ -60,7 +59,7 @@ LEAST_BATTERY = 20
 _log = logging.getLogger(__name__)
 
 
-class PhotoOptions(Settings):
+class PhotoOptions(FrameOptions):
     """A photo camera, by gphoto2."""
 
     channels: ClassVar[int] = 3
@@ -69,14 +68,6 @@ class PhotoOptions(Settings):
         None,
         description="Part of the model's name, such as D750 or EOS R5, or null for the only camera "
         "connected.",
-    )
-    shape: tuple[PictureExtent, PictureExtent] | None = Field(
-        None, description="Height and width of the frames in pixels, or null for the whole sensor."
-    )
-    offset: tuple[Offset, Offset] = Field(
-        (0, 0),
-        description="Place of the frames on the sensor: rows from its upper edge, columns from "
-        "its left edge, even numbers both.",
     )
     iso: Annotated[int, Field(ge=25, le=409_600)] = Field(
         100, description="Sensitivity, fixed, 25 to 409600; the lowest has the least noise."
@@ -104,7 +95,9 @@ class PhotoOptions(Settings):
         description="Further settings, as 'gphoto2 --list-config' names them, such as "
         "{whitebalance: Daylight}.",
     )
-    timeout_seconds: TimeoutSeconds = 30.0
+    timeout_seconds: float = Field(
+        30.0, gt=0, le=600, description=FrameOptions.model_fields["timeout_seconds"].description
+    )
     virtual: Text | None = Field(
         None,
         description="Folder of a raw file, named as if it were a .jpg, that libgphoto2's virtual "
@@ -149,7 +142,6 @@ class PhotoCamera(BracketCamera):
         super().__init__(sensor, **options)
         self.channels = 3
         self.faults = (load_gphoto2().GPhoto2Error,)
-        self._photo: Photo | None = None
         self._model = ""
         self._times: dict[float, ShutterTime] = {}
         self._shown = ""
@@ -171,33 +163,25 @@ class PhotoCamera(BracketCamera):
             "settings": dict(sorted(self._options.settings.items())),
         }
 
-    def _is_lost(self) -> bool:
-        return self._photo is None
-
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
         if self.statistics["frames"] % 100 == 99:
             self._look_at_battery()
         self._before_trigger(exposure)
         data = self._taken(self._times[exposure])
         if data is None:
-            patience = exposure + self._options.timeout_seconds
-            return self._timed_out(f"no picture within {patience:g} s")
+            return None, ""
         try:
             raw = read_raw(data, "the picture")
         except InputError as error:
-            return self._failed(f"{error}")
+            return None, str(error)
         named = raw.exposure_s  # the file's may be the rounded time of the name
         if named is not None and abs(named / exposure - 1) > 0.25:
-            return self._failed(f"the picture says that it was exposed for {named:.3g} s")
-        counts = self._part(raw)
-        if counts.shape != self.shape:
-            return self._failed(f"the picture has {counts.shape} pixels, expected {self.shape}")
-        return np.minimum(counts, np.uint16(self.sensor.white_level)), ""
+            return None, f"the picture says that it was exposed for {named:.3g} s"
+        return np.minimum(self._part(raw), np.uint16(self.sensor.white_level)), ""
 
     def _taken(self, shutter: ShutterTime) -> bytes | None:
         """Release the shutter and return the file."""
-        photo = self._photo
-        assert photo is not None
+        photo: Photo = self._handle
         if self._shown != shutter.name:
             photo.set("shutterspeed", shutter.name)
             self._shown = shutter.name
@@ -217,10 +201,9 @@ class PhotoCamera(BracketCamera):
     def _open(self) -> tuple[int, int]:
         """Find the camera, set it up, and take the sensor's numbers from a first picture."""
         self._connect()
-        assert self._photo is not None
         try:
             times = shutter_times(
-                self._photo.choices("shutterspeed"), nominal=self._options.nominal_times
+                self._handle.choices("shutterspeed"), nominal=self._options.nominal_times
             )
             raw = self._first(nearest_times(self.sensor.exposures, times)[0])
             if not self._times:
@@ -236,7 +219,7 @@ class PhotoCamera(BracketCamera):
         model, port = self._found()
         self._name, self._model, self._shown = f"camera {model}", model, ""
         try:
-            self._photo = Photo(model, port)
+            self._handle = Photo(model, port)
             self._set_up()
         except load_gphoto2().GPhoto2Error as error:
             self._drop()
@@ -264,8 +247,7 @@ class PhotoCamera(BracketCamera):
 
     def _set_up(self) -> None:
         """Make the settings, and switch off all that adapts."""
-        photo, options = self._photo, self._options
-        assert photo is not None
+        photo, options = self._handle, self._options
         for name in MANUAL:
             mode = photo.get(name)
             if mode is not None and not str(mode).upper().startswith("M"):
@@ -341,8 +323,7 @@ class PhotoCamera(BracketCamera):
 
     def _look_at_battery(self) -> None:
         """Warn of a battery that may not last."""
-        assert self._photo is not None
-        level = self._photo.get("batterylevel")
+        level = self._handle.get("batterylevel")
         if level is None:
             return
         found = re.match(r"(\d+)", str(level))
@@ -354,14 +335,11 @@ class PhotoCamera(BracketCamera):
             )  # fmt: skip
 
     def _restart(self) -> None:
-        """Open the camera anew, so that a picture that comes late is not taken for the next."""
         self._drop()
         self._connect()
 
-    def _drop(self) -> None:
-        photo, self._photo = self._photo, None
-        if photo is not None:
-            photo.close()
+    def _release(self, handle: Photo) -> None:
+        handle.close()
 
 
 class PhotoBenchCamera(BenchCamera, PhotoCamera):

@@ -117,7 +117,6 @@ class Webcam(BracketCamera):
         self._cv2 = load_library("cv2", "webcam")
         self.faults = (self._cv2.error,)
         self.adapts: tuple[str, ...] = ()
-        self._capture: Any = None
         self._set_to: float | None = None
         self._has_times = False
         self._name = f"webcam {self._options.device}"
@@ -136,22 +135,16 @@ class Webcam(BracketCamera):
             "adapts": list(self.adapts),
         }
 
-    def _is_lost(self) -> bool:
-        return self._capture is None
-
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
         if self._has_times and self._set_to != exposure:
             self._set_exposure(exposure)
         self._before_trigger(exposure)
         for _ in range(self._options.skip_frames):
-            self._capture.grab()
-        arrived, frame = self._capture.read()
+            self._handle.grab()
+        arrived, frame = self._handle.read()
         if not arrived or frame is None:
-            return self._failed("no frame came")
-        counts = self._counts(frame)
-        if counts.shape[:2] != self.shape:
-            return self._failed(f"the frame has {counts.shape[:2]} pixels, expected {self.shape}")
-        return counts, ""
+            return None, "no frame came"
+        return self._counts(frame), ""
 
     def _counts(self, frame: NDArray[Any]) -> Counts:
         """Return OpenCV's blue, green and red as counts (H, W[, 3]), red first."""
@@ -171,8 +164,8 @@ class Webcam(BracketCamera):
 
     def _open(self) -> tuple[int, int]:
         """Open the device, switch off all that adapts, and take a first frame."""
-        self._capture, self._set_to = self._opened(), None
-        if not self._capture.isOpened():
+        self._handle, self._set_to = self._opened(), None
+        if not self._handle.isOpened():
             self._drop()
             raise CaptureError(
                 f"{self._name}: can't be opened. Check that it is there (v4l2-ctl --list-devices), "
@@ -181,7 +174,7 @@ class Webcam(BracketCamera):
             )
         try:
             self._set_up()
-            arrived, frame = self._capture.read()
+            arrived, frame = self._handle.read()
             if not arrived or frame is None:
                 raise CaptureError(f"{self._name}: opens, but gives no frame. {self.advice}")
             height, width = self._counts(frame).shape[:2]
@@ -205,7 +198,7 @@ class Webcam(BracketCamera):
         if options.shape is not None:
             self._set("FRAME_HEIGHT", options.shape[0])
             self._set("FRAME_WIDTH", options.shape[1])
-        is_v4l2 = self._capture.getBackendName() == "V4L2"
+        is_v4l2 = self._handle.getBackendName() == "V4L2"
         for name, what, off in (
             ("AUTO_EXPOSURE", "automatic exposure", 1 if is_v4l2 else 0.25),
             ("AUTO_WB", "automatic white balance", 0),
@@ -219,7 +212,7 @@ class Webcam(BracketCamera):
         for name, value in options.controls.items():
             if not hasattr(self._cv2, f"CAP_PROP_{name}") or not self._set(name, value):
                 raise CaptureError(f"{self._name}: refuses camera.controls.{name} = {value:g}")
-        stream = _letters(int(self._capture.get(self._cv2.CAP_PROP_FOURCC)))
+        stream = _letters(int(self._handle.get(self._cv2.CAP_PROP_FOURCC)))
         if stream in ("MJPG", "JPEG", "H264", "HEVC"):
             adapts.append(f"compression ({stream})")
         self.adapts = tuple(adapts)
@@ -233,18 +226,18 @@ class Webcam(BracketCamera):
     def _set(self, name: str, value: float) -> bool:
         """Make a setting; tell whether the camera took it."""
         prop = getattr(self._cv2, f"CAP_PROP_{name}")
-        return bool(self._capture.set(prop, value)) and self._capture.get(prop) == value
+        return bool(self._handle.set(prop, value)) and self._handle.get(prop) == value
 
     def _set_exposure(self, exposure: float) -> float | None:
         """Set the exposure time in seconds; return the camera's, or None if it has none to set."""
-        prop, backend = self._cv2.CAP_PROP_EXPOSURE, self._capture.getBackendName()
+        prop, backend = self._cv2.CAP_PROP_EXPOSURE, self._handle.getBackendName()
         self._set_to = exposure
         if backend == "V4L2":
-            made = self._capture.set(prop, max(1, round(exposure * V4L2_TICKS)))
-            return float(self._capture.get(prop)) / V4L2_TICKS if made else None
+            made = self._handle.set(prop, max(1, round(exposure * V4L2_TICKS)))
+            return float(self._handle.get(prop)) / V4L2_TICKS if made else None
         if backend in ("DSHOW", "MSMF"):
-            made = self._capture.set(prop, round(math.log2(exposure)))
-            return float(2.0 ** self._capture.get(prop)) if made else None
+            made = self._handle.set(prop, round(math.log2(exposure)))
+            return float(2.0 ** self._handle.get(prop)) if made else None
         return None
 
     def _take_over_times(self) -> None:
@@ -273,15 +266,8 @@ class Webcam(BracketCamera):
         self._has_times, self._set_to = True, None
         self.sensor = replace(self.sensor, exposures=tuple(times))
 
-    def _restart(self) -> None:
-        """Open the device anew, so that a frame that comes late is not taken for the next one."""
-        self._drop()
-        self._open()
-
-    def _drop(self) -> None:
-        capture, self._capture = self._capture, None
-        if capture is not None:
-            capture.release()
+    def _release(self, handle: Any) -> None:
+        handle.release()
 
 
 def _letters(fourcc: int) -> str:
@@ -357,6 +343,6 @@ class WebcamBenchCamera(BenchCamera, Webcam):
 
     def _before_trigger(self, exposure: float) -> None:  # noqa: ARG002
         # as long as the camera was told, whatever the driver believes
-        ticks = self._capture.get(self._cv2.CAP_PROP_EXPOSURE)
+        ticks = self._handle.get(self._cv2.CAP_PROP_EXPOSURE)
         counts = self._scenery.frame(ticks / V4L2_TICKS).astype(np.uint8)
-        self._capture.put(counts if counts.ndim == 2 else counts[..., ::-1])
+        self._handle.put(counts if counts.ndim == 2 else counts[..., ::-1])

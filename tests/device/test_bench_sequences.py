@@ -48,14 +48,14 @@ def test_an_input_that_stays_silent_is_given_up_in_time() -> None:
         assert rig.sequence_patterns == 199
         camera = rig.camera
         camera.arm(1 / 64, 5)
-        assert camera._camera.TriggerSource.Value == "Line1"
-        assert camera._camera.TriggerActivation.Value == "RisingEdge"
+        assert camera._handle.TriggerSource.Value == "Line1"
+        assert camera._handle.TriggerActivation.Value == "RisingEdge"
         finished = []
         waiting = threading.Thread(target=lambda: finished.append(camera.collect()))
         waiting.start()
         waiting.join(20)
         assert finished[0].shape == (0, *camera.shape, 1)
-        assert camera._camera.TriggerSource.Value == "Software"
+        assert camera._handle.TriggerSource.Value == "Software"
         assert camera.expose().shape[0] == 2
         with pytest.raises(CaptureError, match="isn't armed"):
             camera.collect()

@@ -106,7 +106,7 @@ def test_each_exposure_sets_the_shutter(tmp_path: Path, monkeypatch: pytest.Monk
 def test_pictures_do_not_fill_the_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with camera_of(tmp_path, keep_pictures=False) as camera:
         camera.expose()
-        device = camera._photo._camera
+        device = camera._handle._camera
         [folder] = [name for name, _ in _listed(device, "/") if name.endswith("DCIM")]
         kept = [name for below, _ in _listed(device, folder) for name in _files(device, below)]
         assert not [name for name in kept if name.startswith("GPH_")]
@@ -172,8 +172,8 @@ def test_settings_are_made_or_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with camera_of(tmp_path, settings={"f-number": "f/8"}, mirror_lock=True) as camera:
-        assert camera._photo.get("f-number") == "f/8"
-        assert camera._photo.get("autofocus") == "Off"
+        assert camera._handle.get("f-number") == "f/8"
+        assert camera._handle.get("autofocus") == "Off"
     assert "has no mirror lock that gphoto2 can set" in caplog.text
     with pytest.raises(CaptureError, match=r"f-number can't be f/7; it is one of f/2\.8"):
         camera_of(tmp_path, settings={"f-number": "f/7"})

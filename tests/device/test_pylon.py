@@ -38,14 +38,14 @@ def camera() -> Iterator[PylonCamera]:
 
 def fail(camera: PylonCamera, frames: int) -> None:
     """Have the next frames come damaged."""
-    camera._camera.ForceFailedBufferCount.Value = frames
-    camera._camera.ForceFailedBuffer.Execute()
+    camera._handle.ForceFailedBufferCount.Value = frames
+    camera._handle.ForceFailedBuffer.Execute()
 
 
 def unplug(camera: PylonCamera) -> None:
-    camera._camera.FirePnPCallbackValue.Value = 0
-    camera._camera.FirePnPCallback.Execute()
-    assert camera._camera.IsCameraDeviceRemoved()
+    camera._handle.FirePnPCallbackValue.Value = 0
+    camera._handle.FirePnPCallback.Execute()
+    assert camera._handle.IsCameraDeviceRemoved()
 
 
 class TestGreyCamera(CameraContract):
@@ -65,7 +65,7 @@ def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, tmp_path: Path)
 
 
 def test_nothing_adapts(camera: PylonCamera) -> None:
-    device = camera._camera
+    device = camera._handle
     assert device.GainAuto.Value == device.ExposureAuto.Value == "Off"
     assert (device.Gain.Value, device.Gamma.Value) == (0, 1)
     assert device.AcquisitionFrameRateEnable.Value is False
@@ -76,9 +76,9 @@ def test_nothing_adapts(camera: PylonCamera) -> None:
 
 def test_what_another_program_left_is_undone() -> None:
     with PylonCamera(SENSOR, shape=SHAPE, gain_db=12, **QUICK) as camera:
-        assert camera._camera.Gain.Value == pytest.approx(12, abs=0.1)
+        assert camera._handle.Gain.Value == pytest.approx(12, abs=0.1)
     with PylonCamera(SENSOR, shape=SHAPE, **QUICK) as camera:
-        assert camera._camera.Gain.Value == 0
+        assert camera._handle.Gain.Value == 0
 
 
 def test_failed_frames_are_taken_again(
@@ -108,7 +108,7 @@ def test_a_late_frame_is_not_taken_for_the_next(tmp_path: Path) -> None:
     nodes = pictures(tmp_path, counts)
     with PylonCamera(SENSOR, shape=SHAPE, nodes=nodes, **QUICK) as camera:
         camera.expose()
-        camera._camera.ExecuteSoftwareTrigger()  # its frame stays in the queue
+        camera._handle.ExecuteSoftwareTrigger()  # its frame stays in the queue
         pictures(tmp_path, 2 * counts)
         camera._restart()
         assert (camera.expose() == 20).all()

@@ -42,8 +42,8 @@ class UvcCamera(Webcam):
         return self.device(np.zeros((*SHAPE, 3), np.uint8), self._options.skip_frames)
 
     def _before_trigger(self, exposure: float) -> None:
-        ticks = self._capture.get(cv2.CAP_PROP_EXPOSURE)
-        self._capture.put(np.full((*SHAPE, 3), round(ticks / 20), np.uint8))
+        ticks = self._handle.get(cv2.CAP_PROP_EXPOSURE)
+        self._handle.put(np.full((*SHAPE, 3), round(ticks / 20), np.uint8))
 
 
 class TestUvcCamera(CameraContract):
@@ -72,9 +72,9 @@ def test_a_warning_says_what_stays_on(tmp_path: Path, caplog: pytest.LogCaptureF
 def test_what_can_be_switched_off_is(caplog: pytest.LogCaptureFixture) -> None:
     with UvcCamera(SENSOR, controls={"GAIN": 3}) as camera:
         assert camera.adapts == ()
-        assert camera._capture.get(cv2.CAP_PROP_AUTO_EXPOSURE) == 1  # manual, of V4L2
-        assert camera._capture.get(cv2.CAP_PROP_GAMMA) == 100
-        assert camera._capture.get(cv2.CAP_PROP_GAIN) == 3
+        assert camera._handle.get(cv2.CAP_PROP_AUTO_EXPOSURE) == 1  # manual, of V4L2
+        assert camera._handle.get(cv2.CAP_PROP_GAMMA) == 100
+        assert camera._handle.get(cv2.CAP_PROP_GAIN) == 3
     assert "may still have" not in caplog.text
 
 

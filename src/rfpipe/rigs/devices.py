@@ -154,6 +154,21 @@ class SequenceCamera(Camera, Protocol):
         """
 
 
+def options_of(driver: Any, options: dict[str, Any]) -> Any:
+    """Return a driver's options, its defaults where they aren't given.
+
+    Ranges are checked where settings are read.
+
+    Raises
+    ------
+    TypeError
+        When there is an option that the driver doesn't have.
+    """
+    if unknown := options.keys() - driver.Options.model_fields:
+        raise TypeError(f"{type(driver).__name__} has no options {', '.join(sorted(unknown))}")
+    return driver.Options.model_construct(**options)
+
+
 class Closing:
     """What a with statement closes in the end."""
 

@@ -13,7 +13,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from pydantic import Field
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.devices import Closing, Offset, PictureExtent, check_picture
+from rfpipe.rigs.devices import Closing, Offset, PictureExtent, check_picture, options_of
 
 Float = NDArray[np.float32]
 Codes = NDArray[np.uint8]
@@ -140,23 +140,6 @@ class _LostWindowError(CaptureError):
         )
 
 
-class Drawable(Protocol):
-    """A window, or what stands for one."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width in pixels."""
-
-    def draw(self, codes: Codes) -> None:
-        """Draw a picture, and wait until it is drawn."""
-
-    def is_undisturbed(self) -> bool:
-        """Tell whether the last picture stood where it was drawn, and nothing hid it."""
-
-    def close(self) -> None:
-        """Close it."""
-
-
 class WindowProjector(Closing):
     """A projector as a monitor: a borderless window with one pixel for each of its pixels.
 
@@ -169,10 +152,11 @@ class WindowProjector(Closing):
 
     Parameters
     ----------
-    display, screen, offset, shape, settle_seconds, reopen_seconds
-        As `WindowOptions` has them.
+    display : str, optional
     response : ndarray, shape (256,), or path, optional
         Light measured at each code, see `code_table`, or a file of it, see `read_response`.
+    options
+        As `WindowOptions` has them, by name, the same where they aren't given.
 
     Attributes
     ----------
@@ -193,26 +177,23 @@ class WindowProjector(Closing):
     def __init__(
         self,
         display: str | None = None,
-        screen: int = 0,
-        offset: tuple[int, int] = (0, 0),
-        shape: tuple[int, int] | None = None,
-        settle_seconds: float = 0.1,
+        *,
         response: NDArray[Any] | str | Path | None = None,
-        reopen_seconds: float = 10.0,
+        **options: Any,
     ) -> None:
-        if isinstance(response, str | Path):
-            response = read_response(response)
-        self._codes = code_table(response)
+        chosen = options_of(self, options)
+        light = read_response(response) if isinstance(response, str | Path) else response
+        self._codes = code_table(light)
         self._display = display
-        self._settings = {"screen": screen, "offset": list(offset), "shape": shape and list(shape)}
-        self.settle_seconds = settle_seconds
-        self._reopen_seconds = reopen_seconds
+        self._settings = chosen.model_dump(include={"screen", "offset", "shape"}, mode="json")
+        self.settle_seconds = chosen.settle_seconds
+        self._reopen_seconds = chosen.reopen_seconds
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._lost: _LostWindowError | None = None
         self.statistics = {"shown": 0, "reopened": 0, "disturbed": 0}
-        self._window: Drawable | None = self._open()
-        self.shape = self._window.shape
+        self._window: Any = self._open()
+        self.shape: tuple[int, int] = self._window.shape
 
     def show(self, picture: Float) -> None:
         """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
@@ -231,9 +212,8 @@ class WindowProjector(Closing):
         """Whether the last picture stood until now; see `rfpipe.rigs.devices.Projector`."""
         with self._lock:
             try:
-                stood = self._window is not None and self._window.is_undisturbed()
+                stood = self._window is not None and bool(self._window.is_undisturbed())
             except _LostWindowError as error:
-                _log.warning("projector: %s", error.reason)
                 self._lose(error)
                 stood = False
             self.statistics["disturbed"] += not stood
@@ -254,7 +234,7 @@ class WindowProjector(Closing):
         with self._lock:
             self._drop()
 
-    def _open(self) -> Drawable:
+    def _open(self) -> Any:
         """Return a new window."""
         return _WindowProcess(self._display, self._settings)
 
@@ -263,15 +243,23 @@ class WindowProjector(Closing):
         end, pause = time.monotonic() + self._reopen_seconds, 0.2
         while not self._closing.is_set():
             try:
-                self._opened().draw(codes)
+                if self._window is None:
+                    self._window = self._open()
+                    if self._window.shape != self.shape:
+                        raise _LostWindowError(
+                            self._display,
+                            f"the projector's monitor has {self._window.shape} pixels now, "
+                            f"{self.shape} before; set its resolution back",
+                        )
+                self._window.draw(codes)
             except _LostWindowError as error:
-                if self._lost is None:
-                    _log.warning(
-                        "%s. Opening the window again, for up to %g s", error, self._reopen_seconds
-                    )
-                self._lose(error)
+                first = self._lose(error)  # which explains most
                 if time.monotonic() >= end:
-                    raise self._given_up(error.reason) from None
+                    raise _LostWindowError(
+                        self._display,
+                        f"{first}; tried to open it again for {self._reopen_seconds:g} s "
+                        "(reopen_seconds)",
+                    ) from error
                 self._closing.wait(min(pause, end - time.monotonic()))
                 pause = min(2 * pause, 5.0)
                 continue
@@ -282,35 +270,20 @@ class WindowProjector(Closing):
             return
         raise CaptureError("the projector's window is closed; open it anew")
 
-    def _lose(self, error: _LostWindowError) -> None:
-        self._lost = self._lost or error
+    def _lose(self, error: _LostWindowError) -> str:
+        """Let go of a lost window; return the reason of the first loss since it stood."""
+        if self._lost is None:
+            self._lost = error
+            _log.warning(
+                "%s. Opening the window again, for up to %g s", error, self._reopen_seconds
+            )
         self._drop()
-
-    def _opened(self) -> Drawable:
-        """Return the window, opened again if it is lost."""
-        if self._window is None:
-            self._window = self._open()
-            if self._window.shape != self.shape:
-                raise _LostWindowError(
-                    self._display,
-                    f"the projector's monitor has {self._window.shape} pixels now, {self.shape} "
-                    "before; set its resolution back",
-                )
-        return self._window
+        return self._lost.reason
 
     def _drop(self) -> None:
         window, self._window = self._window, None
         if window is not None:
             window.close()
-
-    def _given_up(self, last: str) -> CaptureError:
-        """Return the error of the first loss, which explains most, with the last one."""
-        assert self._lost is not None
-        first = self._lost.reason
-        tried = f"tried to open it again for {self._reopen_seconds:g} s (reopen_seconds)"
-        if last != first:
-            tried += f", the last time: {last}"
-        return _LostWindowError(self._display, f"{first}; {tried}")
 
 
 class _WindowProcess:

@@ -21,10 +21,13 @@ from pydantic import Field
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, installing
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.devices import Closing
+from rfpipe.rigs.devices import Closing, Offset, PictureExtent, options_of
 from rfpipe.rigs.optics import Scenery
 
 Counts = NDArray[np.uint16]
+
+_log = logging.getLogger(__name__)
+
 
 TimeoutSeconds = Annotated[
     float,
@@ -35,7 +38,20 @@ TimeoutSeconds = Annotated[
         "most 600.",
     ),
 ]
-_log = logging.getLogger(__name__)
+
+
+class FrameOptions(Settings):
+    """What cameras have in common."""
+
+    shape: tuple[PictureExtent, PictureExtent] | None = Field(
+        None, description="Height and width of the frames in pixels, or null for the whole sensor."
+    )
+    offset: tuple[Offset, Offset] = Field(
+        (0, 0),
+        description="Place of the frames on the sensor: rows from its upper edge, columns from "
+        "its left edge; of a photo camera even numbers both.",
+    )
+    timeout_seconds: TimeoutSeconds = 2.0
 
 
 class BracketCamera(Closing, ABC):
@@ -48,8 +64,7 @@ class BracketCamera(Closing, ABC):
     ----------
     sensor : CameraModel
     options
-        Those of the driver's model `Options`, by name; defaults are the model's, ranges are checked
-        where settings are read.
+        Those of the driver's model `Options`, by name; see `rfpipe.rigs.devices.options_of`.
 
     Raises
     ------
@@ -59,7 +74,7 @@ class BracketCamera(Closing, ABC):
     Attributes
     ----------
     Options : type
-        The driver's settings, ``timeout_seconds`` among them where its library waits for none.
+        The driver's settings.
     kind : str
         The driver's name in descriptions.
     attempts, reconnects, reconnect_seconds : int, int, float
@@ -85,11 +100,10 @@ class BracketCamera(Closing, ABC):
     faults: tuple[type[Exception], ...] = ()
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
-        if unknown := options.keys() - self.Options.model_fields:
-            raise TypeError(f"{type(self).__name__} has no options {', '.join(sorted(unknown))}")
-        self._options: Any = self.Options.model_construct(**options)
+        self._options = options_of(self, options)
         self.sensor = sensor
         self.channels = 1
+        self._handle: Any = None
         self.statistics = {"frames": 0, "failed": 0, "timed_out": 0, "reconnected": 0}
         self.shape = (0, 0)
         self._name = "camera"
@@ -119,20 +133,26 @@ class BracketCamera(Closing, ABC):
         """Find the camera, set it up and start it; return the frames' shape, or CaptureError."""
 
     @abstractmethod
-    def _is_lost(self) -> bool:
-        """Tell whether there is no camera at hand."""
-
-    @abstractmethod
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        """Take one frame; return it, or None and the problem."""
+        """Take one frame; return it, or None and the problem: ``""`` where none came in time."""
 
     @abstractmethod
+    def _release(self, handle: Any) -> None:
+        """Let go of the device, whatever state it is in."""
+
     def _restart(self) -> None:
         """Start afresh, so that a frame that comes late is not taken for the next one."""
+        self._drop()
+        self._open()
 
-    @abstractmethod
+    def _is_lost(self) -> bool:
+        """Tell whether there is no camera at hand."""
+        return self._handle is None
+
     def _drop(self) -> None:
-        """Let go of the device, whatever state it is in."""
+        handle, self._handle = self._handle, None
+        if handle is not None:
+            self._release(handle)
 
     def _said(self, error: Exception) -> str:
         """Return the text of the library's error."""
@@ -140,16 +160,6 @@ class BracketCamera(Closing, ABC):
 
     def _before_trigger(self, exposure: float) -> None:
         """Is called before each trigger; a real camera needs nothing more."""
-
-    def _failed(self, problem: str) -> tuple[None, str]:
-        """Count a frame that came damaged."""
-        self.statistics["failed"] += 1
-        return None, problem
-
-    def _timed_out(self, problem: str) -> tuple[None, str]:
-        """Count a frame that didn't come."""
-        self.statistics["timed_out"] += 1
-        return None, problem
 
     def _check_open(self) -> None:
         if self._closed:
@@ -164,8 +174,12 @@ class BracketCamera(Closing, ABC):
                 self._check_open()
                 frame, problem = self._frame(exposure)
                 if frame is not None:
-                    self.statistics["frames"] += 1
-                    return frame
+                    if frame.shape[:2] == self.shape:
+                        self.statistics["frames"] += 1
+                        return frame
+                    problem = f"the frame has {frame.shape[:2]} pixels, expected {self.shape}"
+                self.statistics["failed" if problem else "timed_out"] += 1
+                problem = problem or "no frame came in time"
                 self._restart()
             except self.faults as error:
                 problem = self._said(error)
@@ -182,15 +196,15 @@ class BracketCamera(Closing, ABC):
     def _reconnect(self, reason: str) -> None:
         """Find the camera again."""
         _log.warning("%s was lost: %s", self._name, reason)
-        problem, attempts = reason, self.reconnects
-        for attempt in range(attempts):
+        problem = reason
+        for attempt in range(self.reconnects):
             self._drop()
             time.sleep(self.reconnect_seconds)
             try:
                 shape = self._open()
             except CaptureError as error:
                 problem = str(error)
-                _log.warning("attempt %d of %d: %s", attempt + 1, attempts, error)
+                _log.warning("attempt %d of %d: %s", attempt + 1, self.reconnects, error)
                 continue
             if shape != self.shape:
                 raise CaptureError(
@@ -200,9 +214,9 @@ class BracketCamera(Closing, ABC):
             _log.warning("%s is back", self._name)
             return
         raise CaptureError(
-            f"{self._name} was lost ({reason}) and not found again in {attempts} attempts; the "
-            f"last: {problem}. Check its power, cable and network, and that no other program took "
-            "it"
+            f"{self._name} was lost ({reason}) and not found again in {self.reconnects} attempts; "
+            f"the last: {problem}. Check its power, cable and network, and that no other program "
+            "took it"
         )
 
 

@@ -51,30 +51,29 @@ class PylonCamera(GenicamCamera):
         super().__init__(sensor, **options)
         self._pylon, self._genicam = _load_pylon()
         self.faults = self._genicam.GenericException, RefusedError
-        self._camera: Any = None
         self.shape = self._open()
 
     @property
     def nodes(self) -> PylonNodes:
         """The open camera's settings."""
-        return PylonNodes(self._camera)
+        return PylonNodes(self._handle)
 
     def _is_lost(self) -> bool:
-        return self._camera is None or bool(self._camera.IsCameraDeviceRemoved())
+        return self._handle is None or bool(self._handle.IsCameraDeviceRemoved())
 
     def _said(self, error: Exception) -> str:
         return _said(error)
 
     def _is_ready(self, seconds: float) -> bool:
         patience, ending = round(1000 * seconds), self._pylon.TimeoutHandling_Return
-        return bool(self._camera.WaitForFrameTriggerReady(patience, ending))
+        return bool(self._handle.WaitForFrameTriggerReady(patience, ending))
 
     def _trigger(self) -> None:
-        self._camera.ExecuteSoftwareTrigger()
+        self._handle.ExecuteSoftwareTrigger()
 
     def _next(self, seconds: float) -> tuple[Counts | None, str]:
         patience, ending = round(1000 * seconds), self._pylon.TimeoutHandling_Return
-        with self._camera.RetrieveResult(patience, ending) as result:
+        with self._handle.RetrieveResult(patience, ending) as result:
             if not result.IsValid():
                 return None, ""
             if not result.GrabSucceeded():
@@ -86,23 +85,21 @@ class PylonCamera(GenicamCamera):
         connected = list(factory.EnumerateDevices())
         info = connected[chosen((one.GetSerialNumber() for one in connected), self._serial)]
         self._serial = info.GetSerialNumber()
-        self._camera = self._pylon.InstantCamera(factory.CreateDevice(info))
-        self._camera.Open()
+        self._handle = self._pylon.InstantCamera(factory.CreateDevice(info))
+        self._handle.Open()
         self._model = info.GetModelName()
 
     def _start(self, room: int = 0) -> None:
-        self._camera.MaxNumBuffer.Value = max(room, BUFFERS)
-        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+        self._handle.MaxNumBuffer.Value = max(room, BUFFERS)
+        self._handle.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def _stop(self) -> None:
-        self._camera.StopGrabbing()
+        self._handle.StopGrabbing()
 
-    def _drop(self) -> None:
-        camera, self._camera = self._camera, None
-        if camera is not None:
-            for step in (camera.StopGrabbing, camera.Close, camera.DestroyDevice):
-                with suppress(self._genicam.GenericException):
-                    step()
+    def _release(self, handle: Any) -> None:
+        for step in (handle.StopGrabbing, handle.Close, handle.DestroyDevice):
+            with suppress(self._genicam.GenericException):
+                step()
 
 
 class PylonBenchCamera(BenchCamera, PylonCamera):
