@@ -225,7 +225,6 @@ MALFORMED = {
     "code in the header": raw(array=npy("__import__('os').abort()")),
     "long header": raw(array=npy(" " * 5000)),
     "by columns": raw(array=npy(fortran_order=True)),
-    "true as extent": raw(array=npy(shape=(True, 3))),
     "huge shape": raw(array=npy(shape=(2**39, 2**39))),
     "huge shape of nothing": raw(array=npy(shape=(0, 2**62), content=b"")),
     "shape beyond any integer": raw(array=npy(shape=(0, 10**30), content=b"")),

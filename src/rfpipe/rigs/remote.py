@@ -29,6 +29,8 @@ Float = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 
+_LAPSED = "%s: the lease lapsed, or the server was restarted; taking it anew"
+
 
 class RemoteRig(Closing):
     """The client of `rfpipe.server`: a rig whose devices another process or machine has.
@@ -107,7 +109,7 @@ class RemoteRig(Closing):
 
     def close(self) -> None:
         """Give the rig back to other clients; closing twice is no error."""
-        self._stop_heart()
+        self._give_back()
         self._connection.close()
 
     def _request(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
@@ -135,7 +137,8 @@ class RemoteRig(Closing):
                 patience.pause(f"its answer arrived damaged ({error})")
             except _RefusedError as refusal:
                 if refusal.status == 410:
-                    self._lose_lease()
+                    _log.warning(_LAPSED, self.url)
+                    self._give_back()
                 elif refusal.status == 502:
                     patience.pause(f"the rig failed: {refusal.detail}")
                 else:
@@ -161,7 +164,8 @@ class RemoteRig(Closing):
     def _lease(self) -> str:
         """Return the lease's id, the rig taken if it isn't yet."""
         if self._heart is not None and not self._heart.is_alive():
-            self._lose_lease()
+            _log.warning(_LAPSED, self.url)
+            self._give_back()
         if self._heart is None:
             answer = self._connection.send("POST", "/v1/lease", json={"client": self._client})
             self._heart = _HeartBeat(
@@ -175,11 +179,7 @@ class RemoteRig(Closing):
                 )
         return self._heart.lease
 
-    def _lose_lease(self) -> None:
-        _log.warning("%s: the lease lapsed, or the server was restarted; taking it anew", self.url)
-        self._stop_heart()
-
-    def _stop_heart(self) -> None:
+    def _give_back(self) -> None:
         heart, self._heart = self._heart, None
         if heart is not None:
             heart.stop()
@@ -336,7 +336,6 @@ class _Patience:
     def __init__(self, name: str, seconds: float, closing: threading.Event) -> None:
         self._name, self._seconds, self._closing = name, seconds, closing
         self._since: float | None = None
-        self._first = ""
 
     def end(self, news: str) -> None:
         """Note a success, and log it after failures."""
@@ -345,28 +344,23 @@ class _Patience:
             self._since = None
 
     def pause(self, reason: str) -> None:
-        """Wait a little before the next attempt; log why every half a minute.
+        """Wait a little before the next attempt.
 
         Raises
         ------
         CaptureError
             When the patience is at its end: says why the first attempt failed, which explains
-            most, and the last one, where that differs.
+            most, and the last one.
         """
-        now = time.monotonic()
         if self._since is None:
-            self._since, self._pause, self._first, self._reminded = now, 0.1, reason, now
+            self._since, self._pause, self._first = time.monotonic(), 0.1, reason
             _log.warning("%s: %s; waiting for up to %g s", self._name, reason, self._seconds)
-        waited = now - self._since
+        waited = time.monotonic() - self._since
         if waited >= self._seconds:
-            last = "" if reason == self._first else f". At last: {reason}"
             raise CaptureError(
-                f"{self._name}: {self._first}{last}. Waited for {waited:.0f} s "
+                f"{self._name}: {self._first}. At last: {reason}. Waited for {waited:.0f} s "
                 "(capture.patience_seconds); what is captured is kept: run again when that is "
                 "mended"
             )
-        if now - self._reminded >= 30:
-            self._reminded = now
-            _log.warning("%s: %s; waiting since %.0f s", self._name, reason, waited)
         self._closing.wait(min(self._pause, self._seconds - waited))
         self._pause = min(2 * self._pause, 5.0)
