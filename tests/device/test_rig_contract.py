@@ -107,7 +107,7 @@ class Broken(OperatorRig):
         ("one noise for all", "same_bytes_however_captured"),
         ("ambient light", "light_adds_up"),
         ("projector gamma", "light_adds_up"),
-        ("flickering black level", "black_is_black"),
+        ("flickering black level", "light_adds_up"),
         ("loses a frame", "frames"),
         ("unstable description", "describes_itself"),
     ],

@@ -116,14 +116,14 @@ class Changing(Dim):
 @pytest.mark.parametrize(
     ("scene", "test", "message"),
     [
-        (Negative, "light_is_not_negative", "negative"),
-        (Black, "light_is_not_negative", "no light"),
+        (Negative, "light", "negative"),
+        (Black, "light", "no light"),
         (Curved, "linearity", "picture of a sum"),
         (Leaking, "linearity", "light in darkness"),
-        (Double, "shapes", "float64"),
-        (Shifted, "dense", "its transpose differ"),
+        (Double, "light", "float64"),
+        (Shifted, "dense", "T from its transpose"),
         (Together, "same_bytes_beside_any_patterns", "by themselves"),
-        (Inverted, "albedo", "negative"),
+        (Inverted, "light", "albedo is negative"),
         (Changing, "description", "made again"),
     ],
 )

@@ -9,9 +9,9 @@ In a test file of your own, for pytest::
             return MyCamera(...)
 """
 
+from rfpipe.testing.checks import dot_test
 from rfpipe.testing.devices import CameraContract, ProjectorContract
 from rfpipe.testing.methods import MethodContract
-from rfpipe.testing.operators import dot_test
 from rfpipe.testing.rigs import RigContract
 from rfpipe.testing.scenes import SceneContract
 

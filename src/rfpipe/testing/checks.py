@@ -1,17 +1,21 @@
-"""What the suites share."""
+"""The dot test for operators, and what the suites share."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Any, Protocol
+from contextlib import AbstractContextManager, closing, nullcontext
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rfpipe.provenance import generator
 
-class _Described(Protocol):
-    def describe(self) -> dict[str, Any]: ...
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
+
+    from rfpipe.transport import Transport
 
 
 def require(holds: bool | np.bool_, message: str) -> None:
@@ -20,19 +24,79 @@ def require(holds: bool | np.bool_, message: str) -> None:
         raise AssertionError(message)
 
 
-def require_raises(kind: type[Exception], call: Callable[[], Any], message: str) -> str:
+def require_close(found: NDArray[Any], expected: NDArray[Any], error: float, what: str) -> None:
+    """Raise AssertionError where the relative error (Frobenius) is above `error`."""
+    expected = np.asarray(expected, np.float64)
+    off, scale = float(np.linalg.norm(found - expected)), float(np.linalg.norm(expected))
+    require(off <= error * scale, f"{what} is {off:.3g} off of {scale:.3g}, more than {error:g}")
+
+
+def require_raises(kind: type[Exception], call: Callable[..., Any], *arguments: Any) -> str:
     """Return the message with which a call fails; raise AssertionError where it doesn't."""
     try:
-        call()
+        call(*arguments)
     except kind as error:
         return str(error)
-    raise AssertionError(f"{message} without raising {kind.__name__}")
+    raise AssertionError(f"{call} took {arguments} without raising {kind.__name__}")
 
 
-def require_equal_descriptions(make: Callable[[], AbstractContextManager[_Described]]) -> None:
+def require_equal_descriptions(make: Callable[[], Any]) -> None:
     """Raise AssertionError unless what is made twice describes itself alike, in plain data."""
     described = []
     for _ in range(2):
-        with make() as made:
+        with opened(make()) as made:
             described.append(json.dumps(made.describe(), sort_keys=True))
     require(described[0] == described[1], f"describe() differs for what is made again: {described}")
+
+
+def opened(made: Any) -> AbstractContextManager[Any]:
+    """Close what can be closed at the end of a with statement."""
+    return closing(made) if hasattr(made, "close") else nullcontext(made)
+
+
+def dot_test(
+    operator: Transport | LinearOperator | NDArray[Any], tolerance: float = 1e-5, seed: int = 0
+) -> float:
+    """Check that an operator and its transpose belong together: ``(T p) . c = p . (T^T c)``.
+
+    Parameters
+    ----------
+    operator : transport, LinearOperator or matrix
+        A transport is tested channel by channel.
+    tolerance : float
+        Largest relative difference allowed; float32 arithmetic reaches about 1e-6.
+    seed : int
+        Seed of the random ``p`` and ``c``, uniform in [0, 1): with non-negative transport no
+        terms cancel.
+
+    Returns
+    -------
+    float
+        The largest relative difference found.
+
+    Raises
+    ------
+    AssertionError
+        When the difference is above `tolerance`, or not a number.
+    """
+    from scipy.sparse.linalg import aslinearoperator
+
+    given: Any = operator
+    if hasattr(given, "channel"):
+        channels = map(given.channel, range(given.channels))
+        return max(dot_test(channel, tolerance, seed) for channel in channels)
+    linear = aslinearoperator(given)
+    random = generator(seed)
+    pattern, image = (random.random(extent) for extent in reversed(linear.shape))
+    seen = np.asarray(linear.matvec(pattern), np.float64)
+    dual = np.asarray(linear.rmatvec(image), np.float64)
+    forward, backward = float(image @ seen), float(dual @ pattern)
+    # where terms cancel, the sum of their magnitudes is the scale of the rounding
+    scale = max(float(image @ np.abs(seen)), float(np.abs(dual) @ pattern))
+    difference = abs(forward - backward) / scale if scale else 0.0
+    require(
+        difference <= tolerance,
+        f"(T p) . c = {forward:.9g} but p . (T^T c) = {backward:.9g}: relative difference "
+        f"{difference:.3g}, allowed {tolerance:.3g}",
+    )
+    return difference
