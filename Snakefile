@@ -4,8 +4,8 @@ Each scene of the configuration is acquired with each method, level by level. Th
 decide on the patterns of a level (schedule), the rig shows them (capture), brackets become radiance
 (merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). How
 many levels have patterns to show turns out on the way. The transport is assembled from all levels,
-verified by pictures that no method saw (verify), relit, compared with the truth, put on a page on
-which one paints with light (view), and reported.
+verified by pictures that no method saw (verification), relit, compared with the truth, put on a
+page on which one paints with light (view), and reported.
 
 Each stage leaves a store and, written last, a small manifest beside it, in
 results/{scene}/{method}/L{level}: rules know manifests alone. A store knows what it was made from,
