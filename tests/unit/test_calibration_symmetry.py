@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse import eye_array
 
 from rfpipe.calibration.symmetry import (
-    find_causes,
     measure_symmetry,
     merged_pictures,
     random_signs,
@@ -17,7 +15,7 @@ from rfpipe.calibration.symmetry import (
 )
 from rfpipe.config import SceneSettings
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, Resampling
+from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.scenes import scene_from_config
 
@@ -109,26 +107,3 @@ def test_views_have_signs_of_their_own() -> None:
 def test_one_pair_has_no_spread(count: int) -> None:
     with pytest.raises(CaptureError, match="3 or more"):
         checked(wedge(), count=count)
-
-
-@pytest.mark.parametrize(
-    ("flare", "vignetting"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.4), (0.05, 0.4)]
-)
-def test_flare_and_vignetting_are_told_apart(flare: float, vignetting: float) -> None:
-    # of very little noise: how much the causes make is small where light is direct for the most
-    camera = CameraModel(
-        electrons_per_radiance=6.4e8, full_well_electrons=2e7, bits=16, flare=flare,
-        vignetting=vignetting, exposures=(1 / 64,),
-    )  # fmt: skip
-    pictures = taken(wedge(), camera)
-    alone = Resampling(SHAPE, SHAPE, eye_array(RAYS, dtype=np.float32, format="csr"))
-    causes = find_causes(pictures, alone)
-    both = bool(flare and vignetting)  # each is fitted to first order
-    assert causes["flare"] == pytest.approx(flare, abs=0.015 if both else 0.006)
-    assert causes["vignetting"] == pytest.approx(vignetting, abs=0.15 if both else 0.05)
-    text = symmetry_findings(pictures, 0.003, alone).verdict.text
-    assert ("Flare: the lens spreads" in text) is bool(flare)
-    assert ("Vignetting: the camera loses" in text) is bool(vignetting)
-    if flare:
-        assert causes["flare_makes"] > 0.003
-        assert causes["unexplained_error"] < 0.5 * causes["flare_makes"]

@@ -190,34 +190,30 @@ class SmoothMap:
     Attributes
     ----------
     homography : ndarray of float64, shape (3, 3)
-    distortion : ndarray of float64, shape (10, 2), or None
+    distortion : ndarray of float64, shape (10, 2)
         Coefficients of a polynomial of degree 3 in normalised camera coordinates, added to it.
     centre, scale : ndarray of float64, shape (2,); float
         Of these coordinates.
-    points, inliers : int
-        Points fitted to, and those of them that belong to the map.
+    inliers : int
+        Points that belong to the map.
     rms : float
-        Distance of a measured inlier from the map, in projector pixels: noise, texture and what
-        the map can't describe.
+        Distance of a measured inlier from the map, in projector pixels.
     error : float
         Mean standard error of the map itself at its points, in projector pixels.
     """
 
     homography: Double
-    distortion: Double | None
+    distortion: Double
     centre: Double
     scale: float
-    points: int
     inliers: int
     rms: float
     error: float
 
     def __call__(self, points: Double) -> Double:
         """Return the projector's points (..., 2) of camera points (..., 2)."""
-        mapped = apply_homography(self.homography, points)
-        if self.distortion is None:
-            return mapped
-        return mapped + _terms((points - self.centre) / self.scale) @ self.distortion
+        bent = _terms((points - self.centre) / self.scale) @ self.distortion
+        return apply_homography(self.homography, points) + bent
 
 
 def map_of_pixels(correspondence: Findings, inside: Mask) -> SmoothMap:
@@ -271,7 +267,8 @@ def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> S
     rest = projector - apply_homography(homography, camera)
     # lenses bend lines by far more than the noise of a pixel: look at all but gross errors
     near = np.flatnonzero(_inliers(rest, 3 * _INLIER) & (True if trusted is None else trusted))
-    terms, distortion = _terms((camera - centre) / scale), None
+    terms = _terms((camera - centre) / scale)
+    distortion, parameters = np.zeros((terms.shape[1], 2)), homography.size - 1
     halves = near[::2], near[1::2]
     if len(near) > 10 * terms.shape[1]:
         left = [
@@ -281,23 +278,17 @@ def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> S
         # a gain of a fifth is more than chance
         if np.square(np.concatenate(left)).mean() < 0.8**2 * np.square(rest[near]).mean():
             distortion = np.asarray(np.linalg.lstsq(terms[near], rest[near])[0], np.float64)
-            rest = rest - terms @ distortion
+            rest, parameters = rest - terms @ distortion, parameters + distortion.size
             inlier = _inliers(rest)
+    count = int(inlier.sum())
     rms = float(np.sqrt(np.square(rest[inlier]).sum(axis=1).mean()))
-    parameters, count = 8 + (0 if distortion is None else distortion.size), int(inlier.sum())
     # the mean over the fitted points of the fit's own variance is rms^2 parameters / (2 n)
     error = rms * float(np.sqrt(parameters / (2 * count)))
-    return SmoothMap(homography, distortion, centre, scale, len(camera), count, rms, error)
+    return SmoothMap(homography, distortion, centre, scale, count, rms, error)
 
 
 def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> tuple[float, float]:
     """Measure the blur of lens and projector as that of a Gaussian, the same all over the picture.
-
-    Parameters
-    ----------
-    correspondence : Findings
-    maps : sequence of SmoothMap
-        Of each view.
 
     Returns
     -------
@@ -356,7 +347,12 @@ def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadril
     from scipy.ndimage import label
 
     points, count = points_of(correspondence), views[0] * views[1]
-    parts, found = label(_connected(points, correspondence["valid"]))
+    valid = correspondence["valid"]
+    known = np.where(valid[..., None], points, np.nan)
+    steps = np.max([np.abs(slope) for slope in np.gradient(known, axis=(0, 1))], axis=(0, -1))
+    # coordinates jump from view to view
+    jumps = steps > 6 * np.nanmedian(steps) if np.isfinite(steps).any() else False
+    parts, found = label(valid & ~jumps)
     sizes = np.bincount(parts.ravel(), minlength=found + 1)[1:]
     large = np.count_nonzero(sizes >= LEAST_POINTS)
     if large < count:
@@ -381,21 +377,6 @@ def maps_of_views(correspondence: Findings, corners: Sequence[Quadrilateral]) ->
         inside = correspondence["valid"] & ((place >= 0) & (place <= 1)).all(axis=-1)
         maps.append(map_of_pixels(correspondence, inside))
     return maps
-
-
-def _connected(points: Double, valid: Mask) -> Mask:
-    """Return the valid pixels but those next to a jump of the projector's coordinates."""
-    inside = valid.copy()
-    for axis in (0, 1):
-        there = np.moveaxis(points, axis, 0)
-        known, kept = np.moveaxis(valid, axis, 0), np.moveaxis(inside, axis, 0)
-        step = np.linalg.norm(np.diff(there, axis=0), axis=-1)
-        both = known[1:] & known[:-1]
-        if both.any():
-            jump = both & (step > 6 * max(float(np.median(step[both])), 1e-6))
-            kept[1:] &= ~jump
-            kept[:-1] &= ~jump
-    return inside
 
 
 def _corners(points: Double) -> Double:

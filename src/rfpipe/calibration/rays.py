@@ -109,7 +109,6 @@ def measure_rays(bench: Bench) -> Findings:
         "shape": list(layout.shape),
         "corners": None if corners is None else [list(map(list, quad)) for quad in corners],
         "blur_error": blur_error,
-        "homographies": [one.homography.tolist() for one in maps],
         "map_rms_pixels": max(one.rms for one in maps),
         "map_error_pixels": max(one.error for one in maps),
         **_judged(fit, blur, settings.tolerance),
@@ -124,25 +123,15 @@ def _judged(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
     of_ray = blur / float(np.sqrt(pixels))
     # a ray that few pixels see alone has up to twice a pixel's noise; four times is too much
     mixed = max(leak / (tolerance / 2), float(fit.noise.max()) / 4)
-    rows, columns = np.nonzero((~seen).reshape(-1, *seen.shape[-2:]).any(axis=0))
-    words = []
-    for at, extent, less, more in (
-        (rows, seen.shape[-2], "upper", "lower"),
-        (columns, seen.shape[-1], "left", "right"),
-    ):
-        if at.size and abs((at.mean() + 0.5) / extent - 0.5) > 0.1:
-            words.append(less if at.mean() < extent / 2 else more)
     return {
         "count": seen.size,
         "unseen_rays": int((~seen).sum()),
         "unseen_share": float((~seen).mean()),
-        "whereabouts": f"most of them on the {' '.join(words)} side" if words else "all over",
         "pixels_a_ray": pixels,
         "blur_pixels": blur,
         "blur_of_ray": of_ray,
         "larger_rays": max(1.5, of_ray / _BLURRED),
         "leak": leak,
-        "mean_leak": float(fit.leak.mean()),
         "largest_noise": float(fit.noise.max()),
         "mixed_by_blur" if of_ray > _BLURRED else "mixed_by_pixels": mixed,
     }
@@ -152,13 +141,6 @@ def coverage(
     maps: Sequence[SmoothMap], layout: ProjectorLayout, camera_shape: tuple[int, int]
 ) -> tuple[csr_array[Any], Double]:
     """Return the share of each camera pixel that looks at each ray, and what is seen of each.
-
-    Parameters
-    ----------
-    maps : sequence of SmoothMap
-        From the camera to the projector, one for each view of the layout.
-    layout : ProjectorLayout
-    camera_shape : (int, int)
 
     Returns
     -------
@@ -204,7 +186,6 @@ def overlaps(
     outlines : ndarray of float64, shape (n, 4, 2)
         (x, y) of corners, in turn; those that aren't finite are left out.
     shape : (int, int)
-        Height and width of the picture.
 
     Returns
     -------
@@ -262,8 +243,10 @@ def fit_rays(
 
     Parameters
     ----------
-    maps, layout, camera_shape
-        As for `coverage`.
+    maps : sequence of SmoothMap
+        From the camera to the projector, one for each view of the layout.
+    layout : ProjectorLayout
+    camera_shape : (int, int)
     blur : float
         Standard deviation of the picture's blur in camera pixels, at least 0.
 
@@ -333,17 +316,10 @@ def blurring(shape: tuple[int, int], blur: float) -> csr_array[Any]:
 
 
 def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64]]:
-    """Add what lies past the rays as unknowns: one beside each ray at the edge.
+    """Add what lies past the rays as unknowns: one beside each ray at the edge, and its column.
 
     Without them, rays at the edge would be taken for darker than they are, by what the pixels that
-    they share with the dark outside see of it.
-
-    Returns
-    -------
-    csr_array of float64, shape (camera pixels, rays + unknowns past them)
-        Rows of pixels that see rays sum to 1, others are empty.
-    ndarray of int64, shape (rays + 1,)
-        Column of the unknown beside each ray, -1 where there is none; the last is always -1.
+    they share with the dark outside see of it. Columns are -1 of rays without, and after the last.
     """
     from scipy.sparse import coo_array, csr_array, diags_array, hstack
 

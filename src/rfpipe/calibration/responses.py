@@ -227,12 +227,10 @@ def measure_transfer(bench: Bench) -> Findings:
         # two counts wide at least, a quarter above whole ones: rounding meets all fractions in it
         edges.append(np.floor(max(edges[-1] * _RATIO, edges[-1] + 2)) + 0.25)
     sums = np.zeros((4, len(edges) - 1))
-    counts = np.zeros(model.white_level + 1, np.int64)
     levels = np.geomspace(1 / 256, 1, settings.levels).repeat(settings.repeats)
     frames = bench.take([bench.flat(level) for level in levels], linear=True)
     for pair in zip(frames, frames, strict=False):
         one, two = (bracket[:, good] for bracket in pair)
-        counts += np.bincount(np.stack([one, two]).ravel(), minlength=len(counts))[: len(counts)]
         for first, second in zip(one, two, strict=True):
             light = _linear(np.stack([first, second]) - black, span, gamma)
             sums += _spread(light[0], light[1], np.array(edges))
@@ -242,11 +240,11 @@ def measure_transfer(bench: Bench) -> Findings:
     error = np.sqrt(np.maximum(fourths / filled - variance**2, 0) / filled)
     # the converter's step at a signal, in linear counts
     step = gamma * np.maximum(signal / span, 1e-9) ** (1 - 1 / gamma)
-    top, saturated = _saturation(counts, model.white_level)
-    limit = float(_linear(np.array(top - black), span, gamma))
     noise = np.sqrt(variance)
     # darker photosites that noise lifted into a bin have less noise than its signal says
-    used = (pairs >= 10) & (signal > 4 * noise) & (signal * _RATIO + _CLIP * noise < limit)
+    used = (pairs >= 10) & (signal > 4 * noise) & (signal * _RATIO + _CLIP * noise < span)
+    # where photosites saturate, wherever that is, their noise is cut off
+    used &= signal <= signal[np.argmax(np.where(used, variance, 0))]
     used &= variance > _DITHERED * step**2
     if used.sum() < 2:
         raise CaptureError(
@@ -266,8 +264,6 @@ def measure_transfer(bench: Bench) -> Findings:
     facts = {
         **_noise_facts(fit, dark),
         "full_well_electrons": fit.gain * span,
-        "saturation_counts": top,
-        "saturated": saturated,
         "pairs": int(pairs.sum()),
     }
     curve = fit.read + signal / fit.gain + step**2 / 12
@@ -368,13 +364,3 @@ def _spread(first: Double, second: Double, edges: Double) -> Double:
     # the mean difference takes one of the pairs' degrees of freedom
     squares = rest**2 / 2 * (pairs / np.maximum(pairs - 1, 1))[at]
     return _binned(at, bins, signal, squares, squares**2) * (pairs > 1)
-
-
-def _saturation(counts: NDArray[np.int64], white_level: int) -> tuple[float, bool]:
-    """Return the count at which photosites pile up, or full scale, and whether they do."""
-    top = int(np.flatnonzero(counts)[-1])
-    below = counts[max(0, top - 40) : max(1, top - 8)]
-    piled = int(counts[max(0, top - 8) :].sum())
-    if top >= white_level or piled > 10 * max(1.0, 8 * float(below.mean())):
-        return float(top), True
-    return float(white_level), False

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,14 +33,9 @@ _WITNESSES = 24  # pictures that each new one is held against: chance has no say
 
 
 class Pictures(NamedTuple):
-    """Pictures under random patterns, 1 where a sign is positive and else 0.
+    """Radiance and variance (count, N, C) under random patterns (count, N), lit where a sign is 1.
 
-    Attributes
-    ----------
-    side : int
-        Rays a side of the patches that share a sign.
-    signs : ndarray of float64, shape (count, N)
-    radiance, variance : ndarray of float64, shape (count, N, C)
+    Patches of `side` x `side` rays share a sign.
     """
 
     side: int
@@ -91,13 +85,7 @@ def worst_of(scales: Iterable[Scale]) -> Scale:
 
 
 def measure_symmetry(floodlit: Double, variance: Double, pictures: list[Pictures]) -> list[Scale]:
-    """Measure asymmetry from pictures under random patterns.
-
-    Parameters
-    ----------
-    floodlit, variance : ndarray of float64, shape (N, C)
-    pictures : list of Pictures
-        For each side of patches, from single rays on.
+    """Measure asymmetry from pictures under random patterns, from single rays on.
 
     Raises
     ------
@@ -175,16 +163,7 @@ def symmetry_patterns(
 def merged_pictures(
     brackets: Iterable[NDArray[Any]], sensor: Sensor, patterns: Iterable[tuple[int, Double]]
 ) -> Taken:
-    """Merge what `measure_symmetry` needs.
-
-    Parameters
-    ----------
-    brackets : iterable of ndarray, shape (E, ...)
-        Under the patterns of `symmetry_patterns`.
-    sensor : Sensor
-    patterns : iterable of (int, ndarray)
-        These.
-    """
+    """Merge brackets (E, ...) under the patterns of `symmetry_patterns`, for `measure_symmetry`."""
     remaining = iter(brackets)
     (_, off), (_, on), *random = patterns
     black = np.mean([next(remaining) for _ in off], axis=0).astype(np.float32)
@@ -213,23 +192,11 @@ def measure_rig(bench: Bench) -> Findings:
     lit = [signs > 0 for _, group in patterns for signs in group]
     brackets = bench.take(lit, linear=True, drawn=layout.picture)
     taken = merged_pictures(brackets, ResampledSensor(bench.model, resampling), patterns)
-    return symmetry_findings(taken, settings.tolerance, resampling)
+    return symmetry_findings(taken, settings.tolerance)
 
 
-def symmetry_findings(
-    taken: Taken, tolerance: float, resampling: Resampling | None = None
-) -> Findings:
-    """Predict the error that asymmetry makes, and name its causes.
-
-    Parameters
-    ----------
-    taken : tuple
-        What `merged_pictures` returns.
-    tolerance : float
-        Relative error of a relit picture that the rig is to stay below.
-    resampling : Resampling, optional
-        That the pictures came through: tells where in the camera's picture rays lie, and so causes.
-    """
+def symmetry_findings(taken: Taken, tolerance: float) -> Findings:
+    """Predict the error that asymmetry makes in relit pictures, which `tolerance` is for."""
     scales = measure_symmetry(*taken)
     worst = worst_of(scales)
     error, margin = worst.predicted, CONFIDENCE * worst.predicted_error
@@ -249,8 +216,6 @@ def symmetry_findings(
             }
             for scale in scales
         ],
-        "unexplained_error": error,
-        **(find_causes(taken, resampling) if resampling else {}),
     }
     arrays = {
         f"{name}_{scale.side}": getattr(scale, name)
@@ -260,104 +225,6 @@ def symmetry_findings(
     return Findings.of("symmetry", facts, arrays)
 
 
-def find_causes(taken: Taken, resampling: Resampling) -> dict[str, float]:
-    """Fit flare and vignetting to the asymmetry of pictures under random patterns.
-
-    Parameters as `symmetry_findings`.
-
-    Returns
-    -------
-    dict
-        ``flare``, light that the lens spreads evenly over the picture; ``vignetting``, light that
-        the camera loses in its corners beyond what the projector loses in its own; the relative
-        error in relit pictures that each ``makes``, if it is significant; and the
-        ``unexplained_error``.
-
-    Notes
-    -----
-    With flare f and a falloff 1 / (1 + b r^2), r from the picture's middle, the camera shows
-    ``c' = c / (1 + b r^2) + f mean(c)`` for each picture c. Reciprocity of c, for signs s1 and s2,
-    makes ``s2 c1' - s1 c2' = f (1 s2 mean(c1) - 1 s1 mean(c2)) - b (r^2 s2 c1' - r^2 s1 c2')``
-    to first order: linear in both, and all else is known from the pictures. Patterns of single
-    rays are left out where there are coarser ones: blur and misalignment bend those most.
-    """
-    floodlit, variance, pictures = taken
-    radius, share = _squared_radius(resampling)
-    coarse = [one for one in pictures if one.side > 1] or pictures
-    signs = np.concatenate([np.ones((1, len(radius))), *(one.signs for one in coarse)])
-    images = np.concatenate([floodlit[None], *(2 * one.radiance - floodlit for one in coarse)])
-    noise = np.concatenate([variance[None], *(4 * one.variance + variance for one in coarse)])
-    i, j = np.triu_indices(len(signs), 1)
-
-    def apart(weight: Double) -> Double:
-        """Return the difference of each pair, its rays weighed, (pairs * C,)."""
-        there = np.einsum("jn,inc->jic", signs * weight, images)
-        return np.asarray(there[j, i] - there[i, j]).ravel()
-
-    def spread(weight: Double) -> Double:
-        of_each = np.einsum("inc,n->ic", noise, weight)
-        return np.asarray(of_each[i] + of_each[j]).ravel()
-
-    sums, means = signs.sum(axis=1)[:, None], share * images.mean(axis=1)
-    even = (sums[j] * means[i] - sums[i] * means[j]).ravel()
-    y, falling = apart(np.ones_like(radius)), -apart(radius)
-    weight = 1 / np.maximum(spread(np.ones_like(radius)), _LEAST)
-    x = np.stack([even, falling], axis=1)
-    normal = x.T @ (weight[:, None] * x)
-    # `falling` is made of the same noisy pictures as y: the noise's share of the sums is taken out
-    normal[1, 1] = max(normal[1, 1] - float(weight @ spread(radius**2)), 1e-3 * normal[1, 1])
-    inverse = np.linalg.pinv(normal)
-    flare, slope = inverse @ (x.T @ (weight * y) + [0.0, float(weight @ spread(radius))])
-    rest = y - x @ [flare, slope]
-    excess = max(1.0, float(weight @ rest**2) / max(len(y) - 2, 1))
-    errors = np.sqrt(np.maximum(np.diag(inverse), 0) * excess)
-    found = {"flare": flare, "vignetting": slope / (1 + max(slope, 0.0))}
-    # a few thousandths aren't worth a word; more than 0.6 is another thing that grows outwards
-    is_cause = [
-        max(3 * error, 0.003) < value < 0.6
-        for value, error in zip(found.values(), errors, strict=True)
-    ]
-
-    def without(f: float, b: float) -> list[Scale]:
-        """Measure the asymmetry of the pictures without some flare and falloff."""
-        factor = 1 + b * radius[:, None]
-
-        def mended(images: Double) -> Double:
-            return np.asarray((images - f * share * images.mean(axis=-2, keepdims=True)) * factor)
-
-        parts = [
-            one._replace(radiance=mended(one.radiance), variance=one.variance * factor**2)
-            for one in pictures
-        ]
-        return measure_symmetry(mended(floodlit), variance * factor**2, parts)
-
-    causes = np.where(is_cause, [flare, slope], 0.0)
-    left = without(*causes)
-    facts = {"unexplained_error": worst_of(left).predicted}
-    for name, error, is_one, alone in zip(found, errors, is_cause, np.diag(causes), strict=True):
-        facts |= {name: float(found[name]), f"{name}_error": float(error)}
-        if is_one:
-            squares = (
-                a.predicted**2 - b.predicted**2
-                for a, b in zip(without(*(causes - alone)), left, strict=True)
-            )
-            facts[f"{name}_makes"] = float(np.sqrt(max(0.0, *squares)))
-    return facts
-
-
-def _squared_radius(resampling: Resampling) -> tuple[Double, float]:
-    """Return each ray's squared distance (N,) from the middle, and the rays' share of the picture.
-
-    The distance is 1 in the corners of the camera's picture.
-    """
-    height, width = resampling.camera_shape
-    y, x = np.arange(height) - (height - 1) / 2, np.arange(width) - (width - 1) / 2
-    radius = np.square(y)[:, None] + np.square(x)[None]
-    of_rays = np.asarray(resampling.matrix @ (radius / max(radius[0, 0], 1)).ravel())
-    looking = np.count_nonzero(np.asarray(abs(resampling.matrix).sum(axis=0)) > 0)
-    return of_rays, looking / prod(resampling.camera_shape)
-
-
 @dataclass(frozen=True)
 class Residual:
     """How one picture agrees with the previous ones.
@@ -365,11 +232,9 @@ class Residual:
     Attributes
     ----------
     deviations : float
-        RMS of ``p' c_q - q' c_p`` over its standard deviation by the noise: 1 on a right rig, 0
-        where there is nothing to be held against.
+        RMS of ``p' c_q - q' c_p`` over its standard deviation by the noise; 0 without any.
     error : float
-        What taking T for symmetric makes wrong in this picture, relative to its norm: at least so
-        much, as far as the previous patterns tell.
+        Least error of this picture, relative to its norm, if T is taken for symmetric.
     """
 
     deviations: float
@@ -409,13 +274,7 @@ class Reciprocity:
         self._keep(np.ones(rays, np.float32), *_flat(floodlit, variance))
 
     def judge(self, pattern: Float, radiance: Float, variance: Float) -> Residual:
-        """Hold a picture against the previous ones, and keep it as a witness.
-
-        Parameters
-        ----------
-        pattern : ndarray of float32, shape (*projector_shape)
-        radiance, variance : ndarray of float32, shape (*camera_shape, C)
-        """
+        """Hold a picture (*camera_shape, C) against the previous ones, and keep it as a witness."""
         q = np.asarray(pattern, np.float32).reshape(-1)
         image, noise = _flat(radiance, variance)
         held = min(self._count, _WITNESSES)

@@ -84,8 +84,8 @@ scene poor black_saturated_share > 0.01: The all-off picture itself saturates
     {black_saturated_share:.0%} of the camera's pixels at the shortest exposure, {shortest_s:.3g} s:
     darken the room, or the projector is not black when it is off.
 scene poor overexposed_share > 0.01: {saturated_share:.1%} of the pixels that the projector lights
-    are saturated even at the shortest exposure, {shortest_s:.3g} s: the brightest are about
-    {times_too_bright:.2g} times too bright. Add shorter exposures, as sensor.exposures:
+    are saturated even at the shortest exposure, {shortest_s:.3g} s, the brightest about
+    {times_too_bright:.2g} times. Add shorter exposures, as sensor.exposures:
     {proposed_exposures_s}, close the aperture, or dim the projector.
 scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.3g} s, white reaches
     {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted. Take
@@ -114,9 +114,9 @@ dark note black_fills > 0: Lower the projector's brightness setting, close its i
 dark note room_fills > 0: Stray light of the room: {room_fills:.3g} counts a second, more than a
     sensor's dark current. Black out the room.
 dark note current_fills > 0: Dark current: {current_fills:.3g} counts a second, the same all over
-    the picture, or as much stray light that falls evenly. This rig can't shut its lens, which alone
-    tells them apart: put the cap on, and run rfpipe calibrate with --step dark --again. If it
-    stays, cool the camera; if not, black out the room.
+    the picture, or as much stray light that falls evenly. To tell which, put the cap on, and run
+    rfpipe calibrate with --step dark --again. If it stays, cool the camera; if not, black out the
+    room.
 linearity good: {kind}: exposures agree within {deviation:.2%} beyond noise, {tolerance:.1%}
     allowed.
 linearity unknown compared_levels < 1: Exposures could not be compared: it takes two or more, a few
@@ -125,13 +125,12 @@ linearity poor bent_deviation > tolerance: Not linear: exposures of the same lig
     {worst_deviation:.1%}, and no power law describes them, the nearest by {bent_deviation:.1%};
     switch the camera's gamma off.
 linearity poor unsteady_deviation > tolerance: Exposures of the same light differ by up to
-    {worst_deviation:.1%}, though the camera's response is next to a straight line: is the light
-    steady, are gain and exposure not automatic, and are the exposure times true?
+    {worst_deviation:.1%}, the same at all levels: is the light steady, are gain and exposure not
+    automatic, and are the exposure times true?
 light good: {usable_codes} steps of light; half the light is code {code_of_half_light:.0f}; the lamp
     drifted by {drift:+.2%}.
-light poor over_noise < 30: Too dark: full light is {over_noise:.0f} times a pixel's noise, of the
-    pixels where it shows at all; {limit:.0f} times or more are wanted, as else the choice of lit
-    pixels darkens the others. Take longer exposures, or open the aperture.
+light poor over_noise < 30: Too dark: full light is {over_noise:.0f} times a pixel's noise where it
+    shows at all; {limit:.0f} times or more are wanted. Take longer exposures, or open the aperture.
 light poor drift_beyond_noise > tolerance: The light changed by {drift:+.2%} while the codes were
     shown, more than {tolerance:.1%}: let the lamp warm up, and calibrate again.
 light poor falls_at_code > 0: Light falls at code {falls_at_code}: switch off the projector's
@@ -158,9 +157,9 @@ rays good: {pixels_a_ray:.1f} camera pixels a ray, a leak of {leak:.2%}; the map
     {map_rms_pixels:.2f} projector pixels a camera pixel, its own error is {map_error_pixels:.3f}.
     The picture is blurred by {blur_pixels:.2f} camera pixels. {unseen_rays} rays are not seen, and
     stay dark.
-rays poor unseen_share > 0.02: {unseen_rays:,} of {count:,} rays are not seen ({unseen_share:.0%}),
-    {whereabouts}; {limit:.0%} are allowed. Turn the camera or its zoom until all of the projector's
-    picture is in its view, or light less of it.
+rays poor unseen_share > 0.02: {unseen_rays:,} of {count:,} rays are not seen ({unseen_share:.0%});
+    {limit:.0%} are allowed. Turn the camera or its zoom until all of the projector's picture is in
+    its view, or light less of it.
 rays poor mixed_by_blur > 1: Blur: the picture is blurred by {blur_pixels:.2f} camera pixels
     (standard deviation), {blur_of_ray:.0%} of a ray's side: {leak:.1%} of other rays' light leaks
     into rays, and noise grows up to {largest_noise:.1f} times. Focus camera and projector, close
@@ -178,15 +177,9 @@ symmetry unknown most_error > tolerance: The noise can't tell: use more patterns
     exposures.
 symmetry note error > -1: Asymmetry alone makes errors of {error:.2%} +- {standard_error:.2%} in
     pictures relit with patches of {side_rays} x {side_rays} rays, {tolerance:.1%} accepted.
-symmetry note flare_makes > 0: Flare: the lens spreads {flare:.1%} +- {flare_error:.1%} of the light
-    over the picture, which makes an error of {flare_makes:.1%}: clean and shade the lens, and cover
-    what is bright beside the scene.
-symmetry note vignetting_makes > 0: Vignetting: the camera loses {vignetting:.0%} +-
-    {vignetting_error:.0%} more light in its corners than the projector does, which makes an error
-    of {vignetting_makes:.1%}: close the aperture, or take a longer lens.
-symmetry note unexplained_error > tolerance: An error of {unexplained_error:.1%} has another cause.
-    Largest at single rays: align the two devices' centres, or focus. At patches of many rays:
-    flare, or unequal vignetting.
+symmetry note least_error > tolerance: Errors that are largest at single rays are of devices whose
+    centres aren't aligned, or out of focus; at patches of many rays, of flare (clean and shade the
+    lens, cover what is bright beside the scene) or unequal vignetting (close the aperture).
 """
 
 
