@@ -7,8 +7,8 @@ import pytest
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions
+from rfpipe.photometry.camera import UNKNOWN_DEVIATION, merge_bracket
 from rfpipe.photometry.demosaic import demosaic, mosaic
-from rfpipe.photometry.merge import UNKNOWN_DEVIATION, merge_bracket
 
 CAMERA = CameraModel()
 

@@ -17,7 +17,6 @@ from rfpipe.photometry import (
     sensor_from_description,
 )
 from rfpipe.photometry.defects import check_floodlit
-from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic, filled_in
 from rfpipe.photometry.resampling import applied, normalised
 from rfpipe.stages.merger import Merger
 
@@ -38,9 +37,9 @@ def unseen_resampling(ray: int) -> Resampling:
     return replace(whole, matrix=normalised(csr_array(rows)))
 
 
-def squared(resampling: Resampling, variance: np.ndarray) -> np.ndarray:
-    matrices = [resampling.matrix.power(2)] * variance.shape[-1]
-    return applied(matrices, variance, resampling.shape, resampling.camera_shape)
+def resampled(resampling: Resampling, images: np.ndarray, power: int = 1) -> np.ndarray:
+    weights = resampling.matrix.power(power)
+    return applied([weights] * images.shape[-1], images, resampling.shape, resampling.camera_shape)
 
 
 def frames_of(sensor: CameraModel, light: np.ndarray, count: int = 2) -> np.ndarray:
@@ -57,7 +56,7 @@ def black_of(sensor: CameraModel, channels: int, count: int = 4) -> np.ndarray:
 def test_a_constant_image_stays_constant(shape: tuple[int, ...]) -> None:
     resampling = random_resampling(shape)
     image = np.full((2, *CAMERA_SHAPE, 3), 0.7, np.float32)
-    assert resampling.apply(image) == pytest.approx(
+    assert resampled(resampling, image) == pytest.approx(
         np.broadcast_to(0.7 * resampling.seen[..., None], (2, *shape, 3)), rel=1e-6
     )
 
@@ -65,14 +64,14 @@ def test_a_constant_image_stays_constant(shape: tuple[int, ...]) -> None:
 def test_images_do_not_depend_on_their_batch() -> None:
     images = np.random.default_rng(1).random((5, *CAMERA_SHAPE, 3), np.float32)
     resampling = random_resampling()
-    assert np.array_equal(resampling.apply(images)[3:4], resampling.apply(images[3:4]))
+    assert np.array_equal(resampled(resampling, images)[3:4], resampled(resampling, images[3:4]))
 
 
 def test_variance_has_squared_weights() -> None:
     resampling = random_resampling()
     variance = np.random.default_rng(1).random((1, *CAMERA_SHAPE, 1), np.float32)
     expected = (resampling.matrix.toarray() ** 2 @ variance.reshape(-1)).reshape(1, *SHAPE, 1)
-    assert squared(resampling, variance) == pytest.approx(expected, rel=1e-6)
+    assert resampled(resampling, variance, 2) == pytest.approx(expected, rel=1e-6)
 
 
 def test_merge_is_merge_then_resampling() -> None:
@@ -82,21 +81,11 @@ def test_merge_is_merge_then_resampling() -> None:
     frames, black = frames_of(CAMERA, light), black_of(CAMERA, 3)
     options = MergeOptions(4)
     merged, raw = sensor.merge(frames, black, options), CAMERA.merge(frames, black, options)
-    assert np.array_equal(merged.radiance, resampling.apply(raw.radiance))
-    assert np.array_equal(merged.variance, squared(resampling, raw.variance))
+    assert np.array_equal(merged.radiance, resampled(resampling, raw.radiance))
+    assert np.array_equal(merged.variance, resampled(resampling, raw.variance, 2))
     assert sensor.frame_shape(SHAPE, 3) == (2, *CAMERA_SHAPE, 3)
     assert sensor.exposures == CAMERA.exposures
     assert sensor.frame_dtype == np.uint16
-
-
-@pytest.mark.parametrize("pattern", BAYER_PATTERNS)
-def test_matrices_demosaic_as_the_images_do(pattern: str) -> None:
-    mosaic = np.random.default_rng(3).random(CAMERA_SHAPE, np.float32)
-    filled, _ = demosaic(mosaic, mosaic, pattern)
-    pixels = csr_array(np.eye(mosaic.size, dtype=np.float32))
-    for channel, matrix in enumerate(filled_in(pixels, CAMERA_SHAPE, pattern)):
-        image = (matrix @ mosaic.ravel()).reshape(CAMERA_SHAPE)
-        assert image == pytest.approx(filled[..., channel], abs=1e-6)
 
 
 def test_a_mosaic_is_filled_in_before_the_resampling_and_its_noise_counted_once() -> None:
@@ -108,7 +97,7 @@ def test_a_mosaic_is_filled_in_before_the_resampling_and_its_noise_counted_once(
     merged = sensor.merge(frames_of(camera, light, 800), black)
     raw = camera.merge(frames_of(camera, light, 3), black)
     assert sensor.frame_shape(SHAPE, 3) == (2, *CAMERA_SHAPE)
-    assert merged.radiance[:3] == pytest.approx(resampling.apply(raw.radiance), rel=1e-4)
+    assert merged.radiance[:3] == pytest.approx(resampled(resampling, raw.radiance), rel=1e-4)
     # the mean over rays and colours of measured over predicted variance; frames share `black`,
     # whose noise the prediction counts: read noise, small beside the light's
     ratio = merged.radiance.var(axis=0) / merged.variance.mean(axis=0)
@@ -208,7 +197,7 @@ def test_wrong_matrices_and_images_are_refused() -> None:
     with pytest.raises(InputError, match=r"of a camera \(H, W\), not \(72,\)"):
         replace(good, camera_shape=(72,))
     with pytest.raises(CaptureError, match="calibrated for"):
-        good.apply(np.zeros((1, 8, 9, 1), np.float32))
+        resampled(good, np.zeros((1, 8, 9, 1), np.float32))
     with pytest.raises(InputError, match="doesn't fit a camera"):
         good.without(np.zeros((2, 2), bool))
     with pytest.raises(InputError, match="come from a camera"):

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 from itertools import product
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.units import RADIANCE
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-__all__ = ["BAYER_PATTERNS", "check_mosaic", "demosaic", "filled_in", "mosaic"]
 
 Float = NDArray[np.float32]
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the photosites (0, 0), (0, 1), (1, 0), (1, 1)."""
 
-_DIRECT, _DIAGONAL = (0.5, 0.25, 0.5), (0.25, 0.0, 0.25)
-"""Bilinear weights in red, green and blue of a pixel's direct and of its diagonal neighbours that
-have the colour; its own photosite has a weight of 1."""
+# Bilinear weights, for red, green and blue, of a pixel's own photosite, its direct and its diagonal
+# neighbours, where they have the colour.
+_WEIGHTS = ((1, 0.5, 0.25), (1, 0.25, 0), (1, 0.5, 0.25))
 
 
 def check_mosaic(camera_shape: tuple[int, ...], channels: int) -> None:
@@ -61,74 +63,53 @@ def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Flo
     -------
     radiance, variance : ndarray of float32, shape (..., H, W, 3)
         Samples next to each other now share noise; the variance is each one's own.
+    """
+    shape = radiance.shape[-2:]
+    weights = filling(shape, pattern)
+    squares = [each.power(2) for each in weights]
+    filled, spread = (
+        weighed(matrices, samples.reshape(-1, prod(shape), 1)).reshape(*samples.shape, 3)
+        for matrices, samples in ((weights, radiance), (squares, variance))
+    )
+    return filled, spread
 
-    Notes
-    -----
+
+@lru_cache(maxsize=4)
+def filling(shape: tuple[int, int], pattern: str) -> tuple[csr_array[Any], ...]:
+    """Return what fills photosites (H, W) in, float32 (H W, H W) for red, green and blue.
+
     Beyond the border the image goes on mirrored about its last pixels, as the pattern does.
     colour-demosaicing, which it agrees with elsewhere, doubles them instead: red comes out 2.25
     times too bright in a corner.
     """
-    return _filled(radiance, pattern, 1), _filled(variance, pattern, 2)
+    from scipy.sparse import csr_array
 
-
-def _filled(samples: Float, pattern: str, power: int) -> Float:
-    """Interpolate samples (..., H, W), with a power of the weights."""
-    views = np.asarray(samples, np.float32).reshape(-1, *samples.shape[-2:])
-    filled = np.empty((*views.shape, 3), np.float32)
-    weights = _sampled(views.shape[1:], pattern), _DIRECT, _DIAGONAL
-    for channel, (own, direct, diagonal) in enumerate(zip(*weights, strict=True)):
-        for view, result in zip(views, filled, strict=True):
-            around = np.pad(np.where(own, view, np.float32(0)), 1, mode="reflect")
-            # a border pixel's two neighbours are one: their weights add up before they're raised
-            around[[0, -1]] *= 2**power - 1
-            around[:, [0, -1]] *= 2**power - 1
-            vertical = around[:-2] + around[2:]
-            colour = around[1:-1, :-2] + around[1:-1, 2:]
-            colour += vertical[:, 1:-1]
-            colour *= direct**power
-            colour += around[1:-1, 1:-1]
-            if diagonal:
-                colour += diagonal**power * (vertical[:, :-2] + vertical[:, 2:])
-            result[..., channel] = colour
-    return filled.reshape(*samples.shape, 3)
-
-
-def filled_in(matrix: csr_array[Any], shape: tuple[int, int], pattern: str) -> list[csr_array[Any]]:
-    """Return what weighs pixels as what weighs the photosites that `demosaic` fills them from.
-
-    Parameters
-    ----------
-    matrix : csr_array of float32, shape (n, H W)
-    shape : (int, int)
-        Height and width, at least 2 each.
-    pattern : str
-        One of `BAYER_PATTERNS`.
-
-    Returns
-    -------
-    list of 3 csr_array of float32, shape (n, H W)
-        For red, green and blue.
-    """
-    from scipy.sparse import coo_array
-
-    weighed = matrix.tocoo()
-    pixel = np.divmod(weighed.col, shape[1])
+    height, width = shape
+    photosite = np.pad(np.arange(height * width).reshape(shape), 1, mode="reflect")
     found = []
-    for own, direct, diagonal in zip(_sampled(shape, pattern), _DIRECT, _DIAGONAL, strict=True):
+    for own, weights in zip(_sampled(shape, pattern), _WEIGHTS, strict=True):
         parts = []
-        for step in product((-1, 0, 1), repeat=2):
-            # mirrored about the border pixel
-            y, x = (
-                extent - 1 - np.abs(extent - 1 - np.abs(at + by))
-                for at, by, extent in zip(pixel, step, shape, strict=True)
-            )
-            source = y * shape[1] + x
-            weight = np.float32((1, direct, diagonal)[np.count_nonzero(step)])
-            used = own.ravel()[source] & (weight > 0)
-            parts.append((weight * weighed.data[used], weighed.row[used], source[used]))
+        for y, x in product(range(3), repeat=2):
+            source = photosite[y : y + height, x : x + width].ravel()
+            weight = weights[abs(y - 1) + abs(x - 1)]
+            used = np.flatnonzero(own.ravel()[source]) if weight else np.zeros(0, np.int64)
+            parts.append((np.full(len(used), weight, np.float32), used, source[used]))
         values, rows, columns = map(np.concatenate, zip(*parts, strict=True))
-        found.append(coo_array((values, (rows, columns)), shape=matrix.shape).tocsr())
-    return found
+        found.append(csr_array((values, (rows, columns)), shape=(height * width,) * 2))
+    return tuple(found)
+
+
+def weighed(matrices: Sequence[csr_array[Any]], images: NDArray[Any]) -> Float:
+    """Apply a matrix to each channel of images (B, pixels, C), or to the only one, image by image.
+
+    float32 (B, rows, matrices): an image's bits don't depend on those that it comes with.
+    """
+    out = np.empty((len(images), matrices[0].shape[0], len(matrices)), RADIANCE)
+    for image, result in zip(images, out, strict=True):
+        for channel, matrix in enumerate(matrices):
+            source = image[:, min(channel, images.shape[-1] - 1)]
+            result[:, channel] = matrix @ np.ascontiguousarray(source, RADIANCE)
+    return out
 
 
 def _sampled(shape: tuple[int, ...], pattern: str) -> NDArray[np.bool_]:

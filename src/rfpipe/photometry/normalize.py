@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["MAXIMUM_GAIN", "Mode", "Normalization", "apply", "level_gain"]
-
 Mode = Literal["none", "per_channel", "total_energy"]
 
 MAXIMUM_GAIN = 10.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.photometry.demosaic import filled_in
+from rfpipe.photometry.demosaic import filling, weighed
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
 from rfpipe.provenance import fingerprint
 from rfpipe.units import RADIANCE
@@ -22,7 +22,6 @@ from rfpipe.units import RADIANCE
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["ResampledSensor", "Resampling", "sensor_from_description"]
 
 Float = NDArray[np.float32]
 
@@ -91,42 +90,10 @@ class Resampling:
         """Whether the camera sees a ray, shape `shape`."""
         return np.asarray(np.diff(self.matrix.indptr) > 0).reshape(self.shape)
 
-    def apply(self, radiance: NDArray[Any]) -> Float:
-        """Resample images.
-
-        Parameters
-        ----------
-        radiance : ndarray of float32, shape (B, Hc, Wc, C)
-
-        Returns
-        -------
-        ndarray of float32, shape (B, *shape, C)
-            Each image's bits don't depend on those that it comes with.
-
-        Raises
-        ------
-        CaptureError
-            When the images have another shape.
-        """
-        matrices = [self.matrix] * radiance.shape[-1]
-        return applied(matrices, radiance, self.shape, self.camera_shape)
-
     def without(self, pixels: NDArray[np.bool_]) -> Resampling:
-        """Return a resampling that takes nothing from some camera pixels, as defective ones.
+        """Return a resampling that takes nothing from some camera pixels (bool, `camera_shape`).
 
-        Parameters
-        ----------
-        pixels : ndarray of bool, shape `camera_shape`
-
-        Returns
-        -------
-        Resampling
-            Each ray's other pixels take over. A ray that has none left is not seen.
-
-        Raises
-        ------
-        InputError
-            When the mask has another shape.
+        Each ray's other pixels take over. A ray that has none left is not seen.
         """
         from scipy.sparse import csr_array, diags_array
 
@@ -152,13 +119,7 @@ class Resampling:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Resampling:
-        """Return the resampling whose `arrays` these are.
-
-        Raises
-        ------
-        InputError
-            When one is missing or they don't fit together.
-        """
+        """Return the resampling whose `arrays` these are; raise InputError if they aren't."""
         from scipy.sparse import csr_array
 
         try:
@@ -199,13 +160,8 @@ def applied(
             f"{', '.join(map(str, camera_shape))}, channels). Calibrate the rig again if the "
             "camera's size was changed"
         )
-    rays = np.empty((len(images), prod(shape), len(matrices)), RADIANCE)
-    channels = images.reshape(len(images), -1, images.shape[-1])
-    for image, out in zip(channels, rays, strict=True):
-        for channel, matrix in enumerate(matrices):
-            source = image[:, min(channel, images.shape[-1] - 1)]
-            out[:, channel] = matrix @ np.ascontiguousarray(source, RADIANCE)
-    return rays.reshape(len(images), *shape, len(matrices))
+    pixels = images.reshape(len(images), prod(camera_shape), -1)
+    return weighed(matrices, pixels).reshape(len(images), *shape, len(matrices))
 
 
 def normalised(matrix: csr_array[Any]) -> csr_array[Any]:
@@ -220,14 +176,7 @@ def normalised(matrix: csr_array[Any]) -> csr_array[Any]:
 
 @dataclass(frozen=True, eq=False)
 class ResampledSensor(Sensor):
-    """A camera whose merged images are resampled to rays; its frames stay those of the camera.
-
-    Parameters
-    ----------
-    sensor : CameraModel
-        Its colour mosaic, if any, is filled in before the resampling.
-    resampling : Resampling
-    """
+    """A camera whose merged images are resampled to rays; its frames stay those of the camera."""
 
     sensor: CameraModel
     resampling: Resampling
@@ -259,12 +208,6 @@ class ResampledSensor(Sensor):
         Photosites are merged as grey pixels, then one matrix fills in the mosaic and resamples: the
         noise that the filling spreads over neighbours counts once. Neighbouring rays that share a
         pixel share its noise; the variance is each ray's own.
-
-        Raises
-        ------
-        CaptureError
-            When `black` can't be of this camera; from what is returned, when frames can't be or
-            don't have the calibrated size.
         """
         has_mosaic = self.sensor.bayer is not None
         shapes = self.resampling.shape, self.resampling.camera_shape
@@ -307,7 +250,7 @@ class ResampledSensor(Sensor):
         matrix = self.resampling.matrix
         if self.sensor.bayer is None:
             return [matrix]
-        return filled_in(matrix, self.resampling.camera_shape, self.sensor.bayer)
+        return [matrix @ each for each in filling(self.resampling.camera_shape, self.sensor.bayer)]
 
     @cached_property
     def squares(self) -> list[csr_array[Any]]:
@@ -318,14 +261,7 @@ class ResampledSensor(Sensor):
 def sensor_from_description(
     description: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None
 ) -> Sensor:
-    """Return the sensor that a `describe` tells of.
-
-    Parameters
-    ----------
-    description : mapping
-        As a sensor's `describe` gave it, also by way of JSON.
-    arrays : mapping of str to ndarray, optional
-        A resampled sensor's `arrays`.
+    """Return the sensor of a description, given a resampled sensor's `arrays`.
 
     Raises
     ------

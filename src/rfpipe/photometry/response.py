@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import generator
 
-__all__ = ["Response", "recover_response"]
-
 Double = NDArray[np.float64]
 
 SAMPLES = 200
