@@ -20,10 +20,10 @@ from pydantic import Field, model_validator
 from rfpipe.config.base import Text
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.pictures.dng import dng_bytes
 from rfpipe.pictures.raw import Raw, read_raw
 from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, FrameOptions
 from rfpipe.rigs.optics import Scenery
+from rfpipe_devices.dng import dng_bytes
 from rfpipe_devices.gphoto_library import (
     Photo,
     ShutterTime,

@@ -10,9 +10,9 @@ import pytest
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
-from rfpipe.pictures.dng import dng_bytes
 from rfpipe.testing import CameraContract
 from rfpipe_devices import gphoto_library
+from rfpipe_devices.dng import dng_bytes
 from rfpipe_devices.gphoto import PhotoCamera, PhotoOptions
 from rfpipe_devices.gphoto_library import Photo
 

@@ -238,19 +238,19 @@ def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, items_per_chunk: int
 ) -> None:
     frames = np.random.default_rng(0).integers(0, 65536, (6, 3, 4)).astype("u2")
-    journal, written = tmp_path / "s" / "journal.jsonl", ChunkedArray.writing
+    journal, packed = tmp_path / "s" / "journal.jsonl", ChunkedArray.packed
 
-    def failing(files: ChunkedArray, first: int) -> object:
+    def failing(files: ChunkedArray, block: np.ndarray) -> bytes:
         assert read_journal(journal, 6).keys() == {0, 1}
-        if first == 4:
+        if (block[0] == frames[4]).all():
             raise OSError(5, os.strerror(5))
-        return written(files, first)
+        return packed(files, block)
 
     with FrameStore.create(
         tmp_path / "s", frames.shape, "u2", "abc", {}, items_per_chunk=items_per_chunk
     ) as store:
         store.write(0, frames[:2])
-        monkeypatch.setattr(ChunkedArray, "writing", failing)
+        monkeypatch.setattr(ChunkedArray, "packed", failing)
         with pytest.raises(StoreError, match=r"items from 4 on failed.*Input/output error"):
             store.write(2, frames[2:])
         monkeypatch.undo()

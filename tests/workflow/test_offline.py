@@ -25,10 +25,10 @@ from rfpipe.config import CameraConfig, load_config, parse_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
-from rfpipe.pictures.dng import dng_bytes
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.rigs.offline_pictures import check_pictures
 from rfpipe.stages.plan import Plan, plan_of, stages_of
+from rfpipe_devices.dng import dng_bytes
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "photographer.py"
 SHAPE = (4, 5)

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError, StoreError, installing
 from rfpipe.store.files import storage_errors, whole_file
 
-__all__ = ["MOVIE_FILES", "write_movie"]
-
 MOVIE_FILES: dict[str, tuple[str, dict[str, str]]] = {
     ".mp4": ("libx264", {"crf": "16", "preset": "medium"}),
     ".webm": ("libvpx-vp9", {"crf": "22", "b": "0", "row-mt": "1", "cpu-used": "4"}),

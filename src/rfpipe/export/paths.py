@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from math import cos, hypot, pi, sin
+from functools import partial
+from math import cos, pi, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-
-__all__ = ["PATHS", "LightPath", "light_path"]
 
 Float = NDArray[np.float32]
 
@@ -95,32 +93,41 @@ def light_path(
         raise InputError(f"a light path of size {size} in {count} patterns; expected more than 0")
     if not all(0 <= weight < float("inf") for weight in colour):
         raise InputError(f"colour {list(colour)}: expected weights that are not negative")
+    if path == "views" and not domain.is_stack:
+        raise InputError(f"path views: the projector's rays, {domain.shape}, are one image")
     rows, columns = np.ogrid[0:height, 0:width]
 
     def disc(row: float, column: float) -> Float:
         return _soft(np.hypot(rows - row, columns - column), size / 2)
 
-    def bar(place: NDArray[np.int64], extent: int, time: float) -> Float:
-        middle = -size / 2 + time * (extent - 1 + size)  # from outside to outside
+    def bar(place: NDArray[np.int64], time: float) -> Float:
+        middle = -size / 2 + time * (place.size - 1 + size)  # from outside to outside
         return np.broadcast_to(_soft(np.abs(place - middle), size / 2), (height, width))
 
-    if path == "across":
-        at: Callable[[float], Float] = lambda time: bar(columns, width, time)  # noqa: E731
-    elif path == "down":
-        at = lambda time: bar(rows, height, time)  # noqa: E731
-    elif path == "circle":
+    def circle(time: float) -> Float:
+        down, right = -cos(2 * pi * time), sin(2 * pi * time)
+        row = (height - 1) / 2 + _CIRCLE * height * down
+        return disc(row, (width - 1) / 2 + _CIRCLE * width * right)
 
-        def at(time: float) -> Float:
-            angle = 2 * pi * time
-            row = (height - 1) / 2 - _CIRCLE * height * cos(angle)
-            return disc(row, (width - 1) / 2 + _CIRCLE * width * sin(angle))
+    def views(time: float) -> Float:
+        weights = np.zeros(domain.stack_shape, np.float32)
+        weights[min(int(time * domain.views), domain.views - 1)] = 1
+        return weights.reshape(domain.shape)
 
-    elif path == "views":
-        at = _views(domain)
-    else:
+    paths: dict[str, Callable[[float], Float]] = {
+        "across": partial(bar, columns),
+        "down": partial(bar, rows),
+        "circle": circle,
+        "views": views,
+    }
+    if path not in paths:
         places = _places(path)
-        at = lambda time: disc(*_between(places, time))  # noqa: E731
-    return LightPath(tuple(shape), count, at, tuple(colour))
+        steps = np.hypot(*np.diff(places, axis=0).T)
+        walked = np.append(0, np.cumsum(steps))
+        paths[path] = lambda time: disc(
+            *(float(np.interp(time * walked[-1], walked, axis)) for axis in places.T)
+        )
+    return LightPath(tuple(shape), count, paths[path], tuple(colour))
 
 
 def _soft(distance: NDArray[np.float64], radius: float) -> Float:
@@ -129,37 +136,15 @@ def _soft(distance: NDArray[np.float64], radius: float) -> Float:
     return found
 
 
-def _views(domain: RayDomain) -> Callable[[float], Float]:
-    if not domain.is_stack:
-        raise InputError(f"path views: the projector's rays, {domain.shape}, are one image")
-
-    def at(time: float) -> Float:
-        weights = np.zeros(domain.stack_shape, np.float32)
-        weights[min(int(time * domain.views), domain.views - 1)] = 1
-        return weights.reshape(domain.shape)
-
-    return at
-
-
-def _places(path: str) -> list[tuple[float, float]]:
+def _places(path: str) -> NDArray[np.float64]:
+    """Return rows and columns of places, (n, 2)."""
     try:
-        places = [tuple(float(part) for part in place.split(",")) for place in path.split()]
+        places = np.array([[float(part) for part in place.split(",")] for place in path.split()])
     except ValueError:
-        places = []
-    if len(places) < 2 or not all(
-        len(place) == 2 and all(map(np.isfinite, place)) for place in places
-    ):
+        places = np.empty(0)
+    if places.ndim != 2 or len(places) < 2 or places.shape[1] != 2 or not np.isfinite(places).all():
         raise InputError(
             f"path {path!r}: expected {', '.join(PATHS)}, or two or more places as "
             "'10,12 40,55 20,60', each row,column"
         )
-    return [(row, column) for row, column in places]
-
-
-def _between(places: Sequence[tuple[float, float]], time: float) -> tuple[float, float]:
-    """Where one is at a time of a walk at an even speed."""
-    lengths = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(places)]
-    walked = np.concatenate([[0.0], np.cumsum(lengths)])
-    rows, columns = zip(*places, strict=True)
-    place = time * walked[-1]
-    return float(np.interp(place, walked, rows)), float(np.interp(place, walked, columns))
+    return places

@@ -13,13 +13,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport.base import Light
 
-__all__ = ["ray_pictures", "rays_at"]
-
 Float = NDArray[np.float32]
 Index = NDArray[np.int64]
-
-_INTEGER = r"[+-]?\d+"
-_SLICE = re.compile(rf"({_INTEGER})?:({_INTEGER})?(?::({_INTEGER})?)?")
 
 
 def rays_at(text: str, shape: tuple[int, ...]) -> Index:
@@ -51,9 +46,8 @@ def rays_at(text: str, shape: tuple[int, ...]) -> Index:
             "each a number or a slice such as 10:20 or :"
         )
     numbers = np.arange(RayDomain(shape).size).reshape(shape)
-    places = tuple(_place(part, text) for part in parts)
     try:
-        found = np.asarray(numbers[places]).reshape(-1)
+        found = np.asarray(numbers[tuple(_place(part, text) for part in parts)]).reshape(-1)
     except IndexError:
         raise InputError(f"rays {text!r}: outside the rays, whose shape is {shape}") from None
     except ValueError as error:
@@ -64,12 +58,11 @@ def rays_at(text: str, shape: tuple[int, ...]) -> Index:
 
 
 def _place(part: str, text: str) -> int | slice:
-    found = _SLICE.fullmatch(part)
-    if found:
-        return slice(*(None if end is None else int(end) for end in found.groups()))
-    if not re.fullmatch(_INTEGER, part):
+    found = re.fullmatch(r"([+-]?\d+)|([+-]?\d+)?:([+-]?\d+)?(?::([+-]?\d+)?)?", part)
+    if found is None:
         raise InputError(f"rays {text!r}: {part!r} is neither a number nor a slice such as 10:20")
-    return int(part)
+    number, *ends = (None if end is None else int(end) for end in found.groups())
+    return slice(*ends) if number is None else number
 
 
 def ray_pictures(
@@ -94,15 +87,13 @@ def ray_pictures(
         Radiance per weight; several views stand one above the other.
     """
     is_row = side == "row"
-    of_rays, seen = light.camera_shape, light.projector_shape
-    if not is_row:
-        of_rays, seen = seen, of_rays
+    sides = light.camera_shape, light.projector_shape
+    of_rays, seen = sides if is_row else sides[::-1]
     everything = np.arange(RayDomain(seen).size)
     rows, columns = (rays, everything) if is_row else (everything, rays)
     shape = (*RayDomain(seen).picture_shape, light.channels)
     for of_rows, of_columns, block in light.blocks(rows, columns, by_rows=is_row):
         lines = np.moveaxis(block, 0, -1) if is_row else block.transpose(2, 1, 0)
-        part = rays[of_rows if is_row else of_columns]
-        for ray, line in zip(part, lines, strict=True):
+        for ray, line in zip(rays[of_rows if is_row else of_columns], lines, strict=True):
             place = tuple(int(index) for index in np.unravel_index(ray, of_rays))
             yield place, np.ascontiguousarray(line).reshape(shape)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +16,9 @@ from rfpipe.export.scales import Scale
 from rfpipe.pictures.images import srgb
 from rfpipe.transport.base import Light
 
-__all__ = ["relit_movie", "relit_pictures"]
-
 Float = NDArray[np.float32]
 
 _WHITE = 99.9  # per cent of a frame's samples that are not cut off
-# Patterns relit together, whoever does it: the last bits of a picture depend on it.
-_AT_A_TIME = 16
-# Copies of a picture while it is relit, scaled and written.
-_COPIES = 6
-
-# Relighting has threads of its own, for which this process has one place; pictures are written
-# side by side.
-_relighting = Lock()
 
 
 def relit_pictures(
@@ -56,23 +45,11 @@ def relit_pictures(
     InputError
         If there is no such view, or a pattern isn't one.
     """
-    _check_view(light, view)
-    yield from _shown(light, map(light.relight, patterns), scale or Scale(), view)
-
-
-def _check_view(light: Light, view: int | None) -> None:
-    views = RayDomain(light.camera_shape).views
-    if view is not None and not 0 <= view < views:
-        raise InputError(f"view {view}: the camera's rays have views 0 to {views - 1}")
-
-
-def _shown(
-    light: Light, images: Iterable[Float], scale: Scale, view: int | None
-) -> Iterator[Float]:
-    """Yield the pictures to show of images (*camera_shape, C)."""
-    domain = RayDomain(light.camera_shape)
-    for image in images:
-        stack = image.reshape(*domain.stack_shape, light.channels)
+    domain, scale = RayDomain(light.camera_shape), scale or Scale()
+    if view is not None and not 0 <= view < domain.views:
+        raise InputError(f"view {view}: the camera's rays have views 0 to {domain.views - 1}")
+    for pattern in patterns:
+        stack = light.relight(pattern).reshape(*domain.stack_shape, light.channels)
         shown = stack.reshape(*domain.picture_shape, -1) if view is None else stack[view]
         yield scale.apply(shown)
 
@@ -113,36 +90,21 @@ def relit_movie(
     float
         Radiance shown as white.
 
-    Raises
-    ------
-    InputError
-        As `relit_pictures` and `write_movie`.
-    StoreError
-        As `write_movie`.
+    Raises InputError and StoreError as `relit_pictures` and `write_movie`.
     """
     from tqdm import tqdm
 
     def relit(scale: Scale | None, what: str) -> Iterator[Float]:
-        pictures = relit_pictures(light, _each(lights), scale, view)
-        return iter(
-            tqdm(pictures, what, lights.count, unit="picture", disable=None if progress else True)
-        )
+        patterns = (lights.batch(index, index + 1)[0] for index in range(lights.count))
+        pictures = relit_pictures(light, patterns, scale, view)
+        bar = tqdm(pictures, what, lights.count, unit="picture", disable=None if progress else True)
+        return iter(bar)
 
     if white is None:
         brightest = (float(np.percentile(image, _WHITE)) for image in relit(None, "white"))
         white = max(brightest) or 1.0
     if not 0 < white < float("inf"):
         raise InputError(f"white is {white}; expected a radiance above 0")
-    shown = (_eight_bits(image, white) for image in relit(scale, str(path)))
-    write_movie(path, shown, fps)
+    shown = (np.rint(255 * srgb(image, white)) for image in relit(scale, str(path)))
+    write_movie(path, (picture.astype(np.uint8) for picture in shown), fps)
     return white
-
-
-def _each(lights: LightPath) -> Iterator[Float]:
-    for index in range(lights.count):
-        yield lights.batch(index, index + 1)[0]
-
-
-def _eight_bits(image: Float, white: float) -> NDArray[np.uint8]:
-    shown: NDArray[np.uint8] = np.rint(255 * srgb(image, white)).astype(np.uint8)
-    return shown

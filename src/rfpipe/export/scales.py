@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.transport.rays import squares
 
-__all__ = ["Scale"]
-
 Float = NDArray[np.float32]
 
 _TEXT = re.compile(r"(?:(\d+)|1/(\d+))")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.pictures.images import light_channels
+from rfpipe.pictures.images import light_channels, opened, pixels_of
 from rfpipe.pictures.raw import read_raw
 
 RAW = (
@@ -68,16 +68,8 @@ class Picture:
 def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
     """Return the pictures in a folder, numbers in their names taken for numbers.
 
-    Parameters
-    ----------
-    folder : Path
-    more : tuple of str
-        How names may end, too, beside those of TIFF, PNG, EXR and raw files.
-
-    Raises
-    ------
-    InputError
-        When there is no such folder, or no picture in it.
+    Names end as those of TIFF, PNG, EXR and raw files, or as in `more`. Raises InputError when
+    there is no such folder, or no picture in it.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; expected one of pictures")
@@ -105,39 +97,30 @@ def read_header(path: Path) -> Header:
     """
     if path.suffix.lower() in RAW:
         return read_picture(path).header
-    spec = _opened(path).spec()
-    return _header(path, spec)
+    return _header(path, opened(path).spec())
 
 
 def read_picture(path: Path) -> Picture:
-    """Read a picture; errors as `read_header`."""
+    """Read a picture, of a raw file the photosites as they are; errors as `read_header`."""
     if path.suffix.lower() in RAW:
-        return _raw(path)
+        raw = read_raw(path)
+        height, width = raw.counts.shape
+        return Picture(
+            Header((height, width), 1, "counts", raw.exposure_s), raw.counts[..., None], 16
+        )
     import OpenImageIO as oiio
 
-    opened = _opened(path)
-    spec = opened.spec()
+    picture = opened(path)
+    spec = picture.spec()
     header = _header(path, spec)
-    is_byte = spec.format == oiio.UINT8
+    kind, bits = oiio.UINT16, 16
     if header.kind == "light":
-        pixels = opened.get_pixels(oiio.FLOAT)
-    else:
-        pixels = opened.get_pixels(oiio.UINT8 if is_byte else oiio.UINT16)
-    if pixels is None:
-        raise InputError(f"{path}: can't be read as a picture: {opened.geterror()}")
-    chosen = light_channels(path, list(spec.channelnames))
+        kind, bits = oiio.FLOAT, 32
+    elif spec.format == oiio.UINT8:
+        kind, bits = oiio.UINT8, 8
+    pixels = pixels_of(path, picture, kind)[..., light_channels(path, list(spec.channelnames))]
     dtype = np.float32 if header.kind == "light" else np.uint16
-    bits = 32 if header.kind == "light" else 8 if is_byte else 16
-    return Picture(header, np.ascontiguousarray(pixels[..., chosen].astype(dtype)), bits)
-
-
-def _opened(path: Path) -> Any:
-    import OpenImageIO as oiio
-
-    picture = oiio.ImageBuf(str(path))
-    if not picture.read(0, 0, True):  # as it stands, not through a cache in float
-        raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
-    return picture
+    return Picture(header, np.ascontiguousarray(pixels, dtype), bits)
 
 
 def _header(path: Path, spec: Any) -> Header:
@@ -148,14 +131,6 @@ def _header(path: Path, spec: Any) -> Header:
     )
     kind = "light" if is_light else "counts"
     return Header((spec.height, spec.width), channels, kind, exposure or None)
-
-
-def _raw(path: Path) -> Picture:
-    """Read a raw file's visible photosites, nothing subtracted."""
-    raw = read_raw(path)
-    height, width = raw.counts.shape
-    header = Header((height, width), 1, "counts", raw.exposure_s)
-    return Picture(header, raw.counts[..., None], 16)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

@@ -35,12 +35,28 @@ def read_image(path: Path) -> NDArray[np.float32]:
     """
     import OpenImageIO as oiio
 
+    picture = opened(path)
+    chosen = light_channels(path, list(picture.spec().channelnames))
+    pixels = pixels_of(path, picture, oiio.FLOAT)
+    return pixels[..., chosen if len(chosen) == 3 else chosen[0]]
+
+
+def opened(path: Path) -> Any:
+    """Return a picture file read by OpenImageIO, its numbers as they stand; errors `read_image`."""
+    import OpenImageIO as oiio
+
     picture = oiio.ImageBuf(str(path))
-    pixels = picture.get_pixels(oiio.FLOAT) if picture.read() else None
+    if not picture.read(0, 0, True):  # not through a cache in float
+        raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
+    return picture
+
+
+def pixels_of(path: Path, picture: Any, kind: Any) -> NDArray[Any]:
+    """Return the pixels of an opened file, (H, W, channels), as numbers of one of OIIO's kinds."""
+    pixels: NDArray[Any] | None = picture.get_pixels(kind)
     if pixels is None:
         raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
-    chosen = light_channels(path, list(picture.spec().channelnames))
-    return pixels[..., chosen if len(chosen) == 3 else chosen[0]]
+    return pixels
 
 
 def light_channels(path: Path, names: list[str]) -> list[int]:
@@ -94,8 +110,7 @@ def write_image(
     picture = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
     for name, text in (about or {}).items():
         picture.specmod().attribute(name, text)
-    if not picture.write(str(path), kind):
-        raise InputError(f"{path}: can't be written: {picture.geterror()}")
+    _write(path, picture, kind)
 
 
 def png_bytes(image: NDArray[np.floating], white: float) -> bytes:
@@ -167,6 +182,9 @@ def write_code_picture(path: Path, light: NDArray[Any], gamma: float = 1.0) -> N
     import OpenImageIO as oiio
 
     codes = np.rint(255 * np.clip(light, 0, 1) ** (1 / gamma)).astype(np.uint8)
-    picture = oiio.ImageBuf(np.ascontiguousarray(codes[..., None]))
-    if not picture.write(str(path)):
+    _write(path, oiio.ImageBuf(np.ascontiguousarray(codes[..., None])), "uint8")
+
+
+def _write(path: Path, picture: Any, kind: str) -> None:
+    if not picture.write(str(path), kind):
         raise InputError(f"{path}: can't be written: {picture.geterror()}")

@@ -9,9 +9,7 @@ several.
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
@@ -20,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import IntegrityError, StoreError
-from rfpipe.store.files import hidden_sibling, storage_errors
+from rfpipe.store.files import storage_errors
 from rfpipe.store.places import METADATA, Place, content_of, read_ranges
 
 Compression = Literal["zstd", "lz4"]
-Shuffle = Literal["shuffle", "bitshuffle"]
 Layout = dict[str, Any]
 
 DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError)
@@ -45,7 +42,12 @@ def compression_for(dtype: np.dtype[Any]) -> Compression:
     return "lz4" if dtype.kind == "f" else "zstd"
 
 
-def layout(compression: Compression, *, level: int = 1, shuffle: Shuffle = "bitshuffle") -> Layout:
+def layout(
+    compression: Compression,
+    *,
+    level: int = 1,
+    shuffle: Literal["shuffle", "bitshuffle"] = "bitshuffle",
+) -> Layout:
     """Return the keyword arguments, for zarr's ``create_array``, that all arrays share."""
     from zarr.codecs import BloscCodec
 
@@ -112,10 +114,9 @@ class ChunkedArray:
     shape, dtype
     axis : int
         Along which it is cut; its items are counted there.
-    items_per_chunk : int
-        Chunks are compressed, and read, as a whole.
-    items_per_file : int
-        As many, unless files are shards of several chunks. Files are written as a whole.
+    items_per_chunk, items_per_file : int
+        Chunks are compressed, and read, as a whole; files are written as a whole. A file is a
+        chunk, or a shard of several.
     """
 
     def __init__(self, path: Path | Place, *, exactly: bool = False) -> None:
@@ -125,29 +126,21 @@ class ChunkedArray:
             self.shape: tuple[int, ...] = tuple(metadata["shape"])
             self.dtype = np.dtype(metadata["data_type"])
             file = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
-            codecs = metadata["codecs"]
-            self._chunk: tuple[int, ...] = file
+            codecs, self._chunk = metadata["codecs"], file
             self._sharded = codecs[0]["name"] == "sharding_indexed"
             if self._sharded:
                 settings = codecs[0]["configuration"]
                 self._chunk, codecs = tuple(settings["chunk_shape"]), settings["codecs"]
-                index = [*(codec["name"] for codec in settings["index_codecs"])]
-                if (*index, settings["index_location"]) != ("bytes", "crc32c", "end"):
-                    raise ValueError(f"shards with an index of {index}")
             extents = zip(self.shape, self._chunk, file, strict=True)
             cut = [n for n, (all_, *parts) in enumerate(extents) if parts != [max(1, all_)] * 2]
             self.axis = cut[0] if cut else 0
             self.items_per_chunk: int = self._chunk[self.axis] if file else 1
             self.items_per_file: int = file[self.axis] if file else 1
-            separator = metadata["chunk_key_encoding"]["configuration"]["separator"]
-            if len(cut) > 1 or self.items_per_file % self.items_per_chunk or separator != ".":
-                raise ValueError(f"chunks of {self._chunk} in files of {file}, named {separator!r}")
-            to_bytes, *packed = codecs
-            self._checked = bool(packed) and packed[-1]["name"] == "crc32c"
-            packed = packed[: -1 if self._checked else None]
-            if to_bytes["name"] != "bytes" or len(packed) > 1:
-                raise ValueError(f"codecs {codecs}")
-            self._blosc = _blosc(packed[0]) if packed else None
+            settings = {codec["name"]: codec.get("configuration") for codec in codecs}
+            if len(cut) > 1 or settings.keys() - {"bytes", "blosc", "crc32c"}:
+                raise ValueError(f"chunks of {self._chunk} in files of {file}, {codecs}")
+            self._checked = "crc32c" in settings
+            self._blosc = _blosc(settings["blosc"]) if "blosc" in settings else None
         except (ValueError, KeyError, TypeError, IndexError, FileNotFoundError) as error:
             raise damaged_metadata(path, error) from error
 
@@ -189,43 +182,23 @@ class ChunkedArray:
         (content,) = self._contents([first // self.items_per_chunk])
         self._unpack(content, out)
 
-    @contextmanager
-    def writing(self, first: int) -> Iterator[Callable[[NDArray[Any]], None]]:
-        """Write a file chunk by chunk; it is there once all of them are, or not at all.
+    def packed(self, block: NDArray[Any]) -> bytes:
+        """Return the bytes of a chunk; the items of a short last one are filled up."""
+        fill = np.zeros((self._chunk[0] - len(block), *block.shape[1:]), self.dtype)
+        block = np.concatenate([block, fill]) if len(fill) else np.ascontiguousarray(block)
+        packed: bytes = block.tobytes() if self._blosc is None else self._blosc.encode(block)
+        return packed
 
-        Parameters
-        ----------
-        first
-            The first item of the file; cut along the first axis.
-
-        Yields
-        ------
-        callable
-            Takes the items of the next chunk; a short last one is filled up.
-        """
-        place: Path = self.file(first)
-        partial = hidden_sibling(place, f"{os.getpid()}.partial")
-        lengths: list[int] = []
-        items = min(self.items_per_file, self.shape[0] - first)
-        try:
-            with partial.open("wb") as file:
-
-                def add(block: NDArray[Any]) -> None:
-                    if len(block) < self._chunk[0]:
-                        fill = np.zeros((self._chunk[0] - len(block), *block.shape[1:]), self.dtype)
-                        block = np.concatenate([block, fill])
-                    packed = block.tobytes() if self._blosc is None else self._blosc.encode(block)
-                    lengths.append(file.write(packed))
-
-                yield add
-                if len(lengths) != -(-items // self.items_per_chunk):
-                    raise ValueError(f"{place}: {len(lengths)} chunks for {items} items")
-                if self._sharded:
-                    file.write(_index(lengths, self.items_per_file // self.items_per_chunk))
-            partial.replace(place)
-        except BaseException:
-            partial.unlink(missing_ok=True)
-            raise
+    def index(self, lengths: Sequence[int]) -> bytes:
+        """Return the index of a shard of chunks of these lengths; nothing where there are none."""
+        if not self._sharded:
+            return b""
+        index = np.full((self.items_per_file // self.items_per_chunk, 2), _ABSENT, "<u8")
+        ends = np.cumsum(lengths, dtype=np.uint64)
+        index[: len(lengths), 1] = lengths
+        index[: len(lengths), 0] = ends - index[: len(lengths), 1]
+        content = index.tobytes()
+        return content + _crc32c(content)
 
     def _contents(self, numbers: Sequence[int]) -> Iterator[bytes]:
         """Yield the bytes of some chunks, by their numbers, each file's by few requests."""
@@ -262,16 +235,6 @@ class ChunkedArray:
             out[...] = whole[tuple(map(slice, out.shape))]
 
 
-def _index(lengths: Sequence[int], chunks: int) -> bytes:
-    """Return the index of a shard of so many chunks, the first ones one after the other."""
-    index = np.full((chunks, 2), _ABSENT, "<u8")
-    ends = np.cumsum(lengths, dtype=np.uint64)
-    index[: len(lengths), 1] = lengths
-    index[: len(lengths), 0] = ends - index[: len(lengths), 1]
-    content = index.tobytes()
-    return content + _crc32c(content)
-
-
 def _bounds(index: bytes, chunks: int) -> tuple[list[int], list[int]]:
     """Return where the chunks of a shard begin and end, by its index."""
     entries, check = index[:-_CHECK_BYTES], index[-_CHECK_BYTES:]
@@ -287,16 +250,10 @@ def _crc32c(content: bytes) -> bytes:
     return int(google_crc32c.value(content)).to_bytes(_CHECK_BYTES, "little")
 
 
-def _blosc(codec: dict[str, Any]) -> Any:
+def _blosc(settings: dict[str, Any]) -> Any:
     """Return the compressor that an array's metadata name."""
     import numcodecs.blosc
 
     # With threads of its own it orders its blocks by who is first.
     numcodecs.blosc.use_threads = False
-    if codec["name"] != "blosc":
-        raise ValueError(f"codec {codec['name']!r}; expected blosc")
-    settings = dict(codec["configuration"])
-    settings["shuffle"] = _SHUFFLES[settings["shuffle"]]
-    if settings["cname"] not in numcodecs.blosc.list_compressors():
-        raise ValueError(f"compressor {settings['cname']!r}")
-    return numcodecs.blosc.Blosc(**settings)
+    return numcodecs.blosc.Blosc(**{**settings, "shuffle": _SHUFFLES[settings["shuffle"]]})

@@ -24,13 +24,8 @@ _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 def digest_of(*parts: bytes | NDArray[Any]) -> str:
     """Digest of bytes, or of the bytes of C-ordered arrays: SHA-256 cut to 128 bits.
 
-    Stored data are gigabytes; processors with SHA instructions digest them three times as fast
-    as by the BLAKE2b of `rfpipe.provenance`.
-
-    Returns
-    -------
-    str
-        32 hexadecimal digits.
+    Stored data are gigabytes, which SHA instructions digest three times as fast as the BLAKE2b of
+    `rfpipe.provenance`.
     """
     digest = hashlib.sha256()
     for part in parts:
@@ -63,10 +58,8 @@ def storage_errors(
 
     Parameters
     ----------
-    path
-        The path, or the place, that is read or written.
-    action
-        What is being done, such as ``"writing items 3 to 7"``.
+    path, action
+        What is being done there, such as ``"writing items 3 to 7"``.
     needed_bytes
         Size of the data before compression; 0 when it doesn't matter.
     resumes

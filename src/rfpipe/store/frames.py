@@ -52,10 +52,8 @@ class FrameStore:
         (items, *item shape).
     dtype : numpy.dtype
         Of the frames.
-    items_per_chunk : int
-        Items that are compressed, and read, together.
-    items_per_file : int
-        Blocks are written in whole files of so many items: a chunk, or a shard of several.
+    items_per_chunk, items_per_file : int
+        See `rfpipe.store.chunks.ChunkedArray`.
     fingerprint : str
         The configuration that it was made with.
     attributes : dict
@@ -109,23 +107,14 @@ class FrameStore:
 
         Parameters
         ----------
-        path
-            Its folder.
-        shape
-            (items, *item shape); no items is fine.
-        dtype
-            Of the frames: `rfpipe.units.COUNTS` or `RADIANCE`.
-        fingerprint
-            Digest of all that shapes the frames.
-        attributes
-            Plain data to keep with it: units, exposures, versions.
+        path, shape, dtype, fingerprint, attributes
+            As the class has them; no items is fine.
         items_per_chunk
-            Items in one chunk. One resumes at the very item where it stopped; several are quicker
-            for small frames (a file costs about half a millisecond).
+            One resumes at the very item where it stopped; several are quicker for small frames (a
+            file costs about half a millisecond).
         chunks_per_file
             Several make shards of zarr v3: fewer files, of which each chunk can be read by itself.
-            A shard is written whole, by one writer, so that a store that grows item by item, as
-            a capture does, has one chunk a file.
+            A shard is written whole, by one writer.
         compression
             By default that of the dtype.
 
@@ -179,12 +168,7 @@ class FrameStore:
     def open(cls, path: Path) -> FrameStore:
         """Open a store for reading; it shows what was captured at this moment.
 
-        Raises
-        ------
-        StoreError
-            When there is none.
-        IntegrityError
-            When its metadata are damaged.
+        Raises StoreError when there is none, IntegrityError when its metadata are damaged.
         """
         return cls(path)
 
@@ -210,11 +194,7 @@ class FrameStore:
     def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
         """List the runs [start, stop) of items still to capture, in order, in whole files.
 
-        Parameters
-        ----------
-        longest
-            Cut the runs to at most so many items, rounded down to whole files but at least
-            one; None leaves them whole.
+        Runs are cut to at most `longest` items, rounded down to whole files but at least one.
         """
         edges = np.flatnonzero(np.diff(~self.done, prepend=False, append=False))
         runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
@@ -235,7 +215,7 @@ class FrameStore:
         start
             Index of the first.
         block
-            (B, *item shape), in the store's dtype; whole files, none of them captured yet.
+            (B, *item shape), in the store's dtype; whole files.
 
         Raises
         ------
@@ -257,13 +237,7 @@ class FrameStore:
         self.enter(start, self._array.write_items(start, block))
 
     def enter(self, start: int, digests: Sequence[str]) -> None:
-        """Enter items from `start` on that an `ItemWriter` wrote, by the digests it returned.
-
-        Raises
-        ------
-        StoreError
-            When the store isn't open for writing, or the disk is full.
-        """
+        """Enter items from `start` on that an `ItemWriter` wrote; errors as `write`."""
         journal = self._open_journal()
         with self._thread_lock:
             journal.append(start, digests)
@@ -312,13 +286,7 @@ class FrameStore:
         return [self._array.file(item) for item in items]
 
     def digest(self) -> str:
-        """Digest of all items in their order, whatever the order they were written in.
-
-        Raises
-        ------
-        StoreError
-            When an item isn't captured yet.
-        """
+        """Digest of all items in their order; StoreError when one isn't captured yet."""
         if not self.complete:
             raise StoreError(
                 f"{self.path}: {len(self._digests)} of {self.shape[0]} items captured; a digest "
@@ -366,12 +334,12 @@ class FrameStore:
             )
 
     def _refuse_other(self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str) -> None:
-        found = (self.fingerprint, self.shape, str(self.dtype))
-        wanted = (fingerprint, tuple(shape), str(dtype))
+        made = {"fingerprint": self.fingerprint, "shape": self.shape, "dtype": self.dtype}
+        wanted = {"fingerprint": fingerprint, "shape": tuple(shape), "dtype": dtype}
         differences = [
-            f"{name} {old} instead of {new}"
-            for name, old, new in zip(("fingerprint", "shape", "dtype"), found, wanted, strict=True)
-            if old != new
+            f"{name} {old} instead of {wanted[name]}"
+            for name, old in made.items()
+            if old != wanted[name]
         ]
         if differences:
             raise StaleStoreError(
@@ -407,19 +375,8 @@ def drop(path: Path) -> int:
 
     May be cut off anywhere and called again.
 
-    Returns
-    -------
-    int
-        Bytes freed.
-
-    Raises
-    ------
-    LockedError
-        When another process writes the store.
-    StoreError
-        When items are missing, or can't be removed.
-    IntegrityError
-        When its metadata or its journal are damaged.
+    Returns the bytes freed. Raises LockedError when another process writes the store, StoreError
+    when items are missing or can't be removed, IntegrityError when metadata or journal are damaged.
     """
     with StoreLock(path):
         store = FrameStore.open(path)

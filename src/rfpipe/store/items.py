@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,31 +48,37 @@ class ItemArray(ChunkedArray):
 
     @contextmanager
     def adding(self, start: int) -> Iterator[Callable[[NDArray[Any]], list[str]]]:
-        """Store the items of one file chunk by chunk, with no more than one chunk in memory.
+        """Store the items of one file, from its first, with no more than one chunk in memory.
 
         The file is there once all of them are; a process that is killed leaves none.
-
-        Parameters
-        ----------
-        start
-            The file's first item.
 
         Yields
         ------
         callable
             Takes the items of the next chunk, and returns their digests.
         """
+        place: Path = self.file(start)
+        partial = hidden_sibling(place, f"{os.getpid()}.partial")
+        items = min(self.items_per_file, self.shape[0] - start)
         needed = self.items_per_file * self.dtype.itemsize * int(np.prod(self.shape[1:]))
-        action = f"writing the items from {start} on"
-        with storage_errors(self.path, action, needed), self.writing(start) as put:
+        lengths: list[int] = []
+        with storage_errors(self.path, f"writing the items from {start} on", needed):
+            try:
+                with partial.open("wb") as file:
 
-            def add(block: NDArray[Any]) -> list[str]:
-                self._check(block)
-                block = np.ascontiguousarray(block)
-                put(block)
-                return [digest_of(item) for item in block]
+                    def add(block: NDArray[Any]) -> list[str]:
+                        self._check(block)
+                        lengths.append(file.write(self.packed(block)))
+                        return [digest_of(np.ascontiguousarray(item)) for item in block]
 
-            yield add
+                    yield add
+                    if len(lengths) != -(-items // self.items_per_chunk):
+                        raise ValueError(f"{place}: {len(lengths)} chunks for {items} items")
+                    file.write(self.index(lengths))
+                partial.replace(place)
+            except BaseException:
+                partial.unlink(missing_ok=True)
+                raise
 
     def read_items(self, start: int, stop: int, digests: Mapping[int, str]) -> NDArray[Any] | None:
         """Return items [start, stop), or None when one isn't what its digest says."""

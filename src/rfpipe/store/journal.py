@@ -20,17 +20,8 @@ def read_journal(path: Path, n_items: int) -> dict[int, str]:
     A kill or a power cut tears the last line; a line that someone altered doesn't match its own
     checksum.
 
-    Parameters
-    ----------
-    path
-        The journal; a missing one is empty.
-    n_items
-        Length of the store: lines of items outside it don't count.
-
-    Returns
-    -------
-    dict
-        Digest by item, in the order of the lines.
+    Returns the digest by item, in the order of the lines; lines of items beyond the store's
+    `n_items` don't count, and a missing journal is empty.
     """
     with storage_errors(path, "reading"):
         content = path.read_bytes() if path.exists() else b""

@@ -16,24 +16,16 @@ from rfpipe.store.files import hidden_sibling, storage_errors
 # A file server frees the locks of a machine that died when its lease has run out: 90 s by NFS.
 _LEASE_SECONDS = 120.0
 _POLL_SECONDS = 2.0
-# Whoever looks who holds a lock, as the catalogue does, holds it for a moment.
+# Reading the lock's holder takes the lock for a moment.
 _GLANCE_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a lock.
+    """The process and machine that hold a lock, each empty where the lock file doesn't say.
 
-    Attributes
-    ----------
-    process : str
-        Its number; empty where it hasn't said so yet.
-    machine : str
-        The name of its machine.
-    is_known : bool
-        Whether the lock is held for certain. Else another machine's process has written its name,
-        and nothing here holds the lock: that process was killed, or the file system's locks don't
-        reach from one machine to another.
+    Where it isn't `is_known`, another machine's process has written its name, and nothing here
+    holds the lock: that process was killed, or locks don't reach from one machine to another.
     """
 
     process: str
@@ -52,29 +44,16 @@ class Holder:
 class StoreLock:
     """Exclusive lock on a store, held by an open file beside it.
 
-    The system releases it when the process ends, however it ends. A workflow killed alone leaves
-    its stage running; that orphan still holds its locks and so keeps a second writer out. On a
-    file system that machines share, the lock holds for all of them, and that of a machine that died
-    ends when the file server gives it up: two minutes are waited for that where the holder is on
-    another machine.
+    The system releases it when the process ends, however it ends: an orphan of a killed workflow
+    still keeps a second writer out. On a file system that machines share, the lock holds for all
+    of them, and that of a machine that died ends when the file server gives it up: two minutes are
+    waited for that where the holder is on another machine.
 
     Parameters
     ----------
     path
         The store, which needn't exist yet. The lock file is its hidden sibling ``.name.lock``,
         there only while the lock is held (or after a kill).
-
-    Raises
-    ------
-    LockedError
-        From `acquire`, when another process, or another lock in this one, holds it.
-    StoreError
-        From `acquire`, when the folder isn't writable, or its file system has no locks.
-
-    Examples
-    --------
-    >>> with StoreLock(Path("results/scene/capture.zarr")):
-    ...     pass
     """
 
     def __init__(self, path: Path) -> None:
@@ -103,7 +82,15 @@ class StoreLock:
             os.close(descriptor)
 
     def acquire(self) -> None:
-        """Take the lock, or raise: soon where another process of this machine holds it."""
+        """Take the lock.
+
+        Raises
+        ------
+        LockedError
+            When another process, or another lock in this one, holds it.
+        StoreError
+            When the folder isn't writable, or its file system has no locks.
+        """
         end = time.monotonic() + _LEASE_SECONDS
         with storage_errors(self._lock_file, "locking"):
             self._lock_file.parent.mkdir(parents=True, exist_ok=True)

@@ -18,14 +18,6 @@ def write_manifest(path: Path, data: dict[str, Any]) -> None:
     Equal data give identical bytes, so `data` should hold no times, host names or absolute
     paths. Write it last: its existence says that the stores it describes are complete.
 
-    Parameters
-    ----------
-    path
-        Its place; the folder is made.
-    data
-        Plain data: digests, shapes, dtypes, units, versions, fingerprints. The key
-        ``"checksum"`` is taken.
-
     Raises
     ------
     InputError
@@ -41,12 +33,7 @@ def write_manifest(path: Path, data: dict[str, Any]) -> None:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """Read a manifest.
-
-    Returns
-    -------
-    dict
-        What was given to `write_manifest`, tuples as lists.
+    """Read what was given to `write_manifest`, tuples as lists.
 
     Raises
     ------
