@@ -44,29 +44,23 @@ def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, name: str) -> N
         assert (camera.expose().reshape(3, *SHAPE) == picture).all()
 
 
-def test_nothing_adapts_and_frames_are_triggered() -> None:
+def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    times = []
+
+    def look(camera: AravisCamera, _: float) -> None:
+        times.append(camera.nodes.number("ExposureTimeAbs"))
+
+    monkeypatch.setattr(AravisCamera, "_before_trigger", look)
     with FilledCamera(PICTURE, SENSOR, offset=(8, 16)) as camera:
         nodes = camera.nodes
         assert nodes.write("GainAuto", "Off") == "Off"
         for name, value in (("GainRaw", 0), ("OffsetY", 8), ("OffsetX", 16)):
             assert nodes.integer(name) == value
-        for name, value in (("TriggerMode", "On"), ("TriggerSource", "Software")):
-            read = aravis_library.tried(
-                "arv_device_get_string_feature_value", nodes.device, name.encode()
-            )
-            assert read.decode() == value
-
-
-def test_each_exposure_has_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    times = []
-
-    def look(camera: AravisCamera, _: float) -> None:
-        name = b"ExposureTimeAbs"
-        device = camera.nodes.device
-        times.append(aravis_library.tried("arv_device_get_float_feature_value", device, name))
-
-    monkeypatch.setattr(AravisCamera, "_before_trigger", look)
-    with FilledCamera(PICTURE, SENSOR) as camera:
+        for name, expected in (("TriggerMode", b"On"), ("TriggerSource", b"Software")):
+            asked = "arv_device_get_string_feature_value", nodes.device, name.encode()
+            assert aravis_library.tried(*asked) == expected
         camera.expose()
     assert times == [1000, 10_000, 100_000]
 
@@ -96,29 +90,42 @@ def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
         aravis_library.load_aravis.cache_clear()
 
 
-class TestByGigeVision:
-    """Frames that come as packets, each asked for by a trigger of its own."""
+def fail_once(monkeypatch: pytest.MonkeyPatch, fail: Any) -> None:
+    """Have the first software trigger go wrong."""
+    first, execute = iter([True]), AravisNodes.execute
 
-    @pytest.fixture
-    def camera(self) -> Iterator[AravisCamera]:
-        with (
-            gige_camera("RFPIPE1"),
-            AravisCamera(SENSOR, serial="RFPIPE1", shape=SHAPE, **QUICK) as camera,
-        ):
-            yield camera
+    def failing(nodes: AravisNodes, name: str) -> None:
+        if name == "TriggerSoftware" and next(first, False):
+            fail()
+        else:
+            execute(nodes, name)
 
-    def test_a_frame_that_does_not_come_is_taken_again(
-        self, camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        forgotten, execute = iter([True]), AravisNodes.execute
+    monkeypatch.setattr(AravisNodes, "execute", failing)
 
-        def forgetful(nodes: AravisNodes, name: str) -> None:
-            if name != "TriggerSoftware" or not next(forgotten, False):
-                execute(nodes, name)
 
-        monkeypatch.setattr(AravisNodes, "execute", forgetful)
+def test_a_frame_that_does_not_come_is_taken_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By GigE Vision: frames come as packets, each asked for by a trigger of its own."""
+    fail_once(monkeypatch, lambda: None)
+    with (
+        gige_camera("RFPIPE1"),
+        AravisCamera(SENSOR, serial="RFPIPE1", shape=SHAPE, **QUICK) as camera,
+    ):
         assert camera.expose().shape == (3, *SHAPE, 1)
         assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 1, "reconnected": 0}
+
+
+def test_a_lost_camera_is_found_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def gone() -> None:
+        raise aravis_library.AravisError("Timeout waiting for device response")
+
+    caplog.set_level(logging.INFO)
+    fail_once(monkeypatch, gone)
+    with FilledCamera(PICTURE, SENSOR, **QUICK) as camera:
+        assert (camera.expose().reshape(3, *SHAPE) == PICTURE).all()
+        assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 0, "reconnected": 1}
+    assert "camera 1 is back" in caplog.text
 
 
 class TestTriggered:
@@ -162,9 +169,8 @@ class TestTriggered:
             assert np.abs(steps - steps[0]).max() <= 1
         assert camera.statistics == {"frames": 8, "failed": 0, "timed_out": 0, "reconnected": 0}
         assert camera.expose().shape == (3, *SHAPE, 1)
-
-    @pytest.mark.parametrize("camera", ["Software"], indirect=True)
-    def test_a_camera_that_waits_for_triggers_can_be_closed(self, camera: AravisCamera) -> None:
+        assert camera.seconds_between(0.1) == pytest.approx(0.105)
+        assert camera.seconds_between(1e-5) == pytest.approx(1.05 / 1000)  # as it says of itself
         camera.arm(0.1, 40)
         camera.close()
         with pytest.raises(CaptureError, match="closed"):
@@ -176,31 +182,3 @@ class TestTriggered:
             camera.arm(0.1, 3)
         assert camera.expose().shape == (3, *SHAPE, 1)
         assert camera.statistics["reconnected"] == 0
-
-    @pytest.mark.parametrize("camera", ["Software"], indirect=True)
-    def test_triggers_are_as_far_apart_as_it_can_follow(self, camera: AravisCamera) -> None:
-        assert camera.seconds_between(0.1) == pytest.approx(0.105)
-        assert camera.seconds_between(1e-5) == pytest.approx(1.05 / 1000)  # as it says of itself
-
-
-def lose(monkeypatch: pytest.MonkeyPatch, calls: int) -> None:
-    """Have the camera's next commands find no camera."""
-    left, execute = iter(range(calls)), AravisNodes.execute
-
-    def gone(nodes: AravisNodes, name: str) -> None:
-        if name == "TriggerSoftware" and next(left, None) is not None:
-            raise aravis_library.AravisError("Timeout waiting for device response")
-        execute(nodes, name)
-
-    monkeypatch.setattr(AravisNodes, "execute", gone)
-
-
-def test_a_lost_camera_is_found_again(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.INFO)
-    with FilledCamera(PICTURE, SENSOR, **QUICK) as camera:
-        lose(monkeypatch, 1)
-        assert (camera.expose().reshape(3, *SHAPE) == PICTURE).all()
-        assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 0, "reconnected": 1}
-    assert "camera 1 is back" in caplog.text

@@ -20,9 +20,7 @@ SENSOR = CameraModel(exposures=(0.01, 0.05))
 SHAPE = (48, 60)
 BLACK, WHITE = 600, 15_300
 COUNTS = np.random.default_rng(0).integers(BLACK, WHITE, SHAPE).astype(np.uint16)
-QUICK: dict[str, Any] = {
-    "timeout_seconds": 1.0, "keep_pictures": True,
-}  # fmt: skip
+QUICK: dict[str, Any] = {"timeout_seconds": 1.0, "keep_pictures": True}
 
 
 def put(folder: Path, counts: np.ndarray = COUNTS, seconds: float = 0.0, **levels: Any) -> None:
@@ -49,10 +47,18 @@ class TestPhotoCamera(CameraContract):
         return camera_of(self.folder)
 
 
-def test_counts_are_those_of_the_raw_file(tmp_path: Path) -> None:
+def test_counts_are_those_of_the_raw_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    released, release = [], Photo.release
+
+    def look(photo: Photo) -> None:
+        released.append(photo.get("shutterspeed"))
+        release(photo)
+
     with camera_of(tmp_path) as camera:
+        monkeypatch.setattr(Photo, "release", look)
         assert (camera.expose() == COUNTS).all()
         assert camera.channels == 3
+    assert released == ["0.0100s", "0.0500s"]
 
 
 def test_what_the_sensor_cannot_count_is_saturated(tmp_path: Path) -> None:
@@ -90,38 +96,18 @@ def test_exposure_times_are_those_that_the_camera_has(
         camera_of(tmp_path, replace(SENSOR, exposures=(1.0, 1.1)))
 
 
-def test_each_exposure_sets_the_shutter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    released, release = [], Photo.release
-
-    def look(photo: Photo) -> None:
-        released.append(photo.get("shutterspeed"))
-        release(photo)
-
-    with camera_of(tmp_path) as camera:
-        monkeypatch.setattr(Photo, "release", look)
-        camera.expose()
-    assert released == ["0.0100s", "0.0500s"]
-
-
-def test_pictures_do_not_fill_the_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_do_not_fill_the_card(tmp_path: Path) -> None:
     with camera_of(tmp_path, keep_pictures=False) as camera:
         camera.expose()
-        device = camera._handle._camera
-        [folder] = [name for name, _ in _listed(device, "/") if name.endswith("DCIM")]
-        kept = [name for below, _ in _listed(device, folder) for name in _files(device, below)]
-        assert not [name for name in kept if name.startswith("GPH_")]
-
-
-def _listed(device: Any, folder: str) -> list[tuple[str, None]]:
-    """Return all folders below one."""
-    names = device.folder_list_folders(folder)
-    found = [f"{folder.rstrip('/')}/{names.get_name(i)}" for i in range(names.count())]
-    return [each for one in found for each in ((one, None), *_listed(device, one))]
+        assert not [name for name in _files(camera._handle._camera, "/") if "GPH_" in name]
 
 
 def _files(device: Any, folder: str) -> list[str]:
-    names = device.folder_list_files(folder)
-    return [names.get_name(index) for index in range(names.count())]
+    """Return all files below a folder."""
+    files, folders = device.folder_list_files(folder), device.folder_list_folders(folder)
+    below = (f"{folder.rstrip('/')}/{folders.get_name(i)}" for i in range(folders.count()))
+    found = [files.get_name(index) for index in range(files.count())]
+    return found + [name for one in below for name in _files(device, one)]
 
 
 def test_a_picture_that_is_not_raw_says_what_to_set(tmp_path: Path) -> None:
@@ -181,27 +167,13 @@ def test_settings_are_made_or_refused(
         camera_of(tmp_path, settings={"whitebalance": "Daylight"})
 
 
-class WithMore:
-    """Settings of cameras that the virtual one hasn't."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
-        get, choose = Photo.get, Photo.set
-        self.made: dict[str, Any] = {}
-
-        def made(photo: Photo, name: str, value: Any) -> bool:
-            if name not in more:
-                return choose(photo, name, value)
-            self.made[name] = value
-            return True
-
-        monkeypatch.setattr(Photo, "get", lambda photo, name: more.get(name) or get(photo, name))
-        monkeypatch.setattr(Photo, "set", made)
-
-
 def test_a_mode_other_than_manual_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    WithMore(monkeypatch, expprogram="A")
+    get = Photo.get
+    monkeypatch.setattr(
+        Photo, "get", lambda photo, name: "A" if name == "expprogram" else get(photo, name)
+    )
     with pytest.raises(CaptureError, match="its mode is A; turn the dial to M"):
         camera_of(tmp_path)
 
@@ -209,20 +181,27 @@ def test_a_mode_other_than_manual_is_refused(
 def test_the_mirror_is_raised_by_a_release_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    canon = WithMore(monkeypatch, mirrorlock=1)
+    get, choose, release = Photo.get, Photo.set, Photo.release
+    made: dict[str, Any] = {}
     released = []
-    release = Photo.release
+
+    def second_only(photo: Photo) -> None:
+        released.append(photo)
+        if len(released) % 2 == 0:
+            release(photo)
+
+    def note(photo: Photo, name: str, value: Any) -> bool:
+        if name != "mirrorlock":
+            return choose(photo, name, value)
+        made[name] = value
+        return True
+
+    # the setting of a camera that the virtual one isn't
+    monkeypatch.setattr(Photo, "get", lambda p, name: 1 if name == "mirrorlock" else get(p, name))
+    monkeypatch.setattr(Photo, "set", note)
+    monkeypatch.setattr(Photo, "release", second_only)
     monkeypatch.setattr("rfpipe_devices.gphoto.MIRROR_SECONDS", 0.0)
-    with camera_of(tmp_path) as camera:
-        camera._options = camera._options.model_copy(update={"mirror_lock": True})
-        camera._restart()
-        assert canon.made["mirrorlock"] == 1
-
-        def second_only(photo: Photo) -> None:
-            released.append(photo)
-            if len(released) % 2 == 0:
-                release(photo)
-
-        monkeypatch.setattr(Photo, "release", second_only)
+    with camera_of(tmp_path, mirror_lock=True) as camera:
+        assert made["mirrorlock"] == 1
         assert (camera.expose() == COUNTS).all()
-    assert len(released) == 4
+    assert len(released) == 6

@@ -64,8 +64,8 @@ class TestSimulatedRig(RigContract):
 class Broken(OperatorRig):
     """A rig with one thing wrong with it."""
 
-    def __init__(self, fault: str, noise: CameraModel | None = CAMERA) -> None:
-        super().__init__(transport(30, 30), (5, 6), (5, 6), noise=noise)
+    def __init__(self, fault: str) -> None:
+        super().__init__(transport(30, 30), (5, 6), (5, 6), noise=CAMERA)
         self._fault = fault
         self._captured = 0
 
@@ -80,23 +80,16 @@ class Broken(OperatorRig):
         if self._fault == "ambient light":
             patterns = np.maximum(patterns, 0.1 * (patterns.sum() > 0)).astype(np.float32)
         if self._fault == "projector gamma":
-            patterns = np.where(
-                patterns.mean(axis=(1, 2), keepdims=True) < 1, patterns / 2, patterns
-            )
+            whole = patterns.mean(axis=(1, 2), keepdims=True) == 1
+            patterns = np.where(whole, patterns, patterns / 2)
         frames = super().capture(patterns, keys)
         if self._fault == "flickering black level":
-            frames[...] += np.array([40 if key[1] == 4 else 0 for key in keys], np.uint16).reshape(
-                -1, *(1,) * (frames.ndim - 1)
-            )
+            frames[[key[1] == 4 for key in keys]] += np.uint16(40)
         return frames[:, :2] if self._fault == "loses a frame" else frames
 
     def describe(self) -> dict[str, Any]:
-        described = super().describe()
-        return (
-            {**described, "made": next(SERIAL)}
-            if self._fault == "unstable description"
-            else described
-        )
+        made = {"made": next(SERIAL)} if self._fault == "unstable description" else {}
+        return super().describe() | made
 
 
 @pytest.mark.parametrize(
@@ -113,9 +106,7 @@ class Broken(OperatorRig):
     ],
 )
 def test_the_contract_finds_what_is_wrong(fault: str, test: str) -> None:
-    class Contract(RigContract):
-        def make_rig(self) -> Rig:
-            return Broken(fault)
-
+    suite: Any = RigContract()
+    suite.make_rig = lambda: Broken(fault)
     with pytest.raises(AssertionError):
-        getattr(Contract(), f"test_{test}")()
+        getattr(suite, f"test_{test}")()

@@ -1,5 +1,6 @@
 """The driver of webcams, on image sequences that OpenCV opens as a device, and on UVC controls."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -130,6 +131,6 @@ def test_what_does_not_work_is_explained(
 
 
 def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "cv2", None)
+    monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(CaptureError, match=r"pip install '\.\[webcam\]'"):
         Webcam(SENSOR)
