@@ -91,7 +91,7 @@ def run_program(
     about = packed.manifest
     arrays = [unpack_array(*each) for each in zip(about["arrays"], packed.blobs, strict=True)]
     buffers = [np.zeros((about["channels"], size)) for size in about["buffers"]]
-    ends = ("to", "from") if dual else ("from", "to")
+    ends = ("target", "source") if dual else ("source", "target")
     buffers[1 if dual else 0][:] = light
     operations = about["operations"]
     for operation in reversed(operations) if dual else operations:
@@ -101,7 +101,7 @@ def run_program(
         if parts is not None and part >= 0 and about["parts"][part] not in parts:
             continue
         own = {name: arrays[index] for name, index in operation["arrays"].items()}
-        source, target = (buffers[operation[end]][:, operation[f"{end}At"] :] for end in ends)
+        source, target = (buffers[operation[end]][:, operation[f"{end}_at"] :] for end in ends)
         _RUN[operation["kind"]](own, source, target, operation["transposed"] != dual)
     return buffers[0 if dual else 1].astype(np.float32)
 

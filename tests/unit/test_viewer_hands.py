@@ -350,7 +350,7 @@ def test_a_large_transport_is_read_from_a_folder(
     assert written.page == tmp_path / "big" / "index.html"
     assert written.levels == list(transport.known_levels)
     text = written.page.read_bytes()
-    assert b"data:image/jpeg" in text[:100_000]
+    assert b"data:image/png" in text[:100_000]
     assert len(list((tmp_path / "big" / "levels").iterdir())) > 3
     assert not older.exists()
     with served(tmp_path, handler) as address:

@@ -10,10 +10,8 @@ from tests.viewers import KINDS, rounded, run_program, transport_of
 
 from rfpipe.errors import InputError
 from rfpipe.transport.multilevel import MultilevelTransport
-from rfpipe.transport.wavelet import Haar
 from rfpipe.viewer import lower
 from rfpipe.viewer.program import pack_program
-from rfpipe.viewer.smooth import haar_matrix
 
 
 def lights(shape: tuple[int, ...], channels: int) -> list[np.ndarray]:
@@ -57,7 +55,7 @@ def test_levels_share_what_they_have_in_common() -> None:
     assert len(program.levels) > 3
     assert len(program.operations) < sum(len(one.operations) for one in alone)
     for level, one in zip(program.levels, alone, strict=True):
-        together = [operation.identity for operation in program.at_level(level)]
+        together = program.seen_at([level]).operations
         assert len(together) == len(one.operations)
 
 
@@ -84,13 +82,6 @@ def test_parts_of_near_and_far_light_add_up_to_the_whole() -> None:
 def test_a_level_that_there_is_not_is_refused() -> None:
     with pytest.raises(InputError, match="level -1"):
         lower(transport_of("symmetric"), [-1])
-
-
-@pytest.mark.parametrize("stack", [(1, 6, 7), (2, 13, 9), (1, 1, 1), (3, 4, 32)])
-def test_wavelets_as_a_matrix(stack: tuple[int, int, int]) -> None:
-    haar = Haar(stack)
-    cells = np.random.default_rng(0).random((int(np.prod(stack)), 2)).astype(np.float32)
-    np.testing.assert_allclose(haar_matrix(haar) @ cells, haar.forward(cells), atol=1e-5)
 
 
 def test_the_same_transport_packs_into_the_same_bytes() -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import math
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.pictures.images import srgb
+from rfpipe.pictures.images import png_bytes, resized
 from rfpipe.provenance import generator
 from rfpipe.store.files import storage_errors, write_atomically
 from rfpipe.transport.base import Transport
@@ -32,8 +31,8 @@ _TRIALS = 3
 # A coaxial rig's pictures and dual pictures of the same light differ by less, of their norm.
 _COAXIAL = 0.2
 _BASE64 = 4 / 3
-# Of the preview: the text of the page takes as much, and both come in the first 100 kB.
-_PREVIEW_BYTES = 40_000
+# Pixels of the preview: the text of the page takes as much, and both come in the first 100 kB.
+_PREVIEW_SIDE = 112
 
 
 @dataclass(frozen=True)
@@ -127,63 +126,59 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     if output.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{output}: expected the name of a page, one that ends in .html")
     transport = view.transport
-    packed = pack_program(lower(transport, transport.known_levels))
-    every, last = packed.manifest["levels"], packed.manifest["levels"][-1:]
-    beside, still = _compared(view)
-    others = 0 if beside is None else beside.nbytes
-    others += sum(map(len, still))
-    room = largest / _BASE64 - others
-    chosen = last
-    for level in every[:-1]:
-        if packed.seen_at(sorted([*chosen, level])).nbytes > room:
-            break
-        chosen = sorted([*chosen, level])
-    whole = packed.seen_at(chosen)
+    program = lower(transport, transport.known_levels)
+    beside = _compared(view)
+    room = largest / _BASE64 - (beside.nbytes if beside else 0)
+    chosen, whole = program.levels[-1:], pack_program(program.seen_at(program.levels[-1:]))
     is_folder = whole.nbytes > room
+    for level in program.levels[:-1]:
+        more = sorted([*chosen, level])
+        packed = pack_program(program.seen_at(more))
+        if packed.nbytes > room and not is_folder:
+            break
+        chosen, whole = more, packed
+    held = {"levels": whole, **({"compared": beside} if beside else {})}
+    page = output.with_suffix("") / "index.html" if is_folder else output
+    written = 0
     if is_folder:
-        whole, chosen = packed, every
-        page = output.with_suffix("") / "index.html"
-        written = _write_files(page.parent, "levels", whole)
-        if beside is not None:
-            written += _write_files(page.parent, "compared", beside)
-        about_still = {"files": _write_still(page.parent, still)} if still else {}
-        embedded: list[tuple[str, bytes]] = []
-    else:
-        page, written, about_still = output, 0, {}
-        embedded = [*_named("b", whole.blobs), *_named("s", still)]
-        embedded += [] if beside is None else _named("c", beside.blobs)
+        written = sum(_write_files(page.parent, name, packed) for name, packed in held.items())
+    light = beside.manifest if beside else {}
     manifest = {
         **whole.manifest,
-        **_seen(transport),
+        "white": white_of(transport),
+        "coaxial": _is_coaxial(transport),
         "name": output.stem,
-        "other": None if beside is None else beside.manifest,
-        "still": about_still if still else None,
+        "other": light if "operations" in light else None,
+        "still": light if "operations" not in light and beside else None,
+    }
+    embedded = {
+        f"{name[0]}{index}": b64encode(blob).decode()
+        for name, packed in held.items()
+        for index, blob in enumerate(packed.blobs if not is_folder else [])
     }
     text = _render(view, manifest, embedded).encode()
-    with storage_errors(page, "write", len(text)):
-        page.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(page, text)
+    _write(page, text)
     if is_folder:
-        write_atomically(output, _leading_to(page.relative_to(output.parent), view.title))
-    left_out = [level for level in every if level not in chosen]
+        _write(output, _leading_to(page.relative_to(output.parent), view.title))
+    left_out = [level for level in program.levels if level not in chosen]
     return Written(page, written + len(text), chosen, left_out, is_folder)
 
 
-def _compared(view: View) -> tuple[Packed | None, list[bytes]]:
-    """Return what the page holds of a transport or of a picture to compare with."""
+def _compared(view: View) -> Packed | None:
+    """Return what the page holds of a transport or, as one array, of a picture to compare with."""
     if view.compared is None:
-        return None, []
+        return None
     transport, light = view.transport, view.compared.light
     if isinstance(light, Transport):
-        own, found = (
+        own, other = (
             (each.camera_shape, each.projector_shape, each.channels) for each in (transport, light)
         )
-        if own != found:
+        if own != other:
             raise InputError(
-                f"{view.compared.name}: is between rays and channels {found} (camera, projector, "
+                f"{view.compared.name}: is between rays and channels {other} (camera, projector, "
                 f"channels), the transport between {own}; compare transports of the same rig"
             )
-        return pack_program(lower(light)), []
+        return pack_program(lower(light))
     shape = (*transport.camera_shape, transport.channels)
     picture = np.asarray(light, np.float32)
     if picture.shape == shape[:-1]:
@@ -193,12 +188,7 @@ def _compared(view: View) -> tuple[Packed | None, list[bytes]]:
             f"{view.compared.name}: is a picture of shape {picture.shape}, the camera's is "
             f"{shape}; resize the picture"
         )
-    return None, [pack_array(np.moveaxis(picture, -1, 0))]
-
-
-def _seen(transport: Transport) -> dict[str, Any]:
-    """Return what the page has to know of the light: which radiance is white, and symmetry."""
-    return {"white": white_of(transport), "coaxial": _is_coaxial(transport)}
+    return Packed({"arrays": [{"level": 0}]}, [pack_array(np.moveaxis(picture, -1, 0))])
 
 
 def white_of(transport: Transport) -> float:
@@ -231,10 +221,6 @@ def _leading_to(page: Path, title: str) -> bytes:
     ).encode()
 
 
-def _named(prefix: str, blobs: Iterable[bytes]) -> list[tuple[str, bytes]]:
-    return [(f"{prefix}{index}", blob) for index, blob in enumerate(blobs)]
-
-
 def _write_files(folder: Path, name: str, packed: Packed) -> int:
     """Write a program's arrays, a file a level, and tell its manifest where they lie."""
     parts: dict[str, list[bytes]] = {}
@@ -253,18 +239,13 @@ def _write_files(folder: Path, name: str, packed: Packed) -> int:
     return packed.nbytes
 
 
-def _write_still(folder: Path, still: list[bytes]) -> list[tuple[str, int, int]]:
-    _write(folder / "compared" / "picture.bin", still[0])
-    return [("compared/picture.bin", 0, len(still[0]))]
-
-
 def _write(path: Path, content: bytes) -> None:
     with storage_errors(path, "write", len(content)):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
 
 
-def _render(view: View, manifest: dict[str, Any], embedded: list[tuple[str, bytes]]) -> str:
+def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> str:
     """Return the page's text."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
@@ -291,7 +272,7 @@ def _render(view: View, manifest: dict[str, Any], embedded: list[tuple[str, byte
         worker=_in_script(source("kernels.js", "worker.js")),
         manifest=_in_script(manifest),
         kernel=b64encode(kernel).decode(),
-        blobs=[(name, b64encode(blob).decode()) for name, blob in embedded],
+        blobs=embedded.items(),
     )
 
 
@@ -304,34 +285,11 @@ def _in_script(value: Any) -> Any:
 
 
 def _preview_of(transport: Transport, white: float) -> str:
-    """Return the first view under floodlight as the address of a picture, a JPEG of 40 kB at most.
-
-    Parameters
-    ----------
-    transport : Transport
-    white : float
-        Radiance shown as white.
-    """
-    import OpenImageIO as oiio
-
+    """Return the first view under floodlight as a small picture in the page itself."""
     domain = RayDomain(transport.camera_shape)
     floodlit = transport.relight(np.ones(transport.projector_shape, np.float32))
     view = floodlit.reshape(domain.views, *domain.image_shape, transport.channels)[0]
-    shown = np.ascontiguousarray(srgb(view, white), np.float32)
-    picture = oiio.ImageBuf(shown)
-    found = b""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "preview.jpg"
-        while not found or len(found) > _PREVIEW_BYTES:
-            for quality in (90, 80, 65, 50, 30):
-                picture.specmod().attribute("Compression", f"jpeg:{quality}")
-                picture.write(str(path), "uint8")
-                found = path.read_bytes()
-                if len(found) <= _PREVIEW_BYTES:
-                    break
-            else:
-                half = oiio.ROI(
-                    0, (picture.spec().width + 1) // 2, 0, (picture.spec().height + 1) // 2
-                )
-                picture = oiio.ImageBufAlgo.resize(picture, roi=half)
-    return f"data:image/jpeg;base64,{b64encode(found).decode()}"
+    step = max(1.0, max(view.shape[:2]) / _PREVIEW_SIDE)
+    height, width = (max(1, round(side / step)) for side in view.shape[:2])
+    picture = png_bytes(resized(view, (height, width)), white)
+    return f"data:image/png;base64,{b64encode(picture).decode()}"

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.errors import InputError
@@ -25,8 +24,15 @@ from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.multiscale import MultiscaleTransport
 from rfpipe.transport.sum import SumTransport
 from rfpipe.transport.wavelet import WaveletTransport
-from rfpipe.viewer.program import CAMERA, PROJECTOR, Kind, Operation, Program
-from rfpipe.viewer.smooth import haar_matrix, pyramid
+from rfpipe.viewer.program import (
+    CAMERA,
+    PROJECTOR,
+    Kind,
+    Operation,
+    Program,
+    digest_of_array,
+)
+from rfpipe.viewer.smooth import pyramid
 
 __all__ = ["lower"]
 
@@ -69,9 +75,7 @@ class Builder:
         self._program.buffers = [math.prod(shapes[1]), math.prod(shapes[0])]
         self._buffers: dict[tuple[Any, ...], int] = {}
         self._chains: dict[tuple[Any, ...], int] = {}
-        self._found: dict[str, int] = {}
-        self._step = self._chain = 0
-        self._was_shared = False
+        self._known: dict[tuple[Any, ...], Operation] = {}
 
     def begin_level(self, level: int) -> None:
         """Go on with what is seen at another level."""
@@ -80,8 +84,7 @@ class Builder:
 
     def begin_part(self, name: str, number: int) -> None:
         """Go on with another part, the `number`th of its name."""
-        self._part = name
-        self._number = number
+        self._part, self._number = name, number
 
     def begin_chain(self, name: str, *, is_common: bool = False) -> None:
         """Go on with operations that feed each other; their buffers have names of their own.
@@ -89,7 +92,6 @@ class Builder:
         A chain may be common to parts that agree in all of it but what they name as theirs.
         """
         self._key = ("", 0, name) if is_common else (self._part, self._number, name)
-        self._of_chain = "" if is_common else self._part
         self._chain = self._chains.setdefault(self._key, len(self._chains))
         self._step, self._was_shared = 0, False
 
@@ -109,23 +111,20 @@ class Builder:
         self._step += not (is_shared and self._was_shared)
         self._was_shared = is_shared
         kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        part = self._part if is_shared else self._of_chain
-        made = Operation(
-            kind, source, target, kept, chain=self._chain, step=self._step, part=part, **more
-        )
-        program, identity = self._program, made.identity
-        if identity not in self._found:
-            self._found[identity] = len(program.operations)
-            program.operations.append(made)
-            program.levels_of.append([])
-        levels = program.levels_of[self._found[identity]]
+        digests = {name: digest_of_array(array) for name, array in kept.items()}
+        about = {"chain": self._chain, "part": self._part if is_shared else self._key[0], **more}
+        identity = (kind, source, target, *digests.items(), *sorted(about.items()))
+        if identity not in self._known:
+            made = Operation(kind, source, target, kept, digests, [], step=self._step, **about)
+            self._known[identity] = made
+            self._program.operations.append(made)
+        levels = self._known[identity].levels
         if self._level not in levels:
             levels.append(self._level)
 
     def csr(self, source: int, target: int, matrix: Any, **more: Any) -> None:
         """Add a sparse matrix of scipy's; values of several channels ``(C, entries)`` if given."""
-        values = more.pop("values", None)
-        values = matrix.data[None] if values is None else values
+        values = more.pop("values", matrix.data[None])
         arrays = {
             "counts": np.diff(matrix.indptr).astype(np.int32),
             "columns": matrix.indices.astype(np.int32),
@@ -136,18 +135,14 @@ class Builder:
     def program(self) -> Program:
         """Return what was made, in order, without levels that show the same as the next."""
         made = self._program
-        order = sorted(
-            range(len(made.operations)),
-            key=lambda n: (made.operations[n].chain, made.operations[n].step),
-        )
-        made.operations = [made.operations[n] for n in order]
-        made.levels_of = [made.levels_of[n] for n in order]
-        doubled = [
+        made.operations.sort(key=lambda each: (each.chain, each.step))
+        levels = [
             level
-            for level, after in pairwise(made.levels)
-            if all((level in found) == (after in found) for found in made.levels_of)
+            for level, after in zip_longest(made.levels, made.levels[1:])
+            if after is None
+            or any((level in one.levels) != (after in one.levels) for one in made.operations)
         ]
-        return made.seen_at([level for level in made.levels if level not in doubled])
+        return made.seen_at(levels)
 
 
 def _parts(transport: Transport) -> Iterator[tuple[Transport, str]]:
@@ -316,7 +311,7 @@ def _lower_wavelet(builder: Builder, transport: WaveletTransport) -> None:
     rays = math.prod(transport.shape)
     ones = np.ones(rays, np.float32)
     spread = csr_array((ones, cells.of_ray, np.arange(rays + 1)), shape=(rays, cells.count))
-    wavelets = haar_matrix(cells.haar)
+    wavelets = csr_array(cells.haar.forward(np.eye(cells.count, dtype=np.float32)))
     light, received = builder.buffer("light", rays), builder.buffer("received", rays)
     of_cells, by_cells = (builder.buffer(name, cells.count) for name in ("of cells", "by cells"))
     given, taken = (builder.buffer(name, cells.haar.size) for name in ("given", "taken"))
@@ -333,31 +328,31 @@ def _lower_wavelet(builder: Builder, transport: WaveletTransport) -> None:
 
 def _lower_footprints(builder: Builder, transport: FootprintTransport) -> None:
     """``D``, and ``diag(f) L S R^T diag(g)`` as a part of its own."""
+    from scipy.sparse import csr_array
+
     arrays = transport.pack()[0]
 
-    def sparse(name: str) -> dict[str, NDArray[Any]]:
-        values = arrays[name]
-        return {
-            "counts": np.diff(arrays[f"{name}_starts"]).astype(np.int32),
-            "columns": arrays[f"{name}_columns"],
-            "values": values if values.ndim == 2 else values[None],
-        }
+    def add(name: str, source: int, target: int, columns: int, **more: Any) -> None:
+        values = np.atleast_2d(arrays[name])
+        parts = values[0], arrays[f"{name}_columns"], arrays[f"{name}_starts"]
+        matrix = csr_array(parts, shape=(len(parts[2]) - 1, columns))
+        builder.csr(source, target, matrix, values=values, **more)
 
-    builder.add("csr", PROJECTOR, CAMERA, sparse("footprints"))
+    pixels, rays = (math.prod(it) for it in (transport.camera_shape, transport.projector_shape))
+    add("footprints", PROJECTOR, CAMERA, rays)
     if not arrays["cores"].any():
         return
     builder.begin_part("indirect", 1)
     builder.begin_chain(transport.kind)
-    functions = int(arrays["cores_columns"].max(initial=-1)) + 1
-    functions = max(functions, int(arrays["right_columns"].max(initial=-1)) + 1)
-    light = builder.buffer("light", math.prod(transport.projector_shape))
-    sent = builder.buffer("sent", functions)
+    columns = (arrays[f"{name}_columns"] for name in ("cores", "right"))
+    functions = 1 + max(int(it.max(initial=-1)) for it in columns)
+    light, sent = builder.buffer("light", rays), builder.buffer("sent", functions)
     got = builder.buffer("got", len(arrays["cores_starts"]) - 1)
-    smooth = builder.buffer("smooth", math.prod(transport.camera_shape))
+    smooth = builder.buffer("smooth", pixels)
     builder.add("scale", PROJECTOR, light, {"values": arrays["projector_factor"]})
-    builder.add("csr", light, sent, sparse("right"), transposed=True)
-    builder.add("csr", sent, got, sparse("cores"))
-    builder.add("csr", got, smooth, sparse("left"))
+    add("right", light, sent, functions, transposed=True)
+    add("cores", sent, got, functions)
+    add("left", got, smooth, len(arrays["cores_starts"]) - 1)
     builder.add("scale", smooth, CAMERA, {"values": arrays["camera_factor"]})
 
 

@@ -9,8 +9,8 @@ the light.
 from __future__ import annotations
 
 import gzip
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +29,12 @@ longer."""
 
 # What a leaf, and an entry that is looked up, take beside a product in a long run of numbers.
 _A_LEAF, _AN_ENTRY = 100, 5
+
+_TYPES = {"int32": "i4", "float32": "f4", "uint8": "u1", "uint16": "u2", "int8": "i1"}
+_PLAIN = (
+    "kind", "source", "target", "source_at", "target_at", "transposed", "shared", "chain", "levels",
+)  # fmt: skip
+_GZIP_LEVEL = 6  # 9 takes four times as long for one per cent less
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +61,18 @@ class Operation:
     source, target : int
         Buffers.
     arrays : dict of str to ndarray
+    digests : dict of str to str
+        Of the arrays' types, shapes and contents.
+    levels : list of int
+        At which it runs.
     source_at, target_at : int
         Where in its buffer the operation begins.
     transposed : bool
     shared : bool
         Whether the operations of a chain that are shared may be run by different workers; each
         then runs those of the chain that are not, and the results are added.
-    chain : int
-        Operations of one chain feed each other.
+    chain, step : int
+        Operations of one chain feed each other, step by step.
     part : str
         The part of the transport that it belongs to; none if to several.
     """
@@ -71,6 +81,8 @@ class Operation:
     source: int
     target: int
     arrays: Mapping[str, NDArray[Any]]
+    digests: Mapping[str, str]
+    levels: list[int]
     source_at: int = 0
     target_at: int = 0
     transposed: bool = False
@@ -79,42 +91,30 @@ class Operation:
     step: int = 0
     part: str = ""
 
-    @property
-    def work(self) -> int:
-        """How long it takes, about, in units of a product in a long run of numbers."""
+    def plain(self, parts: Sequence[str], number: Mapping[str, int]) -> dict[str, Any]:
+        """Return it as plain data: its part by number, and its arrays by those of their digests."""
+        about = {name: getattr(self, name) for name in _PLAIN}
+        entries, work = self._effort()
+        arrays = {name: number[digest] for name, digest in self.digests.items()}
+        part = parts.index(self.part) if self.part else -1
+        return {**about, "part": part, "work": work, "entries": entries, "arrays": arrays}
+
+    def _effort(self) -> tuple[int, int]:
+        """Return the pairs of rays of short leaves, and about how long it takes.
+
+        The latter in units of a product in a long run of numbers.
+        """
         size = max(array.size for array in self.arrays.values())
-        if self.kind == "leaves":
-            entries = self.entries
-            few = int(np.count_nonzero(self._products <= SHORT))
-            channels = max(len(array) for array in self.arrays.values() if array.ndim == 2)
-            long = len(self.arrays["block_a"]) - few
-            return size + channels * (_A_LEAF * long + _AN_ENTRY * entries)
-        return size * (1 if self.kind == "dense" else _AN_ENTRY)
-
-    @property
-    def entries(self) -> int:
-        """Pairs of rays of the leaves over at most `SHORT` of them; 0 of other operations."""
         if self.kind != "leaves":
-            return 0
-        products = self._products
-        return int(products[products <= SHORT].sum())
-
-    @property
-    def _products(self) -> NDArray[np.int64]:
+            return 0, size * (1 if self.kind == "dense" else _AN_ENTRY)
         sizes = self.arrays["sizes"].astype(np.int64)
         a, b = self.arrays["block_a"], self.arrays["block_b"]
-        own = sizes[a] * (sizes[a] + 1) // 2
-        products: NDArray[np.int64] = np.where(a == b, own, sizes[a] * sizes[b])
-        return products
-
-    @property
-    def identity(self) -> str:
-        """By which two operations are the same."""
-        about = [
-            getattr(self, each.name) for each in fields(self) if each.name not in ("arrays", "step")
-        ]
-        shapes = [(name, array.shape) for name, array in self.arrays.items()]
-        return digest_of(repr((about, shapes)).encode(), *self.arrays.values())
+        products = np.where(a == b, sizes[a] * (sizes[a] + 1) // 2, sizes[a] * sizes[b])
+        is_short = products <= SHORT
+        entries = int(products[is_short].sum())
+        channels = max(len(array) for array in self.arrays.values() if array.ndim == 2)
+        long = int(np.count_nonzero(~is_short))
+        return entries, size + channels * (_A_LEAF * long + _AN_ENTRY * entries)
 
 
 @dataclass
@@ -130,8 +130,8 @@ class Program:
     buffers : list of int
         Positions of each buffer; the first two are `PROJECTOR` and `CAMERA`.
     operations : list of Operation
-    levels_of : list of list of int
-        The levels at which each operation runs.
+    blobs : dict of str to bytes
+        Arrays that were packed, by their digests.
     """
 
     camera_shape: tuple[int, ...]
@@ -140,33 +140,15 @@ class Program:
     levels: list[int] = field(default_factory=list)
     buffers: list[int] = field(default_factory=list)
     operations: list[Operation] = field(default_factory=list)
-    levels_of: list[list[int]] = field(default_factory=list)
-
-    @property
-    def parts(self) -> list[str]:
-        """The parts' names, in order."""
-        named = (operation.part for operation in self.operations)
-        return list(dict.fromkeys(name for name in named if name))
-
-    def at_level(self, level: int) -> Iterator[Operation]:
-        """Yield the operations that run at a level."""
-        for operation, levels in zip(self.operations, self.levels_of, strict=True):
-            if level in levels:
-                yield operation
+    blobs: dict[str, bytes] = field(default_factory=dict)
 
     def seen_at(self, levels: Sequence[int]) -> Program:
         """Return the program of some levels only."""
-        kept = [sorted(set(found) & set(levels)) for found in self.levels_of]
-        return replace(
-            self,
-            levels=sorted(levels),
-            operations=[one for one, found in zip(self.operations, kept, strict=True) if found],
-            levels_of=[found for found in kept if found],
+        kept = (
+            replace(each, levels=sorted({*each.levels} & {*levels})) for each in self.operations
         )
-
-
-_TYPES = {"int32": "i4", "float32": "f4", "uint8": "u1", "uint16": "u2", "int8": "i1"}
-_GZIP_LEVEL = 6  # 9 takes four times as long for one per cent less
+        operations = [each for each in kept if each.levels]
+        return replace(self, levels=sorted(levels), operations=operations)
 
 
 @dataclass(frozen=True)
@@ -191,32 +173,6 @@ class Packed:
         """Bytes of all blobs."""
         return sum(map(len, self.blobs))
 
-    def seen_at(self, levels: Sequence[int]) -> Packed:
-        """Return what some of the levels need."""
-        operations = [
-            {**operation, "levels": sorted(set(operation["levels"]) & set(levels))}
-            for operation in self.manifest["operations"]
-        ]
-        operations = [operation for operation in operations if operation["levels"]]
-        first: dict[int, int] = {}
-        for operation in operations:
-            for index in operation["arrays"].values():
-                first[index] = min(first.get(index, operation["levels"][0]), operation["levels"][0])
-        kept = sorted(first, key=lambda index: (first[index], index))
-        number = {index: place for place, index in enumerate(kept)}
-        for operation in operations:
-            operation["arrays"] = {
-                name: number[index] for name, index in operation["arrays"].items()
-            }
-        arrays = [{**self.manifest["arrays"][n], "level": first[n]} for n in kept]
-        manifest = {
-            **self.manifest,
-            "levels": sorted(levels),
-            "arrays": arrays,
-            "operations": operations,
-        }
-        return Packed(manifest, [self.blobs[n] for n in kept])
-
 
 def pack_array(array: NDArray[Any]) -> bytes:
     """Return an array as a blob.
@@ -232,57 +188,43 @@ def pack_array(array: NDArray[Any]) -> bytes:
     return gzip.compress(planes.tobytes(), _GZIP_LEVEL, mtime=0)
 
 
+def digest_of_array(array: NDArray[Any]) -> str:
+    """Return a digest of an array's type, shape and content."""
+    return digest_of(repr((array.dtype.name, array.shape)).encode(), array)
+
+
 def pack_program(program: Program) -> Packed:
     """Return a program's arrays as blobs, each once, those that coarse levels need first."""
     first: dict[str, int] = {}
     arrays: dict[str, NDArray[Any]] = {}
-    used: list[dict[str, str]] = []
-    for operation, levels in zip(program.operations, program.levels_of, strict=True):
-        names = {}
-        for name, array in operation.arrays.items():
-            names[name] = digest_of(repr((array.dtype.name, array.shape)).encode(), array)
-            arrays.setdefault(names[name], array)
-            first[names[name]] = min(first.get(names[name], levels[0]), levels[0])
-        used.append(names)
+    for operation in program.operations:
+        for name, digest in operation.digests.items():
+            arrays.setdefault(digest, operation.arrays[name])
+            first[digest] = min(first.get(digest, operation.levels[0]), operation.levels[0])
     order = sorted(arrays, key=lambda digest: first[digest])
-    blobs = [pack_array(arrays[digest]) for digest in order]
     number = {digest: index for index, digest in enumerate(order)}
+    for digest in order:
+        if digest not in program.blobs:
+            program.blobs[digest] = pack_array(arrays[digest])
+    named = (operation.part for operation in program.operations)
+    parts = list(dict.fromkeys(name for name in named if name))
     manifest = {
         "camera": list(program.camera_shape),
         "projector": list(program.projector_shape),
         "channels": program.channels,
         "levels": program.levels,
-        "parts": program.parts,
+        "parts": parts,
         "buffers": program.buffers,
         "short": SHORT,
         "arrays": [
             {
                 "type": _TYPES[arrays[digest].dtype.name],
                 "shape": list(arrays[digest].shape),
-                "bytes": len(blobs[number[digest]]),
+                "bytes": len(program.blobs[digest]),
                 "level": first[digest],
             }
             for digest in order
         ],
-        "operations": [
-            {
-                "kind": operation.kind,
-                "from": operation.source,
-                "to": operation.target,
-                "fromAt": operation.source_at,
-                "toAt": operation.target_at,
-                "transposed": operation.transposed,
-                "shared": operation.shared,
-                "chain": operation.chain,
-                "part": program.parts.index(operation.part) if operation.part else -1,
-                "levels": levels,
-                "work": operation.work,
-                "entries": operation.entries,
-                "arrays": {name: number[digest] for name, digest in names.items()},
-            }
-            for operation, levels, names in zip(
-                program.operations, program.levels_of, used, strict=True
-            )
-        ],
+        "operations": [each.plain(parts, number) for each in program.operations],
     }
-    return Packed(manifest, blobs)
+    return Packed(manifest, [program.blobs[digest] for digest in order])

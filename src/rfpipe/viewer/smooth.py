@@ -1,4 +1,4 @@
-"""Smooth functions and wavelets as chains of small sparse matrices."""
+"""Smooth functions of many scales as a chain of small sparse matrices."""
 
 from __future__ import annotations
 
@@ -15,12 +15,9 @@ from rfpipe.transport.multiscale import (
     cells,
     functions_over,
 )
-from rfpipe.transport.wavelet import Haar
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-__all__ = ["haar_matrix", "pyramid"]
 
 # A quadratic B-spline as the sum of those of half its width.
 _REFINEMENT = np.array([1, 3, 3, 1], np.float32) / 4
@@ -42,7 +39,6 @@ def pyramid(
         For each scale of the basis its binary logarithm; the number of its first function in the
         basis; and which of all functions of the scale, or of the rays, its functions are.
     """
-    height, width = basis.shape[-2:]
     octaves = int(np.log2(basis.scales.max()))
     steps: list[csr_array[np.float32]] = []
     for octave in range(1, octaves + 1):
@@ -54,17 +50,17 @@ def pyramid(
     places = []
     for scale in np.unique(basis.scales):
         own = np.flatnonzero(basis.scales == scale)
-        rows, columns = (height, width) if scale == 1 else _grid(basis.shape, int(scale))[1:]
-        at = basis.functions[own].astype(np.int64)
-        index = (at[:, VIEW] * rows + at[:, ROW]) * columns + at[:, COLUMN]
+        at = basis.functions[own][:, [VIEW, ROW, COLUMN]].astype(np.int64)
+        index = np.ravel_multi_index(tuple(at.T), _grid(basis.shape, int(scale)))
         places.append((int(np.log2(scale)), int(own[0]), index.astype(np.int32)))
     return steps, places
 
 
 def _grid(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
-    """Views, and functions of a scale down and across."""
+    """Return the number of views, and of functions of a scale down and across."""
     views, rows, columns = cells(shape, scale)
-    return views, rows + 2, columns + 2
+    outside = 2 if scale > 1 else 0
+    return views, rows + outside, columns + outside
 
 
 def _refinement(shape: tuple[int, ...], scale: int) -> csr_array[np.float32]:
@@ -74,9 +70,8 @@ def _refinement(shape: tuple[int, ...], scale: int) -> csr_array[np.float32]:
     views, *coarse = _grid(shape, scale)
     _, *fine = _grid(shape, scale // 2)
     rows, columns = (_refined(*sizes) for sizes in zip(fine, coarse, strict=True))
-    found: Any = kron(eye_array(views), kron(rows, columns)).tocsr()
-    matrix: csr_array[np.float32] = found.astype(np.float32)
-    return matrix
+    matrix: Any = kron(eye_array(views), kron(rows, columns))
+    return matrix.tocsr().astype(np.float32)  # type: ignore[no-any-return]
 
 
 def _refined(fine: int, coarse: int) -> Any:
@@ -88,35 +83,3 @@ def _refined(fine: int, coarse: int) -> Any:
     inside = (row >= 0) & (row < fine)
     where = (row[inside], column[inside])
     return csr_array((_REFINEMENT[step[inside]], where), shape=(fine, coarse))
-
-
-def haar_matrix(haar: Haar) -> csr_array[np.float32]:
-    """Return the transform as one sparse matrix, (size, cells)."""
-    from scipy.sparse import eye_array, vstack
-
-    views, height, width = haar.stack
-    number = np.full(haar.grid, -1, np.int64)
-    number[:, :height, :width] = np.arange(views * height * width).reshape(haar.stack)
-    flat = number.ravel()
-    identity = eye_array(views * height * width, format="csr", dtype=np.float32)
-    rest: Any = _selected(identity, flat)
-    found: list[Any] = []
-    for group in haar.groups[:-1]:
-        _, rows, columns = group.grid
-        index = np.arange(rest.shape[0]).reshape(views, rows, 2, columns, 2)
-        a, b = (rest[index[:, :, 0, :, side].ravel()] for side in (0, 1))
-        c, d = (rest[index[:, :, 1, :, side].ravel()] for side in (0, 1))
-        found += [(a + c - b - d) / 2, (a + b - c - d) / 2, (a + d - b - c) / 2]
-        rest = (a + b + c + d) / 2
-    stacked: Any = vstack([*found, rest]).tocsr()
-    matrix: csr_array[np.float32] = stacked.astype(np.float32)
-    return matrix
-
-
-def _selected(identity: Any, flat: NDArray[np.int64]) -> Any:
-    """Return rows of an identity by number, empty ones for -1."""
-    from scipy.sparse import csr_array
-
-    kept = np.flatnonzero(flat >= 0)
-    ones = np.ones(len(kept), np.float32)
-    return csr_array((ones, (kept, flat[kept])), shape=(len(flat), identity.shape[1]))

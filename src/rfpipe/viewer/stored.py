@@ -10,7 +10,8 @@ from typing import Any
 
 from rfpipe.store import open_arrays
 from rfpipe.store.places import Place
-from rfpipe.transport import Transport, open_transport
+from rfpipe.transport import open_transport
+from rfpipe.transport.base import estimates
 from rfpipe.viewer.build import Compared, View, Written, write_view
 
 __all__ = ["view_of", "write_acquisition"]
@@ -41,28 +42,20 @@ def view_of(
     kept = open_arrays(path).attributes
     scene, method = (str(kept.get(name, "")) for name in ("scene", "method"))
     named = " by ".join(filter(None, (scene, method))) or Path(str(path)).stem
-    facts = [("Scene", scene), ("Method", method), *_facts(transport)]
-    about = [(name, value) for name, value in facts if value]
-    return View(transport, title or named, about=about, compared=compared), kept
-
-
-def _facts(transport: Transport) -> list[tuple[str, str]]:
     patterns = sum(int(row.get("patterns", 0)) for row in transport.level_rows)
-    errors = transport.history.get("estimated_error")
-    known = errors is not None and len(errors.dropna())
-    return [
-        ("Camera", _rays(transport.camera_shape)),
-        ("Projector", _rays(transport.projector_shape)),
-        ("Patterns", f"{patterns:,}" if patterns else ""),
-        ("Stored", f"{transport.nbytes / 1e6:.3g} MB"),
-        (
-            "Error",
-            f"{100 * float(errors.dropna().iloc[-1]):.2g} % of relit pictures, by the method's own "
-            "estimate"
-            if errors is not None and known
-            else "",
-        ),
-    ]
+    steps = estimates(transport.level_rows)
+    error = f"{100 * steps[-1]['estimated_error']:.2g} % by the method's estimate" if steps else ""
+    facts = {
+        "Scene": scene,
+        "Method": method,
+        "Camera": _rays(transport.camera_shape),
+        "Projector": _rays(transport.projector_shape),
+        "Patterns": f"{patterns:,}" if patterns else "",
+        "Stored": f"{transport.nbytes / 1e6:.3g} MB",
+        "Error of relit pictures": error,
+    }
+    about = [(name, value) for name, value in facts.items() if value]
+    return View(transport, title or named, about=about, compared=compared), kept
 
 
 def _rays(shape: tuple[int, ...]) -> str:
@@ -82,13 +75,13 @@ def write_acquisition(store: Path, others: Sequence[Path], page: Path) -> Writte
         See `rfpipe.viewer.write_view`.
     """
     view, _ = view_of(store)
-    beside = [view_of(other)[0] for other in others]
-    alike = [
+    shapes = view.transport.camera_shape, view.transport.projector_shape
+    beside = (view_of(other)[0] for other in others)
+    alike = (
         each
         for each in beside
-        if (each.transport.camera_shape, each.transport.projector_shape)
-        == (view.transport.camera_shape, view.transport.projector_shape)
-    ]
+        if (each.transport.camera_shape, each.transport.projector_shape) == shapes
+    )
     smallest = min(alike, key=lambda each: each.transport.nbytes, default=None)
     if smallest is not None and view.transport.nbytes + smallest.transport.nbytes < _TOGETHER:
         view = replace(view, compared=Compared(smallest.transport, smallest.title))

@@ -243,7 +243,7 @@ async function begin() {
   bindScreens();
   showControls();
   const simd = kernel(), cores = clamp((navigator.hardwareConcurrency || 2), 1, 6);
-  engine = new Engine(MANIFEST, blobs("b", MANIFEST), cores, simd);
+  engine = new Engine(MANIFEST, blobs("l", MANIFEST), cores, simd);
   $("runs").textContent = `${simd ? "WebAssembly with SIMD" : "plain JavaScript"}, ` +
     `${engine.workers.length} workers`;
   document.body.dataset.kernel = simd ? "wasm" : "javascript";
@@ -256,7 +256,7 @@ async function begin() {
   $("comparing").hidden = !MANIFEST.other && !MANIFEST.still;
   await engine.load();
   if (other) await other.load();
-  if (MANIFEST.still) await loadStill(blobs("s", MANIFEST.still));
+  if (MANIFEST.still) await loadStill(blobs("c", MANIFEST.still));
 }
 
 async function loadStill(blob) {

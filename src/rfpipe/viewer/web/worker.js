@@ -19,7 +19,7 @@ function needed() {
   let bytes = 0;
   const seen = new Set(), sizes = new Set();
   for (const op of own) {
-    sizes.add(op.from).add(op.to);
+    sizes.add(op.source).add(op.target);
     for (const [name, index] of Object.entries(op.arrays)) {
       if (op.kind === "leaves") {
         if (name === "values" || name === "codes" || name === "scales") {
@@ -206,8 +206,8 @@ function run({ light, colour, dual, level, parts }) {
   if (dual) chosen.reverse();
   let counted = -1;
   for (const op of chosen) {
-    const [source, sourceAt] = dual ? [op.to, op.toAt] : [op.from, op.fromAt];
-    const [target, targetAt] = dual ? [op.from, op.fromAt] : [op.to, op.toAt];
+    const [source, sourceAt] = dual ? [op.target, op.target_at] : [op.source, op.source_at];
+    const [target, targetAt] = dual ? [op.source, op.source_at] : [op.target, op.target_at];
     if (op.kind === "leaves" && counted !== source) {
       kernels.count_lit(about.buffers[source], channels, buffers.get(source), counts);
       counted = source;
