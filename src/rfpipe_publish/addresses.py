@@ -35,11 +35,12 @@ _MESSAGE = re.compile(r"(\d{3} [A-Za-z ]+): .*<Message>(.*?)</Message>")  # of S
 _ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
 _BUCKET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 # Without these, requests to S3 go unsigned, as public buckets take them.
-_CREDENTIALS = (
-    "AWS_ACCESS_KEY_ID",
-    "AWS_WEB_IDENTITY_TOKEN_FILE",
-    "AWS_CONTAINER_CREDENTIALS_RELATIVE_URI",
-    "AWS_CONTAINER_CREDENTIALS_FULL_URI",
+_CREDENTIALS = re.compile(
+    "AWS_(ACCESS_KEY_ID|WEB_IDENTITY_TOKEN_FILE|CONTAINER_CREDENTIALS_(RELATIVE|FULL)_URI)"
+)
+_OF_THE_ENVIRONMENT = (
+    "the credentials of the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY) and "
+    "AWS_ENDPOINT_URL"
 )
 
 
@@ -50,7 +51,6 @@ class ObjectPlace(Place):
     ----------
     store
         Of obstore; its root is the server or the bucket.
-    key : str
     root : str
         The store's address, for messages.
     """
@@ -210,7 +210,7 @@ def _connect(address: str, client: dict[str, Any]) -> tuple[Any, str, str]:
     try:
         if address.startswith("s3:"):
             parts = _bucket_of(address)
-            if not any(os.environ.get(name) for name in _CREDENTIALS):
+            if not any(map(_CREDENTIALS.fullmatch, os.environ)):
                 settings["skip_signature"] = True
             root = f"s3://{parts.netloc}"
             return S3Store(parts.netloc, **settings), parts.path.strip("/"), root
@@ -267,12 +267,7 @@ def _errors(place: str, action: str = "read") -> Iterator[None]:
         UnauthenticatedError,
     )
 
-    what = "the address"
-    if place.startswith("s3:"):
-        what = (
-            "the credentials of the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY) and "
-            "AWS_ENDPOINT_URL"
-        )
+    what = _OF_THE_ENVIRONMENT if place.startswith("s3:") else "the address"
     # none of them chained: obstore's own message shows the address as it was given
     try:
         yield

@@ -76,7 +76,7 @@ def publish(
     from rfpipe_publish.run import find_run
 
     run = find_run(folder)
-    known = {"title": run.title, "description": run.description, "published": date.today()}
+    known = {"title": run.title, "published": date.today()}
     values: dict[str, Any] = known | kept_values(run.folder)
     values |= {"license": license_} if license_ else {}
     values |= {"creators": creator} if creator else {}
@@ -174,12 +174,12 @@ def pack(
     ]
     if not files:
         raise InputError(f"{results}: has no files of a run")
-    sizes = store(results, files, output)
-    saved = sizes.nbytes - sizes.stored
+    index = store(results, files, output)
+    contents = dict(index.values())
+    nbytes, stored = sum(size for _, size in index.values()), sum(contents.values())
     typer.echo(
-        f"{output}: {sizes.files:,} files of {sizes.nbytes / 1e6:,.1f} MB as {sizes.objects:,} "
-        f"contents of {sizes.stored / 1e6:,.1f} MB; {saved / 1e6:,.1f} MB "
-        f"({saved / max(1, sizes.nbytes):.0%}) are shared"
+        f"{output}: {len(index):,} files of {nbytes / 1e6:,.1f} MB as {len(contents):,} "
+        f"contents of {stored / 1e6:,.1f} MB; {1 - stored / max(1, nbytes):.0%} are shared"
     )
 
 
@@ -201,5 +201,5 @@ def unpack(
     found = place if isinstance(place, PackedPlace) else packed_in(place)
     if found is None:
         raise InputError(f"{packed}: is no packed run; 'rfpipe collection pack' makes one")
-    sizes = write(found, output)
-    typer.echo(f"{output}: {sizes.files:,} files, {sizes.nbytes / 1e6:,.1f} MB")
+    write(found, output)
+    typer.echo(f"{output}: {len(found.index):,} files, {found.nbytes() / 1e6:,.1f} MB")

@@ -1,9 +1,8 @@
 """Keeping a run's results in a bucket: what somebody else reads, while captures stay at the rig.
 
-S3 knows no folders: an object is there as a whole or not at all, but of a store of many objects
-any part may be there. So each transport goes into the bucket as one object, a zip file that is read
-by ranges. A list of all objects with their SHA-256 is written last, and tells what to skip when an
-upload that was interrupted goes on.
+An object is there as a whole or not at all. So each transport is one, a zip file that is read by
+ranges. A list of all objects with their SHA-256 tells what to skip when an interrupted upload goes
+on.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class Kept:
-    """What lies in a bucket: all objects of a run, and those that this call sent."""
+    """Objects of a run in a bucket, and those that this call sent."""
 
     address: str
     objects: int = 0
@@ -45,7 +44,6 @@ def keep(run: Run, address: str, tell: Callable[[str], object] = lambda _: None)
 
     Parameters
     ----------
-    run : Run
     address : str
         ``s3://bucket/folder``: of this run alone.
     tell : callable, optional

@@ -89,18 +89,13 @@ class Creator(Settings):
 
 
 class Citation(Settings):
-    """What a publication is cited by.
-
-    Attributes
-    ----------
-    license : str
-        Name in the SPDX list, such as CC-BY-4.0, or the address of its text.
-    publisher : str
-        Who keeps the publication: a repository; ``":unav"`` while that isn't known.
-    """
+    """What a publication is cited by; `publisher` is the repository that keeps it."""
 
     title: Line
-    description: Line
+    description: Line = (
+        "Light transport between a projector and a camera, acquired with rfpipe, to be relit under "
+        "any pattern."
+    )
     creators: tuple[Creator, ...] = Field(
         min_length=1, description="each as 'Family, Given; ORCID; affiliation'; or give --creator"
     )
@@ -236,7 +231,6 @@ def croissant(citation: Citation, tables: Mapping[str, tuple[Path, str]]) -> dic
 
     Parameters
     ----------
-    citation : Citation
     tables : mapping of str to (Path, str)
         Files and their SHA-256, by name.
     """
@@ -308,12 +302,10 @@ def crate(
 
     Parameters
     ----------
-    citation : Citation
     parts : mapping of str to mapping
         Properties of every file and folder, by name; the names of folders end in a slash.
     workflow : str, optional
-        Name of the workflow's main file. Without one it is a Process Run Crate, rfpipe itself
-        being what ran.
+        Name of the workflow's main file. Without one rfpipe is what ran: a Process Run Crate.
     settings, outputs : sequence of str
         Names of what the run was given, and of what it made: of parts.
     times : tuple of str

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import IO, NamedTuple
+from typing import IO
 
 from rfpipe.errors import IntegrityError, StoreError, UnreachableError
 from rfpipe.store.files import storage_errors, write_atomically
@@ -119,10 +119,8 @@ class ZipPlace(_Listed):
 
     Parameters
     ----------
-    archive : zipfile.ZipFile
     file : Path or Place
         The zip file.
-    key : str
     """
 
     def __init__(self, archive: zipfile.ZipFile, file: Path | Place, key: str = "") -> None:
@@ -192,8 +190,7 @@ class PackedPlace(_Listed):
     base : Path or Place
         The packed folder.
     index : mapping of str to (str, int)
-        Digest and bytes of the files by name.
-    key : str
+        SHA-256 and bytes of the files by name.
     """
 
     def __init__(
@@ -233,24 +230,10 @@ class PackedPlace(_Listed):
         return self.base / _object(self.index[self.key][0])
 
 
-class Sizes(NamedTuple):
-    """Files of a folder and their bytes; contents among them that differ, and theirs."""
+def pack(folder: Path, files: Iterable[Path], output: Path) -> dict[str, tuple[str, int]]:
+    """Store files by what they hold; return SHA-256 and bytes by name.
 
-    files: int
-    nbytes: int
-    objects: int
-    stored: int
-
-    @classmethod
-    def of(cls, index: Mapping[str, tuple[str, int]]) -> Sizes:
-        """Sum up an index."""
-        contents = dict(index.values())
-        total = sum(size for _, size in index.values())
-        return cls(len(index), total, len(contents), sum(contents.values()))
-
-
-def pack(folder: Path, files: Iterable[Path], output: Path) -> Sizes:
-    """Store files by what they hold; a pack that was stopped is gone on with.
+    A pack that was stopped is gone on with.
 
     Parameters
     ----------
@@ -277,10 +260,10 @@ def pack(folder: Path, files: Iterable[Path], output: Path) -> Sizes:
     whole = hashlib.sha256(text.encode()).hexdigest()
     write_atomically(output / MANIFEST, "\n".join([*lines, f"{whole}  {_INDEX}", ""]).encode())
     write_atomically(output / _INDEX, text.encode())
-    return Sizes.of(index)
+    return index
 
 
-def unpack(place: PackedPlace, output: Path) -> Sizes:
+def unpack(place: PackedPlace, output: Path) -> None:
     """Write the files of a packed folder as they were, each checked against its digest."""
 
     def write(name: str) -> None:
@@ -296,7 +279,6 @@ def unpack(place: PackedPlace, output: Path) -> Sizes:
     with ThreadPoolExecutor(1 if isinstance(place.base, Path) else _AT_ONCE) as pool:
         for _ in pool.map(write, place.index):
             pass
-    return Sizes.of(place.index)
 
 
 def packed_in(base: Path | Place) -> PackedPlace | None:

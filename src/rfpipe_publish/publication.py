@@ -32,6 +32,7 @@ _FORMATS = {
     ".jsonl": "application/jsonl",
     ".md": "text/markdown",
     ".yaml": "application/yaml",
+    ".zarr": "application/vnd+zarr",
 }
 # EXR files have the time of writing, which would change the bytes: that of the zip file's members.
 _TIMELESS = {"DateTime": "1980:01:01 00:00:00"}
@@ -53,19 +54,17 @@ def publish(
 
     Parameters
     ----------
-    run : Run
-    citation : Citation
     output : Path
         A zip file, where it ends so, or else a folder.
     captured : bool
-        Whether to publish the captured frames, too, and all that the stages made of them.
+        Publish the captured frames, too, and all that the stages made of them.
     config : Path, optional
         The run's settings, where it has no report to take them from.
     calibration : Path, optional
-        Folder of the rig's calibration; by default ``calibration`` beside the results of a run
-        with a rig of devices.
+        Folder of the rig's calibration; ``calibration`` beside the results of a run with a real
+        rig by default.
     overwrite : bool
-        Whether to replace a publication that stands there.
+        Replace a publication that stands there.
 
     Raises
     ------
@@ -128,13 +127,12 @@ def _data(run: Run, calibration: Path | None, *, captured: bool) -> Iterator[tup
 
 def _calibration_of(run: Run, given: Path | None) -> Path | None:
     """Return the folder of the calibration that belongs to a run, if any does."""
-    if given is not None:
-        if not (given / "calibration.json").is_file():
-            raise InputError(f"{given}: is no calibration; expected a folder of 'rfpipe calibrate'")
-        return given
-    folder = run.folder / "calibration"
+    folder = given or run.folder / "calibration"
+    is_calibration = (folder / "calibration.json").is_file()
+    if given and not is_calibration:
+        raise InputError(f"{given}: is no calibration; expected a folder of 'rfpipe calibrate'")
     rig = (run.settings or {}).get("capture", {}).get("rig", "remote")
-    return folder if rig == "remote" and (folder / "calibration.json").is_file() else None
+    return folder if is_calibration and (given or rig == "remote") else None
 
 
 def _reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
@@ -172,12 +170,9 @@ def _add_metadata(writer: Writer, run: Run, citation: Citation) -> None:
     writer.add("datacite.json", _json(datacite(citation)))
     writer.add("croissant.json", _json(croissant(citation, tables)))
     writer.add("CITATION.cff", cff(citation).encode())
-    pages = _pages(run, citation, writer.written)
-    preview = pages.pop(_PREVIEW)
-    for name, page in pages.items():
+    for name, page in _pages(run, citation, writer.written).items():
         writer.add(name, page)
     writer.add(CRATE_FILE, _json(_crate(writer, run, citation)))
-    writer.add(_PREVIEW, preview)
     lines = [f"{digest}  {name}\n" for name, (digest, _) in sorted(writer.written.items())]
     writer.add(MANIFEST, "".join(lines).encode())
 
@@ -210,20 +205,20 @@ def _crate(writer: Writer, run: Run, citation: Citation) -> dict[str, Any]:
     parts: dict[str, dict[str, str]] = {}
     for name, (digest, size) in writer.written.items():
         store, inside, _ = name.partition(".zarr/")
-        if inside:
-            parts[f"{store}.zarr/"] = {"encodingFormat": "application/vnd+zarr"}
-        else:
-            kind = _FORMATS.get(Path(name).suffix) or mimetypes.guess_type(name)[0] or "text/plain"
-            parts[name] = {"encodingFormat": kind, "contentSize": str(size), "sha256": digest}
-    for found in run.acquisitions:
-        parts[f"{found.store_name}/"]["description"] = found.about
-    named = {name: {"name": name, **of} for name, of in parts.items()}
-    stores = [f"{found.store_name}/" for found in run.acquisitions]
+        whole = f"{store}.zarr/" if inside else name
+        kind = mimetypes.guess_type(name)[0] or "text/plain"
+        parts[whole] = {"name": whole, "encodingFormat": _FORMATS.get(Path(whole).suffix, kind)}
+        if not inside:
+            parts[whole] |= {"contentSize": str(size), "sha256": digest}
+    del parts[_PREVIEW]
+    stores = {f"{found.store_name}/": found.about for found in run.acquisitions}
+    for name, about in stores.items():
+        parts[name]["description"] = about
     return crate(
         citation,
-        named,
-        workflow=_WORKFLOW if _WORKFLOW in named else None,
-        settings=[name for name in (SETTINGS,) if name in named],
-        outputs=[*stores, *(name for name in (_REPORT,) if name in named)],
+        parts,
+        workflow=_WORKFLOW if _WORKFLOW in parts else None,
+        settings=[name for name in (SETTINGS,) if name in parts],
+        outputs=[*stores, *(name for name in (_REPORT,) if name in parts)],
         times=run.times,
     )

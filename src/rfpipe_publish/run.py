@@ -102,23 +102,10 @@ class Run:
         titled = (self.settings or {}).get("report", {}).get("title")
         if titled and titled != ReportConfig().title:
             return str(titled)
-        return f"Light transport of {self._scenes}"
-
-    @property
-    def description(self) -> str:
-        """What was acquired, in a sentence."""
-        methods = dict.fromkeys(found.method for found in self.acquisitions)
-        return (
-            f"Light transport between a projector and a camera: {self._scenes}, acquired by "
-            f"{', '.join(methods)} with rfpipe, to be relit under any pattern."
-        )
-
-    @property
-    def _scenes(self) -> str:
         names = [*dict.fromkeys(found.scene for found in self.acquisitions)]
-        if len(names) <= _MOST_NAMED:
-            return ", ".join(names)
-        return f"{len(names):,} scenes, {names[0]} to {names[-1]}"
+        if len(names) > _MOST_NAMED:
+            names[1:-1] = [f"{len(names) - 2:,} more"]
+        return f"Light transport of {', '.join(names)}"
 
     @property
     def times(self) -> tuple[str, str]:

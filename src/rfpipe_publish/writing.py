@@ -24,9 +24,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # of zip files: the time of writing would change
 
 
 class Writer:
-    """Takes files, one after the other, into a zip file or a folder.
-
-    In a zip they lie as they are: what is in them is compressed, and is read by ranges.
+    """Takes files into a zip file, where they lie as they are and are read by ranges, or a folder.
 
     Attributes
     ----------
@@ -85,10 +83,9 @@ def _entry(name: str, attributes: int) -> zipfile.ZipInfo:
 
 @contextmanager
 def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
-    """Write a zip file, where the name ends so, or else a folder; it replaces what stands there.
+    """Write a zip file, where the name ends so, or else a folder, whole or not at all.
 
-    It is written beside its place and renamed at the end, so that an interrupted publication
-    leaves nothing there, or the one before.
+    It is written beside its place and, at the end, takes the place of what stands there.
     """
     new = hidden_sibling(output, "new")
     with StoreLock(output), storage_errors(output, "publishing", needed_bytes):
