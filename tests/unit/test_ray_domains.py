@@ -16,7 +16,7 @@ from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.scenes import ONE_VIEW, relighting_patterns, room_scene
-from rfpipe.scenes.hard import DenseScene
+from rfpipe.scenes.matrix import MatrixScene
 from rfpipe.stages.relight import one_view_at_a_time, relit_arrays
 from rfpipe.transport import open_transport, save_transport
 
@@ -59,7 +59,7 @@ def test_symmetric_photography_works_on_either_tree(split, matrix, monkeypatch):
 
 def test_pictures_of_arranged_views_are_those_of_a_stack(matrix):
     transport = acquire(OperatorRig(matrix, ARRANGED, ARRANGED), progress=False).transport
-    arrays = relit_arrays(transport, DenseScene("arranged", matrix, ARRANGED))
+    arrays = relit_arrays(transport, MatrixScene(matrix, ARRANGED, ARRANGED))
     assert arrays["relit"].shape == (6, *ARRANGED, 1)
     assert arrays["views_relit"].shape == arrays["views_truth"].shape == (4, *STACKED, 1)
     for light in range(4):

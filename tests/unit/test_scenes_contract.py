@@ -44,7 +44,7 @@ class TestSphereLitFromAside(SceneContract):
         return of_kind("sphere_on_plane", surfaces=surfaces, shape=(7, 8), projector=lamp)
 
 
-class TestDenseScene(SceneContract):
+class TestHardCase(SceneContract):
     def make_scene(self):
         return hard_cases()["dark_channel"]()
 

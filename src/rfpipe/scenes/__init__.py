@@ -2,8 +2,9 @@
 
 from rfpipe.scenes.base import CoaxialScene, Scene, apply_in_batches, scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
-from rfpipe.scenes.hard import DenseScene, hard_cases
+from rfpipe.scenes.hard import hard_cases
 from rfpipe.scenes.light_field import room_scene
+from rfpipe.scenes.matrix import MatrixScene
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.relighting import (
     CREASE,
@@ -23,7 +24,7 @@ __all__ = [
     "REFERENCE_SCENES",
     "RELIGHTING_PATTERNS",
     "CoaxialScene",
-    "DenseScene",
+    "MatrixScene",
     "Occluder",
     "Pinhole",
     "Plane",

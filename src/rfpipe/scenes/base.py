@@ -162,16 +162,7 @@ def apply_in_batches(
     InputError
         If the patterns have another shape, or a weight is not finite.
     """
-    weights = np.asarray(patterns)
-    rays = math.prod(shape)
-    if weights.ndim < 2 or weights.shape[1:] not in {(rays,), tuple(shape)}:
-        raise InputError(
-            f"patterns of shape {weights.shape}: expected (patterns, {rays}) or "
-            f"(patterns, {', '.join(map(str, shape))})"
-        )
-    weights = weights.reshape(len(weights), rays)
-    if not np.isfinite(weights).all():
-        raise InputError("patterns: every weight should be finite, found NaN or infinity")
+    weights, rays = weights_of(patterns, shape), math.prod(shape)
     out = np.empty((len(weights), camera_rays or rays, channels), dtype=np.float32)
     for start in range(0, len(weights), _PATTERNS_AT_A_TIME):
         part = weights[start : start + _PATTERNS_AT_A_TIME]
@@ -179,3 +170,16 @@ def apply_in_batches(
         padded[:, : len(part)] = part.T
         out[start : start + len(part)] = radiance(padded).transpose(1, 0, 2)[: len(part)]
     return out
+
+
+def weights_of(patterns: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return patterns (B, N) or (B, *shape) as (B, N); raise InputError where they aren't."""
+    weights, rays = np.asarray(patterns), math.prod(shape)
+    if weights.ndim < 2 or weights.shape[1:] not in {(rays,), tuple(shape)}:
+        raise InputError(
+            f"patterns of shape {weights.shape}: expected (patterns, {rays}) or "
+            f"(patterns, {', '.join(map(str, shape))})"
+        )
+    if not np.isfinite(weights).all():
+        raise InputError("patterns: every weight should be finite, found NaN or infinity")
+    return weights.reshape(len(weights), rays)

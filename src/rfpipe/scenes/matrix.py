@@ -13,7 +13,7 @@ from pydantic import Field, PositiveFloat
 from rfpipe.config.base import Text
 from rfpipe.config.scenes import AnyRig, SceneSettings
 from rfpipe.errors import InputError
-from rfpipe.scenes.base import Scene
+from rfpipe.scenes.base import Scene, weights_of
 from rfpipe.transport.matrix_in import RayOrder, read_matrix
 from rfpipe.transport.operators import Transportish, as_pattern_operator
 
@@ -111,16 +111,8 @@ class MatrixScene(Scene):
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape)."""
-        weights = np.asarray(patterns, np.float32)
-        rays = prod(self.projector_shape)
-        if weights.ndim < 2 or prod(weights.shape[1:]) != rays:
-            raise InputError(
-                f"patterns of shape {weights.shape}: expected (patterns, {rays}) or (patterns, "
-                f"{', '.join(map(str, self.projector_shape))})"
-            )
-        if not np.isfinite(weights).all():
-            raise InputError("patterns: every weight should be finite, found NaN or infinity")
-        images = self._operator.apply(weights.reshape(len(weights), rays))
+        weights = weights_of(patterns, self.projector_shape)
+        images = self._operator.apply(weights.astype(np.float32))
         # a stored transport rounds, below zero, too
         light: NDArray[np.float32] = np.maximum(np.asarray(images, np.float32), 0) * self._scale
         return light
