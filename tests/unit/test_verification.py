@@ -14,8 +14,7 @@ from rfpipe.config import parse_config
 from rfpipe.errors import ConfigError, InputError, VerificationError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
-from rfpipe.stages.unseen import NAMES, unseen_patterns
-from rfpipe.stages.verification import check_bound, compare
+from rfpipe.stages.verification import NAMES, check_bound, compare, unseen_patterns
 
 FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0, "watch": "off"}
 

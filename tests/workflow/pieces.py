@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rfpipe.errors import DamagedStageError
-
 SHAPE = (8, 10)
 
 
@@ -36,8 +34,3 @@ def identity(first: int, last: int) -> tuple[int, int, int]:
 def slow(first: int, last: int) -> int:
     time.sleep(300)
     return first
-
-
-def fails(first: int, _last: int) -> None:
-    if first == 1:
-        raise DamagedStageError("a stage is damaged", Path("L01/merge.json"))

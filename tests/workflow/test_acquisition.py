@@ -14,7 +14,6 @@ from tests.workflow.stagewise import (
     SHAPE,
     Acquisition,
     acquire,
-    damage,
     left,
     matrix_rig,
     stages,
@@ -72,18 +71,6 @@ def test_what_runs_again_does_nothing_again(tmp_path: Path) -> None:
     acquire(tmp_path, rig())
     found = left(tmp_path)
     assert {name: found[name] for name in before} == before
-
-
-@pytest.mark.parametrize("stage", ["schedule", "merge", "normalize", "refine"])
-def test_what_is_damaged_on_the_way_is_made_anew(tmp_path: Path, stage: str) -> None:
-    folder = acquire(tmp_path, rig())
-    before = left(tmp_path)
-    damage(folder.store(1, stage))
-    folder.manifest(3, "refine").unlink()  # so that what is above is read again
-    folder.manifest(1, "refine").unlink()
-    (tmp_path / "transport.json").unlink()
-    acquire(tmp_path, rig())
-    assert left(tmp_path) == before
 
 
 def test_one_process_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:

@@ -98,15 +98,12 @@ def test_what_the_lamp_lost_is_measured_and_told(
     assert np.abs(np.array(drift["gain"])[:, 0] - expected).max() < 4 * noise.max()
     assert "the light changed by" in caplog.text
     assert "merge.divide_out_drift" in caplog.text
-
-
-def test_a_steady_lamp_is_called_steady(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    mine = begun(tmp_path, loss=0.0)
+    steady = begun(tmp_path / "steady", loss=0.0)
     with caplog.at_level(logging.INFO):
-        mine.capture(1, drift_patterns=EVERY)
-        mine.merge(1)
+        steady.capture(1, drift_patterns=EVERY)
+        steady.merge(1)
     assert "the light kept steady" in caplog.text
-    assert mine.folder.read_manifest(1, "merge")["drift"]["local"] == [0.0] * 8
+    assert steady.folder.read_manifest(1, "merge")["drift"]["local"] == [0.0] * 8
 
 
 def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> None:

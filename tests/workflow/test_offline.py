@@ -168,14 +168,6 @@ def test_pictures_before_and_after_the_markers_are_left_out(level_0: Path) -> No
     assert checked.files[1_000_000, 0][0].name == "IMG_4.tif"
 
 
-def test_exposures_of_a_bracket_may_stand_in_any_order(level_0: Path) -> None:
-    first, second = (level_0 / "pictures" / f"IMG_{index}.tif" for index in (8, 9))
-    first.rename(level_0 / "swapped.tif")
-    second.rename(first)
-    (level_0 / "swapped.tif").rename(second)
-    assert check(level_0).files[1_000_001, 0] == (second, first)
-
-
 def turned(pictures: Path) -> None:
     files = sorted(pictures.iterdir(), key=lambda path: int(path.stem[4:]))
     for index, path in enumerate(files):

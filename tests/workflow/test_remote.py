@@ -74,10 +74,11 @@ class Server:
         answer = httpx.get(f"{self.url}/v1/status", headers=headers, trust_env=False)
         return dict(answer.json())
 
-    def workflow(self, folder: Path, **settings: Any) -> Workflow:
+    def workflow(self, folder: Path, patience_seconds: int = 600, **settings: Any) -> Workflow:
         """Return a run of the served scene alone, by brute force where nothing else is asked."""
         capture = {
             "rig": "remote", "url": self.url, "token_file": str(self.token_file),
+            "patience_seconds": patience_seconds,
             "watch": "off",  # the same patterns as of a simulated rig
         }  # fmt: skip
         defaults = {"scenes": {"long": CONFIG["scenes"]["long"]}, "methods": {"brute_force": {}}}
@@ -122,54 +123,34 @@ def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
+@pytest.mark.parametrize("jobs", ["stage", "acquisition"])
 def test_a_client_killed_in_the_middle_of_a_level_goes_on(
-    tmp_path: Path, server: Server, undisturbed: Workflow
+    tmp_path: Path, server: Server, undisturbed: Workflow, jobs: str
 ) -> None:
-    workflow = server.workflow(tmp_path / "run")
+    """Alone, or with its server."""
+    workflow = server.workflow(tmp_path / "run", resources={"jobs": jobs})
     store = workflow.path(f"{BRUTE}/L00/capture.zarr")
     process = workflow.start(LONG)
     freeze_writer(store, 12)
+    if jobs == "acquisition":
+        server.kill()
     kill_group(process, signal.SIGKILL)
     process.communicate()
     captured = len(journal(store))
-    assert server.status()["holder"] is not None  # until its lease lapses
+    assert 12 <= captured < 40
+    if jobs == "acquisition":
+        server.start()
+    else:
+        assert server.status()["holder"] is not None  # until its lease lapses
     workflow.unlock()
-    output = workflow.run(LONG)
-    assert f"{captured} of 40 patterns are captured" in output
+    assert f"{captured} of 40 patterns are captured" in workflow.run(LONG)
     assert server.status()["holder"] is None
     assert server.status()["brackets"] <= 40 + REFERENCES + 1
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
-def test_both_killed_in_the_middle_of_a_level_go_on(
-    tmp_path: Path, server: Server, undisturbed: Workflow
-) -> None:
-    workflow = server.workflow(tmp_path / "run", resources={"jobs": "acquisition"})
-    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
-    process = workflow.start(LONG)
-    freeze_writer(store, 12)
-    server.kill()
-    kill_group(process, signal.SIGKILL)
-    process.communicate()
-    assert 12 <= len(journal(store)) < 40
-    server.start()
-    workflow.unlock()
-    workflow.run(LONG)
-    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
-
-
 def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, server: Server) -> None:
-    workflow = server.workflow(tmp_path / "run")
-    workflow.configure(
-        scenes={"long": CONFIG["scenes"]["long"]},
-        methods={"brute_force": {}},
-        capture={
-            "rig": "remote",
-            "url": server.url,
-            "token_file": str(server.token_file),
-            "patience_seconds": 1,
-        },
-    )
+    workflow = server.workflow(tmp_path / "run", patience_seconds=1)
     server.kill()
     output = workflow.run(LONG, succeeds=False)
     assert "check that 'rfpipe serve' runs there" in output

@@ -13,7 +13,7 @@ from rfpipe.config import SceneSettings
 from rfpipe.errors import InputError, StoreError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
-from rfpipe.stages.replay import RecordedScene
+from rfpipe.stages.replay import Recorded
 
 
 @pytest.fixture
@@ -40,13 +40,13 @@ def test_another_method_replays_it_under_another_camera(recorded: Path) -> None:
 def test_patterns_that_were_not_recorded(tmp_path: Path, recorded: Path) -> None:
     acquisition = Acquisition(tmp_path / "s", matrix_rig())
     acquisition.level(0)
-    scene = RecordedScene(tmp_path / "s")
+    scene = Recorded(tmp_path / "s")
     light = symmetric_matrix().sum(axis=1)
     half = np.full((1, 20), 0.5)
     np.testing.assert_allclose(scene.apply(half)[0, :, 0], light / 2, rtol=1e-5)
     with pytest.raises(InputError, match=r"recorded patterns don't span pattern 0"):
         scene.apply(np.eye(20)[:1])
     with pytest.raises(StoreError):
-        RecordedScene(tmp_path / "none")
+        Recorded(tmp_path / "none")
     with pytest.raises(InputError, match=r"recorded with channels 1.*say 3"):
         scene_from_config(SceneSettings.of("recorded", folder=str(recorded), shape=SHAPE))

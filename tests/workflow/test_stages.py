@@ -29,7 +29,6 @@ from tests.workflow.stagewise import (
 from rfpipe import acquire
 from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import merger as merging
 from rfpipe.stages.jobs import progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
@@ -147,38 +146,6 @@ def test_the_time_a_rig_takes_changes_no_frame(tmp_path: Path) -> None:
     assert acquisition.rig.shown == []
 
 
-@pytest.mark.parametrize("stage", ["schedule", "merge", "normalize", "refine"])
-def test_a_stage_with_nothing_new_keeps_its_store(tmp_path: Path, stage: str) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
-    acquisition.level(0)
-    acquisition.level(1)
-    manifest, store = tmp_path / f"L01/{stage}.json", tmp_path / f"L01/{stage}.zarr"
-    before = manifest.read_bytes()
-    made = times(store)
-    getattr(acquisition, stage)(1)
-    assert manifest.read_bytes() == before
-    assert times(store) == made
-
-
-def times(store: Path) -> dict[str, int]:
-    return {str(path): path.stat().st_mtime_ns for path in store.rglob("*")}
-
-
-@pytest.mark.parametrize("damaged", ["schedule", "merge", "sums", "normalize", "refine"])
-def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, damaged: str) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
-    acquisition.level(0)
-    acquisition.level(1)
-    stage = "merge" if damaged == "sums" else damaged
-    store, manifest = tmp_path / f"L01/{damaged}.zarr", tmp_path / f"L01/{stage}.json"
-    before, files = manifest.read_bytes(), contents(store)
-    damage(store)
-    manifest.unlink()
-    getattr(acquisition, stage)(1)
-    assert manifest.read_bytes() == before
-    assert contents(store) == files
-
-
 def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> None:
     batches = []
 
@@ -201,25 +168,6 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
     again.capture(0, batch_patterns=3)
     assert batches == [1] * (2 + 2 + RAYS)
     assert contents(tmp_path / "again/L00/capture.zarr") == before
-
-
-def test_no_byte_depends_on_memory_and_threads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(merging, "_CHUNK_BYTES", 2 * 2 * 4 * RAYS)  # 2 patterns a file, 16 a run
-    left = []
-    for name, resources in {
-        "plain": Resources(),
-        "threads": Resources(threads=3),
-        "small": Resources(memory_gib=1e-6, threads=3),
-    }.items():
-        acquisition = Acquisition(tmp_path / name, matrix_rig(noise=CAMERA))
-        acquisition.resources = resources
-        acquisition.plan = Plan("brute_force", "brute_force", SHAPE, SHAPE, 1)
-        acquisition.level(0)
-        left.append({path.name: contents(path) for path in (tmp_path / name / "L00").iterdir()})
-    assert len(read_manifest(tmp_path / "plain/L00/merge.json")["shape"]) == 5
-    assert left[0] == left[1] == left[2]
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-import signal
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.unit.test_reciprocity import SHAPE, Knocked, beside, wedge
-from tests.workflow.harness import ROOT, Workflow
+from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import CODE, stages
 from tests.workflow.stagewise import acquire as acquire_matrix
 
@@ -99,44 +96,6 @@ def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
     (folder.path / verification.MANIFEST).unlink()
     assert verified(folder, rig, "other code")["pictures"] == intact["pictures"]
     assert len(rig.shown) == shown  # the pictures are kept
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from tests.workflow.test_verification import Stopping, verified
-from rfpipe.keys import VERIFICATION_KEY
-from rfpipe.stages.folder import AcquisitionFolder
-
-
-class Killed(Stopping):
-    def capture(self, patterns, keys):
-        frames = super().capture(patterns, keys)
-        print(*(key[1] for key in keys if key[0] == VERIFICATION_KEY), flush=True)
-        if (VERIFICATION_KEY, 2) in map(tuple, keys):  # exposed, and not stored yet
-            os.kill(os.getpid(), signal.SIGKILL)
-        return frames
-
-
-verified(AcquisitionFolder(Path(sys.argv[1])), Killed())
-"""
-
-
-def test_kill_9_in_a_verification_costs_one_picture(tmp_path: Path, intact: dict[str, Any]) -> None:
-    rig = Stopping()
-    folder = acquire(tmp_path / "results/matrix/dual", rig, looks=0)
-    rig.shown.clear()
-    killed = subprocess.run(
-        [sys.executable, "-c", KILLED, str(folder.path)],
-        cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False,
-    )  # fmt: skip
-    assert killed.returncode == -signal.SIGKILL
-    assert killed.stdout.split() == ["0", "1", "2"]
-    assert not (folder.path / verification.MANIFEST).exists()
-    assert verified(folder, rig) == intact
-    pictures = [key[1] for key in rig.shown if key[0] == VERIFICATION_KEY]
-    assert pictures == list(range(2, PICTURES))  # the one that was not stored is taken again
-    assert check(tmp_path / "results").findings == []
 
 
 def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:

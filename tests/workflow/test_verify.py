@@ -177,16 +177,6 @@ def test_a_damaged_header_of_a_capture_heals(
     assert left(results) == left(intact)
 
 
-@pytest.mark.parametrize("after", ["fingerprint", "exposures"])
-def test_a_digit_of_a_header_without_a_copy_is_found(results: Path, after: str) -> None:
-    store = results / "matrix/symmetric/L02/capture.zarr"
-    (store / "header.json").unlink()  # as earlier versions left it
-    assert check(results).findings == []
-    other_digit(store / "zarr.json", after)
-    (finding,) = check(results).findings
-    assert "its header is damaged" in finding.what
-
-
 def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     folder = CalibrationFolder(tmp_path / "calibration")
     folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), "x")

@@ -23,8 +23,7 @@ from rfpipe.stages.memory import AcquisitionInMemory
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
 from rfpipe.stages.symmetry import NOTICED
-from rfpipe.stages.unseen import NAMES
-from rfpipe.stages.verification import Verification, compared, schedule_of
+from rfpipe.stages.verification import NAMES, Verification, compared, schedule_of
 from rfpipe.stages.watch import MUTUAL
 from rfpipe.transport import Transport
 from rfpipe.units import SATURATION_FRACTION

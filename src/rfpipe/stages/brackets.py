@@ -45,12 +45,10 @@ class Brackets:
         Of the store.
     name : str
         For messages.
-    count : int
-        Patterns in all.
     shown : dict
         Plain data: all that shapes the frames. The store has it as its attributes.
     patterns : callable
-        ``patterns(first, last)`` returns these patterns and their keys.
+        ``patterns(first, last)`` returns these of the `count` patterns, and their keys.
     """
 
     rig: Rig
@@ -84,17 +82,8 @@ class Brackets:
     def capture(self, batch: int, watch: Any = None, *, progress: bool = True) -> dict[str, Any]:
         """Capture the brackets that are missing; return the store's entry for the manifest.
 
-        Parameters
-        ----------
-        batch : int
-            Patterns shown, then stored, at a time.
-        watch : rfpipe.stages.watch.Watcher, optional
-            Takes looks between the patterns.
-
-        Raises
-        ------
-        CaptureError
-            When the rig fails or returns what is no bracket; what is captured stays.
+        A `rfpipe.stages.watch.Watcher` takes looks between them. Raises CaptureError when the rig
+        fails or returns what is no bracket; what is captured stays.
         """
         with self.recording() as frames:
             done = int(np.count_nonzero(frames.done))
@@ -233,11 +222,6 @@ def take_shared(
         The acquisition's: `black` brackets all off, then those all on.
     batch : int
         Patterns shown, then stored, at a time.
-
-    Raises
-    ------
-    RfpipeError
-        As `Brackets.capture`, `Brackets.settle`.
     """
     about = {
         "rig": {name: it for name, it in references.shown["rig"].items() if name != "scene"},

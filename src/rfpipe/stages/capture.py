@@ -58,15 +58,12 @@ def run(
 
     Parameters
     ----------
-    level : int
-        Level 0 begins with the reference brackets.
     references : (int, int)
-        All-off and all-on brackets; exact radiance takes one of each whatever stands here.
+        All-off and all-on brackets with which level 0 begins; exact radiance takes one of each.
     symmetry_frames : int
         Brackets of random patterns that follow them, for `rfpipe.stages.symmetry`.
     batch_patterns : int
-        Patterns shown, then stored, at a time; fewer where memory is short. A rig with sequences
-        shows as many as one of them takes.
+        Patterns shown, then stored, at a time; fewer where memory is short, or a sequence's.
     when_patterns_change : {"recapture", "refuse"}
         What to do when pictures of other patterns, or of another rig, stand there.
     warm_up_minutes : float
@@ -152,10 +149,7 @@ def brackets_of(
     references: tuple[int, int],
     symmetry_frames: int = 0,
 ) -> tuple[Brackets, dict[str, Brackets]]:
-    """Return a level's brackets, and those that are captured before them, by their stores' names.
-
-    Parameters are those of `run`.
-    """
+    """Return a level's brackets, and those captured before them, by their stores' names."""
     schedule = read_schedule(folder, level)
     described = frame_settings(rig) if folder.is_kept else {}
     off, on = _counts(rig, references)
@@ -209,15 +203,7 @@ def frame_settings(rig: Rig) -> dict[str, Any]:
 
 
 def read_sensor(folder: AcquisitionFolder) -> Sensor:
-    """Return the sensor that took the frames of an acquisition.
-
-    Raises
-    ------
-    StoreError
-        When level 0 isn't captured.
-    IntegrityError
-        When what it left is damaged.
-    """
+    """Return the sensor that took the frames of an acquisition; errors as of its folder."""
     captured = folder.read_manifest(0, "capture")
     arrays = dict(folder.read(0, "capture", SENSOR)[0]) if SENSOR in captured else None
     return sensor_from_description(captured["rig"]["sensor"], arrays)
@@ -237,13 +223,7 @@ def _counts(rig: Rig, references: tuple[int, int]) -> tuple[int, int]:
 
 
 def stands_already(folder: AcquisitionFolder, level: int, options: Mapping[str, Any]) -> bool:
-    """Whether a level's manifest is about all that `run` is to capture, by the rig it was begun by.
-
-    Parameters
-    ----------
-    options : mapping
-        Keyword arguments of `run`.
-    """
+    """Whether a level's manifest is about all that `run` is to capture with these `options`."""
     try:
         rig, sensor = folder.read_manifest(level, "capture")["rig"], read_sensor(folder)
     except StoreError:

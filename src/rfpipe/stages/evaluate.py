@@ -106,24 +106,10 @@ def _with_truth(manifests: Iterable[Path]) -> Iterator[tuple[dict[str, Any], Arr
 
 
 def relative_rms(image: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> float:
-    """Return ``||image - truth|| / ||truth||``, over all pixels and channels.
+    """Return ``||image - truth|| / ||truth||`` of radiance (*camera_shape, C).
 
-    Parameters
-    ----------
-    image, truth : ndarray of float, shape (*camera_shape, C)
-        Radiance.
-    where : ndarray of bool, shape (*camera_shape), optional
-        The pixels to count; all by default.
-
-    Returns
-    -------
-    float
-        0 for equal images; NaN where there is no pixel, or no light in the truth.
-
-    Raises
-    ------
-    InputError
-        When the shapes differ.
+    Over all pixels, or those of a mask (*camera_shape). NaN where there is no pixel, or no light in
+    the truth. Raises InputError when the shapes differ.
     """
     image, truth = _checked(image, truth)
     if where is not None:
@@ -155,26 +141,11 @@ def psnr(image: Image, truth: Image) -> float:
 
 
 def colour_difference(image: Image, truth: Image, white: float) -> float:
-    """Return the mean CIEDE2000 difference over the pixels.
+    """Return the mean CIEDE2000 difference over the pixels; about 1 is just noticed.
 
-    Radiance is rendered as linear RGB with the sRGB primaries and D65 as white.
-
-    Parameters
-    ----------
-    image, truth : ndarray of float, shape (*camera_shape, C)
-        C is 3, or 1 for grey. Negative radiance counts as none.
-    white : float
-        Radiance shown as white: the maximum of the true floodlit image, above 0.
-
-    Returns
-    -------
-    float
-        About 1 is what an eye just notices; NaN when `white` isn't above 0.
-
-    Raises
-    ------
-    InputError
-        When the shapes differ or C is neither 1 nor 3.
+    Radiance (*camera_shape, 1 or 3) is rendered as linear RGB with the sRGB primaries and D65 as
+    white; `white` is the radiance shown as such. Negative radiance counts as none. NaN when `white`
+    isn't above 0. Raises InputError when the shapes differ or have other channels.
     """
     image, truth = _checked(image, truth)
     if image.shape[-1] not in (1, 3):

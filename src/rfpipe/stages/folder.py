@@ -65,14 +65,9 @@ Facts = dict[str, Any]
 
 
 def standing(manifest: Path, made_from: str) -> dict[str, Any] | None:
-    """Return a manifest whose store was made from the same things, else None.
+    """Return a manifest whose store has the fingerprint `made_from`, else None.
 
     One that says anything else, or is damaged, is removed: its store is about to change.
-
-    Parameters
-    ----------
-    made_from : str
-        Fingerprint of all that the stage would make its store from.
     """
     store = manifest.with_suffix(".zarr")
     try:
@@ -104,9 +99,7 @@ def write_bundle(
     made_from : str
         Fingerprint of all that it is made from.
     facts : dict
-        Plain data for the manifest: stage, level, units, counts.
-    **more
-        Plain data for the store alone.
+        Plain data for the manifest; `more` is for the store alone.
     """
     store = manifest.with_suffix(".zarr")
     made = {"fingerprint": made_from, "versions": versions()}
@@ -181,10 +174,7 @@ class AcquisitionFolder:
     def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
         """Read what a stage wrote, checked against its manifest: arrays and attributes.
 
-        Parameters
-        ----------
-        part : str, optional
-            A second store that the stage's manifest describes under this key.
+        A `part` is a second store, which the stage's manifest describes under this key.
 
         Raises
         ------
@@ -314,13 +304,7 @@ def name_of(level: int) -> str:
 
 @contextmanager
 def advice_on_damage(manifest: Path) -> Iterator[None]:
-    """Say how to make a damaged or missing store again: its stage runs without its manifest.
-
-    Raises
-    ------
-    DamagedStageError
-        In place of a `StoreError`.
-    """
+    """Raise DamagedStageError for a `StoreError`: its stage runs again without its manifest."""
     try:
         yield
     except StoreError as error:

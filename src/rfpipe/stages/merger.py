@@ -84,15 +84,13 @@ class LevelSum:
     def add(self, merged: Merged) -> None:
         """Add images, in their order."""
         for radiance, variance in zip(merged.radiance, merged.variance, strict=True):
-            np.add(self.radiance, radiance, out=self.radiance)
-            np.add(self.variance, variance, out=self.variance)
-        self.count += len(merged.radiance)
+            self.join(LevelSum(radiance, variance, 1))
         self.saturated += merged.saturated
 
     def join(self, later: LevelSum) -> None:
         """Add the sum of a later run."""
-        np.add(self.radiance, later.radiance, out=self.radiance)
-        np.add(self.variance, later.variance, out=self.variance)
+        self.radiance += later.radiance
+        self.variance += later.variance
         self.count += later.count
         self.saturated += later.saturated
 
@@ -136,10 +134,8 @@ class Merger:
 
         Parameters
         ----------
-        black_frames : iterable of ndarray, shape (B, E, ...)
-            Brackets of the all-off pattern, a few at a time; used up before the others.
-        floodlit_frames : iterable of ndarray, shape (B, E, ...)
-            Brackets of the all-on pattern, likewise.
+        black_frames, floodlit_frames : iterable of ndarray, shape (B, E, ...)
+            Brackets of the all-off pattern, used up first, and of the all-on one, a few at a time.
         saturation_fraction : float
             Counts from this fraction of full scale on are not used.
         mask_defects : bool
@@ -248,14 +244,7 @@ def _check_saturation(share: float, sensor: Sensor) -> None:
 def learn_references(
     sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float, mask_defects: bool
 ) -> tuple[Merger, dict[str, Any]]:
-    """Learn from the reference brackets, and write what was learnt; errors as `Merger`'s.
-
-    Returns
-    -------
-    merger : Merger
-    entry : dict
-        For the manifest.
-    """
+    """Learn from the reference brackets, and write it; return its entry for the manifest, too."""
     captured = folder.read_manifest(0, "capture")[REFERENCE]
     counted = {name: captured[name] for name in ("black_frames", "floodlit_frames")}
     off, on = counted.values()

@@ -55,12 +55,9 @@ def masked_rays(floodlit_variance: Float) -> NDArray[np.bool_]:
 
 
 def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
-    """Predict the light of the rays that a level no longer lights.
+    """Predict the light of the rays that a level no longer lights, (*camera_shape, C).
 
-    Returns
-    -------
-    ndarray of float32, shape (*camera_shape, C), or None
-        None where the level lights every ray that can send light.
+    None where the level lights every ray that can send light.
     """
     if schedule.complete or not schedule.count or schedule.pattern_of_ray is None:
         return None
@@ -84,8 +81,6 @@ def normalize_level(
 
     Parameters
     ----------
-    level_sum : LevelSum
-        Sum of the level's images and of their variance.
     floodlit : tuple of two ndarrays of float32, shape (*camera_shape, C)
         The floodlit image and its variance.
     known : ndarray of float32, shape (*camera_shape, C), or None
@@ -110,12 +105,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     """Compare a level's images with the floodlit image; write the factors and their manifest.
 
     The images aren't read here, since the merge has added them up, nor written a second time: who
-    reads them applies the factors on the way.
-
-    Parameters
-    ----------
-    code : str
-        Digest of the code behind the stage.
+    reads them applies the factors on the way. `code` is the digest of the code behind the stage.
     """
     plan.settle(folder, aloud=level == 0)
     planned = folder.read_manifest(level, "schedule")
@@ -153,12 +143,6 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
 
 
 def read_normalization(folder: AcquisitionFolder, level: int) -> Normalization:
-    """Read the factors of a level.
-
-    Raises
-    ------
-    StoreError, IntegrityError
-        When they are missing or damaged.
-    """
+    """Read the factors of a level; errors as `AcquisitionFolder.read`."""
     arrays, attributes = folder.read(level, "normalize")
     return Normalization(arrays["gain"], arrays["covered"], attributes["facts"]["mode"])

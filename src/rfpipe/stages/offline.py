@@ -63,22 +63,12 @@ class OfflineAcquisition:
         self._level, self._options = 0, dict[str, Any]()
 
     def advance(self, rig: OfflineRig) -> int | None:
-        """Do all that can be done with a rig's pictures.
-
-        Parameters
-        ----------
-        rig : OfflineRig
-            As `rig`; with pictures, or without.
+        """Do all that can be done with a rig's pictures; errors as `acquisition.run`.
 
         Returns
         -------
         int or None
             The level whose pictures are to be taken next; None where ``transport.json`` stands.
-
-        Raises
-        ------
-        RfpipeError
-            As `rfpipe.stages.acquisition.run`.
         """
 
         def captured(folder: AcquisitionFolder, level: int, **options: Any) -> None:
@@ -97,14 +87,9 @@ class OfflineAcquisition:
 
     def rig(self, checked: Checked | None = None) -> OfflineRig:
         """Return the rig of the settings, with the pictures that were checked if there are any."""
-        about = self.settings.scenes[self.scene]
-        rig = offline_rig(
-            self.settings.offline,
-            self.settings.camera,
-            about.camera_ray_shape,
-            about.ray_shape,
-            about.channels,
-        )
+        settings, about = self.settings, self.settings.scenes[self.scene]
+        rays = about.camera_ray_shape, about.ray_shape, about.channels
+        rig = offline_rig(settings.offline, settings.camera, *rays)
         rig.bracket = None if checked is None else checked.bracket
         return rig
 

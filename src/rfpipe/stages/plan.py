@@ -17,7 +17,7 @@ from rfpipe.stages.symmetry import NOTICED, read_asymmetry
 from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:
-    from rfpipe.config import Config
+    from rfpipe.config import Config, SceneSettings
 
 
 class Plan:
@@ -46,15 +46,10 @@ class Plan:
     """
 
     def __init__(
-        self,
-        name: str,
-        method: str | Method[Any],
-        camera_shape: Sequence[int],
-        projector_shape: Sequence[int],
-        channels: int,
-        options: Mapping[str, Any] | None = None,
-        asymmetry: float = 0.05,
-    ) -> None:
+        self, name: str, method: str | Method[Any],
+        camera_shape: Sequence[int], projector_shape: Sequence[int], channels: int,
+        options: Mapping[str, Any] | None = None, asymmetry: float = 0.05,
+    ) -> None:  # fmt: skip
         self.name = name
         named = get_method(method)
         self.camera = RayDomain(tuple(camera_shape))
@@ -78,12 +73,7 @@ class Plan:
         return self.method.asks_symmetry(self.camera, self.projector)
 
     def settle(self, folder: AcquisitionFolder, *, aloud: bool = False) -> None:
-        """Go on, after level 0's pictures, by the method that suits the rig.
-
-        Parameters
-        ----------
-        aloud : bool
-            Whether to log what the rig was found to be.
+        """Go on, after level 0's pictures, by the method that suits the rig, and `aloud` log why.
 
         Raises
         ------
@@ -108,13 +98,8 @@ class Plan:
     def state_before(self, folder: AcquisitionFolder, level: int | None) -> Any:
         """Return the method's state before a level; None for that after the last one.
 
-        It is carried from the level above, or restored once from what all levels left: of that
-        alone is read what the state consists of.
-
-        Raises
-        ------
-        StoreError, IntegrityError
-            When a level's refinement is missing or damaged.
+        It is carried from the level above, or restored once from what all levels left, of which
+        only its own parts are read. Errors are those of `AcquisitionFolder.open`.
         """
         if self._carried and self._carried[0] == level:
             return self._carried[1]
@@ -157,17 +142,19 @@ def _packs(folder: AcquisitionFolder, level: int) -> list[Pack]:
 
 def plan_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
     """Return the arguments of one of a run's plans as plain data."""
-    section, about = settings.methods_of(scene)[name], settings.scenes[scene]
-    capture = settings.of_scene(scene).capture
+    section = settings.methods_of(scene)[name]
     return {
         "name": name,
         "method": section.method or name,
-        "camera_shape": list(about.camera_ray_shape),
-        "projector_shape": list(about.ray_shape),
-        "channels": about.channels,
+        **_rays(settings.scenes[scene]),
         "options": section.options(),
-        "asymmetry": capture.asymmetry,
+        "asymmetry": settings.of_scene(scene).capture.asymmetry,
     }
+
+
+def _rays(scene: SceneSettings) -> dict[str, Any]:
+    shapes = {"camera_shape": scene.camera_ray_shape, "projector_shape": scene.ray_shape}
+    return {**{name: list(shape) for name, shape in shapes.items()}, "channels": scene.channels}
 
 
 def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]]:
@@ -189,20 +176,14 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
     code = {"code": code_of(config, scene, name)}
     of_scene = config.of_scene(scene)
     capture = of_scene.capture
-    default = "none" if config.collection is None else "black"
+    same = ("batch_patterns", "drift_patterns", "warm_up_minutes", "when_patterns_change")
+    mutual_error = NOTICED * capture.asymmetry
     captured = {
+        **{setting: getattr(capture, setting) for setting in same},
         "references": [capture.black_frames, capture.floodlit_frames],
         "symmetry_frames": SYMMETRY_FRAMES if plan.asks_symmetry else 0,
-        "batch_patterns": capture.batch_patterns,
-        "drift_patterns": capture.drift_patterns,
-        "warm_up_minutes": capture.warm_up_minutes,
-        "when_patterns_change": capture.when_patterns_change,
-        "watching": {
-            "mode": capture.watch,
-            "looks": capture.looks,
-            "mutual_error": NOTICED * capture.asymmetry,
-        },
-        "share": capture.share_references or default,
+        "watching": {"mode": capture.watch, "looks": capture.looks, "mutual_error": mutual_error},
+        "share": capture.share_references or ("none" if config.collection is None else "black"),
     }
     merged = {**of_scene.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw}
     return {
@@ -229,23 +210,12 @@ def code_of(config: Config, scene: str, name: str | None = None, *, pages: bool 
 def rig_of(config: Config, scene: str) -> dict[str, Any]:
     """Return what the capture stage's rig is made of; see `rfpipe.stages.captures`."""
     about, of_scene = config.scenes[scene], config.of_scene(scene)
-    camera = of_scene.camera and of_scene.camera.model_dump(mode="json")
-    rays = {
-        "camera_shape": list(about.camera_ray_shape),
-        "projector_shape": list(about.ray_shape),
-        "channels": about.channels,
-    }
+    camera = {"camera": of_scene.camera and of_scene.camera.model_dump(mode="json")}
     if config.capture.rig == "remote":
-        return {"by": "server", "rig": rays}
+        return {"by": "server", "rig": _rays(about)}
     if config.capture.rig == "offline":
         offline = of_scene.offline.model_dump(mode="json")
-        return {"by": "pictures", "rig": {"offline": offline, "camera": camera, **rays}}
-    return {
-        "by": "simulation",
-        "rig": {
-            "scene": about.itself(),
-            "camera": camera,
-            "seed": of_scene.seed,
-            "seconds_per_pattern": of_scene.capture.seconds_per_pattern,
-        },
-    }
+        return {"by": "pictures", "rig": {"offline": offline, **camera, **_rays(about)}}
+    seconds = of_scene.capture.seconds_per_pattern
+    rig = {"scene": about.itself(), **camera, "seed": of_scene.seed, "seconds_per_pattern": seconds}
+    return {"by": "simulation", "rig": rig}

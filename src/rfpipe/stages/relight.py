@@ -127,17 +127,8 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
 def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArray[Any]]:
     """Return what the report shows of a transport whose scene is a real one.
 
-    Parameters
-    ----------
-    transport : Transport
-    floodlit : ndarray of float32, shape (*camera_shape, C)
-        The image that the rig took under the all-on pattern.
-
-    Returns
-    -------
-    dict of ndarray
-        ``patterns``, ``relit``, ``levels_relit`` and ``floodlit_relit``, as in `relit_arrays`, and
-        ``floodlit_captured``.
+    ``patterns``, ``relit``, ``levels_relit`` and ``floodlit_relit`` as in `relit_arrays`, and
+    ``floodlit_captured``, the rig's image under the all-on pattern (*camera_shape, C).
     """
     from rfpipe.scenes import relighting_patterns
 
@@ -183,19 +174,11 @@ def leaf_levels(
 ) -> NDArray[np.int16] | None:
     """Return the level of the leaf that holds each entry between the rays of two image rows.
 
-    Parameters
-    ----------
-    transport : Transport
-        Over images (H, W).
-    camera_row, projector_row : int
-        Rows of the camera's and the projector's image, from 0; one row in a hierarchy of leaves,
-        whose rig is coaxial.
-
     Returns
     -------
     ndarray of int16, shape (W, W'), or None
-        Camera rays down, projector rays across; `NO_LEAF` where the entry is empty. None for a
-        transport without leaves.
+        Rays of the camera's row down, of the projector's across; `NO_LEAF` where the entry is
+        empty. None for a transport without leaves.
     """
     shape = transport.camera_shape[-1], transport.projector_shape[-1]
     levels = np.full(shape, NO_LEAF, np.int16)
@@ -231,15 +214,7 @@ def _blocks_of_line(
 
 
 def check_transport(store: Path) -> None:
-    """Check that a transport is that of the manifest beside it, if there is one.
-
-    Raises
-    ------
-    IntegrityError
-        When it is another one.
-    StoreError
-        When it can't be read.
-    """
+    """Raise IntegrityError where a transport isn't that of the manifest beside it, if any is."""
     manifest = store.with_suffix(".json")
     if not manifest.is_file() or store.name != "transport.zarr":
         return
@@ -257,8 +232,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     Parameters
     ----------
     folder : Path
-        ``results/{scene}/{method}``, with ``transport.zarr`` and ``transport.json``; for a
-        captured scene with the results of level 0's merge, too.
+        ``results/{scene}/{method}``.
     scene : SceneSettings
         The scene that it was acquired from.
     code : str

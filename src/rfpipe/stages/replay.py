@@ -48,37 +48,7 @@ class RecordedOptions(AnyRig):
 
 
 class Recorded(Scene):
-    """A recorded acquisition, whose patterns span those that are asked for."""
-
-    Options: ClassVar[type[SceneSettings]] = RecordedOptions
-
-    @classmethod
-    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
-        """Read the recording.
-
-        Raises
-        ------
-        InputError
-            When it has another shape or number of channels.
-        StoreError
-            When it isn't there, or nothing of it is merged.
-        """
-        scene = RecordedScene(options.folder)
-        for name, found, expected in (
-            ("shape", scene.projector_shape, options.ray_shape),
-            ("camera_shape", scene.camera_shape, options.camera_ray_shape),
-            ("channels", scene.channels, options.channels),
-        ):
-            if found != expected:
-                raise InputError(
-                    f"{options.folder}: was recorded with {name} {found}; the scene's settings say "
-                    f"{expected}. Set them to the recording's"
-                )
-        return scene
-
-
-class RecordedScene(Scene):
-    """The light that the pictures of an acquisition know of.
+    """A recorded acquisition, whose patterns span those that are asked for.
 
     Its pictures are merged radiance, noise included; a picture of another pattern is the same sum
     of them that makes up the pattern. All are held in memory.
@@ -96,36 +66,51 @@ class RecordedScene(Scene):
         When it is damaged.
     """
 
+    Options: ClassVar[type[SceneSettings]] = RecordedOptions
+
+    @classmethod
+    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
+        """Read the recording; InputError when it has another shape or number of channels."""
+        scene = cls(options.folder)
+        for name, found, expected in (
+            ("shape", scene.projector_shape, options.ray_shape),
+            ("camera_shape", scene.camera_shape, options.camera_ray_shape),
+            ("channels", scene.channels, options.channels),
+        ):
+            if found != expected:
+                raise InputError(
+                    f"{options.folder}: was recorded with {name} {found}; the scene's settings say "
+                    f"{expected}. Set them to the recording's"
+                )
+        return scene
+
     def __init__(self, folder: str | Path) -> None:
         recorded = AcquisitionFolder(Path(folder))
         floodlit, _ = read_floodlit(recorded)
-        digests = []
-        patterns, images = [], [floodlit[None]]
+        digests, patterns, images = [], [], [floodlit[None]]
         shape: tuple[int, ...] = ()
         for level in recorded.levels():
             if not recorded.exists(level, "merge"):
                 break
             schedule = read_schedule(recorded, level)
             shape = schedule.shape
-            if not schedule.count:
-                continue
             with recorded.frames(level, "merge") as frames:
                 digests.append(frames.digest())
                 images.append(frames.read(0, schedule.count)[:, 0])
             patterns.append(schedule.batch(0, schedule.count).reshape(schedule.count, -1))
         random = _symmetry(recorded)
-        if random is not None and len(shape):
-            count = len(random)
+        if random is not None and shape:
             digests.append(fingerprint(random))
             images.append(random)
-            patterns.append(symmetry_patterns(shape, count, 0, count)[0].reshape(count, -1))
+            lit, _ = symmetry_patterns(shape, len(random), 0, len(random))
+            patterns.append(lit.reshape(len(random), -1))
         if not shape:
             raise StoreError(f"{folder}: no level of it is merged; run its acquisition first")
         super().__init__(floodlit.shape[:-1], shape, floodlit.shape[-1])
         self._folder, self._digests = str(folder), digests
-        lit = np.concatenate([np.ones((1, prod(shape)), np.float32), *patterns])
-        self._patterns = lit.astype(np.float64)
-        self._images = np.concatenate(images).reshape(len(lit), -1)
+        white = np.ones((1, prod(shape)), np.float32)
+        self._patterns = np.concatenate([white, *patterns]).astype(np.float64)
+        self._images = np.concatenate(images).reshape(len(self._patterns), -1)
         values, vectors = np.linalg.eigh(self._patterns @ self._patterns.T)
         kept = values > _ROUNDING * values[-1]
         self._inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
@@ -133,10 +118,7 @@ class RecordedScene(Scene):
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape).
 
-        Raises
-        ------
-        InputError
-            Where a pattern isn't spanned by those that were recorded.
+        Raises InputError where a pattern isn't spanned by those that were recorded.
         """
         asked = np.asarray(patterns, np.float64).reshape(len(np.asarray(patterns)), -1)
         if asked.shape[1] != prod(self.projector_shape):

@@ -62,13 +62,7 @@ def write_schedule(
 
 
 def read_schedule(folder: AcquisitionFolder, level: int) -> Schedule:
-    """Read the schedule of a level.
-
-    Raises
-    ------
-    StoreError, IntegrityError
-        When it is missing or damaged.
-    """
+    """Read the schedule of a level; errors as `AcquisitionFolder.read`."""
     arrays, attributes = folder.read(level, "schedule")
     facts = attributes["facts"]
     return Schedule(

@@ -8,7 +8,6 @@ light from the one to where the other is lit must be what goes back (reciprocity
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -70,12 +69,7 @@ class Asymmetry:
         """Return the method to go on with on a rig whose error is surely above `accepted`, or not.
 
         Where a method has the choice, it is less than `accepted` if its target is. `aloud` logs
-        what was found.
-
-        Raises
-        ------
-        CaptureError
-            If it needs a coaxial rig, and this is none.
+        why. Raises CaptureError if the method needs a coaxial rig, and this is none.
         """
         found = (
             "light doesn't go from camera to projector as it comes: taking the rig for a coaxial "
@@ -103,53 +97,30 @@ class Asymmetry:
         return chosen
 
 
-def measure(merger: Merger, frames: Iterable[NDArray[Any]], count: int) -> Asymmetry:
-    """Measure asymmetry from brackets of `rfpipe.stages.capture.symmetry_patterns`.
-
-    Parameters
-    ----------
-    merger : Merger
-        Of the same acquisition.
-    frames : iterable of ndarray, shape (B, E, ...)
-        All `count` brackets, a few at a time.
-    count : int
-        At least 2.
-    """
-    shape = merger.floodlit.shape
-    radiance, variance = [], []
-    first = 0
-    for brackets in frames:
-        merged = merger.merge(brackets, first)
-        radiance.append(merged.radiance)
-        variance.append(merged.variance)
-        first += len(brackets)
-    taken = _flat(np.concatenate(radiance)), _flat(np.concatenate(variance))
-    floodlit = _flat(merger.floodlit[None])[0], _flat(merger.floodlit_variance[None])[0]
-    signs = random_signs(shape[:-1], 1, count, seed=0)
-    pictures = Pictures(1, signs.reshape(count, -1), *taken)
-    worst = worst_of(measure_symmetry(*floodlit, [pictures]))
-    # Light from pixels that aren't known is seen one way alone: at most so much, if indirect.
-    unseen = _MASKED * float(np.mean(~np.isfinite(merger.floodlit_variance)))
-    return Asymmetry(float(np.sqrt(max(worst.predicted**2 - unseen, 0))), worst.predicted_error)
-
-
-def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return images as (B, N, C); pixels that aren't known are 0, and so is their variance.
-
-    Their direct light is missing forth and back alike.
-    """
-    flat = images.reshape(len(images), -1, images.shape[-1]).astype(np.float64)
-    return np.where(np.isfinite(flat), flat, 0.0)
-
-
 def measured(folder: AcquisitionFolder, merger: Merger) -> dict[str, Any]:
     """Measure a rig by the random patterns that level 0 began with, if any, for the manifest."""
     if SYMMETRY not in folder.read_manifest(0, "capture"):
         return {}
     with folder.frames(0, "capture", SYMMETRY) as frames:
         count = frames.shape[0]
-        asymmetry = measure(merger, (frames.read(i, i + 1) for i in range(count)), count)
-    return {SYMMETRY: {**asdict(asymmetry), "frames": count}}
+        merged = [merger.merge(frames.read(index, index + 1), index) for index in range(count)]
+    taken = (
+        np.concatenate([getattr(one, name) for one in merged]) for name in ("radiance", "variance")
+    )
+    floodlit, variance = _flat(np.stack([merger.floodlit, merger.floodlit_variance]))
+    signs = random_signs(merger.floodlit.shape[:-1], 1, count, seed=0)
+    pictures = Pictures(1, signs.reshape(count, -1), *map(_flat, taken))
+    worst = worst_of(measure_symmetry(floodlit, variance, [pictures]))
+    # Light from pixels that aren't known is seen one way alone: at most so much, if indirect.
+    unseen = _MASKED * float(np.mean(~np.isfinite(merger.floodlit_variance)))
+    error = float(np.sqrt(max(worst.predicted**2 - unseen, 0)))
+    return {SYMMETRY: {**asdict(Asymmetry(error, worst.predicted_error)), "frames": count}}
+
+
+def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return images as (B, N, C); pixels that aren't known are 0, forth and back alike."""
+    flat = images.reshape(len(images), -1, images.shape[-1]).astype(np.float64)
+    return np.where(np.isfinite(flat), flat, 0.0)
 
 
 def read_asymmetry(folder: AcquisitionFolder) -> Asymmetry | None:

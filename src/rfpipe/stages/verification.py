@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import StoreError, VerificationError
 from rfpipe.patterns import Schedule
-from rfpipe.provenance import fingerprint
+from rfpipe.provenance import fingerprint, generator
 from rfpipe.stages import merge
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, standing, write_bundle
+from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write_bundle
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.schedule import read_schedule, write_schedule
-from rfpipe.stages.unseen import NAMES, unseen_patterns
 from rfpipe.stages.watch import DRIFT, MOVES, MUTUAL
 from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
@@ -36,6 +36,14 @@ if TYPE_CHECKING:
 
 MANIFEST = "verification.json"
 """The result of a verification, beside the transport that it is about."""
+
+NAMES = (
+    "natural", "stripes", "steep", "spots", "bands", "rings", "grain", "checks", "slope", "gaps",
+)  # fmt: skip
+"""Names of all patterns, the most telling first."""
+
+_SEED = 15  # of what is random in the patterns
+
 
 Float = NDArray[np.float32]
 
@@ -79,14 +87,13 @@ class Verification:
     def facts(self) -> dict[str, Any]:
         """Return plain data for a manifest; None for what isn't known."""
         rows = self.table.astype(object).where(self.table.notna(), None)
+        means = self.table[["error", "noise"]].mean()
         numbers = {
-            "mean_error": self.mean_error,
-            "worst_error": float(self.worst.error),
-            "noise": float(self.table["noise"].mean()),
-        }
+            "mean_error": means["error"], "worst_error": self.worst.error, "noise": means["noise"]
+        }  # fmt: skip
         return {
             "pictures": rows.to_dict("records"),
-            **{name: value if np.isfinite(value) else None for name, value in numbers.items()},
+            **{name: float(it) if np.isfinite(it) else None for name, it in numbers.items()},
             "worst_picture": self.worst.name,
             "gain": [float(gain) for gain in self.gain],
         }
@@ -140,14 +147,13 @@ def compare(
     return Verification(table, patterns, observed, relit, np.asarray(gain, np.float64))
 
 
-def schedule_of(
-    transport: Transport, pictures: int, level: int = VERIFICATION
-) -> tuple[list[str], Schedule]:
+def schedule_of(transport: Transport, pictures: int) -> tuple[list[str], Schedule]:
     """Return the names and the patterns of the pictures that verify a transport."""
     shape = transport.projector_shape
     white = transport.T.relight(np.ones(transport.camera_shape, np.float32))
     made = unseen_patterns(shape, pictures, white)
-    return list(made), Schedule(level, shape, len(made), weights=np.stack(list(made.values())))
+    weights = np.stack(list(made.values()))
+    return list(made), Schedule(VERIFICATION, shape, len(made), weights=weights)
 
 
 def run(
@@ -177,18 +183,15 @@ def run(
     RfpipeError
         As the stages; captured pictures are kept.
     """
-    manifest = folder.manifest(VERIFICATION, "schedule")
-    manifest.parent.mkdir(exist_ok=True)
+    folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
     _schedule(folder, pictures)
     # looks at the rig before the first picture and after the last, if there were any before
     was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
     options = {
         **settings["capture"],
-        "symmetry_frames": 0,
-        "drift_patterns": pictures,
-        "batch_patterns": 1,
+        "symmetry_frames": 0, "drift_patterns": pictures, "batch_patterns": 1,
         "watching": {"mode": "warn" if was_watched else "off", "looks": pictures},
-    }
+    }  # fmt: skip
     capture(folder, VERIFICATION, **options, resources=resources.here)
     merging = {**settings["merge"], "divide_out_drift": True}
     merge.run(folder, VERIFICATION, **merging, resources=resources)
@@ -233,12 +236,10 @@ def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where:
 
 def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
     """Write the patterns once: a transport made anew doesn't ask for other pictures."""
-    manifest = folder.manifest(VERIFICATION, "schedule")
     references = folder.read_manifest(0, "merge")[REFERENCES]["digest"]
     made_from = fingerprint([references, list(NAMES[:pictures])])
-    if not standing(manifest, made_from):
-        transport = open_transport(folder.path / "transport.zarr")
-        names, schedule = schedule_of(transport, pictures)
+    if not folder.standing(VERIFICATION, "schedule", made_from):
+        names, schedule = schedule_of(open_transport(folder.path / "transport.zarr"), pictures)
         write_schedule(folder, made_from, schedule, names=names)
 
 
@@ -264,20 +265,12 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
         folder.path, len(result.table), 100 * result.mean_error, result.worst.name,
         100 * result.worst.error, 100 * result.table["noise"].mean(),
     )  # fmt: skip
-    write_bundle(
-        folder.path / MANIFEST,
-        fingerprint([acquired["digest"], merged["digest"], code]),
-        {name: getattr(result, name) for name in ("patterns", "captured", "relit")},
-        {
-            "stage": "verification",
-            "transport": acquired["digest"],
-            "scene": acquired["scene"],
-            "method": acquired["method"],
-            **result.facts(),
-            **_rig_facts(folder),
-            "units": RADIANCE_UNIT,
-        },
-    )
+    made_from = fingerprint([acquired["digest"], merged["digest"], code])
+    arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}
+    about = {name: acquired[name] for name in ("scene", "method")}
+    facts = {"stage": "verification", "transport": acquired["digest"], "units": RADIANCE_UNIT}
+    facts |= about | result.facts() | _rig_facts(folder)
+    write_bundle(folder.path / MANIFEST, made_from, arrays, facts)
 
 
 def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
@@ -321,3 +314,99 @@ def _levels(folder: AcquisitionFolder) -> Iterator[tuple[str, dict[str, Any], di
         with suppress(StoreError):
             merged, captured = (folder.read_manifest(level, name) for name in ("merge", "capture"))
             yield name_of(level), merged, captured
+
+
+def unseen_patterns(
+    shape: tuple[int, ...], count: int, from_projector: Float | None = None
+) -> dict[str, Float]:
+    """Return the first `count` patterns, each an array of `shape` with weights in [0, 1].
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The projector's ray domain; each of several views gets the same picture.
+    count : int
+        How many, 1 to 10, in the order of `NAMES`.
+    from_projector : ndarray of float32, shape (*shape, C), optional
+        The scene as the projector sees it (the dual picture of white light), in which
+        ``steep`` finds where brightness changes most. None: across the middle.
+
+    Returns
+    -------
+    dict of str to ndarray of float32
+        ``natural``: discs of all sizes that cover each other, in shades of grey. ``stripes``:
+        slanted, five rays a period. ``steep``: the twenty-fifth of the rays where the scene is
+        steepest, such as a crease. ``spots``: scattered, three rays wide. ``bands``: broad level
+        ones. ``rings``; ``grain``: a fifth of all rays, at random. ``checks``: squares of seven
+        rays. ``slope``: a ramp from dark to light. ``gaps``: all but scattered spots. On tiny
+        domains each keeps at least a ray.
+
+    Notes
+    -----
+    The natural picture is made by the dead-leaves model, which has the statistics of photographs:
+    edges at all scales, a spectrum of 1 / f^2 [A. B. Lee, D. Mumford and J. Huang, Occlusion models
+    for natural images, International Journal of Computer Vision 41, 2001]. It and ``slope`` alone
+    hold shades of grey, which need a projector whose response is known.
+    """
+    domain = RayDomain(tuple(shape))
+    height, width = domain.image_shape
+    shorter = min(height, width)
+    y, x = np.mgrid[:height, :width]
+    spots = _spots(height, width)
+    pictures: dict[str, NDArray[np.generic]] = {
+        "natural": _natural(height, width),
+        "stripes": (x + y // 3) % 5 < 2,
+        "steep": x == width // 2 if from_projector is None else _steep(domain, from_projector),
+        "spots": spots,
+        "bands": (y + max(1, height // 11)) % max(2, height // 3) < max(1, height // 7),
+        "rings": np.hypot(y - 0.4 * height, x - 0.6 * width) % max(3.0, shorter / 4) < shorter / 10,
+        "grain": generator(_SEED, 2).random((height, width)) < 0.2,
+        "checks": (y // 7 + x // 7) % 2 == 1,
+        "slope": ((y + 0.5) / height + (x + 0.5) / width) / 2,
+        "gaps": ~spots[::-1, ::-1],
+    }
+    made = {}
+    for name in NAMES[:count]:
+        picture = np.asarray(pictures[name], np.float32)
+        if not picture.any():
+            picture[height // 2, width // 2] = 1
+        made[name] = np.ascontiguousarray(np.broadcast_to(picture, shape))
+    return made
+
+
+def _natural(height: int, width: int) -> NDArray[np.float64]:
+    """Draw 400 discs whose radii follow r^-3, between a ray and the longer side."""
+    random = generator(_SEED, 0)
+    y, x = np.mgrid[:height, :width] + 0.5
+    picture = np.full((height, width), 0.5)
+    longest = 1 / float(max(height, width)) ** 2
+    for _ in range(400):
+        radius = 1 / np.sqrt(1 - random.random() * (1 - longest))
+        at_y, at_x = random.random(2) * (height + radius, width + radius) - radius / 2
+        picture[(y - at_y) ** 2 + (x - at_x) ** 2 < radius**2] = random.random()
+    return picture
+
+
+def _spots(height: int, width: int) -> NDArray[np.bool_]:
+    lit = np.zeros((height, width), np.bool_)
+    random = generator(_SEED, 1)
+    for _ in range(max(1, height * width // 128)):
+        top, left = random.integers(0, height), random.integers(0, width)
+        lit[max(0, top - 1) : top + 2, max(0, left - 1) : left + 2] = True
+    return lit
+
+
+def _steep(domain: RayDomain, from_projector: Float) -> NDArray[np.bool_]:
+    """Find the rays of the middle view where relative brightness changes most from ray to ray."""
+    from scipy.ndimage import gaussian_filter
+
+    stack = from_projector.reshape(*domain.stack_shape, -1)
+    image = stack[len(stack) // 2].mean(axis=-1, dtype=np.float64)
+    smooth = gaussian_filter(image, min(image.shape) / 32)
+    least = 1e-3 * float(smooth.max(initial=0.0)) or 1.0
+    steps = [
+        np.gradient(smooth, axis=axis) if length > 1 else np.zeros_like(smooth)
+        for axis, length in enumerate(image.shape)
+    ]
+    steepness = np.hypot(*steps) / np.maximum(smooth, least)
+    return np.asarray(steepness >= np.quantile(steepness, 0.96))

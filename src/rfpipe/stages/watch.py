@@ -202,7 +202,7 @@ def watching_level(
     Parameters
     ----------
     of_level : Brackets
-        Of the level's patterns; their store, if there is one, is that of this capture.
+        Of the level's patterns, settled.
     drift_patterns : int
         Patterns from one look at the lamp to the next, 0 for none.
     mode : {"off", "warn", "refuse"}
@@ -210,7 +210,7 @@ def watching_level(
     looks : int or None
         As of `looks_every`.
     mutual_error : float
-        Error in a picture of a rig taken for a coaxial one from which on it is said.
+        Error of a picture, by taking the rig for a coaxial one, from which on it is said.
     """
     folder, merger = of_level.folder, None
     if folder.exists(0, "merge"):
@@ -300,10 +300,7 @@ class Watcher:
     def before(self, position: int) -> None:
         """Take the looks that are due before the pattern at `position`, or after the last one.
 
-        Raises
-        ------
-        CaptureError
-            Where a look shows that the rig moved, and that is to end the capture.
+        Raises CaptureError where one shows that the rig moved, and that is to end the capture.
         """
         for look in self.looks:
             at_end = position == self.of_level.count

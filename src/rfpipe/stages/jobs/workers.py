@@ -73,10 +73,7 @@ class Resources:
     def of_job(cls, snakemake: Any) -> Resources:
         """Return the resources of a job of the workflow; RFPIPE_WORKERS overrules its settings.
 
-        Raises
-        ------
-        ConfigError
-            When RFPIPE_WORKERS is no place to work.
+        Raises ConfigError when that is no place to work.
         """
         asked = snakemake.resources
         memory_gib = asked.mem_mib / 1024
@@ -108,12 +105,8 @@ class Resources:
     def workers(self, bytes_each: int, folder: Path) -> Iterator[Workers]:
         """Provide workers for pieces of work that take `bytes_each` while they are in hand.
 
-        `folder` is one that the work reads or writes; a cluster's workers must see it.
-
-        Raises
-        ------
-        ClusterError
-            When the cluster doesn't answer, or isn't fit for the work.
+        `folder` is one that the work reads or writes; a cluster's workers must see it. Raises
+        ClusterError when they don't, or the cluster doesn't answer.
         """
         if self.where != THREADS:
             with connected(self.where, folder) as (hand_out, threads):
@@ -167,18 +160,9 @@ class Workers:
 def connected(address: str, folder: Path) -> Iterator[tuple[HandOut, int]]:
     """Connect to a scheduler; provide what hands out work, and the number of its workers' threads.
 
-    Parameters
-    ----------
-    address : str
-        Such as ``tls://host:8786``, with the certificates of dask's own settings.
-    folder : Path
-        Holds the work as long as it takes; the workers must see it.
-
-    Raises
-    ------
-    ClusterError
-        When no scheduler answers, when it has no workers, or when one doesn't see the folder or
-        has another rfpipe.
+    Certificates are those of dask's own settings. The folder holds the work as long as it takes.
+    Raises ClusterError when no scheduler with workers answers, or one doesn't see the folder or has
+    another rfpipe.
     """
     import cloudpickle
     import distributed
