@@ -3,40 +3,24 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.unit.test_reciprocity import DIM, SHAPE, beside, wedge
 
 import rfpipe
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
-from rfpipe.scenes import planes_scene
 
-SIDE = 16
-SHAPE = (SIDE, SIDE)
+RAYS = SHAPE[0] * SHAPE[1]
 COAXIAL = ("symmetric", "near_far")
 FEW = {"floodlit_frames": 8, "progress": False}
-DIM = replace(CameraModel(), electrons_per_radiance=CameraModel().electrons_per_radiance / 16)
-
-
-def wedge() -> np.ndarray:
-    scene = planes_scene("wedge", ("white", "texture"), SHAPE, channels=1, seed=3)
-    matrix = scene.apply(np.eye(SIDE * SIDE))[..., 0].T.astype(np.float64)
-    return np.asarray(matrix * 1.9 / matrix.sum(axis=1).max())
-
-
-def beside(matrix: np.ndarray, pixels: float) -> np.ndarray:
-    """What a camera sees that stands some pixels, up to one, beside the projector."""
-    images = matrix.reshape(*SHAPE, -1)
-    moved = np.concatenate([images[:, :1], images[:, :-1]], axis=1)
-    return np.asarray((1 - pixels) * images + pixels * moved).reshape(matrix.shape)
 
 
 def vignetted(matrix: np.ndarray) -> np.ndarray:
     """What a camera sees that loses a tenth of the light from one side to the other."""
-    share = np.broadcast_to(np.linspace(0.9, 1, SIDE), SHAPE)
+    share = np.broadcast_to(np.linspace(0.9, 1, SHAPE[1]), SHAPE)
     return np.asarray(share.reshape(-1, 1) * matrix)
 
 
@@ -51,13 +35,13 @@ def test_a_misaligned_rig_is_refused(
     method: str, pixels: float, camera: CameraModel | None
 ) -> None:
     with pytest.raises(CaptureError, match=r"doesn't go from camera to projector.*dual"):
-        rfpipe.acquire(rig(beside(wedge(), pixels), camera), method, **FEW)
+        rfpipe.acquire(rig(beside(wedge(), pixels)[0], camera), method, **FEW)
 
 
 @pytest.mark.parametrize("camera", [None, CameraModel(), DIM])
 @pytest.mark.parametrize("change", [lambda matrix: matrix, vignetted])
 def test_a_right_rig_is_not(change, camera: CameraModel | None, caplog) -> None:
-    matrix = change(wedge())
+    matrix = change(wedge()[0])
     with caplog.at_level(logging.WARNING):
         found = rfpipe.acquire(rig(matrix, camera), "symmetric", tolerance=1e-2, **FEW)
     assert "as it comes" not in caplog.text
@@ -82,12 +66,12 @@ class Spoilt(rfpipe.OperatorRig):
 
 def test_dead_pixels_are_no_asymmetry() -> None:
     dead = generator(2).random(SHAPE) < 0.1
-    found = rfpipe.acquire(Spoilt(wedge(), dead), "symmetric", **FEW)
+    found = rfpipe.acquire(Spoilt(wedge()[0], dead), "symmetric", **FEW)
     assert np.array_equal(found.masked, dead)
 
 
 def test_what_is_accepted_may_be_said(caplog) -> None:
-    wrong = rig(beside(wedge(), 0.25), CameraModel())
+    wrong = rig(beside(wedge(), 0.25)[0], CameraModel())
     with caplog.at_level(logging.WARNING):
         rfpipe.acquire(wrong, "symmetric", asymmetry=0.5, tolerance=1e-2, **FEW)
     assert "capture.asymmetry" in caplog.text
@@ -102,15 +86,15 @@ def test_what_is_accepted_may_be_said(caplog) -> None:
 
 
 def test_a_black_scene_has_no_asymmetry() -> None:
-    found = rfpipe.acquire(rig(np.zeros((SIDE**2, SIDE**2)), None), "symmetric", **FEW)
+    found = rfpipe.acquire(rig(np.zeros((RAYS, RAYS)), None), "symmetric", **FEW)
     assert found.patterns == 1
 
 
 @pytest.mark.parametrize("share", [0.01, 0.1])
 def test_unknown_pixels_of_a_body_that_spreads_all_light_are_no_asymmetry(share: float) -> None:
     random = generator(6)
-    half = random.random((SIDE**2, SIDE**2))
+    half = random.random((RAYS, RAYS))
     dead = random.random(SHAPE) < share
-    rig_of = Spoilt((half + half.T) / SIDE**2, dead)
+    rig_of = Spoilt((half + half.T) / RAYS, dead)
     found = rfpipe.acquire(rig_of, "symmetric", tolerance=0.1, **FEW)
     assert np.array_equal(found.masked, dead)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.workflow.harness import CONFIG, STAGES, TINY, Workflow, undo
+from tests.workflow.harness import CONFIG, STAGES, Workflow
 
 from rfpipe import open_transport
 from rfpipe.stages.folder import AcquisitionFolder
@@ -48,28 +48,6 @@ LIGHT_FIELD = {
     "views": [2, 2],
     "methods": {"symmetric": {}},
 }
-
-
-@pytest.mark.slow
-def test_a_damaged_chunk_is_found_by_the_next_stage_and_can_be_made_again(
-    copy: Workflow, undisturbed: Workflow
-) -> None:
-    level = copy.path("tiny/symmetric/L03")
-    undo(copy, 3, "merge")
-    chunk = level / "capture.zarr" / "c.1.0.0.0.0"
-    content = bytearray(chunk.read_bytes())
-    content[len(content) // 2] ^= 255
-    chunk.write_bytes(content)
-
-    output = copy.run(TINY, succeeds=False)
-    assert f"{chunk.relative_to(copy.folder)}: item 1 is missing, truncated or altered" in output
-    manifest = level / "capture.json"
-    assert f"remove {manifest.relative_to(copy.folder)} and run again" in output
-    manifest.unlink()
-    output = copy.run(TINY)
-    assert "1 items are damaged and will be written again, from item 1 on" in output
-    assert "level 3: 1 patterns in" in output
-    assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
 
 
 @pytest.mark.slow
