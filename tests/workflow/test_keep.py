@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +14,6 @@ import rfpipe
 from rfpipe.store import read_manifest
 
 ADDRESS = f"s3://{BUCKET}/run"
-OTHER = """
-rule relit:
-    input: storage.s3("s3:/{name}")
-    output: "relit.exr"
-    shell:
-        "cp {{input}} fetched.zip && "
-        "{python} -m rfpipe.cli relight {{input}} --pattern white --output {{output}}"
-"""
 
 
 @pytest.mark.slow
@@ -59,14 +49,3 @@ def test_a_run_keeps_its_results_in_a_bucket(
         assert there.nbytes <= here.nbytes
         light = np.random.default_rng(0).random(there.projector_shape)
         assert np.array_equal(there.relight(light), here.relight(light))
-        # a workflow of somebody else's fetches it, by Snakemake's plugin
-        seen.requests.clear()
-        other = tmp_path / "other"
-        other.mkdir()
-        (other / "Snakefile").write_text(OTHER.format(name=names[0], python=sys.executable))
-        snakemake = Path(sys.executable).with_name("snakemake")
-        subprocess.run([snakemake, "--cores", "1", "--quiet", "all"], cwd=other, check=True)
-        assert (other / "relit.exr").is_file()
-        fetched = rfpipe.open_transport(other / "fetched.zip")
-        assert np.array_equal(fetched.relight(light), here.relight(light))
-        assert not seen.written()
