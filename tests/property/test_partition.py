@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.property.test_hierarchical import random_transport, shapes
 
-from rfpipe.transport.hierarchical import partition
-from rfpipe.transport.hierarchical.partition import predict
+from rfpipe.transport.hierarchical import apply
+from rfpipe.transport.hierarchical.apply import predict
 
 
 @settings(max_examples=40, deadline=None)
@@ -30,7 +30,7 @@ def test_it_is_the_dense_product_whichever_patterns_stand_together(
     pattern_of_block[0] = n_patterns - 1
     leaf_sets = list(transport.leaf_sets)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(partition, "_TILE", tile)
+        patch.setattr(apply, "_TILE", tile)
         images = predict(tree, leaf_sets, level, pattern_of_block, 0, n_patterns, channels)
     pattern_of_ray = pattern_of_block[tree.labels(level).ravel()]
     lit = np.arange(n_patterns)[:, None] == pattern_of_ray

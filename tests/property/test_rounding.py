@@ -6,14 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.transport.hierarchical.codes import (
+from rfpipe.transport.hierarchical.leaves import (
+    LeafSet,
     decoded,
+    factor_offsets,
     pack_leaves,
     rounded,
     signed_apart,
     unpack_leaves,
 )
-from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
 
 FORMATS = {"uint16": 65535, "uint8": 255}
 TREE = BlockTree(RayDomain((5, 6)))

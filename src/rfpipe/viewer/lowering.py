@@ -16,8 +16,13 @@ from rfpipe.store.files import digest_of
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport
-from rfpipe.transport.hierarchical.codes import pack_leaves, signed_apart
-from rfpipe.transport.hierarchical.leaves import LeafSet, leaf_offsets, runs
+from rfpipe.transport.hierarchical.leaves import (
+    LeafSet,
+    leaf_offsets,
+    pack_leaves,
+    runs,
+    signed_apart,
+)
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel import MultilevelTransport

@@ -25,8 +25,8 @@ from rfpipe.methods.symmetric.nodes import (
     Pairs,
     compared_pixels,
 )
+from rfpipe.transport.hierarchical.apply import predict
 from rfpipe.transport.hierarchical.leaves import LeafSet, runs
-from rfpipe.transport.hierarchical.partition import predict
 
 
 class Pieces(NamedTuple):

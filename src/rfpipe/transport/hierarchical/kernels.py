@@ -20,6 +20,8 @@ _FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 # Up to this many rays a block is worked off ray by ray: setting up a vector loop takes longer.
 _SHORT = 16
+# The work under a partition is dealt out to this many tasks, for about equal shares.
+_PARTITION_TASKS = 64
 # Products that are added up in float32; their sums are added up in float64.
 _RUN = 8192
 
@@ -209,3 +211,102 @@ def dot(first, second):  # type: ignore[no-untyped-def]
     for k in range(first.shape[0]):
         total += np.float64(first[k]) * np.float64(second[k])
     return total
+
+
+# Sums keep their order: `contract` allows fused products alone.
+@numba.njit(cache=True, fastmath={"contract"})
+def _add_exactly(target, factor, scale):  # type: ignore[no-untyped-def]
+    for k in range(target.shape[0]):
+        target[k] = target[k] + factor[k] * scale
+
+
+@numba.njit(cache=True, parallel=True)
+def apply_to_partition(  # type: ignore[no-untyped-def]
+    starts, block_a, block_b, offset_a, offset_b, values, signs, first_side, sides, tiles,
+    lit_parts, first_lit, part_starts, pattern_of_part, images,
+):  # fmt: skip
+    """Add ``T p`` of one level's leaves for patterns that share out the blocks of a level.
+
+    Goes through the rays that see light, a tile at a time, and for each through the leaves that
+    may light it, in their order: sums don't depend on the number of threads, nor on which patterns
+    stand together.
+
+    Parameters
+    ----------
+    starts : int64 (n_blocks + 1,)
+        First tree positions of the leaves' blocks.
+    block_a, block_b, offset_a, offset_b : (n,)
+        The leaves and where their two factors begin; the same on the diagonal.
+    values : float32 (C, n_values)
+    signs : int8 (C, n) or (C, 0)
+        Of the leaves; none if all are positive.
+    first_side, sides
+        The leaves of each block, see `rfpipe.transport.hierarchical.apply`.
+    tiles : int64 (n_tiles, 3)
+        A block, and a run of its tree positions: the first and the end.
+    lit_parts : int64 (m,)
+        The blocks that the patterns light, by position.
+    first_lit : int64 (n_blocks, 2)
+        Which of `lit_parts` each of the leaves' blocks meets: the first and the end.
+    part_starts : int64 (n_parts + 1,)
+        First tree positions of the blocks that the patterns share out.
+    pattern_of_part : int32 (n_parts,)
+        Pattern that lights each, counted from the first of `images`.
+    images : float32 (P, C, N)
+        Added to.
+    """
+    patterns, channels = images.shape[0], images.shape[1]
+    for task in numba.prange(_PARTITION_TASKS):
+        scales = np.zeros((channels, patterns))
+        for tile in range(task, tiles.shape[0], _PARTITION_TASKS):
+            seen, ray, end = tiles[tile, 0], tiles[tile, 1], tiles[tile, 2]
+            for place in range(first_side[seen], first_side[seen + 1]):
+                n, is_b = sides[place] >> 1, sides[place] & 1
+                lit = block_a[n] if is_b else block_b[n]
+                low, high = first_lit[lit, 0], first_lit[lit, 1]
+                if low == high:
+                    continue
+                of_lit = (offset_a[n] if is_b else offset_b[n]) - starts[lit]
+                begin = (offset_b[n] if is_b else offset_a[n]) + ray - starts[seen]
+                for index in range(low, high):
+                    part = lit_parts[index]
+                    p0 = of_lit + max(starts[lit], part_starts[part])
+                    p1 = of_lit + min(starts[lit + 1], part_starts[part + 1])
+                    for c in range(channels):
+                        light = summed(values[c, p0:p1])
+                        if signs.shape[1] and signs[c, n] < 0:
+                            light = -light
+                        scales[c, pattern_of_part[part]] += light
+                for c in range(channels):
+                    factor = values[c, begin : begin + end - ray]
+                    for pattern in range(patterns):
+                        scale = np.float32(scales[c, pattern])
+                        if scale != 0:
+                            _add_exactly(images[pattern, c, ray:end], factor, scale)
+                scales[:] = 0.0
+
+
+@numba.njit(cache=True, parallel=True)
+def scalars_to_partition(ray_a, ray_b, values, pattern_of_ray, images):  # type: ignore[no-untyped-def]
+    """Add ``T p`` of scalar leaves; see `apply_to_partition`.
+
+    Parameters
+    ----------
+    ray_a, ray_b : int32 (n,)
+        Tree positions of each scalar; ``ray_a <= ray_b``, each off-diagonal one counts both ways.
+    values : float32 (C, n)
+    pattern_of_ray : int32 (N,)
+        Pattern that lights each tree position.
+    images : float32 (P, C, N)
+        Added to.
+    """
+    patterns, channels = images.shape[0], images.shape[1]
+    for c in numba.prange(channels):
+        for n in range(ray_a.shape[0]):
+            a, b = ray_a[n], ray_b[n]
+            pattern = pattern_of_ray[b]
+            if 0 <= pattern < patterns:
+                images[pattern, c, a] += values[c, n]
+            pattern = pattern_of_ray[a]
+            if a != b and 0 <= pattern < patterns:
+                images[pattern, c, b] += values[c, n]

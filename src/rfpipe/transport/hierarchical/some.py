@@ -14,14 +14,15 @@ from rfpipe.blocks import BlockTree
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.store.places import Place
 from rfpipe.transport.arrays import SetsOnDemand, by_prefix
-from rfpipe.transport.hierarchical.codes import CODED_PARTS, unpack_leaves
 from rfpipe.transport.hierarchical.leaves import (
+    CODED_PARTS,
     LEAF_PARTS,
     LeafSet,
     leaf_offsets,
     leaf_sizes,
     pair_of_views,
     ragged_ranges,
+    unpack_leaves,
 )
 
 VIEWS_PART = "views"

@@ -13,12 +13,13 @@ from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.arrays import CoaxialTransport, LevelTransport, SetsOnDemand
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.hierarchical.apply import apply_leaf_sets
-from rfpipe.transport.hierarchical.codes import (
+from rfpipe.transport.hierarchical.leaves import (
+    LeafSet,
     decoded,
+    merge_leaf_sets,
     pack_leaves,
     signed_apart,
 )
-from rfpipe.transport.hierarchical.leaves import LeafSet, merge_leaf_sets
 from rfpipe.transport.hierarchical.some import (
     VIEWS_PART,
     Rays,

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
-from rfpipe.transport.hierarchical.codes import decoded
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
+    decoded,
     factor_offsets,
     merge_leaf_sets,
     ragged_ranges,
