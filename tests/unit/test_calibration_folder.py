@@ -1,8 +1,10 @@
 """A whole calibration on simulated devices: its steps, its folder, its report and its command."""
 
 import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -18,7 +20,6 @@ from rfpipe.calibration.folder import (
     calibrate,
     calibrate_rig,
     finish,
-    steps_of,
     uncalibrated,
 )
 from rfpipe.cli import app
@@ -35,7 +36,7 @@ RAYS = (16, 16)
 SETTINGS = CalibrationConfig(dark_frames=4, levels=6, codes=17, symmetry_patterns=6, tolerance=0.03)
 
 
-class Counted:
+class Counted(AbstractContextManager["Counted", None]):
     """Progress that keeps, by the steps' titles, the pictures told beforehand and those shown."""
 
     steps: ClassVar[dict[str, list[int]]] = {}
@@ -46,33 +47,36 @@ class Counted:
     def advance(self, patterns: int) -> None:
         self._counts[1] += patterns
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         pass
 
 
+def begun(
+    folder: Path, rays: tuple[int, int] = RAYS, *more: Any, **changes: Any
+) -> tuple[Bench, CalibrationFolder, Callable[..., None]]:
+    """A bench, its calibration's folder, and what calibrates it."""
+    bench, place = wedge_bench(rays, *more, **changes), CalibrationFolder(folder / "calibration")
+
+    def run(only: list[str] | None = None, bench: Bench = bench, **changed: Any) -> None:
+        settings = SETTINGS.model_copy(update=changed)
+        calibrate(bench.projector, bench.camera, place, settings, rays, only, Counted)
+
+    return bench, place, run
+
+
 @pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, CalibrationFolder]:
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A bench of a gamma of 2.2, calibrated."""
-    bench = wedge_bench(RAYS, gamma=GAMMA)
-    folder = CalibrationFolder(tmp_path_factory.mktemp("calibrated") / "calibration")
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, progress=Counted)
-    return bench, folder
+    bench, folder, run = begun(tmp_path_factory.mktemp("calibrated"), gamma=GAMMA)
+    run()
+    return bench, folder, run
 
 
-def test_each_step_tells_how_many_pictures_it_shows(
-    calibrated: tuple[Bench, CalibrationFolder],
-) -> None:
+def test_a_calibration_tells_its_pictures_and_finds_the_bench(calibrated: Any) -> None:
+    bench, folder, _ = calibrated
     assert len(Counted.steps) == len(STEPS) - 1  # that of rays shows nothing
-    for title, (told, shown) in Counted.steps.items():
-        assert told == shown, title
+    assert all(told == shown for told, shown in Counted.steps.values()), Counted.steps
     assert Counted.steps[STEPS["dark"].title] == [4, 4]
-
-
-def test_a_calibration_finds_the_bench(calibrated: tuple[Bench, CalibrationFolder]) -> None:
-    bench, folder = calibrated
     found = load(folder.path)
     true = bench.camera.sensor
     assert found.camera["full_well_electrons"] == pytest.approx(true.full_well_electrons, rel=0.1)
@@ -89,8 +93,8 @@ def test_a_calibration_finds_the_bench(calibrated: tuple[Bench, CalibrationFolde
     json.dumps(found.facts)
 
 
-def test_a_calibrated_rig_acquires_the_scene(calibrated: tuple[Bench, CalibrationFolder]) -> None:
-    bench, folder = calibrated
+def test_a_calibrated_rig_acquires_the_scene(calibrated: Any) -> None:
+    bench, folder, _ = calibrated
     found = load(folder.path)
     codes, show = code_table(found.projector_response), bench.projector.show
     linear = SimulatedProjector(bench.projector.shape)
@@ -106,7 +110,7 @@ def test_a_calibrated_rig_acquires_the_scene(calibrated: tuple[Bench, Calibratio
 
 
 def test_a_projector_that_is_not_dark_when_off_changes_nothing_else(tmp_path: Path) -> None:
-    bench = wedge_bench(RAYS, gamma=GAMMA)
+    bench, folder, run = begun(tmp_path, gamma=GAMMA)
     light = 0.003 + 0.997 * np.linspace(0, 1, 256) ** GAMMA
 
     def radiance() -> np.ndarray:
@@ -114,8 +118,7 @@ def test_a_projector_that_is_not_dark_when_off_changes_nothing_else(tmp_path: Pa
         return bench.path.radiance(light[codes])
 
     bench.camera._radiance = radiance
-    folder = CalibrationFolder(tmp_path / "calibration")
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    run()
     found = load(folder.path)
     assert "Projector black: 0.3" in found.facts["dark"]["verdict"]
     assert found.facts["dark"]["projector_black"] == pytest.approx(0.003, rel=0.1)
@@ -127,22 +130,21 @@ def test_a_projector_that_is_not_dark_when_off_changes_nothing_else(tmp_path: Pa
 
 
 def test_steps_that_are_done_are_not_repeated(
-    calibrated: tuple[Bench, CalibrationFolder], monkeypatch: pytest.MonkeyPatch
+    calibrated: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench, folder = calibrated
+    bench, folder, run = calibrated
     before = {name: folder.manifest(name).read_bytes() for name in STEPS}
 
     def refuse(_: object) -> None:
         raise AssertionError("a picture was shown")
 
     monkeypatch.setattr(bench.projector, "show", refuse)
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    run()
     assert before == {name: folder.manifest(name).read_bytes() for name in STEPS}
 
 
 def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
-    bench = wedge_bench(RAYS)
-    folder = CalibrationFolder(tmp_path / "calibration")
+    bench, folder, run = begun(tmp_path)
     expose, left = bench.camera.expose, [35]
 
     def failing() -> np.ndarray:
@@ -153,68 +155,53 @@ def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
 
     bench.camera.expose = failing  # type: ignore[method-assign]
     with pytest.raises(CaptureError, match="lost"):
-        calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
-    assert folder.is_done("dark")
-    assert folder.is_done("linearity")
-    assert not folder.is_done("light")
+        run()
+    done = [name for name in STEPS if folder.is_done(name)]
+    assert done == ["latency", "scene", "dark", "linearity"]
     with pytest.raises(StoreError, match="light isn't done"):
         finish(folder, SETTINGS)
     dark = folder.manifest("dark").stat().st_mtime_ns
     left[0] = 1000
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only=["light"])
+    run(["light"])
     assert folder.manifest("dark").stat().st_mtime_ns == dark
     assert folder.is_done("light")
     assert not (folder.path / "calibration.json").exists()
 
 
-def test_what_a_change_concerns_is_done_anew(tmp_path: Path) -> None:
-    bench = wedge_bench(RAYS)
-    folder = CalibrationFolder(tmp_path / "calibration")
+def test_what_a_change_concerns_is_done_anew_and_damage_is_found(tmp_path: Path) -> None:
+    _, folder, run = begun(tmp_path)
     only = ["scene", "dark", "linearity"]
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only)
+    run(only)
     first = {name: folder.made_for(name) for name in only}
-    changed = SETTINGS.model_copy(update={"tolerance": 0.05})
-    calibrate(bench.projector, bench.camera, folder, changed, RAYS, only)
+    run(only, tolerance=0.05)
     assert folder.made_for("dark") == first["dark"]
     assert folder.made_for("linearity") != first["linearity"]
-    other = wedge_bench(RAYS, seed=1)
-    calibrate(other.projector, other.camera, folder, changed, RAYS, only)
+    run(only, wedge_bench(RAYS, seed=1), tolerance=0.05)
     assert folder.made_for("dark") != first["dark"]
-
-
-def test_a_rig_that_is_not_coaxial_has_no_rays(tmp_path: Path) -> None:
-    settings = SETTINGS.model_copy(update={"coaxial": False})
-    names = steps_of(settings)
-    assert "rays" not in names
-    assert "symmetry" not in names
-    bench = wedge_bench(RAYS)
-    folder = CalibrationFolder(tmp_path / "calibration")
-    calibrate(bench.projector, bench.camera, folder, settings, RAYS)
-    assert load(folder.path).layout is None
-    with pytest.raises(InputError, match="none of this rig's"):
-        calibrate(bench.projector, bench.camera, folder, settings, RAYS, only=["symmetry"])
-
-
-def test_damage_is_found(tmp_path: Path) -> None:
-    bench = wedge_bench(RAYS)
-    folder = CalibrationFolder(tmp_path / "calibration")
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only=["scene", "dark"])
     write_arrays(folder.store("dark"), {"black": np.zeros(3)}, {})
     with pytest.raises(IntegrityError, match="remove both"):
         folder.read("dark")
 
 
+def test_a_rig_that_is_not_coaxial_has_no_rays(tmp_path: Path) -> None:
+    _, folder, run = begun(tmp_path)
+    run(coaxial=False)
+    assert load(folder.path).layout is None
+    assert set(folder.verdicts()) == set(STEPS) - {"rays", "symmetry"}
+    with pytest.raises(InputError, match="none of this rig's"):
+        run(["symmetry"], coaxial=False)
+
+
 def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) -> None:
     # a light so strong that the shortest exposure is saturated nearly everywhere
-    bench = wedge_bench(RAYS, sensor=brighter(CAMERA, 200.0))
-    folder = CalibrationFolder(tmp_path / "calibration")
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    _, folder, run = begun(tmp_path, sensor=brighter(CAMERA, 200.0))
+    run()
     assert folder.read("scene").verdict.standing == "poor"
     assert "saturated" in folder.read("light").verdict.text
     assert {folder.read(name).verdict.standing for name in ("rays", "symmetry")} == {"failed"}
     assert load(folder.path).layout is None
     before = folder.manifest("dark").stat().st_mtime_ns
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    run()
     assert folder.manifest("dark").stat().st_mtime_ns > before
 
 
@@ -226,11 +213,10 @@ def test_without_a_signal_there_is_a_report_all_the_same(
     tmp_path: Path, lamp: float, room: float, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.2)  # light that never comes isn't waited for
-    bench = wedge_bench((12, 12), (96, 96), (40, 42), gamma=GAMMA)
+    bench, folder, run = begun(tmp_path, (12, 12), (96, 96), (40, 42), gamma=GAMMA)
     seen = bench.camera._radiance
     bench.camera._radiance = lambda: lamp * seen() + np.float32(room)
-    folder = CalibrationFolder(tmp_path / "calibration")
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, (12, 12))
+    run()
     verdicts = folder.verdicts()
     assert set(verdicts) == set(STEPS)
     assert verdicts["scene"]["verdict"].startswith(("Too dark", "The all-off"))
@@ -241,8 +227,8 @@ def test_without_a_signal_there_is_a_report_all_the_same(
     assert said in text
 
 
-def test_the_report_is_one_page(calibrated: tuple[Bench, CalibrationFolder]) -> None:
-    _, folder = calibrated
+def test_the_report_is_one_page(calibrated: Any) -> None:
+    _, folder, _ = calibrated
     page = build_calibration_report(folder)
     text = page.read_text(encoding="utf-8")
     for name in STEPS:
@@ -291,19 +277,3 @@ def test_a_simulated_rig_has_nothing_to_calibrate(tmp_path: Path) -> None:
     config = parse_rig_config({"kind": "simulated", "scene": scene}, "rig.yaml")
     with pytest.raises(ConfigError, match="simulated"):
         calibrate_rig(config, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"repeats": 3}, "repeats is 3; it should be a multiple of 2"),
-        ({"period_pixels": 10}, "period_pixels is 10"),
-        (
-            {"views": [1, 2], "corners": [[[0, 0], [1, 0], [1, 1], [0, 1]]]},
-            "four corners for each of 2 views",
-        ),
-    ],
-)
-def test_wrong_settings_are_said(settings: dict, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        parse_rig_config({"calibrate": settings}, "rig.yaml")

@@ -1,6 +1,7 @@
 """Settings: defaults, generated files, and what a mistake says."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from rfpipe.scenes.rooms import OccluderOptions
 FOLDER = Path(__file__).parents[2] / "config"
 RUN = load_config(FOLDER / "config.yaml")
 BARE = {"scenes": {"one": {"kind": "plane", "surfaces": ["white"]}}}
+ROOM = {"kind": "room", "surfaces": ["texture", "white", "white"]}
 BARE_TEXT = f"{json.dumps(BARE)[1:-1]}\n"
 
 
@@ -107,10 +109,6 @@ def test_default_camera_fills_its_well_at_radiance_two_in_the_shortest_exposure(
     )
 
 
-def test_null_camera_means_exact_radiance() -> None:
-    assert parse_config({**BARE, "camera": None}, "mine.yaml").camera is None
-
-
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
     # YAML 1.1 takes 1e-4, without a dot, for a string
     text = f"{BARE_TEXT}methods: {{symmetric: {{tolerance: 1e-4}}}}"
@@ -123,101 +121,53 @@ def test_settings_do_not_change() -> None:
         RUN.seed = 2  # type: ignore[misc]
 
 
-def test_unknown_key_names_file_key_and_closest_known() -> None:
-    text = message({**BARE, "methods": {"symmetric": {"tolerence": 1e-3}}})
-    assert text.startswith(
-        "mine.yaml: methods.symmetric.tolerence is unknown; did you mean tolerance?"
-    )
-    assert "noise_significance" in text
+MISTAKES = """
+methods: {symmetric: {tolerence: 1}} -> methods.symmetric.tolerence is unknown; did you mean tolera
+methods: {symmetric: {tolerance: 2 s}} -> tolerance is '2 s'; it should be a valid number
+methods: {symmetric: {tolerance: 0}} -> tolerance is 0; it should be greater than 0
+methods: {symmetric: {tolerance: yes}} -> tolerance is true; it should not be true
+methods: {near_far: {patterns: -1}} -> near_far.patterns is -1; it should be greater than or equal
+methods: {dual: {patterns: 9}} -> dual.patterns is unknown; Known here: method, noise_significance,
+methods: [dual] -> methods is ['dual']; it should be a section for each method, as in {dual: {}}
+methods: {Dual!: {method: dual}} -> methods.Dual! is 'Dual!'; it should match pattern
+camera: {flare: .nan} -> camera.flare is nan; it should be a finite number
+camera: {bits: 10.5} -> camera.bits is 10.5; it should be a valid integer
+camera: {exposures: []} -> camera.exposures is []; it should have at least 1 item
+camera: {exposures: [15, 125]} -> exposures[1] is 125; it should .* 60. (Exposure times .* seconds
+camera: {exposures: [1.0, 0.1]} -> camera: exposures is (1.0, 0.1); it should ascend
+camera: {black_level_counts: 255, bits: 8} -> camera: black_level_counts is 255; .* 255 at 8 bits
+seed: -1 -> seed is -1; it should be greater than or equal to 0
+capture: 3 -> capture is 3; it should be a group of 'key: value' settings
+capture: {url: 'http://host:99999'} -> capture.url is .* port from 1 to 65535
+capture: {url: 'http://host:0'} -> capture.url is .* port from 1 to 65535
+resources: {workers: 'tcp://host:70000'} -> workers is .* port from 1 to 65535
+normalization: all -> normalization is 'all'; it should be 'none', 'per_channel'
+notify: mail -s 'done -> notify is .*No closing quotation
+notify: '  ' -> notify is .*no program is named
+scenes: {Mine!: {kind: plane}} -> scenes.Mine! is 'Mine!'; it should match pattern
+scenes: {a: {kind: wegde}} -> scenes.a: 'wegde' is unknown; expected one of captured,
+scenes: {a: {surfaces: [white]}} -> scenes.a.kind is missing; add it. .*'rfpipe settings scenes'
+scenes: {a: {kind: plane, shpae: 8 x 8}} -> scenes.a.shpae is unknown; did you mean shape?
+scenes: {a: {kind: plane, views: 3 x 3}} -> scenes.a.views is unknown
+scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surfaces (left, right), not
+{camera: {bayer: RGGB}, scenes: {a: {kind: plane, channels: 1}}} -> scenes.a.channels is 1; set it
+scenes: {a: {kind: room, views: [3, 0]}} -> scenes.a.views[1] is 0; it should be greater than
+scenes: {a: {kind: room, views: 9}} -> scenes.a.views is 9; it should be a valid tuple
+scenes: {a: {kind: room, span_degrees: 90 x 9}} -> should be less than or equal to 45
+scenes: {a: {kind: room, occluders: []}} -> scenes.a.occluders is unknown
+scenes: {a: {kind: room, methods: {}}} -> scenes.a.methods is {}
+scenes: {a: {kind: room, methods: [dual]}} -> as in {dual: {}}
+scenes: {a: {kind: room, methods: {dual: {tolerance: 2}}}} -> scenes.a.methods.dual.tolerance is 2
+scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is unknown
+"""
 
 
-def test_unknown_key_inside_a_scene() -> None:
-    scene = {"kind": "plane", "surfaces": ["white"], "shpae": [8, 8]}
-    text = message({"scenes": {"mine": scene}})
-    assert "scenes.mine.shpae is unknown; did you mean shape?" in text
-
-
-@pytest.mark.parametrize(
-    ("data", "key", "value", "expected"),
-    [
-        (
-            {"methods": {"symmetric": {"tolerance": "2 s"}}},
-            "methods.symmetric.tolerance",
-            "'2 s'",
-            "valid number",
-        ),
-        (
-            {"methods": {"symmetric": {"tolerance": 0}}},
-            "methods.symmetric.tolerance",
-            "0",
-            "greater than 0",
-        ),
-        (
-            {"methods": {"symmetric": {"tolerance": True}}},
-            "methods.symmetric.tolerance",
-            "true",
-            "not be true",
-        ),
-        (
-            {"methods": {"near_far": {"target_error": 1}}},
-            "methods.near_far.target_error",
-            "1",
-            "less than 1",
-        ),
-        (
-            {"methods": {"near_far": {"patterns": -1}}},
-            "methods.near_far.patterns",
-            "-1",
-            "greater than or equal",
-        ),
-        ({"camera": {"flare": float("nan")}}, "camera.flare", "nan", "finite number"),
-        ({"camera": {"bits": 10.5}}, "camera.bits", "10.5", "valid integer"),
-        ({"camera": {"exposures": []}}, "camera.exposures", "[]", "at least 1 item"),
-        ({"seed": -1}, "seed", "-1", "greater than or equal to 0"),
-        ({"methods": ["dual"]}, "methods", "['dual']", "as in {dual: {}}"),
-        ({"methods": {"Dual!": {"method": "dual"}}}, "methods.Dual!", "'Dual!'", "match pattern"),
-        ({"capture": 3}, "capture", "3", "group of 'key: value' settings"),
-        ({"scenes": {"Mine!": {}}}, "scenes.Mine!", "'Mine!'", "match pattern"),
-        ({"normalization": "all"}, "normalization", "'all'", "'none', 'per_channel'"),
-    ],
-)  # fmt: skip
-def test_wrong_value_names_key_value_and_expected(
-    data: object, key: str, value: str, expected: str
-) -> None:
-    text = message(data)
-    assert f"mine.yaml: {key} is {value}; it should " in text
-    assert expected in text
-
-
-def test_exposures_in_milliseconds_are_refused_with_their_unit() -> None:
-    text = message({"camera": {"exposures": [15.6, 125, 1000]}})
-    assert "camera.exposures[2] is 1000; it should be less than or equal to 60" in text
-    assert "seconds" in text
-
-
-ROOM = {"kind": "room", "surfaces": ["texture", "white", "white"]}
-
-
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        ({"surfaces": ["white"]},
-         "kind room should have 3 surfaces (left wall, right wall, floor), not 1 (white)"),
-        ({"views": [3, 0]}, "scenes.mine.views[1] is 0; it should be greater than or equal to 1"),
-        ({"views": 9}, "scenes.mine.views is 9"),
-        ({"span_degrees": [90, 29]}, "should be less than or equal to 45"),
-        ({"occluders": [{"centre": [0, 0, 2], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}]},
-         "scenes.mine.occluders is unknown"),
-        ({"methods": {}}, "scenes.mine.methods is {}"),
-        ({"methods": ["dual"]}, "as in {dual: {}}"),
-        ({"methods": {"dual": {"tolerance": 2}}}, "scenes.mine.methods.dual.tolerance is 2; it"),
-        ({"methods": {"duel": None}}, "scenes.mine.methods.duel: 'duel' is unknown"),
-        ({"kind": "plane", "surfaces": ["white"], "views": [3, 3]},
-         "scenes.mine.views is unknown"),
-    ],
-)  # fmt: skip
-def test_mistakes_in_a_light_field_are_explained(change: dict[str, object], expected: str) -> None:
-    assert expected in message({"scenes": {"mine": {**ROOM, "views": [3, 3], **change}}})
+@pytest.mark.parametrize("case", MISTAKES.strip().splitlines())
+def test_a_mistake_names_key_value_and_what_was_expected(case: str) -> None:
+    text, _, expected = case.partition(" -> ")
+    (line,) = message({**BARE, **yaml.safe_load(text)}).splitlines()
+    assert line.startswith("mine.yaml: ")
+    assert re.search(re.escape(expected).replace(r"\.\*", ".*"), line), line
 
 
 def test_a_scene_has_the_methods_of_the_run_unless_it_names_its_own() -> None:
@@ -258,12 +208,6 @@ def test_a_method_stands_twice_under_names_of_its_own() -> None:
     assert settings.methods["fine"].subject.name == "symmetric"
 
 
-def test_an_option_that_a_method_does_not_have_is_refused() -> None:
-    text = message({"methods": {"dual": {"patterns": 100}}})
-    assert "methods.dual.patterns is unknown" in text
-    assert "subtract_stored" in text
-
-
 @pytest.mark.parametrize(
     ("settings", "is_right"),
     [
@@ -298,47 +242,9 @@ def test_every_mistake_is_reported_once() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("data", "words"),
-    [
-        ({"camera": {"exposures": [1.0, 0.1]}}, ["camera: exposures", "ascend", "(1.0, 0.1)"]),
-        (
-            {"camera": {"black_level_counts": 255, "bits": 8}},
-            ["camera: black_level_counts is 255", "full scale, 255 at 8 bits"],
-        ),
-        (
-            {"scenes": {"mine": {"kind": "wedge", "surfaces": ["white"]}}},
-            ["scenes.mine: kind wedge should have 2 surfaces (left, right), not 1"],
-        ),
-        (
-            {
-                "camera": {"bayer": "RGGB"},
-                "scenes": {"mine": {"kind": "plane", "surfaces": ["white"], "channels": 1}},
-            },
-            ["camera.bayer RGGB", "scenes.mine.channels is 1", "set it to 3"],
-        ),
-    ],
-)
-def test_settings_that_contradict_each_other(data: object, words: list[str]) -> None:
-    text = message(data)
-    assert all(word in text for word in words), text
-
-
 def test_occluder_needs_two_directions() -> None:
     with pytest.raises(ValueError, match="parallel"):
         OccluderOptions(centre=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(-2, 0, 0))
-
-
-def test_missing_key_says_what_it_means() -> None:
-    text = message({"scenes": {"mine": {"surfaces": ["white"]}}})
-    assert text.startswith("mine.yaml: scenes.mine.kind is missing; add it.")
-    assert "'rfpipe settings scenes' lists" in text
-    assert len(text.splitlines()) == 1
-
-
-def test_an_unknown_kind_is_refused_with_those_there_are() -> None:
-    text = message({"scenes": {"mine": {"kind": "wegde"}}})
-    assert "scenes.mine: 'wegde' is unknown; expected one of captured, coloured_room, " in text
 
 
 @pytest.mark.parametrize(
@@ -372,21 +278,6 @@ def test_a_file_that_is_not_utf_8_is_named_with_the_line(tmp_path: Path) -> None
 
 def test_a_text_of_digits_stays_one(tmp_path: Path) -> None:
     assert load_config(write(tmp_path, f"{BARE_TEXT}report: {{title: '010'}}")).title == "010"
-
-
-@pytest.mark.parametrize(
-    ("data", "expected"),
-    [
-        ({"notify": "mail -s 'done"}, "notify is .*No closing quotation"),
-        ({"notify": "  "}, "notify is .*no program is named"),
-        ({"capture": {"url": "http://host:99999"}}, "capture.url is .*port from 1 to 65535"),
-        ({"capture": {"url": "http://host:0"}}, "capture.url is .*port from 1 to 65535"),
-        ({"resources": {"workers": "tcp://host:70000"}}, "port from 1 to 65535"),
-    ],
-)
-def test_what_can_not_work_after_hours_is_found_before(data: object, expected: str) -> None:
-    with pytest.raises(ConfigError, match=expected):
-        parse_config(data, "mine.yaml")
 
 
 def test_missing_file(tmp_path: Path) -> None:
