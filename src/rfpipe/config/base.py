@@ -259,18 +259,22 @@ def _named(sections: object) -> object:
         raise ValueError(f"should be a section for each method, as in {{{expected}}}")
     if not isinstance(sections, Mapping):
         return sections
-    return {
-        name: {"method": name, **(section or {})}
-        if section is None or isinstance(section, Mapping)
-        else section
-        for name, section in sections.items()
+    filled = {name: {} if section is None else section for name, section in sections.items()}
+    return merged({name: {"method": name} for name in sections}, filled)
+
+
+def _options_by_name(schema: dict[str, Any]) -> None:
+    """Say in a JSON schema which options a section has that is called by a method's name."""
+    schema["properties"] = {
+        name: {"propertyNames": {"enum": [*MethodSettings.model_of(name).model_fields]}}
+        for name in plugins.names(plugins.METHODS)
     }
 
 
 MethodSections = Annotated[
     dict[SectionName, SerializeAsAny[MethodSettings]],
     BeforeValidator(_named),
-    Field(min_length=1),
+    Field(min_length=1, json_schema_extra=_options_by_name),
 ]
 """Methods by the names of their sections."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-import unicodedata
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import reduce
@@ -117,16 +116,14 @@ def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         named = dict(zip(header, cells, strict=False))
         if astray := [*filter(None, cells[len(header) :]), *filter(None, [named.get("")])]:
             raise ConfigError(f"{file}: line {line}: {astray[0]!r} stands in a column without name")
-        yield (
-            f"line {line}",
-            {
+        row = {column: cell for column, cell in named.items() if cell}
+        if delimiter == ";":
+            row |= {
                 column: _DECIMAL_COMMA.sub(".", cell)
-                if delimiter == ";" and not column.startswith("about.")
-                else cell
-                for column, cell in named.items()
-                if cell
-            },
-        )
+                for column, cell in row.items()
+                if not column.startswith("about.")
+            }
+        yield f"line {line}", row
 
 
 def _yaml_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -163,9 +160,8 @@ def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in sorted(row.items()):  # methods before options of some
         parts = name.split(".", 1) if name.startswith("about.") else name.split(".")
-        nested: Any = (
-            _nested(value) if isinstance(value, Mapping) and parts[0] != "about" else value
-        )
+        is_group = isinstance(value, Mapping) and parts[0] != "about"
+        nested: Any = _nested(value) if is_group else value
         found = merged(found, reduce(lambda inner, part: {part: inner}, reversed(parts), nested))
     return found
 
@@ -189,11 +185,7 @@ def _unfit(name: str, places: Mapping[str, str]) -> str | None:
         return f"the name {name} stands in {places[name]} as well; change one"
     if _FOLDER.fullmatch(name):
         return None
-    ascii_name = unicodedata.normalize("NFKD", name.lower()).encode("ascii", "ignore").decode()
-    likely = re.sub(r"[^a-z0-9]+", "_", ascii_name).strip("_")[:90]
-    if not _FOLDER.fullmatch(likely):
-        likely = f"item_{likely}"
     return (
         f"the name {name[:110]!r} is not fit for a folder; expected a lower-case letter, then at "
-        f"most 99 such, digits and _, as in {likely}; other names can stand in about.title"
+        "most 99 such, digits and _, as in item_3; other names can stand in about.title"
     )

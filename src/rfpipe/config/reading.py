@@ -24,17 +24,11 @@ def read_yaml(path: str | Path) -> object:
         text, or holds what may be meant as one of two numbers: with its place.
     """
     try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be read as a settings file: {error}") from error
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"{path}: line {line}: can't be read as a settings file: byte "
-            f"0x{content[error.start]:02x} is no UTF-8; save the file in the encoding UTF-8"
-        ) from None
+            f"{path}: can't be read as a settings file in the encoding UTF-8: {error}"
+        ) from error
     try:
         data = parse_yaml(text)
     except (yaml.YAMLError, RecursionError, ValueError, OverflowError) as error:

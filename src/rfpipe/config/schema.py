@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,11 @@ import yaml
 from pydantic import BaseModel
 
 from rfpipe import plugins
-from rfpipe.config.base import Described, MethodSettings, Settings
+from rfpipe.config.base import MethodSettings, Settings
 from rfpipe.config.devices import BenchConfig, RigConfig
-from rfpipe.config.drivers import DeviceDriver, ProjectorDriver
+from rfpipe.config.drivers import CameraDriver, DeviceDriver, ProjectorDriver, RigDriver
 from rfpipe.config.model import Config
+from rfpipe.config.scenes import SceneSettings
 
 _REFERENCE = "#/$defs/{model}"
 
@@ -27,22 +27,13 @@ def schema_of(kind: type[Settings]) -> dict[str, Any]:
     """Return the JSON schema of a model, with the options of all methods, scenes and drivers."""
     schema = kind.model_json_schema(ref_template=_REFERENCE)
     definitions = schema.get("$defs", {})
-    models = {model.__name__: model for model in _descendants(Settings)}
-    for name in list(definitions):
-        model = models.get(name)
-        if model is not None and Described in model.__bases__:
-            definitions[name] = _by_name(model, definitions)
-        elif model is not None and issubclass(model, DeviceDriver):
-            _describe_drivers(definitions[name], model, definitions)
-    _limit_methods(schema)
+    for model in (SceneSettings, MethodSettings, ProjectorDriver, CameraDriver, RigDriver):
+        if model.__name__ in definitions:
+            describe = _by_driver if issubclass(model, DeviceDriver) else _by_name
+            definitions[model.__name__] = describe(model, definitions)
     for node in definitions.values():  # the group itself says what it is for
         node.pop("description", None)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
-def _descendants(model: type[Settings]) -> list[type[Settings]]:
-    children = model.__subclasses__()
-    return children + [found for child in children for found in _descendants(child)]
 
 
 def _defined(model: type[Settings], definitions: dict[str, Any]) -> dict[str, Any]:
@@ -56,60 +47,35 @@ def _defined(model: type[Settings], definitions: dict[str, Any]) -> dict[str, An
 def _by_name(model: type[Any], definitions: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of a section whose options depend on the name in it.
 
-    An option that is the same for all names that have it stands once, another one in a rule for the
-    names that share it; a rule for each name lists all of its options.
+    Each option stands once, as it is for any name; a rule for each name lists its options.
     """
-    names = plugins.names(model.group)
-    schemas = {name: _defined(model.model_of(name), definitions) for name in names}
-    variants: dict[tuple[str, str], list[str]] = {}
-    for name, schema in schemas.items():
+    key, names = model.key, plugins.names(model.group)
+    options: dict[str, list[Any]] = {}
+    rules = []
+    for name in names:
+        schema = _defined(model.model_of(name), definitions)
         for option, node in schema["properties"].items():
-            variants.setdefault((option, json.dumps(node, sort_keys=True)), []).append(name)
-    options = Counter(option for option, _ in variants)
-    shared, rules = {}, []
-    for (option, node), having in variants.items():
-        if options[option] == 1:
-            shared[option] = json.loads(node)
-        elif option != model.key:
-            rules.append(_rule(model.key, having, {"properties": {option: json.loads(node)}}))
-    shared[model.key] = model.model_json_schema()["properties"][model.key] | {
-        "anyOf": [{"enum": list(names)}, {"pattern": ":"}]
-    }
-    for name, schema in schemas.items():
+            known = options.setdefault(option, [])
+            known += [] if node in known else [node]
         then = {"propertyNames": {"enum": sorted(schema["properties"])}}
         if schema.get("required"):
             then["required"] = schema["required"]
-        rules.append(_rule(model.key, [name], then))
-    required = {"required": [model.key]} if model is not MethodSettings else {}
-    return {"type": ["object", "null"], "properties": shared, "allOf": rules, **required}
+        called = {"properties": {key: {"const": name}}, "required": [key]}
+        rules.append({"if": called, "then": then})
+    properties = {
+        option: nodes[0] if len(nodes) == 1 else {"anyOf": nodes}
+        for option, nodes in options.items()
+    }
+    properties[key] = model.model_json_schema()["properties"][key] | {
+        "anyOf": [{"enum": list(names)}, {"pattern": ":"}]
+    }
+    required = {"required": [key]} if model is not MethodSettings else {}
+    return {"type": ["object", "null"], "properties": properties, "allOf": rules, **required}
 
 
-def _limit_methods(node: Any) -> None:
-    """Say which options each method has, where sections are called by the methods' names."""
-    if isinstance(node, list):
-        for each in node:
-            _limit_methods(each)
-    elif isinstance(node, dict):
-        for section in node.get("patternProperties", {}).values():
-            if section == {"$ref": _REFERENCE.format(model="MethodSettings")}:
-                node["properties"] = {
-                    name: {"propertyNames": {"enum": [*MethodSettings.model_of(name).model_fields]}}
-                    for name in plugins.names(plugins.METHODS)
-                }
-        for each in node.values():
-            _limit_methods(each)
-
-
-def _rule(key: str, names: list[str], then: dict[str, Any]) -> dict[str, Any]:
-    """Return what holds where a key has one of some values."""
-    return {"if": {"properties": {key: {"enum": names}}, "required": [key]}, "then": then}
-
-
-def _describe_drivers(
-    node: dict[str, Any], model: type[DeviceDriver], definitions: dict[str, Any]
-) -> None:
-    """Say what options a driver has, by the names that are installed."""
-    rules = []
+def _by_driver(model: type[Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a driver, whose options depend on its name."""
+    node, rules = definitions[model.__name__], []
     for name in plugins.names(model.group):
         options = model.options_model(name)
         definitions[options.__name__] = _defined(options, definitions)
@@ -117,8 +83,7 @@ def _describe_drivers(
         asked = {"properties": {"driver": {"const": name}}}  # which may be left out
         rules.append({"if": asked, "then": {"properties": {"options": reference}}})
     node["properties"]["options"] = {"type": "object", "description": "The driver's options."}
-    if rules:
-        node["allOf"] = rules
+    return {**node, **({"allOf": rules} if rules else {})}
 
 
 def generated() -> dict[str, str]:
