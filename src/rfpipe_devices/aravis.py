@@ -50,23 +50,10 @@ class AravisOptions(GenicamOptions):
 
 
 class AravisCamera(GenicamCamera):
-    """A GenICam camera that takes brackets by software trigger, and sequences by a projector's.
+    """A GenICam camera of any maker; never tried on a camera of metal.
 
-    All automatic functions are off and the gain is fixed. Failed frames and a lost camera are
-    treated as every `BracketCamera` does. Never tried on a camera of metal.
-
-    Parameters
-    ----------
-    sensor : CameraModel
-        Exposures, bits and mosaic, which choose the pixel format, and what is known of the noise.
-    options
-        As `AravisOptions` has them, by name, the same where they aren't given; the pixel format is
-        the sensor's.
-
-    Raises
-    ------
-    CaptureError
-        When Aravis is missing, no camera answers, or it refuses a setting: says which.
+    Options as `AravisOptions` has them. CaptureError where Aravis is missing, no camera answers, or
+    it refuses a setting: says which.
     """
 
     kind = "aravis"
@@ -141,13 +128,7 @@ class AravisCamera(GenicamCamera):
 
 
 class PreparedCamera(AravisCamera):
-    """Aravis' fake camera, which takes what lies before it.
-
-    Attributes
-    ----------
-    frame : bytes
-        The next frame, as the pixel format has it.
-    """
+    """Aravis' fake camera, which takes what lies before it: `frame`, as the pixel format has it."""
 
     frame: bytes = b""
 
@@ -171,15 +152,7 @@ class PreparedCamera(AravisCamera):
 
 
 class AravisBenchCamera(BenchCamera, PreparedCamera):
-    """Aravis' fake camera on the bench in software.
-
-    Raises
-    ------
-    CaptureError
-        When Aravis is missing.
-    InputError
-        When its fake camera has no such pixel format.
-    """
+    """Aravis' fake camera on the bench; InputError where it has no such pixel format."""
 
     kind = "bench of aravis"
 

@@ -162,21 +162,10 @@ def connected(*, fake: bool = False) -> list[tuple[bytes, str, str]]:
 
 
 def counts_of(buffer: int, bits: int, payload: int) -> NDArray[np.uint16]:
-    """Return a copy of a buffer's frame, (H, W).
+    """Return a copy of the frame (H, W) of an ArvBuffer, by its address.
 
-    Parameters
-    ----------
-    buffer : int
-        Address of an ArvBuffer whose status is success.
-    bits : int
-        Of a count: 8, or more, which stand in 16.
-    payload : int
-        Bytes that the buffer was made for.
-
-    Raises
-    ------
-    AravisError
-        When the frame is larger than that.
+    Counts have 8 bits, or more, which stand in 16; AravisError where they are more than `payload`
+    bytes.
     """
     height, width = (call(f"arv_buffer_get_image_{name}", buffer) for name in ("height", "width"))
     dtype = np.dtype(np.uint8 if bits == 8 else "<u2")

@@ -292,13 +292,7 @@ def message(command: int, data: bytes, number: int, *, read: bool = False) -> li
 
 
 def answer_of(packet: bytes, command: int, number: int) -> bytes:
-    """Return the data of an answer.
-
-    Raises
-    ------
-    CaptureError
-        When it is none to this message, or says that the command failed.
-    """
+    """Return the data of an answer; CaptureError where it is none to this message, or a refusal."""
     if len(packet) < 4:
         raise CaptureError(f"projector: {len(packet)} bytes answer command {command:#06x}")
     flags, answered, length = unpack("<BBH", packet[:4])
@@ -313,18 +307,10 @@ def answer_of(packet: bytes, command: int, number: int) -> bytes:
 
 
 def lut_entry(index: int, microseconds: int, place: int, bits: int = 1) -> bytes:
-    """Return the definition of a pattern in white light.
+    """Return the definition of a pattern in white light, shown for so long.
 
-    Parameters
-    ----------
-    index : int
-        Of the pattern.
-    microseconds : int
-        For how long it is shown; a trigger output frames it.
-    place : int
-        Its place, or that of its lowest bit, among the loaded binary pictures.
-    bits : int
-        1 to 8, in one image.
+    Of its 1 to 8 `bits`, in one image, the lowest has this place among the loaded binary pictures;
+    a trigger output frames it.
     """
     image, bit = divmod(place, BITS_AN_IMAGE)
     shown = 1 | (bits - 1) << 1 | _WHITE << 4  # cleared afterwards; runs on untriggered

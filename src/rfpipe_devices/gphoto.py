@@ -112,18 +112,11 @@ class PhotoOptions(FrameOptions):
 
 
 class PhotoCamera(BracketCamera):
-    """A Canon, Nikon or Sony camera that takes raw brackets.
+    """A Canon, Nikon or Sony camera that takes raw brackets; never tried on a camera of metal.
 
     The first picture says size, colour mosaic, black level and white level, which take the place of
-    the settings'; exposure times are the nearest that the camera has. Failed frames and a lost
-    camera are treated as every `BracketCamera` does. Never tried on a camera of metal.
-
-    Parameters
-    ----------
-    sensor : CameraModel
-        Exposures, and what is known of the noise.
-    options
-        As `PhotoOptions` has them, by name, the same where they aren't given.
+    the sensor's; exposure times are the nearest that the camera has. Options as `PhotoOptions` has
+    them.
 
     Raises
     ------
@@ -345,12 +338,7 @@ class PhotoCamera(BracketCamera):
 class PhotoBenchCamera(BenchCamera, PhotoCamera):
     """libgphoto2's virtual camera on the bench, each of its raw files made when it is released.
 
-    Raises
-    ------
-    CaptureError
-        When gphoto2 or rawpy is missing.
-    InputError
-        When the bench's camera has no colour mosaic.
+    InputError where the bench's camera has no colour mosaic.
     """
 
     kind = "bench of gphoto2"

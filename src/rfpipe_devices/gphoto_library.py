@@ -26,10 +26,7 @@ def load_gphoto2() -> Any:
 def use_virtual(folder: Path) -> None:
     """Have libgphoto2 see its virtual camera alone, which takes the first picture in a folder.
 
-    Raises
-    ------
-    CaptureError
-        When the installed gphoto2 has none, or the folder has no picture for it.
+    CaptureError where the installed gphoto2 has none, or the folder has no picture for it.
     """
     ports = Path(load_gphoto2().__file__).parent / "libgphoto2" / "vusb"
     if not ports.is_dir():
@@ -52,17 +49,9 @@ def connected() -> list[tuple[str, str]]:
 
 
 class Photo:
-    """An open camera.
+    """An open camera, by model and port as `connected` names them.
 
-    Parameters
-    ----------
-    model, port : str
-        As `connected` names them.
-
-    Raises
-    ------
-    gphoto2.GPhoto2Error
-        When it can't be opened; methods raise it, too, when the camera fails.
+    gphoto2.GPhoto2Error where it can't be opened, and by methods where the camera fails.
     """
 
     def __init__(self, model: str, port: str) -> None:
@@ -92,10 +81,7 @@ class Photo:
     def set(self, name: str, value: Setting) -> bool:
         """Make a setting; False where the camera has none of this name, or it is fixed.
 
-        Raises
-        ------
-        CaptureError
-            When the camera refuses the value.
+        CaptureError where the camera refuses the value.
         """
         widget = self._widget(name)
         if widget is None or widget.get_readonly():
@@ -158,14 +144,8 @@ def shutter_times(names: Iterable[str], *, nominal: bool = False) -> list[Shutte
     """Return a camera's exposure times, ascending; Bulb, Auto and the like are left out.
 
     Photo cameras time their shutters in halves or thirds of a stop from one second, whole powers
-    of two among them, and round only the names: 1/60 is 1/64 s, 30 is 32 s.
-
-    Parameters
-    ----------
-    names : iterable of str
-        As the camera lists them.
-    nominal : bool
-        Whether to take the names at their word.
+    of two among them, and round only the names: 1/60 is 1/64 s, 30 is 32 s. `nominal` takes the
+    names at their word.
     """
     named = {name: _seconds(name) for name in names}
     times = {name: seconds for name, seconds in named.items() if seconds}
@@ -181,10 +161,7 @@ def shutter_times(names: Iterable[str], *, nominal: bool = False) -> list[Shutte
 def nearest_times(exposures: Sequence[float], times: Sequence[ShutterTime]) -> list[ShutterTime]:
     """Return the camera's time nearest to each exposure, by their ratio.
 
-    Raises
-    ------
-    InputError
-        When the camera has none, or one is nearest to two exposures.
+    InputError where the camera has none, or one is nearest to two exposures.
     """
     if not times:
         raise InputError(

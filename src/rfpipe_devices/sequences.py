@@ -58,23 +58,11 @@ class Player(Protocol):
 
 
 class Sequencer:
-    """Takes brackets by sequences: a list for each exposure.
+    """Takes brackets by sequences of at most `most` patterns: a list for each exposure.
 
-    Parameters
-    ----------
-    player : Player
-    sensor : Sensor
-        Of the frames.
-    one_by_one : callable
-        ``one_by_one(patterns, keys)`` takes brackets without a sequence.
-    most : int
-        Patterns of a list.
-
-    Attributes
-    ----------
-    statistics : dict of str to int
-        ``played``: lists; ``lost``: frames that weren't told beyond doubt, and were played again;
-        ``loaded_again``: sequences; ``one_by_one``: patterns that no sequence gave.
+    ``one_by_one(patterns, keys)`` takes brackets without a sequence. `statistics` counts ``played``
+    lists; ``lost`` frames, which weren't told beyond doubt and were played again; ``loaded_again``
+    sequences; ``one_by_one``: patterns that no sequence gave.
     """
 
     def __init__(self, player: Player, sensor: Sensor, one_by_one: OneByOne, most: int) -> None:
@@ -85,13 +73,7 @@ class Sequencer:
         self.statistics = {"played": 0, "lost": 0, "loaded_again": 0, "one_by_one": 0}
 
     def brackets(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Return the brackets (B, E, ...) of patterns.
-
-        Raises
-        ------
-        CaptureError
-            When a device fails, or a pattern can't be taken one by one either.
-        """
+        """Return the brackets (B, E, ...) of patterns; CaptureError where a device fails."""
         starts = range(0, len(patterns), self.most)
         lists = [slice(start, start + self.most) for start in starts]
         return np.concatenate([self._list(patterns[part], keys[part]) for part in lists])
@@ -195,17 +177,9 @@ class Sequencer:
 
 @dataclass(frozen=True)
 class Playlist:
-    """One list, and which of its frames is of which pattern.
+    """One list of `shown` patterns of the `count` that are loaded; which frame is of which pattern.
 
     Loaded are white, black, then the patterns, then the complements of all of them.
-
-    Parameters
-    ----------
-    count : int
-        Patterns that are loaded.
-    shown : sequence of int
-        Those of them that are shown.
-    with_complements : bool
     """
 
     count: int
@@ -342,14 +316,9 @@ def _variance(frames: Float) -> float:
 
 
 class DevicePlayer:
-    """Plays lists of patterns on a projector and a camera that have sequences.
+    """Plays lists on a projector and a camera that have sequences, see `rfpipe.rigs.devices`.
 
-    Parameters
-    ----------
-    projector : rfpipe.rigs.devices.SequenceProjector
-    camera : rfpipe.rigs.devices.SequenceCamera
-    picture : callable
-        Returns the projector's picture of a pattern.
+    ``picture(pattern)`` returns the projector's picture of a pattern.
     """
 
     def __init__(self, projector: Any, camera: Any, picture: Callable[[Float], Float]) -> None:

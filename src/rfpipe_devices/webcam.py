@@ -77,15 +77,9 @@ class WebcamOptions(Settings):
 class Webcam(BracketCamera):
     """A webcam that takes brackets where it lets one set its exposure time.
 
-    Without that, it takes one exposure, whose time is the camera's own affair. Failed frames and a
-    lost camera are treated as every `BracketCamera` does. Never tried on a camera of metal.
-
-    Parameters
-    ----------
-    sensor : CameraModel
-        Exposures, 8 bits, and what is known of the noise.
-    options
-        As `WebcamOptions` has them, by name, the same where they aren't given.
+    Without that, it takes one exposure, whose time is the camera's own affair. Never tried on a
+    camera of metal. Options as `WebcamOptions` has them; `adapts` names what bends or adapts counts
+    and could not be switched off.
 
     Raises
     ------
@@ -94,11 +88,6 @@ class Webcam(BracketCamera):
     InputError
         When the sensor has other than 8 bits or a mosaic, or several exposures that the camera
         can't be told.
-
-    Attributes
-    ----------
-    adapts : tuple of str
-        What bends or adapts counts and could not be switched off.
     """
 
     kind = "webcam"
@@ -278,15 +267,8 @@ def _letters(fourcc: int) -> str:
 class VirtualUvc:
     """A V4L2 camera in software: controls that hold what they are told, frames that come late.
 
-    Frames that are on their way when the picture changes still show the old one, as a driver's
-    buffers do.
-
-    Parameters
-    ----------
-    frame : ndarray of uint8, shape (H, W) or (H, W, 3)
-        The first frame.
-    late : int
-        Frames that are on their way.
+    `late` frames that are on their way when the picture changes still show the old one, as a
+    driver's buffers do.
     """
 
     def __init__(self, frame: NDArray[np.uint8], late: int) -> None:

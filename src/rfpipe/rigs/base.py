@@ -51,7 +51,7 @@ class Rig(Protocol):
 
         Returns
         -------
-        ndarray, shape (B, *sensor.frame_shape(camera_shape, channels)), sensor.frame_dtype
+        ndarray of sensor.frame_dtype, shape (B, *sensor.frame_shape(camera_shape, channels))
 
         Raises
         ------
@@ -65,34 +65,23 @@ class Rig(Protocol):
         """Plain data for fingerprints and manifests: all that shapes a frame."""
 
 
-class SequenceRig(Rig, Protocol):
-    """A rig that shows and exposes lists of patterns in hardware, too."""
-
-    @property
-    def sequence_patterns(self) -> int:
-        """The most patterns of a list; 0 where it has no sequences as it is set up."""
-
-    def show_sequence(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Show patterns by hardware and return their brackets; else as `Rig.capture`.
-
-        What the hardware lost or mixed up is taken again.
-        """
-
-
 def sequence_patterns(rig: Rig) -> int:
-    """Return the most patterns that a rig shows in a sequence, 0 where it shows none."""
+    """Return the most patterns that a rig shows in a sequence by hardware, 0 where it shows none.
+
+    A rig that does has this number as its attribute `sequence_patterns`, and
+    ``show_sequence(patterns, keys)``: as `Rig.capture`; what the hardware lost or mixed up is taken
+    again.
+    """
     return int(getattr(rig, "sequence_patterns", 0))
 
 
 def capture_batch(rig: Rig, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-    """Show patterns and return their brackets: by hardware where the rig does so, else one by one.
-
-    See `Rig.capture`.
-    """
+    """Return the brackets of patterns, by hardware where the rig does so; see `Rig.capture`."""
+    capture: Any = rig.capture
     if len(patterns) > 1 and sequence_patterns(rig):
-        frames: NDArray[Any] = rig.show_sequence(patterns, keys)  # type: ignore[attr-defined]
-        return frames
-    return rig.capture(patterns, keys)
+        capture = rig.show_sequence  # type: ignore[attr-defined]
+    frames: NDArray[Any] = capture(patterns, keys)
+    return frames
 
 
 def check_patterns(

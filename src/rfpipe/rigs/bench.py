@@ -33,10 +33,7 @@ Float = NDArray[np.float32]
 class BenchProjector(WindowProjector):
     """The projector whose pictures are drawn before a scenery, which the bench's camera looks at.
 
-    Attributes
-    ----------
-    trigger : callable or None
-        Triggers the bench's camera, where that is to be by the projector.
+    `trigger` triggers that camera in sequences, where that is to be by the projector; else None.
     """
 
     def __init__(self, scenery: Scenery, **settings: Any) -> None:
@@ -67,11 +64,6 @@ class BenchProjector(WindowProjector):
 
 def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
     """Return the projector and the camera of a rig's bench.
-
-    Parameters
-    ----------
-    config : RigConfig
-        With a bench.
 
     Raises
     ------

@@ -20,11 +20,6 @@ if TYPE_CHECKING:
 def rig_from_config(config: RigConfig) -> Rig:
     """Return the rig of a settings file; close it, if it has devices, when done.
 
-    Parameters
-    ----------
-    config : RigConfig
-        From `rfpipe.config.load_rig_config`.
-
     Raises
     ------
     CaptureError
@@ -66,12 +61,8 @@ def rig_from_config(config: RigConfig) -> Rig:
 def devices_from_config(config: RigConfig) -> tuple[Projector, Camera]:
     """Return projector and camera of a rig of devices, or those of its bench.
 
-    Raises
-    ------
-    ConfigError
-        When the rig is a simulated one or a whole, which has no devices.
-    CaptureError
-        When a device doesn't answer.
+    ConfigError where the rig is a simulated one or a whole, CaptureError where a device doesn't
+    answer.
     """
     if config.kind == "simulated" or config.rig is not None:
         what = "simulated" if config.rig is None else f"a whole, {config.rig.driver}"

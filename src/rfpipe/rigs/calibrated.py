@@ -48,16 +48,13 @@ class Calibration:
         Where the rays lie on the projector; dark where the camera doesn't see them.
     resampling : Resampling or None
         How the camera's images become images on the rays.
-    camera : dict
-        Measured parameters of `CameraModel`: full well, read noise, dark current, black level and
-        gamma of the response, as far as they were found.
+    camera : mapping
+        Measured parameters of `CameraModel`, as far as they were found.
     projector_response : ndarray of float64, shape (256,), or None
         Light of each code as a fraction of that of code 255, ascending from 0 to 1.
-    black : ndarray of float32 or None
-        Mean of the dark frames, shape of a bracket, counts.
-    hot : ndarray of bool or None
-        Hot photosites, shape of a frame.
-    facts : dict
+    black, hot : ndarray of float32, ndarray of bool, or None
+        Mean of the dark frames, shape of a bracket, counts; hot photosites, shape of a frame.
+    facts : mapping
         Plain data: verdicts, measured numbers with their standard errors, settings.
     """
 
@@ -71,13 +68,7 @@ class Calibration:
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
-    """Write a calibration; its facts last, so that they tell of a complete one.
-
-    Raises
-    ------
-    StoreError
-        When the disk is full or the folder isn't writable.
-    """
+    """Write a calibration; its facts last, so that they tell of a complete one."""
     arrays: dict[str, NDArray[Any]] = {}
     for part in (calibration.layout, calibration.resampling):
         if part is not None:
@@ -94,12 +85,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 
 def load_calibration(folder: str | Path) -> Calibration:
-    """Read a calibration.
-
-    Parameters
-    ----------
-    folder
-        Such as `rfpipe calibrate` wrote.
+    """Read a calibration, such as `rfpipe calibrate` wrote.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from rfpipe import plugins
 from rfpipe.errors import InputError
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import VERDICTS_KEY, resampled_sensor
-from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of, can_play
+from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.stale import RETAKE_SECONDS, StaleWatch
 
@@ -70,31 +70,29 @@ class DeviceRig(Closing):
                     f"the calibration is of a {device} of {tuple(calibrated)} pixels; this one has "
                     f"{tuple(shape)}. Calibrate again, or set the {device}'s size back"
                 )
-        self.projector = projector
-        self.camera = camera
+        self.projector, self.camera = projector, camera
         self.layout = layout
-        self.resampling = resampling
         self.seconds_per_pattern = float(seconds_per_pattern)
         self._verdicts = {step: dict(verdict) for step, verdict in (verdicts or {}).items()}
         self.projector_shape = projector.shape if layout is None else layout.shape
         self.camera_shape = camera.shape if resampling is None else resampling.shape
         self.channels = camera.channels
         self.sensor = resampled_sensor(camera.sensor, resampling)
-        self._frame_shape = camera.sensor.frame_shape(camera.shape, camera.channels)
         self._watch = StaleWatch(camera.sensor)
         self._sequencer: Any = None
-        if can_play(projector, camera):
+        if getattr(projector, "sequence_pictures", 0) and getattr(
+            camera, "can_be_triggered", False
+        ):
             sequencer_of = plugins.find(plugins.SEQUENCES, "hardware")
             self._sequencer = sequencer_of(projector, camera, self._picture, self.capture)
 
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)
-        dtype = self.camera.sensor.frame_dtype
-        frames = np.empty((len(patterns), *self._frame_shape), dtype)
+        shape = self.camera.sensor.frame_shape(self.camera.shape, self.channels)
+        frames = np.empty((len(patterns), *shape), self.camera.sensor.frame_dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
-            name = f"pattern {tuple(key)}"
-            frames[index] = self._bracket(self._picture(pattern), name)
+            frames[index] = self._bracket(self._picture(pattern), f"pattern {tuple(key)}")
         return frames
 
     @property

@@ -45,17 +45,9 @@ class Projector(Protocol):
     def show(self, picture: Float) -> None:
         """Show a picture until the next one; return when it is on display and settled.
 
-        Parameters
-        ----------
-        picture : ndarray of float32, shape (H, W)
-            Weights in [0, 1] in linear light: 1 is all light that a pixel gives. Is not kept.
-
-        Raises
-        ------
-        InputError
-            When the picture has the wrong shape or a weight outside [0, 1].
-        CaptureError
-            When the display fails or is closed.
+        The picture, float32 (H, W), has weights in [0, 1] in linear light: 1 is all light that a
+        pixel gives; it is not kept. InputError where its shape or a weight is another,
+        CaptureError where the display fails or is closed.
         """
 
     def describe(self) -> dict[str, Any]:
@@ -78,23 +70,13 @@ class SequenceProjector(Projector, Protocol):
     def load(self, pictures: Iterable[Float]) -> None:
         """Take pictures (H, W), weights in [0, 1], in the place of those before.
 
-        Raises
-        ------
-        InputError
-            When a picture has the wrong shape, or a weight that can't be shown in a sequence.
-        CaptureError
-            When the projector fails.
+        InputError where one has the wrong shape, or a weight that a sequence can't show.
         """
 
     def play(self, order: Sequence[int], seconds: float) -> None:
         """Show loaded pictures in this order, each for so long, and trigger the camera at each.
 
         Returns when the last one was shown.
-
-        Raises
-        ------
-        CaptureError
-            When the projector fails.
         """
 
 
@@ -114,16 +96,9 @@ class Camera(Protocol):
         """The sensor, which merges what `expose` returns."""
 
     def expose(self) -> NDArray[Any]:
-        """Take one bracket of what is before the camera now.
+        """Return a bracket, sensor.frame_shape(shape, channels), of what is before the camera now.
 
-        Returns
-        -------
-        ndarray, shape sensor.frame_shape(shape, channels), sensor.frame_dtype
-
-        Raises
-        ------
-        CaptureError
-            When the camera fails, still after the retries that its driver makes, or is closed.
+        CaptureError where it fails, still after the retries that its driver makes, or is closed.
         """
 
     def describe(self) -> dict[str, Any]:
@@ -147,22 +122,16 @@ class SequenceCamera(Camera, Protocol):
         """Wait for `count` triggers from now on, each of a frame of `exposure` seconds."""
 
     def collect(self) -> NDArray[Any]:
-        """Return the frames since `arm` in the order that they came in, and wait for no more.
+        """Return the frames since `arm` as they came, (n, *sensor.frame_shape(...)[1:]).
 
-        There may be fewer than were armed for, where triggers were missed: of shape
-        (n, *sensor.frame_shape(shape, channels)[1:]).
+        There may be fewer than were armed for, where triggers were missed.
         """
 
 
 def options_of(driver: Any, options: dict[str, Any]) -> Any:
-    """Return a driver's options, its defaults where they aren't given.
+    """Return a driver's options, whose ranges are checked where settings are read.
 
-    Ranges are checked where settings are read.
-
-    Raises
-    ------
-    TypeError
-        When there is an option that the driver doesn't have.
+    Those that aren't given have its model's defaults; TypeError for one that it doesn't have.
     """
     if unknown := options.keys() - driver.Options.model_fields:
         raise TypeError(f"{type(driver).__name__} has no options {', '.join(sorted(unknown))}")
@@ -226,13 +195,6 @@ def undisturbed(projector: Projector) -> bool:
     """Tell whether a projector's last picture stood from `show` until now, as far as it knows."""
     asked = getattr(projector, "undisturbed", None)
     return asked is None or bool(asked())
-
-
-def can_play(projector: Projector, camera: Camera) -> bool:
-    """Tell whether two devices show and expose sequences together."""
-    return bool(
-        getattr(projector, "sequence_pictures", 0) and getattr(camera, "can_be_triggered", False)
-    )
 
 
 def check_picture(picture: NDArray[Any], shape: tuple[int, int]) -> Float:

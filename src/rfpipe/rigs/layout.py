@@ -171,18 +171,8 @@ class ProjectorLayout:
     def grid(cls, display_shape: tuple[int, int], domain_shape: tuple[int, ...]) -> Self:
         """Return the layout of a centred grid: each ray a square of as many whole pixels as fit.
 
-        Parameters
-        ----------
-        display_shape : (int, int)
-            Height and width of the projector's picture in pixels.
-        domain_shape : (int, int)
-            Height and width of the ray domain, at most those of the picture.
-
-        Raises
-        ------
-        InputError
-            When the domain is larger than the picture, or has views, whose places only a
-            calibration knows.
+        InputError where the domain is larger than the picture, or has views, whose places only a
+        calibration knows.
         """
         if RayDomain(domain_shape).is_stack:
             raise InputError(
@@ -200,14 +190,7 @@ class ProjectorLayout:
     ) -> Self:
         """Return the layout of rectified views: a pixel shows the ray that its middle lies on.
 
-        Parameters
-        ----------
-        corners : sequence of Quadrilateral
-            Of each view on the projector.
-        shape : tuple of int
-            The ray domain.
-        display_shape : (int, int)
-            Of the projector in pixels.
+        `corners` are those of each view on the projector, a display of `display_shape` pixels.
         """
         rays = np.full(display_shape, DARK, np.int32)
         middles = pixel_middles(display_shape)

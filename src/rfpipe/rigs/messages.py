@@ -1,8 +1,8 @@
 """Patterns and brackets between the acquisition server and its client: checked numpy archives.
 
 A message is an ``.npz``: an array is a member ``name.npy``, and plain facts are a member
-``facts.json``. `numpy.load` reads it, too. Here its members are checked before anything is
-allocated for them, since whoever sends one may lie.
+``facts.json``. Its members are checked before anything is allocated for them, since whoever sends
+one may lie.
 """
 
 from __future__ import annotations
@@ -38,12 +38,8 @@ _DTYPES = frozenset({"|b1", "|u1", "<u2", "<i4", "<i8", "<f4", "<f8"})
 class Message:
     """A message that is written array by array, so that nothing has to be held twice.
 
-    Parameters
-    ----------
-    facts : mapping
-        Plain data of finite numbers.
-    deflate : bool
-        Whether to compress the arrays: blocks shrink to almost nothing, noise doesn't shrink.
+    `facts` are plain data of finite numbers. Arrays are compressed where `deflate` asks for it:
+    blocks shrink to almost nothing, noise doesn't shrink.
     """
 
     def __init__(self, facts: Mapping[str, Any], *, deflate: bool = False) -> None:
@@ -84,12 +80,7 @@ def pack(
 def unpack(message: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the facts and arrays of a message, checked against their checksums.
 
-    Parameters
-    ----------
-    message : bytes
-    most_bytes : int
-        Bytes that all arrays together may take in memory, so that few compressed bytes can't
-        fill it.
+    All arrays together may take `most_bytes` in memory, so that few compressed bytes can't fill it.
 
     Raises
     ------
@@ -140,16 +131,7 @@ def _array(content: bytes) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class SentPatterns:
-    """Patterns as they were sent, of which a few at a time are expanded.
-
-    Attributes
-    ----------
-    array : ndarray of uint8 or float32
-        As `encode_patterns` sends it.
-    projector_shape : tuple of int
-    keys : list of tuple of int
-        A key for each pattern.
-    """
+    """Patterns as `encode_patterns` sends them, of which a few at a time are expanded."""
 
     array: NDArray[Any]
     projector_shape: tuple[int, ...]
@@ -167,14 +149,9 @@ class SentPatterns:
 
 
 def encode_patterns(patterns: Float, keys: Sequence[Sequence[int]]) -> bytes:
-    """Return the message that asks for brackets of patterns, without loss.
+    """Return the message that asks for brackets of patterns (B, *projector_shape), without loss.
 
     Patterns of ones and zeros go as bits, which deflate makes small; others as float32.
-
-    Parameters
-    ----------
-    patterns : ndarray of float32, shape (B, *projector_shape)
-    keys : sequence of B sequences of int
     """
     lit = patterns == 1
     is_binary = bool((lit | (patterns == 0)).all())
@@ -188,20 +165,12 @@ def decode_patterns(
 ) -> SentPatterns:
     """Return the patterns and keys of `encode_patterns`, checked but not yet expanded.
 
-    Parameters
-    ----------
-    message : bytes
-    projector_shape : tuple of int
-    most : int
-        Patterns that may come at a time.
-    most_bytes : int
-        Bytes that the patterns may take, after decompression.
-
     Raises
     ------
     TransferError
-        When the message is malformed, has patterns of another shape or too many of them, or keys
-        that aren't a list of 1 to 8 integers in [0, 2**32) each.
+        When the message is malformed, its arrays take over `most_bytes`, has patterns of another
+        shape or over `most` of them, or keys that aren't a list of 1 to 8 integers in [0, 2**32)
+        each.
     InputError
         When a weight isn't in [0, 1].
     """

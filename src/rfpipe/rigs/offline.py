@@ -94,10 +94,7 @@ class OfflineRig:
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Return the brackets that were taken of patterns; see `rfpipe.rigs.Rig.capture`.
 
-        Raises
-        ------
-        PicturesNeeded
-            When those of some pattern are still to be taken.
+        PicturesNeeded where those of some pattern are still to be taken.
         """
         patterns = check_patterns(patterns, keys, self.projector_shape)
         shape = self.sensor.frame_shape(self.camera_shape, self.channels)
@@ -139,12 +136,8 @@ def offline_rig(
 ) -> OfflineRig:
     """Return the offline rig of a run's settings.
 
-    Raises
-    ------
-    InputError
-        When calibration, corners and shapes don't fit together.
-    StoreError
-        When the calibration can't be read.
+    InputError where calibration, corners and shapes don't fit together, StoreError where the
+    calibration can't be read.
     """
     layout = resampling = None
     if config.calibration is not None:
@@ -182,17 +175,7 @@ def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]
 
 
 class Shown(BaseModel):
-    """A picture to show, and to take a bracket of.
-
-    Attributes
-    ----------
-    file : str
-        Its name in the folder.
-    key : tuple of int, or None
-        The pattern's key; None of a marker.
-    pattern : str
-        Fingerprint of its weights.
-    """
+    """A picture to show: its file, its pattern's key (None: a marker), its fingerprint."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -240,20 +223,8 @@ def write_sheet(
 ) -> Sheet:
     """Write the pictures of patterns that are asked for, and last the manifest.
 
-    Parameters
-    ----------
-    rig : OfflineRig
-    folder : Path
-        Made where it isn't there; an older sheet in it is replaced.
-    asked : iterable of (key, pattern)
-    about : dict
-    gamma : float
-        Of the projector.
-
-    Raises
-    ------
-    StoreError
-        When the folder can't be written.
+    The folder is made where it isn't there, and an older sheet in it replaced; `gamma` is the
+    projector's. StoreError where the folder can't be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -39,10 +39,9 @@ class Checked:
     Attributes
     ----------
     rig : OfflineRig
-    files : dict
-        The files of each pattern's bracket, by exposure, ascending.
-    patterns : dict
-        Fingerprints of the patterns, by key.
+    files, patterns : dict
+        Files of each pattern's bracket, by exposure, ascending; fingerprints of the patterns; by
+        key.
     notes : list of str
         What is to be known of them, but no reason to refuse them.
     """
@@ -156,8 +155,8 @@ def _first_of_series(rig: OfflineRig, pictures: list[Picture], sheet: Sheet, fol
     def image(start: int) -> NDArray[np.float32]:
         """Return the light of a bracket."""
         frames = (_pixels(rig, path) for _, path in pictures[start : start + step])
-        light: NDArray[np.float32] = sum(_small(frame) for frame in frames)  # type: ignore[assignment]
-        return light
+        light: NDArray[np.float32] = sum(_small(frame) for frame in frames)  # type:
+        ignore[assignment] return light
 
     def is_bracket(start: int) -> bool:
         seconds = sorted(header.exposure_s or 0 for header, _ in pictures[start : start + step])

@@ -122,20 +122,9 @@ class OperatorRig:
 
 
 class SimulatedRig(OperatorRig):
-    """A projector and a camera that look at a simulated scene.
+    """A projector and a camera that look at a simulated scene, one of `rfpipe.scenes` or your own.
 
-    Parameters
-    ----------
-    scene : Scene
-        One of `rfpipe.scenes`, or your own.
-    sensor : Sensor or None
-        The camera; None captures exact radiance.
-    seed : int
-        Seed of the noise, at least 0.
-    seconds_per_pattern : float
-        Seconds that a real rig would take for a bracket; the simulation doesn't wait.
-    threads : int
-        Threads that draw the noise; the frames don't depend on it.
+    The sensor is the camera, None for exact radiance; all else as `OperatorRig` has it.
     """
 
     def __init__(

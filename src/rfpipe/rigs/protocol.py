@@ -93,17 +93,8 @@ class LeaseAnswer(BaseModel):
 def read_token(file: Path | None = None, variable: str = "RFPIPE_TOKEN") -> str:
     """Read the bearer token from a file or from the environment; never from a command line.
 
-    Parameters
-    ----------
-    file : Path, optional
-        Holds nothing but the token; nobody but its owner may read it.
-    variable : str
-        Environment variable to look into without a file.
-
-    Returns
-    -------
-    str
-        16 to 512 visible ASCII characters.
+    The file holds nothing but the token, 16 to 512 visible ASCII characters, and nobody but its
+    owner may read it.
 
     Raises
     ------

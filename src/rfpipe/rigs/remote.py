@@ -82,11 +82,8 @@ class RemoteRig(Closing):
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`.
 
-        Raises
-        ------
-        CaptureError
-            Also when the server doesn't answer, is held by another client or its rig fails, for
-            longer than `patience_seconds`, or it serves another rig than before.
+        CaptureError also where the server doesn't answer, is held by another client or its rig
+        fails, for longer than `patience_seconds`, or it serves another rig than before.
         """
         patterns = check_patterns(patterns, keys, self.projector_shape)
         frames = np.empty((len(patterns), *self._frame_shape), self.sensor.frame_dtype)
@@ -242,12 +239,8 @@ class _Connection:
     def send(self, method: str, path: str, seconds: float = 0.0, **request: Any) -> httpx.Response:
         """Send a request until the server answers it; `seconds` is the rig's part of the time.
 
-        Raises
-        ------
-        _RefusedError
-            When the answer is an error.
-        CaptureError
-            When there is no answer, or others hold the rig, for longer than the patience.
+        _RefusedError where the answer is an error; CaptureError where there is none, or others hold
+        the rig, for longer than the patience.
         """
         import httpx
 
@@ -344,13 +337,9 @@ class _Patience:
             self._since = None
 
     def pause(self, reason: str) -> None:
-        """Wait a little before the next attempt.
+        """Wait a little before the next attempt, or raise CaptureError at the patience's end.
 
-        Raises
-        ------
-        CaptureError
-            When the patience is at its end: says why the first attempt failed, which explains
-            most, and the last one.
+        It says why the first attempt failed, which explains most, and the last one.
         """
         if self._since is None:
             self._since, self._pause, self._first = time.monotonic(), 0.1, reason

@@ -1,10 +1,10 @@
 """Frames of the pattern before: noticed while patterns are taken one by one.
 
 A projector that is slower at times than its `settle_seconds` gives brackets that begin with, or
-are, the picture before. Two things look like it: exposures of a bracket that contradict each other,
-and a bracket like the one before although another pattern is shown. Neither proves it, as a camera
-may not be linear, and a scene may look alike under two patterns. So a doubtful bracket is taken
-again, later: only where the second one is another, the first was wrong.
+are, the picture before: exposures of a bracket contradict each other, or a bracket is like one
+before although another pattern is shown. Neither proves it, as a camera may not be linear, and a
+scene may look alike under two patterns. So a doubtful bracket is taken again, later: only where the
+second one is another, the first was wrong.
 """
 
 from __future__ import annotations
@@ -49,10 +49,8 @@ class Light:
     ----------
     black : ndarray of float32
         Mean frame without light.
-    black_variance : float
-        Its variance, in counts squared.
-    gain : float
-        Variance a count above black.
+    black_variance, gain : float
+        Its variance, in counts squared; variance a count above black.
     saturated : float
         Counts from which on a pixel says no more.
     """
@@ -108,15 +106,8 @@ def is_little(
 class StaleWatch:
     """Compares each bracket with itself and with the last four: a quick capture may lag by several.
 
-    Parameters
-    ----------
-    sensor : Sensor
-        Watched are cameras whose counts are in proportion to light.
-
-    Attributes
-    ----------
-    statistics : dict of str to int
-        ``doubted``: brackets taken again; ``stale``: those that were wrong.
+    Watched are cameras whose counts are in proportion to light. `statistics` counts ``doubted``,
+    brackets taken again, and ``stale``, those that were wrong.
     """
 
     def __init__(self, sensor: Sensor) -> None:

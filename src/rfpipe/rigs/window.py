@@ -81,22 +81,11 @@ class WindowOptions(Settings):
 
 
 def code_table(light: NDArray[Any] | None) -> Codes:
-    """Return the code for each of `STEPS` + 1 weights from 0 to 1.
+    """Return the code for each of `STEPS` + 1 weights from 0 to 1, uint8.
 
-    Parameters
-    ----------
-    light : ndarray, shape (256,), or None
-        Light measured at each code, never falling; None where it is in proportion to the code.
-
-    Returns
-    -------
-    ndarray of uint8, shape (STEPS + 1,)
-        The code whose light, scaled so that code 0 gives 0 and 255 gives 1, is nearest.
-
-    Raises
-    ------
-    InputError
-        When the table isn't one.
+    `light`, (256,) and never falling, was measured at each code; None where it is in proportion.
+    The code of a weight is that whose light, scaled so that code 0 gives 0 and 255 gives 1, is
+    nearest. InputError where the table is none.
     """
     measured = np.arange(256.0) if light is None else np.asarray(light, np.float64)
     if measured.shape != (256,) or not np.isfinite(measured).all():

@@ -121,17 +121,8 @@ class Nodes(Protocol):
 class GenicamCamera(BracketCamera):
     """A camera that takes brackets by software trigger, and sequences by a projector's.
 
-    Parameters
-    ----------
-    sensor : CameraModel
-        Exposures, and bits and mosaic, which choose the pixel format.
-    options
-        As `GenicamOptions` has them; ``sequence_line`` is the input of the projector's triggers.
-
-    Raises
-    ------
-    InputError
-        When no pixel format has the sensor's bits.
+    All automatic functions are off and the gain is fixed; the sensor's bits and mosaic choose the
+    pixel format, or raise InputError where there is none. Options as `GenicamOptions` has them.
     """
 
     Options = GenicamOptions
@@ -203,10 +194,7 @@ class GenicamCamera(BracketCamera):
     def arm(self, exposure: float, count: int) -> None:
         """Wait for triggers by the projector; as `SequenceCamera` has it.
 
-        Raises
-        ------
-        CaptureError
-            When the camera is lost, or refuses the line.
+        CaptureError where the camera is lost, or refuses the line.
         """
         with self._lock:
             self._check_open()

@@ -27,21 +27,8 @@ BUFFERS = 10
 class PylonCamera(GenicamCamera):
     """A Basler camera that takes brackets by software trigger, and sequences by a projector's.
 
-    All automatic functions are off and the gain is fixed. Failed frames and a lost camera are
-    treated as every `BracketCamera` does.
-
-    Parameters
-    ----------
-    sensor : CameraModel
-        Exposures, bits and mosaic, which choose the pixel format, and what is known of the noise.
-    options
-        As `GenicamOptions` has them, by name, the same where they aren't given; the pixel format is
-        the sensor's.
-
-    Raises
-    ------
-    CaptureError
-        When pypylon is missing, no camera answers, or it refuses a setting: says which.
+    Options as `GenicamOptions` has them. CaptureError where pypylon is missing, no camera answers,
+    or it refuses a setting: says which.
     """
 
     kind = "pylon"
