@@ -155,8 +155,7 @@ def _first_of_series(rig: OfflineRig, pictures: list[Picture], sheet: Sheet, fol
     def image(start: int) -> NDArray[np.float32]:
         """Return the light of a bracket."""
         frames = (_pixels(rig, path) for _, path in pictures[start : start + step])
-        light: NDArray[np.float32] = sum(_small(frame) for frame in frames)  # type:
-        ignore[assignment] return light
+        return np.asarray(np.sum([_small(frame) for frame in frames], axis=0))
 
     def is_bracket(start: int) -> bool:
         seconds = sorted(header.exposure_s or 0 for header, _ in pictures[start : start + step])
