@@ -169,11 +169,11 @@ class Method(ABC, Generic[State]):
             )
 
     def asks_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
-        """Tell whether it has to be known of such a rig if it is coaxial."""
+        """Tell whether a rig of these rays is measured for symmetry before the first level."""
         return self.needs_coaxial_rig
 
     def on_rig(self, coaxial: bool) -> Method[Any]:
-        """Return the method that goes on where camera and projector share their rays, or don't."""
+        """Return the method that goes on where that measurement says coaxial, or not."""
         return self
 
     @abstractmethod
@@ -225,9 +225,9 @@ class Method(ABC, Generic[State]):
         """
 
     def known(self, state: State) -> Transport:
-        """Return what tells the light of rays that the next level leaves dark, for normalization.
+        """Return what predicts the light of rays that the next level leaves dark, for normalization.
 
-        `transport` unless a method would return, so far, another one than it goes on with.
+        It is `transport`, unless what a method would return differs from what it goes on with.
         """
         return self.transport(state)
 
