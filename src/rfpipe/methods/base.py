@@ -225,7 +225,7 @@ class Method(ABC, Generic[State]):
         """
 
     def known(self, state: State) -> Transport:
-        """Return what predicts the light of rays that the next level leaves dark, for normalization.
+        """Return what predicts the light of rays that the next level leaves dark.
 
         It is `transport`, unless what a method would return differs from what it goes on with.
         """
