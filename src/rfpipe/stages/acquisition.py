@@ -1,8 +1,7 @@
 """The stages of an acquisition: one as a job of the workflow, or all of them in one process.
 
-On files each stage leaves its store, manifest and time as if it were a job. What stands there
-already, made from the same things, is left as it is: an acquisition that was stopped goes on where
-it stopped, also where jobs of single stages have begun it.
+What stands on files already, made from the same things, is left as it is: an acquisition that was
+stopped goes on where it stopped, also where jobs of single stages have begun it.
 """
 
 from __future__ import annotations
@@ -39,20 +38,15 @@ def run(
 ) -> None:
     """Acquire a scene by a method, or what is missing of it; ``transport.json`` comes last.
 
+    The caller locks the folder. What a stage finds damaged of those before it is made anew, once,
+    captures apart; other errors are those of the stages, and what is done is kept.
+
     Parameters
     ----------
-    folder : AcquisitionFolder
-        Locked by the caller.
     capture : callable
         See `rfpipe.stages.captures`.
     stages : mapping
-        Settings of each stage by its name: keyword arguments, as plain data.
-
-    Raises
-    ------
-    RfpipeError
-        As the stages; what is done is kept. What a stage finds damaged of those before it is made
-        anew, once, captures apart.
+        Keyword arguments of each stage by its name, as plain data.
     """
     cleared: set[Path] = set()
     while True:
@@ -97,19 +91,7 @@ def _function(name: str, plan: Plan | None, resources: Resources) -> Callable[..
 
 @dataclass(frozen=True)
 class StageJob:
-    """What a job of an acquisition works on.
-
-    Attributes
-    ----------
-    folder : AcquisitionFolder
-    level : int
-        0 where the job is of no level.
-    params : snakemake.io.Params
-        The rule's.
-    resources : Resources
-    asked : snakemake.io.Resources
-        All of the job's resources.
-    """
+    """What a job of an acquisition works on; level 0 where it is of no level."""
 
     folder: AcquisitionFolder
     level: int
@@ -145,16 +127,10 @@ class StageJob:
 def stage_job(snakemake: Any) -> Iterator[StageJob]:
     """Begin a job of an acquisition, which no other process works on meanwhile.
 
-    Parameters
-    ----------
-    snakemake : object
-        As Snakemake gives it to the job's script.
-
     Raises
     ------
     LockedError
-        When another process works on the same acquisition, such as a job that outlived a workflow
-        that was killed.
+        When another process does, such as a job that outlived a workflow that was killed.
     DamagedStageError
         When a stage before is damaged. Its manifest is removed, but a capture's, so that the next
         run makes it anew.

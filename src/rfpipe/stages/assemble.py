@@ -26,17 +26,7 @@ def run(
     number_format: NumberFormat,
     code: str,
 ) -> None:
-    """Write ``transport.zarr`` and, beside it, ``transport.json``.
-
-    Parameters
-    ----------
-    scene : str
-        Name, kept with the transport.
-    number_format : {"float32", "uint16", "uint8"}
-        How the store keeps its numbers, see `rfpipe.transport.save_transport`.
-    code : str
-        Digest of the code behind the stage.
-    """
+    """Write the transport, in a format of `rfpipe.transport.save_transport`, and its manifest."""
     plan.settle(folder)
     levels = folder.levels_above(None)
     made_of = {

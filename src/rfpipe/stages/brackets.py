@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 class Brackets:
     """One store of brackets to be captured, and the patterns to show for them.
 
-    Parameters
+    Attributes
     ----------
     path : Path
         Of the store.
@@ -210,18 +210,9 @@ def take_shared(
 ) -> None:
     """Fill reference brackets that are missing with shared ones; take those where there are none.
 
-    Dark frames are the rig's, whatever stands before it; the floodlit ones are a scene's, by
-    whatever method it is acquired. They lie in ``references`` in the folder of results.
-
-    Parameters
-    ----------
-    share : {"none", "black", "all"}
-        "black": the all-off brackets, of all acquisitions by the same rig; "all": the all-on ones
-        of the same scene as well.
-    references : Brackets
-        The acquisition's: `black` brackets all off, then those all on.
-    batch : int
-        Patterns shown, then stored, at a time.
+    Dark frames ("black") are those of all acquisitions by a rig; the floodlit ones ("all") those of
+    a scene, by whatever method. They lie in ``references`` in the folder of results. Of the
+    acquisition's `references` the first `black` ones are all off.
     """
     about = {
         "rig": {name: it for name, it in references.shown["rig"].items() if name != "scene"},

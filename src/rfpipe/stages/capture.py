@@ -74,20 +74,16 @@ def run(
         Of `rfpipe.stages.watch.watching_level`: "mode", "looks" and "mutual_error".
     share : {"none", "black", "all"}
         Reference brackets to share, see `rfpipe.stages.brackets.take_shared`.
-    resources : Resources, optional
-        Memory for the patterns in hand. What the rig itself takes comes on top.
 
     Raises
     ------
     StaleStoreError
-        When there are and `when_patterns_change` is "refuse": says what differs.
+        When patterns changed and `when_patterns_change` is "refuse"; says what differs.
     StoreError
-        When the level doesn't fit on the disk; nothing is shown then.
+        When the level doesn't fit on the disk, or another process writes it; nothing is shown then.
     CaptureError
-        When the rig fails or returns what is no bracket, or moved and that is to end the capture;
+        When the rig fails, returns what is no bracket, or moved and that is to end the capture;
         what is captured stays.
-    LockedError
-        When another process captures into this folder.
     """
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):

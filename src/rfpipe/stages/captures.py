@@ -96,25 +96,16 @@ def by_server(
 ) -> None:
     """Capture what isn't captured yet of a level, by a rig behind an acquisition server.
 
-    The server is asked for patterns only where some are missing, so that what was captured can be
-    processed anew without it.
-
-    Parameters
-    ----------
-    rays : mapping
-        ``camera_shape``, ``projector_shape`` and ``channels``, which must be the rig's.
-    token_file : str or None
-        None takes the token from the environment.
-    **options
-        Of `rfpipe.stages.capture.run`.
+    The server isn't asked where nothing is missing. `rays` are the rig's shapes and channels;
+    `options` those of `rfpipe.stages.capture.run`. Without `token_file` the token is the
+    environment's.
 
     Raises
     ------
     ConfigError
         When there is no token.
     CaptureError
-        When the rig isn't there, has other rays, or is another than that of what was captured
-        before.
+        When the rig isn't there, has other rays, or isn't that of what was captured before.
     """
     if capture.stands_already(folder, level, options):
         return
@@ -133,11 +124,8 @@ def by_server(
 class Placing:
     """Has the user's command put a scene before the rig, where another one stood there.
 
-    Parameters
-    ----------
-    command : str or None
-        A program and its arguments, quoted as for a shell, which isn't used. It finds
-        ``RFPIPE_SCENE`` in its environment and takes as long as it takes. None does nothing.
+    The command is quoted as for a shell, which isn't used; it finds ``RFPIPE_SCENE`` in its
+    environment. None does nothing.
     """
 
     command: str | None

@@ -31,12 +31,10 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, Va
 
 
 class Mend(NamedTuple):
-    """What mends a finding.
+    """What mends a finding: the workflow, `rfpipe calibrate`, or a copy alone.
 
     Attributes
     ----------
-    how : {"run", "calibrate", "restore"}
-        By the workflow, by `rfpipe calibrate`, or from a copy: nothing here makes it anew.
     remove : tuple of Path
         Removed first, so that the workflow notices that something is missing.
     cost : str
@@ -65,13 +63,10 @@ class Checked:
 
     Attributes
     ----------
-    findings : list of Finding
     notes : list of str
         Remarks on what is no damage.
     stores, manifests, files, bytes : int
-        Counts of what was checked, and the bytes read.
-    progress : callable
-        Called with the number of bytes of each read.
+        Counts of what was checked, and the bytes read, of which `progress` is told.
     seen : set of Path
         Stores that are checked.
     facts : dict of Path to dict
@@ -178,17 +173,8 @@ def damage_of(error: Exception, path: Path | Place) -> str:
 def check_place(place: Path | Place, checked: Checked) -> bool:
     """Check a folder with a list of its files; of a `Place`, a transport or transports, too.
 
-    Returns
-    -------
-    bool
-        False for a folder on the disk without a list.
-
-    Raises
-    ------
-    InputError
-        When a zip file or an address has neither.
-    StoreError
-        When a server doesn't answer.
+    False for a folder on the disk without a list. Raises InputError when a zip file or an address
+    has neither, StoreError when a server doesn't answer.
     """
     root, names = _files(place)
     listed = content_of(root / LIST)

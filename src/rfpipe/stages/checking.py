@@ -54,9 +54,7 @@ def check(folder: Path, progress: Callable[[int], object] | None = None) -> Chec
     Raises
     ------
     InputError
-        When there is no such folder, or nothing in it that could be checked.
-    StoreError
-        When a server doesn't answer.
+        When there is nothing that could be checked; StoreError when a server doesn't answer.
     """
     checked = Checked(progress=progress or (lambda _: None))
     place = folder if folder.is_dir() and as_address(folder) is None else locate(folder)

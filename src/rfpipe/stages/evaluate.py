@@ -30,12 +30,7 @@ def run(
 
 
 def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
-    """Return the errors of each acquisition's relit images; a captured scene has none.
-
-    Parameters
-    ----------
-    relight_manifests : iterable of Path
-        ``relight.json`` beside ``relight.zarr``.
+    """Return the errors of relit images, of each ``relight.json``; a captured scene has none.
 
     Returns
     -------
@@ -64,13 +59,6 @@ def speed_error_table(
     relight_manifests: Iterable[Path], seconds_per_pattern: float
 ) -> pd.DataFrame:
     """Return cost and error of each acquisition after each level that it knows.
-
-    Parameters
-    ----------
-    relight_manifests : iterable of Path
-        As of `errors_table`.
-    seconds_per_pattern : float
-        Of a real rig.
 
     Returns
     -------

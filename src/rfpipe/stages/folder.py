@@ -1,9 +1,7 @@
 """Where the stages of one acquisition leave what they make: on files, or in memory.
 
 On files each stage has a store and, written last, a small manifest that says that it is complete. A
-store knows the fingerprint of all that it was made from. Where the workflow runs a stage, Snakemake
-has found that it is due and has removed its manifest; in a loop over the stages, `standing` tells
-what is left to do.
+store knows the fingerprint of all that it was made from.
 """
 
 from __future__ import annotations
@@ -92,15 +90,7 @@ def write_bundle(
     facts: dict[str, Any],
     **more: Any,
 ) -> None:
-    """Write a bundle of arrays and, beside it, its manifest.
-
-    Parameters
-    ----------
-    made_from : str
-        Fingerprint of all that it is made from.
-    facts : dict
-        Plain data for the manifest; `more` is for the store alone.
-    """
+    """Write arrays and, beside them, a manifest of `facts`; `more` is for the store alone."""
     store = manifest.with_suffix(".zarr")
     made = {"fingerprint": made_from, "versions": versions()}
     write_arrays(store, arrays, {"facts": facts, **made, **more})
@@ -117,13 +107,7 @@ def write_files(manifest: Path, files: Iterable[Path]) -> None:
 
 @dataclass(frozen=True)
 class AcquisitionFolder:
-    """An acquisition on files.
-
-    Parameters
-    ----------
-    path : Path
-        ``results/{scene}/{method}``.
-    """
+    """An acquisition on files, in ``results/{scene}/{method}``."""
 
     path: Path
 

@@ -40,17 +40,8 @@ def disk_bytes(
 def check_disk(name: str, need: int, folder: Path, present: int = 0) -> None:
     """Refuse a capture that doesn't fit on the disk, before anything is shown.
 
-    Parameters
-    ----------
-    name : str
-        Of the level.
-    need, present : int
-        Bytes that it takes at most, and those of them that stand in the folder and are replaced.
-
-    Raises
-    ------
-    StoreError
-        When less is free on the folder's file system.
+    `need` bytes are taken at most, of which those `present` in the folder are replaced. Raises
+    StoreError when less is free on the folder's file system.
     """
     free = files.free_bytes(folder)
     if need - present > free:

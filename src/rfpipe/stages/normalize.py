@@ -29,11 +29,8 @@ Float = NDArray[np.float32]
 class NormalizedImages:
     """The images of a level, scaled to add up to the floodlit image as they are read (B.2).
 
-    Parameters
-    ----------
-    frames : object
-        ``read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C); None for a
-        level without patterns.
+    ``frames.read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C); None for a
+    level without patterns.
     """
 
     schedule: Schedule
@@ -73,20 +70,12 @@ def normalize_level(
     mode: Mode,
     significance: float,
 ) -> Normalization:
-    """Compare the sum of a level's images with the floodlit image (thesis B.2).
+    """Compare the sum of a level's images with the floodlit image and its variance (thesis B.2).
 
-    Where the level leaves rays dark whose light is known already, that light is taken off the
+    Where the level leaves rays dark whose light is `known` already, that light is taken off the
     floodlit image first. A pixel that has most of its light from such rays is left as it is: the
-    difference would be all noise.
-
-    Parameters
-    ----------
-    floodlit : tuple of two ndarrays of float32, shape (*camera_shape, C)
-        The floodlit image and its variance.
-    known : ndarray of float32, shape (*camera_shape, C), or None
-        Light of the rays that the level does not light, see `known_light`.
-    significance : float
-        Standard deviations that make a sum significant.
+    difference would be all noise. `significance` is in standard deviations. Images are float32,
+    (*camera_shape, C).
     """
     radiance, spread = floodlit
     wanted = mode != "none" and (schedule.complete or known is not None)

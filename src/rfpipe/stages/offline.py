@@ -37,16 +37,9 @@ Asked = Iterator[tuple[tuple[int, ...], NDArray[np.float32]]]
 
 @dataclass
 class OfflineAcquisition:
-    """One scene's acquisition by one method, on the way from sheet to sheet.
+    """One scene's acquisition by one method's section, on the way from sheet to sheet.
 
-    Parameters
-    ----------
-    settings : Config
-        With capture.rig offline.
-    scene, name : str
-        The scene and the method's section.
-    folder : Path
-        ``results/{scene}/{method}``.
+    The settings have capture.rig offline; the folder is ``results/{scene}/{method}``.
     """
 
     settings: Config
@@ -65,10 +58,7 @@ class OfflineAcquisition:
     def advance(self, rig: OfflineRig) -> int | None:
         """Do all that can be done with a rig's pictures; errors as `acquisition.run`.
 
-        Returns
-        -------
-        int or None
-            The level whose pictures are to be taken next; None where ``transport.json`` stands.
+        Returns the level whose pictures are to be taken next, None where ``transport.json`` stands.
         """
 
         def captured(folder: AcquisitionFolder, level: int, **options: Any) -> None:
@@ -94,21 +84,10 @@ class OfflineAcquisition:
         return rig
 
     def write(self, rig: OfflineRig, folder: Path, settings_file: Path, results: Path) -> Sheet:
-        """Write what is to be shown at the level that `advance` came to.
+        """Write what is to be shown at the level that `advance` came to, as a sheet in a folder.
 
-        Parameters
-        ----------
-        folder : Path
-            Of all sheets; this one has a folder in it.
-        settings_file, results : Path
-            For whoever imports the pictures.
-
-        Raises
-        ------
-        InputError
-            When the sheet's folder holds pictures of other patterns already.
-        StoreError
-            When it can't be written.
+        The sheet names settings and results for whoever imports its pictures. Raises InputError
+        when its folder holds pictures of other patterns already.
         """
         own = folder / f"{self.scene}_{self.name}_L{self._level:02d}"
         about = {

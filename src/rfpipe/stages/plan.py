@@ -34,15 +34,10 @@ class Plan:
     channels : int
         Colour channels, 1 or 3.
     options : mapping
-        The method's.
+        The method's; InputError where it lacks one.
     asymmetry : float
         Error in relit pictures, relative to their norm, that taking the rig for a coaxial one may
         make.
-
-    Raises
-    ------
-    InputError
-        When there is no such method, or it lacks an option.
     """
 
     def __init__(
@@ -75,10 +70,7 @@ class Plan:
     def settle(self, folder: AcquisitionFolder, *, aloud: bool = False) -> None:
         """Go on, after level 0's pictures, by the method that suits the rig, and `aloud` log why.
 
-        Raises
-        ------
-        CaptureError
-            When the method needs a coaxial rig, and this is none.
+        Raises CaptureError when the method needs a coaxial rig, and this is none.
         """
         measured = read_asymmetry(folder)
         if measured is not None:
@@ -158,19 +150,9 @@ def _rays(scene: SceneSettings) -> dict[str, Any]:
 
 
 def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]]:
-    """Return the settings of each stage of an acquisition, the same before any rig.
+    """Return the keyword arguments of each stage of an acquisition, the same before any rig.
 
     Among them is the digest of the code, but of captures: an edit takes no picture again.
-
-    Parameters
-    ----------
-    scene, name : str
-        The acquisition: a scene and a method's section.
-
-    Returns
-    -------
-    dict of str to dict
-        Keyword arguments of "schedule", "capture", "merge", "normalize", "refine" and "assemble".
     """
     plan = Plan(**plan_of(config, scene, name))
     code = {"code": code_of(config, scene, name)}

@@ -30,13 +30,6 @@ def run(
 
     Levels behind it that have no patterns to show are passed on the way: what they add is written
     with it, and its manifest tells which level is ``next``, null where there is none.
-
-    Parameters
-    ----------
-    code : str
-        Digest of the code behind the stage.
-    resources : Resources, optional
-        What the stage may use; by default one thread and 4 GiB.
     """
     plan.settle(folder)
     planned = folder.read_manifest(level, "schedule")

@@ -55,13 +55,7 @@ def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
 
 
 def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
-    """Return all that the report shows of one transport, beside the truth.
-
-    Parameters
-    ----------
-    transport : Transport
-    scene : Scene
-        The scene that it was acquired from, over one image or several views.
+    """Return all that the report shows of one transport, beside the truth of its scene, as float32.
 
     Returns
     -------
@@ -78,8 +72,6 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
 
         Of a stack: ``views_relit``, ``views_truth`` (V, V, H, W, C): what each view (second axis)
         sees in the light of each view (first axis).
-
-        Radiance as float32.
 
     Raises
     ------
@@ -227,17 +219,7 @@ def check_transport(store: Path) -> None:
 
 
 def run(folder: Path, scene: SceneSettings, code: str) -> None:
-    """Relight the transport of an acquisition; write ``relight.zarr`` and ``relight.json``.
-
-    Parameters
-    ----------
-    folder : Path
-        ``results/{scene}/{method}``.
-    scene : SceneSettings
-        The scene that it was acquired from.
-    code : str
-        Digest of the code behind the stage.
-    """
+    """Relight the transport in a folder of results; write ``relight.zarr`` and ``relight.json``."""
     from rfpipe.scenes import relighting_patterns, scene_from_config, scene_patterns
 
     acquired = read_manifest(folder / "transport.json")

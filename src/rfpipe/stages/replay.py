@@ -50,20 +50,9 @@ class RecordedOptions(AnyRig):
 class Recorded(Scene):
     """A recorded acquisition, whose patterns span those that are asked for.
 
-    Its pictures are merged radiance, noise included; a picture of another pattern is the same sum
-    of them that makes up the pattern. All are held in memory.
-
-    Parameters
-    ----------
-    folder : path
-        ``results/{scene}/{method}``.
-
-    Raises
-    ------
-    StoreError
-        When nothing of it is merged.
-    IntegrityError
-        When it is damaged.
+    Its pictures are merged radiance, noise included, all held in memory; a picture of another
+    pattern is the same sum of them that makes up the pattern. Raises StoreError when nothing of the
+    folder, ``results/{scene}/{method}``, is merged, IntegrityError when it is damaged.
     """
 
     Options: ClassVar[type[SceneSettings]] = RecordedOptions

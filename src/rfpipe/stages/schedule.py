@@ -15,13 +15,7 @@ _WEIGHT_UNITS = "fraction of full light"
 
 
 def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
-    """Make the schedule of a level and write it with its manifest; `code` is the code's digest.
-
-    Raises
-    ------
-    InputError
-        When the level has no patterns to show.
-    """
+    """Write the schedule of a level and its manifest; InputError when it has no patterns."""
     if level:
         plan.settle(folder)
     method = plan.method if level else plan.named

@@ -1,8 +1,7 @@
 """Whether a rig is the coaxial one that a method takes it for, by a few random patterns.
 
-Symmetric photography on a rig that is half a pixel off is wrong by 45 %, and nothing in its own
-pictures tells. Random patterns of single rays do: for any two of them, and for the floodlit one,
-light from the one to where the other is lit must be what goes back (reciprocity, 2.10).
+For any two of them, and for the floodlit one, light from the one to where the other is lit must be
+what goes back (reciprocity, 2.10). Half a pixel makes relit pictures wrong by 45 %.
 """
 
 from __future__ import annotations
@@ -49,10 +48,7 @@ _log = logging.getLogger(__name__)
 class Asymmetry:
     """What relit pictures would be wrong by, relative to their norm, if T were symmetric.
 
-    Attributes
-    ----------
-    error, standard_error : float
-        The former 0 where nothing but noise is seen.
+    The error is 0 where nothing but noise is seen.
     """
 
     error: float

@@ -1,8 +1,7 @@
 """Stage: pictures that no method saw are taken, and compared with what the transport makes of them.
 
-They go the way of all pictures: shown and kept one by one, merged with the acquisition's own black
-level and defects, brought to the light of its floodlit image. A stage that was stopped goes on at
-the picture where it stopped; a transport that was made anew is compared with the same pictures.
+They go the way of all pictures. A stage that was stopped goes on at the picture where it stopped; a
+transport that was made anew is compared with the same pictures.
 """
 
 from __future__ import annotations
@@ -106,15 +105,7 @@ def compare(
     relit: Float,
     gain: NDArray[np.float64],
 ) -> Verification:
-    """Compare captured pictures with relit ones.
-
-    Parameters
-    ----------
-    names : sequence of P str
-    patterns, relit, gain
-        As in `Verification`.
-    captured : tuple of two ndarrays of float32, shape (P, *camera_shape, C)
-        Radiance and its variance, infinite where the camera doesn't know it.
+    """Compare captured pictures and their variance with relit ones; shapes as of `Verification`.
 
     Notes
     -----
@@ -164,24 +155,16 @@ def run(
     settings: Mapping[str, Mapping[str, Any]],
     resources: Resources,
 ) -> None:
-    """Verify the transport of an acquisition; ``verification.json`` beside it comes last.
+    """Verify the transport of an acquisition that the caller locks; its manifest comes last.
 
     Parameters
     ----------
-    folder : AcquisitionFolder
-        With ``transport.json``; locked by the caller.
     capture : callable
         ``capture(folder, level, **options)``, see `rfpipe.stages.captures`.
     pictures : int
         How many, 1 to 10.
     settings : mapping
         Those of the stages "capture" and "merge", see `rfpipe.stages.plan.stages_of`.
-    resources : Resources
-
-    Raises
-    ------
-    RfpipeError
-        As the stages; captured pictures are kept.
     """
     folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
     _schedule(folder, pictures)
@@ -199,22 +182,11 @@ def run(
 
 
 def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where: str) -> None:
-    """Refuse verifications whose mean error is above a bound.
+    """Refuse verifications whose mean error is above a relative bound.
 
-    Parameters
-    ----------
-    manifests : mapping of str to mapping
-        Each ``verification.json``, by the acquisition's name.
-    bound : float
-        Largest mean error, relative.
-    where : str
-        The page that shows the pictures.
-
-    Raises
-    ------
-    VerificationError
-        Names each acquisition that is above it, and its worst picture; or none of whose pictures
-        has light above noise.
+    Raises VerificationError, which names each acquisition above it with its worst picture, those
+    none of whose pictures has light above noise, and `where`, the page that shows the pictures.
+    `manifests` are each ``verification.json`` by the acquisition's name.
     """
     above = [
         f"{name} is off by {facts['mean_error']:.2%} on average, by {facts['worst_error']:.2%} "
@@ -274,13 +246,7 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
 
 
 def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
-    """Sum up what the manifests of all levels tell of the rig.
-
-    ``drift``, ``moved``: largest change of the lamp's light and of the repeated pattern;
-    ``reciprocity``, ``reciprocity_deviations``: error of the worst picture by asymmetry, and
-    largest residual in standard deviations; each None where nothing looked. ``alarms``: where the
-    rig moved, or wasn't aligned; ``saturated`` of ``samples``; ``devices``: counts.
-    """
+    """Sum up what the manifests of all levels tell of the rig; None where nothing looked."""
     levels = list(_levels(folder))
     drift = [np.abs(np.asarray(merged[DRIFT]["gain"]) - 1).max() for _, merged, _ in levels
              if DRIFT in merged]  # fmt: skip
@@ -319,14 +285,10 @@ def _levels(folder: AcquisitionFolder) -> Iterator[tuple[str, dict[str, Any], di
 def unseen_patterns(
     shape: tuple[int, ...], count: int, from_projector: Float | None = None
 ) -> dict[str, Float]:
-    """Return the first `count` patterns, each an array of `shape` with weights in [0, 1].
+    """Return the first `count` patterns, each of the projector's `shape` with weights in [0, 1].
 
     Parameters
     ----------
-    shape : tuple of int
-        The projector's ray domain; each of several views gets the same picture.
-    count : int
-        How many, 1 to 10, in the order of `NAMES`.
     from_projector : ndarray of float32, shape (*shape, C), optional
         The scene as the projector sees it (the dual picture of white light), in which
         ``steep`` finds where brightness changes most. None: across the middle.
@@ -338,15 +300,11 @@ def unseen_patterns(
         slanted, five rays a period. ``steep``: the twenty-fifth of the rays where the scene is
         steepest, such as a crease. ``spots``: scattered, three rays wide. ``bands``: broad level
         ones. ``rings``; ``grain``: a fifth of all rays, at random. ``checks``: squares of seven
-        rays. ``slope``: a ramp from dark to light. ``gaps``: all but scattered spots. On tiny
-        domains each keeps at least a ray.
+        rays. ``slope``: a ramp from dark to light. ``gaps``: all but scattered spots.
 
-    Notes
-    -----
-    The natural picture is made by the dead-leaves model, which has the statistics of photographs:
-    edges at all scales, a spectrum of 1 / f^2 [A. B. Lee, D. Mumford and J. Huang, Occlusion models
-    for natural images, International Journal of Computer Vision 41, 2001]. It and ``slope`` alone
-    hold shades of grey, which need a projector whose response is known.
+    Notes ----- The natural picture is made by the dead-leaves model, which has the statistics of
+    photographs [A. B. Lee, D. Mumford and J. Huang, Occlusion models for natural images,
+    International Journal of Computer Vision 41, 2001].
     """
     domain = RayDomain(tuple(shape))
     height, width = domain.image_shape

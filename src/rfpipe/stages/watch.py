@@ -1,9 +1,8 @@
 """What watches a capture, by brackets between the patterns of a level and by the patterns' own.
 
-Drift: the floodlit image, again and again, tells what the lamp does. Moves: so does a fine random
-pattern whether the rig moved: half a pixel changes every ray of it by half, where white light
-changes at edges alone. Reciprocity: the pictures of a coaxial rig themselves tell, for nothing,
-whether it still is one.
+Drift: the floodlit image, again and again, tells what the lamp does. Moves: a fine random pattern
+tells whether the rig moved: half a pixel changes every ray of it by half. Reciprocity: the pictures
+of a coaxial rig themselves tell whether it still is one.
 """
 
 from __future__ import annotations
@@ -127,12 +126,8 @@ def measure_looks(
 ) -> tuple[Double | None, dict[str, Any]]:
     """Measure and log what the looks at a level tell.
 
-    Returns
-    -------
-    gains : ndarray of float64, shape (patterns, C), or None
-        Brightness at each pattern, between the looks, to divide by; None not to divide.
-    facts : dict
-        For the manifest, of each kind of look that was taken.
+    Returns brightness at each pattern to divide by, float64 (patterns, C), None not to divide; and
+    facts for the manifest.
     """
     captured = folder.read_manifest(level, "capture")
     gains, facts = None, {}
