@@ -1,12 +1,10 @@
 """The hierarchical tensor as a linear operator, whatever its leaves hold."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, merge_leaf_sets
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
@@ -81,45 +79,15 @@ def random_transport(shape, channels, seed, signed=False):
 )
 def test_it_is_the_linear_operator_of_its_dense_matrix(shape, channels, seed, signed):
     transport, matrices = random_transport(shape, channels, seed, signed)
-    rng = np.random.default_rng(seed + 1)
     rays = matrices.shape[1]
-    scale = np.abs(matrices).max() * rays
+    atol = 1e-5 * np.abs(matrices).max() * rays
     for c in range(channels):
-        operator = transport.channel(c)
-        assert operator.shape == (rays, rays)
-        x, y = rng.standard_normal((2, rays))
-        np.testing.assert_allclose(operator @ x, matrices[c] @ x, atol=1e-5 * scale)
-        np.testing.assert_allclose(operator.T @ y, matrices[c].T @ y, atol=1e-5 * scale)
-        dot, transposed = y @ (operator @ x), x @ (operator.T @ y)
-        assert dot == pytest.approx(transposed, abs=1e-5 * scale * np.linalg.norm(x))
-        np.testing.assert_allclose(
-            operator @ (2 * x - 3 * y), 2 * (operator @ x) - 3 * (operator @ y), atol=1e-4 * scale
-        )
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    shape=shapes,
-    channels=st.sampled_from([1, 3]),
-    seed=st.integers(0, 2**32 - 1),
-    signed=st.booleans(),
-)
-def test_it_relights_images_of_one_or_all_channels(shape, channels, seed, signed):
-    transport, matrices = random_transport(shape, channels, seed, signed)
-    rng = np.random.default_rng(seed + 1)
-    scale = np.abs(matrices).max() * matrices.shape[1]
-    white = rng.random(shape)
-    coloured = rng.random((*shape, channels))
-    for pattern, planes in (
-        (white, np.broadcast_to(white.reshape(1, -1), (channels, white.size))),
-        (coloured, np.moveaxis(coloured.reshape(-1, channels), -1, 0)),
-    ):
-        expected = np.einsum("crk,ck->rc", matrices, planes).reshape(*shape, channels)
-        image = transport.relight(pattern)
-        assert image.dtype == np.float32
-        np.testing.assert_allclose(image, expected, atol=1e-5 * scale)
-        np.testing.assert_allclose(transport.T.relight(pattern), expected, atol=1e-5 * scale)
-    batch = transport.relight_batch(np.stack([white] * 20))
+        operator, every = transport.channel(c), np.eye(rays)
+        np.testing.assert_allclose(operator @ every, matrices[c], atol=atol)
+        np.testing.assert_allclose(operator.T @ every, matrices[c].T, atol=atol)
+    batch = transport.relight_batch(np.ones((20, *shape)))
+    white = matrices.sum(axis=2).T.reshape(*shape, channels)
+    np.testing.assert_allclose(batch[0], white, atol=atol)
     np.testing.assert_array_equal(batch[0], batch[-1])
 
 
@@ -197,19 +165,3 @@ def test_the_terms_of_a_leaf_stay_in_order_in_a_merge():
     np.testing.assert_array_equal(merged.values[0, ::8], [2, 3, 1])
     np.testing.assert_array_equal(merged.signs, [[1, -1, 1]])
     assert merged.nbytes == 3 * (4 + 4 + 8 * 4 + 1)
-
-
-@pytest.mark.parametrize("number_format", ["float32", "uint16", "uint8"])
-def test_signed_leaves_are_kept_by_the_store_to_the_format_s_bits(tmp_path, number_format):
-    transport, _ = random_transport((13, 11), 3, 7, signed=True)
-    path = tmp_path / "transport.zarr"
-    first = save_transport(transport, path, number_format)
-    opened = open_transport(path)
-    bound = {"float32": 0, "uint16": 2.0**-14, "uint8": 0.02}[number_format]
-    pattern = np.random.default_rng(0).random((13, 11))
-    expected = transport.relight(pattern)
-    assert np.abs(opened.relight(pattern) - expected).max() <= bound * np.abs(expected).max()
-    assert any(leaves.signs is not None for leaves in opened.leaf_sets)
-    assert save_transport(opened, tmp_path / "again.zarr", number_format) == first
-    streamed = open_transport(path, memory_budget=0)
-    np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))

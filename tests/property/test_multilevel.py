@@ -88,33 +88,6 @@ def test_equals_the_dense_matrix(transport: MultilevelTransport) -> None:
 
 
 @settings(max_examples=25)
-@given(transports(), st.integers(0, 2**32))
-def test_transpose_is_the_adjoint(transport: MultilevelTransport, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    for channel in range(transport.channels):
-        operator = transport.channel(channel)
-        x = random.standard_normal(operator.shape[1]).astype(np.float32)
-        y = random.standard_normal(operator.shape[0]).astype(np.float32)
-        forward, back = operator @ x, operator.T @ y
-        scale = np.linalg.norm(forward) * np.linalg.norm(y) + np.linalg.norm(back)
-        difference = np.dot(forward, y.astype(np.float64)) - np.dot(x.astype(np.float64), back)
-        assert abs(difference) <= 1e-6 * max(scale, 1e-30)
-
-
-@settings(max_examples=25)
-@given(transports(), st.integers(0, 2**32))
-def test_relighting_is_linear(transport: MultilevelTransport, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    # More patterns than are relit at a time.
-    patterns = random.random((20, *transport.projector_shape, transport.channels))
-    images = transport.relight_batch(patterns)
-    weights = random.standard_normal(20)
-    combined = transport.relight(np.tensordot(weights, patterns, axes=1))
-    atol = 1e-5 * max(float(np.abs(images).max(initial=0.0)), 1e-30)
-    np.testing.assert_allclose(np.tensordot(weights, images, axes=1), combined, rtol=0, atol=atol)
-
-
-@settings(max_examples=25)
 @given(transports(), st.data())
 def test_truncation_keeps_the_energy(transport: MultilevelTransport, data: st.DataObject) -> None:
     level = data.draw(st.integers(0, transport.tree.n_levels - 1))

@@ -24,7 +24,7 @@ from rfpipe.export import (
 )
 from rfpipe.pictures.images import read_image, srgb, write_image
 from rfpipe.scenes.relighting import relighting_patterns
-from rfpipe.transport import coarser, open_transport
+from rfpipe.transport import coarser
 from rfpipe.transport.arrays import DenseTransport
 
 CAMERA, PROJECTOR, VIEWS = (6, 8), (5, 7), (2, 4, 6)
@@ -367,10 +367,3 @@ def test_export_movie(stored: Path, tmp_path: Path) -> None:
     assert frames[..., 1].mean() < 3
     assert "expected 3 weights" in refused("movie", stored, path, "--colour", "1,2")
     assert "in 0 patterns" in refused("movie", stored, path, "--seconds", "0")
-
-
-def test_nothing_that_is_exported_changes_the_transport(stored: Path, tmp_path: Path) -> None:
-    before = {path: path.read_bytes() for path in stored.rglob("*") if path.is_file()}
-    run("export", stored, tmp_path / "x.h5")
-    assert before == {path: path.read_bytes() for path in stored.rglob("*") if path.is_file()}
-    np.testing.assert_array_equal(open_transport(stored).toarray(), transport_of().toarray())

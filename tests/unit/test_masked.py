@@ -110,19 +110,6 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
     assert np.isfinite(bad.history["estimated_error"]).all()
 
 
-@pytest.mark.parametrize(("method", "factor"), [("brute_force", 1.01), ("symmetric", 4)])
-def test_rows_are_as_good_as_the_columns_of_a_good_camera(method: str, factor: float) -> None:
-    matrix, mask = matrix_iv(), BAD.ravel()
-    part = np.ix_(~mask, mask)
-    good, bad = (
-        dense(acquire(rig, method, progress=False).transport)[0]
-        for rig in (rig_of(matrix), BadPixels(rig_of(matrix), HOT, DEAD))
-    )
-    limit = factor * relative_rms(good[part], matrix[part])
-    assert relative_rms(bad[part], matrix[part]) < limit
-    assert relative_rms(bad.T[part], matrix[part]) < limit
-
-
 @pytest.mark.parametrize("method", ["dual", "symmetric"])
 def test_pixels_that_see_empty_space_are_left_as_they_are(method: str) -> None:
     matrix = matrix_iv()

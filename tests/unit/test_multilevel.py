@@ -1,13 +1,9 @@
 """The multilevel transport by hand, its dual images, its truncation."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
-from rfpipe.store.files import bytes_on_disk
-from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.pairs import PairSet
 
@@ -69,26 +65,9 @@ def test_truncation_adds_up_what_lies_below(transport: MultilevelTransport) -> N
     np.testing.assert_array_equal(same.relight(np.eye(4)), transport.relight(np.eye(4)))
 
 
-def test_it_is_stored(transport: MultilevelTransport, tmp_path: Path) -> None:
-    arrays, _ = transport.pack()
+def test_a_store_names_its_arrays_by_level(transport: MultilevelTransport) -> None:
+    arrays, about = transport.pack()
     assert set(arrays) == {
         f"level_{level:02d}_{part}" for level in range(3) for part in ("block", "pixel", "values")
     }
-    assert all(arrays[name].dtype in (np.int32, np.float32) for name in arrays)
-    assert transport.nbytes == 4 * (4 + 4 + 4)
-    save_transport(transport, tmp_path / "transport.zarr")
-    stored = open_transport(tmp_path / "transport.zarr")
-    assert stored.nbytes == bytes_on_disk(tmp_path / "transport.zarr")
-    np.testing.assert_array_equal(stored.relight(np.eye(4)), transport.relight(np.eye(4)))
-
-
-def test_channels_are_independent() -> None:
-    pairs = PairSet(
-        1, np.array([0, 2], np.int32), np.array([1, 0], np.int32),
-        np.array([[1, 2], [3, 4], [5, 6]], np.float32),
-    )  # fmt: skip
-    transport = transport_of(pairs, channels=3)
-    light = np.ones((4, 4, 3)) * np.array([1.0, 10.0, 100.0])
-    np.testing.assert_allclose(transport.relight(light)[0], [[2, 40, 600], [1, 30, 500]])
-    assert (transport.channel(2) @ np.ones(16)).tolist() == [6.0, 5.0]
-    assert (transport.channel(1).T @ np.ones(2)).sum() == pytest.approx(7.0)
+    assert about["symmetric"] is False

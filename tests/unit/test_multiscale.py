@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 from tests.helpers import dense
 
-from rfpipe.testing import dot_test
-from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.arrays import DenseTransport
-from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale import (
     REACH,
     MultiscaleBasis,
@@ -20,7 +13,6 @@ from rfpipe.transport.multiscale import (
     cells,
     functions_over,
 )
-from rfpipe.transport.sum import SumTransport
 
 ROWS = [{"level": level, "patterns": 3} for level in range(4)]
 SHAPES = [(1, 1), (1, 37), (13, 29), (12, 10), (2, 3, 5)]
@@ -59,14 +51,6 @@ def spline(distance: float) -> float:
     if distance <= 0.5:
         return 0.75 - distance**2
     return (1.5 - distance) ** 2 / 2 if distance < 1.5 else 0.0
-
-
-def as_matrix(basis: MultiscaleBasis, cores: np.ndarray) -> np.ndarray:
-    """S of one channel."""
-    matrix = np.zeros((len(basis), len(basis)))
-    for first, second, core in zip(basis.first, basis.second, cores, strict=True):
-        matrix[first, second] = matrix[second, first] = core
-    return matrix
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -126,47 +110,6 @@ def test_pairs_are_those_within_reach_each_once(shape: tuple[int, ...]) -> None:
     assert basis.first.dtype == basis.second.dtype == np.int32
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_it_is_the_product_that_its_arrays_say(shape: tuple[int, ...]) -> None:
-    transport = made(shape)
-    basis, arrays = transport.basis, transport.pack()[0]
-    weights = basis.weights.toarray().astype(np.float64)
-    for channel, matrix in enumerate(dense(transport)):
-        smooth = weights @ as_matrix(basis, arrays["cores"][channel]) @ weights.T
-        factor = arrays["factor"][channel].astype(np.float64)
-        expected = factor[:, None] * smooth * factor
-        np.testing.assert_allclose(matrix, expected, atol=1e-5 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_light_between_few_patterns_is_that_of_the_matrix(shape: tuple[int, ...]) -> None:
-    transport, rays = made(shape), int(np.prod(shape))
-    random = np.random.default_rng(3)
-    arrays = {
-        "diagonal": random.random((3, rays)).astype(np.float32),
-        "left": random.random((3, 2, rays)).astype(np.float32),
-        "strengths": random.standard_normal((3, 2)).astype(np.float32),
-    }
-    direct = LowRankTransport(shape, shape, 3, ROWS, arrays)
-    matrix = {"matrix": dense(direct).astype(np.float32)}
-    summed = SumTransport([transport, direct, DenseTransport(shape, shape, 3, [], matrix)], [])
-    received, sent = (csr_array(random.random((rays, n)).astype(np.float32)) for n in (3, 70))
-    expected = received.toarray().T @ dense(summed)[1] @ sent.toarray()
-    found = summed.between(received, sent, 1)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_it_is_symmetric(shape: tuple[int, ...]) -> None:
-    transport = made(shape)
-    dot_test(transport)
-    matrix = dense(transport)
-    np.testing.assert_allclose(matrix, matrix.transpose(0, 2, 1), atol=1e-5 * np.abs(matrix).max())
-    picture = np.random.default_rng(1).random(shape)
-    np.testing.assert_array_equal(transport.T.relight(picture), transport.relight(picture))
-
-
 def test_pairs_may_be_some_of_the_basis() -> None:
     whole = made((6, 7))
     arrays, _ = whole.pack()
@@ -178,22 +121,3 @@ def test_pairs_may_be_some_of_the_basis() -> None:
     expected = dense(whole)
     np.testing.assert_allclose(dense(parts[0]) + dense(parts[1]), expected, atol=1e-5)
     assert not np.allclose(dense(parts[0]), expected, atol=1e-2)
-
-
-def test_a_sum_keeps_it_beside_other_parts(tmp_path: Path) -> None:
-    direct = {
-        "diagonal": np.random.default_rng(2).random((3, 42)).astype(np.float32),
-        "left": np.zeros((3, 0, 42), np.float32),
-        "strengths": np.zeros((3, 0), np.float32),
-    }
-    smooth = made((6, 7))
-    parts = [LowRankTransport((6, 7), (6, 7), 3, [], direct), smooth]
-    total = SumTransport(parts, ROWS)
-    save_transport(total, tmp_path / "transport.zarr")
-    stored = open_transport(tmp_path / "transport.zarr")
-    assert isinstance(stored, SumTransport)
-    np.testing.assert_array_equal(dense(stored), dense(total))
-    diagonal = np.stack([np.diag(one) for one in direct["diagonal"]])
-    scale = np.abs(dense(total)).max()
-    np.testing.assert_allclose(dense(total) - diagonal, dense(smooth), atol=1e-6 * scale)
-    assert total.nbytes == parts[0].nbytes + smooth.nbytes

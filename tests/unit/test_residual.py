@@ -14,10 +14,8 @@ from rfpipe.methods.adaptive.residual import Canvas, CellPictures, residual_of
 from rfpipe.methods.states import joined
 from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
-from rfpipe.testing import dot_test
-from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.arrays import DenseTransport
-from rfpipe.transport.wavelet import Cells, Haar, WaveletTransport, cell_side
+from rfpipe.transport.wavelet import Cells, Haar, cell_side
 
 STACKS = st.tuples(st.integers(1, 3), st.integers(1, 27), st.integers(1, 27))
 
@@ -52,37 +50,6 @@ def test_cells_are_as_small_as_they_may_be(shape: tuple[int, ...], most: int, si
     for cell in {0, cells.count // 2, cells.count - 1}:
         np.testing.assert_allclose(totals[cell], images[:, cells.of_ray == cell].sum(axis=1), 1e-5)
     np.testing.assert_array_equal(cells.spread(totals)[1], totals[cells.of_ray, 1])
-
-
-def made(shape: tuple[int, ...], side: int, channels: int = 2) -> WaveletTransport:
-    cells, random = Cells(shape, side), np.random.default_rng(3)
-    pairs = np.sort(random.integers(0, cells.haar.size, (2, 300)), axis=0).astype(np.int32)
-    arrays = {
-        "side": np.array([side], np.int32),
-        "factor": random.random((channels, len(cells.of_ray))).astype(np.float32),
-        "pairs": np.unique(pairs, axis=1),
-    }
-    arrays["cores"] = random.standard_normal((channels, arrays["pairs"].shape[1])).astype("f4")
-    return WaveletTransport(shape, channels, [], arrays)
-
-
-@pytest.mark.parametrize(("shape", "side"), [((12, 12), 1), ((2, 13, 17), 2)])
-def test_the_transport_is_its_definition_and_symmetric(shape, side, tmp_path) -> None:
-    transport = made(shape, side)
-    dot_test(transport)
-    haar, held = transport.cells.haar, transport.pack()[0]
-    core = np.zeros((haar.size, haar.size))
-    first, second = held["pairs"]
-    core[first, second] = core[second, first] = held["cores"][1]
-    of_cells = haar.inverse(haar.inverse(core.astype(np.float32)).T.copy())
-    cell, factor = transport.cells.of_ray, held["factor"][1]
-    expected = factor[:, None] * of_cells[np.ix_(cell, cell)] * factor
-    found = transport.channel(1) @ np.eye(len(cell))
-    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
-    save_transport(transport, tmp_path / "transport.zarr", "uint8")
-    np.testing.assert_array_equal(
-        open_transport(tmp_path / "transport.zarr").channel(1) @ np.eye(len(cell)), found
-    )
 
 
 # --- the fit

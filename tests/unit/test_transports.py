@@ -1,0 +1,207 @@
+"""Every kind of transport: it is the matrix that its arrays say, and a store keeps it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, random_array
+from tests.helpers import dense
+from tests.property.test_hierarchical import random_transport
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.errors import InputError, IntegrityError
+from rfpipe.testing import dot_test
+from rfpipe.transport import Transport, open_transport, save_transport
+from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.footprints import FootprintTransport
+from rfpipe.transport.low_rank import LowRankTransport
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.multiscale import MultiscaleBasis, MultiscaleTransport, functions_over
+from rfpipe.transport.pairs import PairSet
+from rfpipe.transport.sum import SumTransport
+from rfpipe.transport.wavelet import Cells, WaveletTransport
+
+ROWS = [{"level": level, "patterns": 3} for level in range(9)]
+CAMERA, PROJECTOR, COAXIAL = (3, 5), (2, 4, 3), (6, 7)
+M, N = 15, 24
+Made = tuple[Transport, NDArray[np.float64]]
+
+
+def draw(*shape: int, seed: int = 0) -> NDArray[np.float32]:
+    return np.random.default_rng((seed, *shape)).standard_normal(shape).astype(np.float32)
+
+
+def scan() -> Made:
+    matrix = draw(3, M, N)
+    return DenseTransport(CAMERA, PROJECTOR, 3, ROWS[:1], {"matrix": matrix}), matrix
+
+
+def leaves(shape: tuple[int, ...] = COAXIAL) -> Made:
+    transport, matrices = random_transport(shape, 3, seed=5, signed=True)
+    transport.level_rows = ROWS
+    return transport, matrices
+
+
+def pairs() -> Made:
+    """Each pixel's response to single rays and to blocks, spread evenly."""
+    tree, sets, matrix = BlockTree(RayDomain(PROJECTOR)), [], np.zeros((3, M, N))
+    for level in (1, tree.n_levels - 1):
+        block, pixel = (index.ravel() for index in np.indices((tree.n_blocks(level), M)))
+        values = draw(3, len(block), seed=level)
+        sets.append(PairSet(level, block.astype(np.int32), pixel.astype(np.int32), values))
+        own, sizes = tree.labels(level).ravel(), np.diff(tree.starts[level])
+        matrix += (values.reshape(3, -1, M) / sizes[:, None])[:, own].swapaxes(1, 2)
+    domains = RayDomain(CAMERA), RayDomain(PROJECTOR)
+    return MultilevelTransport.from_pair_sets(*domains, 3, ROWS, sets), matrix
+
+
+def terms() -> Made:
+    held = {"left": draw(3, 2, M), "right": draw(3, 2, N), "strengths": draw(3, 2)}
+    expected = np.einsum("cr,crm,crn->cmn", held["strengths"], held["left"], held["right"])
+    return LowRankTransport(CAMERA, PROJECTOR, 3, ROWS, held), expected
+
+
+def diagonal() -> Made:
+    held = {"left": draw(3, 2, 42), "strengths": draw(3, 2), "diagonal": draw(3, 42)}
+    expected = np.einsum("cr,crm,crn->cmn", held["strengths"], held["left"], held["left"])
+    expected += held["diagonal"][:, :, None] * np.eye(42)
+    return LowRankTransport(COAXIAL, COAXIAL, 3, ROWS, held), expected
+
+
+def footprints() -> Made:
+    held: dict[str, NDArray] = {"camera_factor": draw(3, M), "projector_factor": draw(3, N)}
+    whole = {}
+    for name, shape in {
+        "footprints": (M, N), "left": (M, 4), "cores": (4, 6), "right": (N, 6),
+    }.items():  # fmt: skip
+        matrix = csr_array(random_array(shape, density=0.5, rng=np.random.default_rng(1)))
+        many = name in ("footprints", "cores")
+        held[name] = draw(3, matrix.nnz) if many else matrix.data.astype(np.float32)
+        held[f"{name}_columns"] = matrix.indices.astype(np.int32)
+        held[f"{name}_starts"] = matrix.indptr.astype(np.int32)
+        planes = [
+            csr_array((data, matrix.indices, matrix.indptr), shape=shape).toarray()
+            for data in np.atleast_2d(held[name])
+        ]
+        whole[name] = np.stack(planes)
+    smooth = whole["left"] @ whole["cores"] @ whole["right"].swapaxes(1, 2)
+    smooth *= held["camera_factor"][:, :, None] * held["projector_factor"][:, None]
+    transport = FootprintTransport(CAMERA, PROJECTOR, 3, ROWS, held)
+    np.testing.assert_allclose(dense(transport.direct()), whole["footprints"], atol=1e-5)
+    return transport, whole["footprints"] + smooth
+
+
+def multiscale(shape: tuple[int, ...] = COAXIAL) -> Made:
+    wanted = np.ones((1, 2, 2), np.bool_)
+    basis = MultiscaleBasis(
+        shape, np.concatenate([functions_over(4, wanted), functions_over(2, wanted)])
+    )
+    held = {
+        "factor": draw(3, 42),
+        "functions": basis.functions,
+        "cores": draw(3, len(basis.first)),
+    }
+    cores = np.zeros((3, len(basis), len(basis)))
+    cores[:, basis.first, basis.second] = cores[:, basis.second, basis.first] = held["cores"]
+    weighted = held["factor"][:, :, None] * basis.weights.toarray()
+    transport = MultiscaleTransport(shape, 3, ROWS, held)
+    return transport, weighted @ cores @ weighted.swapaxes(1, 2)
+
+
+def wavelets() -> Made:
+    cells = Cells(COAXIAL, 2)
+    pairs = np.sort(np.random.default_rng(3).integers(0, cells.haar.size, (2, 60)), axis=0)
+    pairs = np.unique(pairs, axis=1).astype(np.int32)
+    held = {"side": np.array([2], np.int32), "factor": draw(3, 42), "pairs": pairs}
+    held["cores"] = draw(3, pairs.shape[1])
+    cores = np.zeros((3, cells.haar.size, cells.haar.size))
+    cores[:, pairs[0], pairs[1]] = cores[:, pairs[1], pairs[0]] = held["cores"]
+    back = cells.haar.inverse(np.eye(cells.haar.size, dtype=np.float32))
+    weighted = held["factor"][:, :, None] * back[cells.of_ray]
+    return WaveletTransport(COAXIAL, 3, ROWS, held), weighted @ cores @ weighted.swapaxes(1, 2)
+
+
+def total() -> Made:
+    parts = [make() for make in (diagonal, leaves, multiscale)]
+    inner = SumTransport([part for part, _ in parts[:2]], ROWS)
+    return SumTransport([inner, parts[2][0]], ROWS), sum(matrix for _, matrix in parts)
+
+
+KINDS = [scan, leaves, pairs, terms, diagonal, footprints, multiscale, wavelets, total]
+EACH = pytest.mark.parametrize("make", KINDS, ids=lambda make: make.__name__)
+
+
+@EACH
+def test_it_is_the_matrix_that_its_arrays_say(make: Callable[[], Made]) -> None:
+    transport, expected = make()
+    atol = 1e-5 * float(np.abs(expected).max())
+    np.testing.assert_allclose(dense(transport), expected, atol=atol)
+    np.testing.assert_allclose(transport.T.toarray(), expected.swapaxes(1, 2), atol=atol)
+    dot_test(transport)
+    patterns = draw(20, *transport.projector_shape, 3)  # more than are relit at a time
+    images = transport.relight_batch(patterns)
+    assert images.dtype == np.float32
+    lit = np.einsum("cmn,pnc->pmc", expected, patterns.reshape(20, -1, 3))
+    np.testing.assert_allclose(images.reshape(lit.shape), lit, atol=30 * atol)
+    arrays, _ = transport.pack()
+    assert transport.nbytes == sum(array.nbytes for array in arrays.values())
+
+
+@EACH
+def test_light_between_few_patterns_is_that_of_the_matrix(make: Callable[[], Made]) -> None:
+    transport, matrix = make()
+    received, sent = (
+        csr_array(draw(rays, n)) for rays, n in zip(matrix.shape[1:], (3, 70), strict=True)
+    )
+    expected = received.toarray().T @ matrix[1] @ sent.toarray()
+    found = transport.between(received, sent, 1)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+@EACH
+@pytest.mark.parametrize("number_format", ["float32", "uint16", "uint8"])
+def test_a_store_keeps_it(make: Callable[[], Made], number_format, tmp_path: Path) -> None:
+    transport, _ = make()
+    path, pattern = tmp_path / "transport.zarr", np.abs(draw(*transport.projector_shape))
+    digest = save_transport(transport, path, number_format, scene="test")
+    opened, streamed = open_transport(path), open_transport(path, memory_budget=0)
+    assert type(opened) is type(transport)
+    for name in ("camera_shape", "projector_shape", "channels", "level_rows"):
+        assert getattr(opened, name) == getattr(transport, name)
+    assert opened.nbytes == sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    exact = transport.relight(pattern)
+    rounds = make in (leaves, pairs, total) and number_format != "float32"
+    bound = {"uint16": 1e-4, "uint8": 2e-2}[number_format] if rounds else 0
+    assert np.abs(opened.relight(pattern) - exact).max() <= bound * np.abs(exact).max()
+    np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))
+    assert save_transport(opened, tmp_path / "again", number_format, scene="test") == digest
+
+
+def test_parts_are_read_within_the_memory_budget_and_checked(tmp_path: Path) -> None:
+    path, pattern = tmp_path / "transport.zarr", np.ones(COAXIAL)
+    save_transport(total()[0], path)
+    opened, streamed = open_transport(path), open_transport(path, memory_budget=0)
+    assert isinstance(opened, SumTransport)
+    assert 0 < opened.parts[0].nbytes < opened.nbytes
+    np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))
+    for chunk in path.glob("part_00_part_01_*/c*"):
+        chunk.unlink()
+    opened.relight(pattern)
+    with pytest.raises(IntegrityError, match="missing, truncated or altered"):
+        streamed.relight(pattern)
+
+
+def test_parts_and_arrays_that_do_not_fit_together_are_refused() -> None:
+    part, held = scan()[0], terms()[0].pack()[0]
+    with pytest.raises(InputError, match="at least one part"):
+        SumTransport([], ROWS)
+    for shapes, channels in (((PROJECTOR, CAMERA), 3), ((CAMERA, PROJECTOR), 1)):
+        other = DenseTransport(*shapes, channels, [], {})
+        with pytest.raises(InputError, match=r"part 1 of a sum has .*, part 0 has .*\(3, 5\).* 3"):
+            SumTransport([part, other], ROWS)
+    del held["right"]
+    with pytest.raises(InputError, match="it needs one domain"):
+        LowRankTransport(CAMERA, PROJECTOR, 3, [], held)
