@@ -99,11 +99,7 @@ def publish(
     typer.echo(f"cite as: {citation.text}")
     typer.echo(f"check:   rfpipe verify {place}")
     if run.settings is None and config is None:
-        typer.echo(
-            "without its settings, which a run without a report doesn't keep: give them, "
-            "--config SETTINGS.yaml, with --overwrite",
-            err=True,
-        )
+        typer.echo("left out: its settings, which no report knows; give --config", err=True)
     if run.incomplete:
         typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
 

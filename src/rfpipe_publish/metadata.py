@@ -31,6 +31,7 @@ _PROFILES = {
     "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
     "https://w3id.org/workflowhub/workflow-ro-crate/1.0": "Workflow RO-Crate",
 }
+_SNAKEMAKE = "https://w3id.org/workflowhub/workflow-ro-crate#snakemake"
 # used here, and not in the context of RO-Crate 1.1
 _TERMS = {
     "creditText": "http://schema.org/creditText",
@@ -155,36 +156,10 @@ def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
     except ValidationError as error:
         lines = [f"{path}: {line}" for line in explained(error)]
         raise InputError("\n".join(lines)) from None
-    text = _yaml(citation.model_dump(mode="json", exclude_none=True))
+    data = citation.model_dump(mode="json", exclude_none=True)
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=98)
     write_atomically(path, f"# What 'rfpipe publish' cites this run by; edit it.\n{text}".encode())
     return citation
-
-
-def _yaml(data: dict[str, Any]) -> str:
-    return str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=98))
-
-
-def cff(citation: Citation) -> str:
-    """Return how to cite a publication, as a Citation File Format file."""
-    authors = [
-        {"name": creator.name, **({"orcid": creator.url} if creator.url else {})}
-        for creator in citation.creators
-    ]
-    return _yaml(
-        {
-            "cff-version": "1.2.0",
-            "message": "If you use these data, please cite them.",
-            "type": "dataset",
-            "title": citation.title,
-            "version": citation.version,
-            "date-released": citation.published.isoformat(),
-            "abstract": citation.description,
-            "keywords": list(citation.keywords),
-            "license-url" if citation.license.startswith("http") else "license": citation.license,
-            "authors": authors,
-            **({"doi": citation.doi} if citation.doi else {}),
-        }
-    )
 
 
 def datacite(citation: Citation) -> dict[str, Any]:
@@ -329,7 +304,11 @@ def crate(
     )
     root: dict[str, Any] = {**_dataset(citation), "creator": creators, "author": creators}
     if workflow:
-        instrument = root["mainEntity"] = _workflow(graph, workflow, parts[workflow], instrument)
+        language = _add(graph, _SNAKEMAKE, "ComputerLanguage", name="Snakemake")
+        kinds = ("File", "SoftwareSourceCode", "ComputationalWorkflow")
+        made = {"programmingLanguage": language, "hasPart": instrument}
+        instrument = _add(graph, workflow, kinds, **parts[workflow], **made)
+        root["mainEntity"] = instrument
     if citation.publisher != _UNPUBLISHED:
         root["publisher"] = _add(graph, "#publisher", "Organization", name=citation.publisher)
     if citation.doi:
@@ -369,25 +348,3 @@ def _add(graph: Graph, key: str, kind: str | Sequence[str], **properties: Any) -
     """Add an entity, and return what refers to it."""
     graph[key] = {"@id": key, "@type": kind, **properties}
     return {"@id": key}
-
-
-def _workflow(
-    graph: Graph, name: str, properties: Mapping[str, Any], software: dict[str, str]
-) -> dict[str, str]:
-    language = _add(
-        graph,
-        "https://w3id.org/workflowhub/workflow-ro-crate#snakemake",
-        "ComputerLanguage",
-        name="Snakemake",
-        url={"@id": "https://snakemake.readthedocs.io"},
-    )
-    return _add(
-        graph,
-        name,
-        ("File", "SoftwareSourceCode", "ComputationalWorkflow"),
-        **properties,
-        programmingLanguage=language,
-        hasPart=software,
-        version=__version__,
-        license="https://spdx.org/licenses/MIT",
-    )

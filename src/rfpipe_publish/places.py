@@ -1,8 +1,7 @@
-"""Where something lies: in a zip file, a packed folder, or behind an address.
+"""Where something lies: in a zip file, behind an address, or in a packed folder.
 
-A packed folder holds every content once, under its SHA-256. What files say twice, such as the
-brackets of one dark camera before a thousand scenes, is stored once; and unlike links, it stays so
-when the folder is copied, zipped or published.
+A packed folder holds every content once, under its SHA-256; unlike links, it stays so when it is
+copied, zipped or published.
 """
 
 from __future__ import annotations
@@ -231,18 +230,9 @@ class PackedPlace(_Listed):
 
 
 def pack(folder: Path, files: Iterable[Path], output: Path) -> dict[str, tuple[str, int]]:
-    """Store files by what they hold; return SHA-256 and bytes by name.
+    """Store files of a folder by what they hold; return SHA-256 and bytes by name.
 
     A pack that was stopped is gone on with.
-
-    Parameters
-    ----------
-    folder : Path
-        To which the files' names are relative.
-    files : iterable of Path
-        In `folder`.
-    output : Path
-        A new folder, or one to go on with.
     """
     index: dict[str, tuple[str, int]] = {}
     for file in sorted(files):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import mimetypes
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,7 +18,7 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.transport.storage import MANIFEST, STORE_NAME
 from rfpipe.version import __version__
-from rfpipe_publish.metadata import CRATE_FILE, Citation, cff, crate, croissant, datacite
+from rfpipe_publish.metadata import CRATE_FILE, Citation, crate, croissant, datacite
 from rfpipe_publish.run import SETTINGS, Acquisition, Run, files_below, settings_of
 from rfpipe_publish.writing import Source, Writer, size_of, writing
 
@@ -169,8 +169,7 @@ def _add_metadata(writer: Writer, run: Run, citation: Citation) -> None:
     }
     writer.add("datacite.json", _json(datacite(citation)))
     writer.add("croissant.json", _json(croissant(citation, tables)))
-    writer.add("CITATION.cff", cff(citation).encode())
-    for name, page in _pages(run, citation, writer.written).items():
+    for name, page in _pages(run, citation, writer.written.keys()).items():
         writer.add(name, page)
     writer.add(CRATE_FILE, _json(_crate(writer, run, citation)))
     lines = [f"{digest}  {name}\n" for name, (digest, _) in sorted(writer.written.items())]
@@ -181,7 +180,7 @@ def _json(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def _pages(run: Run, citation: Citation, names: Collection[str]) -> dict[str, bytes]:
+def _pages(run: Run, citation: Citation, names: Set[str]) -> dict[str, bytes]:
     """Return what a reader sees first, by name: an example that runs, and pages about it."""
     from jinja2 import Environment, PackageLoader, select_autoescape
 
@@ -191,10 +190,9 @@ def _pages(run: Run, citation: Citation, names: Collection[str]) -> dict[str, by
         keep_trailing_newline=True,
     )
     folders = {f"{folder}/" for name in names for folder in PurePosixPath(name).parents}
-    values: dict[str, Any] = {"run": run, "citation": citation, "version": __version__}
-    values["names"] = {*names, *folders}
+    values = {"run": run, "citation": citation, "version": __version__, "names": names | folders}
     pages = {}
-    for name in (_EXAMPLE, "README.md", _PREVIEW):
+    for name in (_EXAMPLE, "README.md", "CITATION.cff", _PREVIEW):
         pages[name] = templates.get_template(f"{name}.j2").render(values)
         values.setdefault("example", pages[name])
     return {name: page.encode() for name, page in pages.items()}

@@ -69,16 +69,7 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Run:
-    """A run's folder, which holds ``results``.
-
-    Attributes
-    ----------
-    folder : Path
-    acquisitions : list of Acquisition
-        Those that have a transport, by scene and method.
-    settings : dict, optional
-        All settings that shape its results, as plain data; None if it left no report.
-    """
+    """A run's folder, which holds ``results``; its settings are None where it left no report."""
 
     folder: Path
     acquisitions: list[Acquisition]
@@ -135,10 +126,7 @@ class Run:
                     yield name, file
 
     def manifests(self) -> Iterator[tuple[str, Path]]:
-        """Yield name and place of the stages' manifests: what was captured, and its digests.
-
-        They go to a folder of their own, since the stores that they are about stay at home.
-        """
+        """Yield name and place of the stages' manifests, whose stores stay at home."""
         for name, file in self.captured():
             if file.suffix == ".json" and ".zarr/" not in name:
                 yield name.replace("results/", "provenance/", 1), file
@@ -147,8 +135,7 @@ class Run:
 def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
     """Yield name and place of a folder's files but logs, in the order in which stores are read.
 
-    What describes the whole comes first, and what describes an array before its numbers, so that
-    few ranges of a zip file hold all of it.
+    Metadata come before what they describe, so that few ranges of a zip file hold all of it.
     """
     files = [file.relative_to(folder) for file in folder.rglob("*") if file.is_file()]
     for inside in sorted(files, key=lambda file: [(part != METADATA, part) for part in file.parts]):
@@ -191,20 +178,12 @@ def find_run(folder: Path) -> Run:
 
 
 def settings_of(run: Run, config: Path | None) -> bytes | None:
-    """Return the settings that shaped a run's results, as a file of settings.
+    """Return the settings that shaped a run's results, of its report or else as given.
 
     What shapes no result (a server's address, a token's place, a command to notify) isn't in it.
     """
-    shaping = run.settings
-    if config is not None:
-        given = load_config(config).shaping()
-        if shaping is not None and given != shaping:
-            raise InputError(
-                f"{config}: isn't what this run was made with, as its report says; leave --config "
-                "out, and the settings are taken from the report"
-            )
-        shaping = given
-    if shaping is None:
+    shaping = run.settings or (config and load_config(config).shaping())
+    if not shaping:
         return None
     text = yaml.safe_dump(
         _without_unset_methods(shaping), sort_keys=False, allow_unicode=True, width=98
