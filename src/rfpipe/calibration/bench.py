@@ -75,10 +75,8 @@ class Bench:
 
     Attributes
     ----------
-    projector : Projector
-        Shows codes: weight times 255, without a response of its own.
-    camera : Camera
-    settings : CalibrationConfig
+    projector, camera, settings
+        The projector shows codes: weight times 255, without a response of its own.
     rays : (int, int) or None
         Ray domain, or that of each view; None: each projector pixel is a ray.
     found : mapping of str to Findings

@@ -35,16 +35,8 @@ _INLIER = 4.0  # robust deviations up to which a point belongs to the map
 class AxisCode:
     """The pictures that tell one coordinate of the projector: Gray code, and sinusoids.
 
-    A coordinate counts pixels from the picture's edge: a pixel's middle lies at a half.
-
-    Parameters
-    ----------
-    extent : int
-        Pixels along the axis.
-    period : int
-        Pixels of a sinusoid's period, a multiple of 4, at least 8.
-    steps : int
-        Sinusoids, 3 or more; with n of them, harmonics up to n - 2 don't bend the phase.
+    A coordinate counts pixels from the picture's edge: a pixel's middle lies at a half. With n
+    sinusoids, 3 or more, harmonics up to n - 2 don't bend the phase.
     """
 
     extent: int
@@ -71,12 +63,7 @@ class AxisCode:
         return lines
 
     def decode(self, images: Double, variance: Double) -> dict[str, NDArray[Any]]:
-        """Return arrays (...) over the camera's pixels, for images under `lines`.
-
-        Parameters
-        ----------
-        images, variance : ndarray of float64, shape (pictures, ...)
-            Radiance and its variance.
+        """Return arrays (...) over the camera's pixels, for images (pictures, ...) under `lines`.
 
         Returns
         -------

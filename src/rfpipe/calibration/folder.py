@@ -34,19 +34,9 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Step:
-    """A step of a calibration.
+    """A step of a calibration: the steps that it builds on, the settings that shape its findings.
 
-    Attributes
-    ----------
-    name, title : str
-    needs : tuple of str
-        Steps whose findings it builds on.
-    settings : tuple of str
-        Settings that shape its findings.
-    measure : callable
-        Drives the devices and returns the findings.
-    is_coaxial : bool
-        Whether it is for rigs whose camera and projector share their rays.
+    Coaxial ones are for rigs whose camera and projector share their rays.
     """
 
     name: str
@@ -99,12 +89,7 @@ def steps_of(settings: CalibrationConfig) -> dict[str, Step]:
 
 @dataclass(frozen=True)
 class CalibrationFolder:
-    """A calibration's folder: a manifest and a store for each step, and its result.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """A calibration's folder: a manifest and a store for each step, and its result."""
 
     path: Path
 
@@ -222,11 +207,8 @@ def calibrate(
 
     Parameters
     ----------
-    projector : Projector
-        Shows codes: weight times 255, without a response of its own.
-    camera : Camera
-    folder : CalibrationFolder
-    settings : CalibrationConfig
+    projector, camera, folder, settings
+        The projector shows codes: weight times 255, without a response of its own.
     rays : (int, int), optional
         Ray domain, or that of each view; None: each projector pixel is a ray.
     only : iterable of str, optional

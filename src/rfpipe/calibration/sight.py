@@ -150,13 +150,7 @@ def sight_picture(
 ) -> Double:
     """Return the scene as RGB in [0, 1]: what is saturated in red, what is too dark in blue.
 
-    Parameters
-    ----------
-    white : ndarray, shape (H, W)
-        Light, in any unit; its brightest half per cent are white.
-    saturated, dark : ndarray of bool, shape (H, W)
-    outline_of : ndarray of bool, shape (H, W), optional
-        An area whose outline is drawn in yellow.
+    The brightest half per cent of the light are white. An area may have its outline in yellow.
     """
     from scipy.ndimage import binary_dilation
 

@@ -10,10 +10,9 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from rfpipe.config.base import Location, Settings, located, shown
-from rfpipe.config.collection import Collection, check_files, read_collection
 from rfpipe.config.devices import RigConfig
 from rfpipe.config.model import DEFAULT_METHODS, Config
-from rfpipe.config.reading import read_yaml
+from rfpipe.config.reading import Collection, check_files, read_collection, read_yaml
 from rfpipe.errors import ConfigError
 
 _MOST_LINES = 30
@@ -22,12 +21,7 @@ _S = TypeVar("_S", bound=Settings)
 
 
 def load_config(path: str | Path) -> Config:
-    """Read the settings of a run.
-
-    Parameters
-    ----------
-    path
-        A YAML file. Keys left out have their defaults.
+    """Read the settings of a run from a YAML file; keys left out have their defaults.
 
     Raises
     ------
@@ -39,21 +33,15 @@ def load_config(path: str | Path) -> Config:
 
 
 def parse_config(data: object, source: str, folders: Sequence[Path] = ()) -> Config:
-    """Check settings that are already in memory.
+    """Check settings that are in memory, as YAML gives them; errors as `load_config`.
 
     Parameters
     ----------
     data
-        A mapping as YAML gives it.
     source
         Where the settings came from, for messages.
     folders
         Where else to look for a collection than where rfpipe runs.
-
-    Raises
-    ------
-    ConfigError
-        As for `load_config`.
     """
     collection = _collection(data, folders) if isinstance(data, Mapping) else None
     if collection is None:

@@ -1,15 +1,24 @@
-"""Reading YAML files of settings: what can't be meant is an error that names its line."""
+"""Reading files of settings, YAML and tables: what can't be meant is an error with its place."""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from rfpipe.config.base import merged
+from rfpipe.config.model import OWN_TO_SCENES, Config
 from rfpipe.errors import ConfigError
 
+_FOLDER = re.compile(r"(?!(con|prn|aux|nul|(com|lpt)[0-9])$)[a-z][a-z0-9_]{0,99}")
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 _MORE_THAN_ONE_NUMBER = re.compile(r"[-+]?(0[0-9_]+|[0-9][0-9_]*(:[0-9]{1,2})+(\.[0-9_]*)?)")
 """Octal with a leading zero, and sixties with colons: 010 is 8 and 1:30 is 90 in YAML 1.1."""
 
@@ -78,3 +87,159 @@ for _kind in ("int", "float", "str", "timestamp"):
 
 def _wrong(what: str, mark: yaml.Mark | None) -> yaml.constructor.ConstructorError:
     return yaml.constructor.ConstructorError(None, None, what, mark)
+
+
+@dataclass(frozen=True)
+class Collection:
+    """The scenes of a table, each with its settings and its place in the file (``line 3``)."""
+
+    file: Path
+    scenes: dict[str, dict[str, Any]] = field(default_factory=dict)
+    places: dict[str, str] = field(default_factory=dict)
+
+
+def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
+    """Read the scenes of a table.
+
+    A CSV file has commas, semicolons or tabs, in UTF-8 or UTF-16, and a header that names settings;
+    a YAML file is a list of scenes or ``{defaults: ..., scenes: [...]}``. A scene that sets options
+    of some methods and chooses none has the run's.
+
+    Raises
+    ------
+    ConfigError
+        When the file can't be read; for every row whose name is missing, stands twice or fits no
+        folder, and every cell that isn't YAML though it begins with a bracket.
+    """
+    found, problems = Collection(file), []
+    is_yaml = file.suffix.lower() in (".yaml", ".yml")
+    for place, row in _yaml_rows(file) if is_yaml else _csv_rows(file):
+        name = str(row.pop("name", None) or "")
+        if wrong := _unfit(name, found.places):
+            problems.append(f"{place}: {wrong}")
+            continue
+        found.places[name] = place
+        try:
+            values = row if is_yaml else {key: _value(row[key], key) for key in row}
+            found.scenes[name] = _scene(values, methods)
+        except yaml.YAMLError as error:
+            problems.append(f"{place}: {' '.join(str(error).split())}")
+    if not found.places and not problems:
+        problems.append("has no scenes; expected a row for each")
+    if problems:
+        raise ConfigError("\n".join(f"{file}: {problem}" for problem in problems))
+    return found
+
+
+def check_files(settings: Config, collection: Collection) -> None:
+    """Raise ConfigError for every file that a scene of the table names and that isn't there."""
+    missing = [
+        f"{collection.file}: {place}: {option} is {str(file)!r}, which isn't there"
+        for name, place in collection.places.items()
+        for option in type(settings.scenes[name]).files
+        if not (file := Path(getattr(settings.scenes[name], option))).exists()
+    ]
+    if missing:
+        raise ConfigError("\n".join(missing))
+
+
+def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the filled cells of each row of a CSV file by column, and the row's line."""
+    try:
+        content = file.read_bytes()
+        is_wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+        text = content.decode("utf-16" if is_wide else "utf-8-sig")
+        delimiter = max(",;\t", key=text[: re.search(r"[\r\n]|$", text).start()].count)  # type: ignore[union-attr]
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        records = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(
+            f"{file}: can't be read as a table: {error}; save it as CSV in the encoding UTF-8"
+        ) from error
+    filled = [
+        (line, cells)
+        for line, cells in records
+        if any(cells) and not cells[0].startswith(("#", "sep="))
+    ]
+    line, header = filled[0] if filled else (1, [])
+    twice = {column for column in header if column and header.count(column) > 1}
+    if "name" not in header or twice:
+        expected = f"{', '.join(sorted(twice))} stands twice" if twice else "has no column 'name'"
+        raise ConfigError(f"{file}: line {line}: the header {expected}; it is {header}")
+    for line, cells in filled[1:]:
+        named = dict(zip(header, cells, strict=False))
+        if astray := [*filter(None, cells[len(header) :]), *filter(None, [named.get("")])]:
+            raise ConfigError(f"{file}: line {line}: {astray[0]!r} stands in a column without name")
+        row = {column: cell for column, cell in named.items() if cell}
+        if delimiter == ";":
+            row |= {
+                column: _DECIMAL_COMMA.sub(".", cell)
+                for column, cell in row.items()
+                if not column.startswith("about.")
+            }
+        yield f"line {line}", row
+
+
+def _yaml_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each scene of a YAML file, its settings over the defaults."""
+    data = read_yaml(file)
+    defaults, scenes = {}, data
+    if isinstance(data, Mapping) and set(data) <= {"defaults", "scenes"}:
+        defaults, scenes = data.get("defaults", {}), data.get("scenes", [])
+    if not isinstance(scenes, list) or not all(
+        isinstance(it, Mapping) for it in (*scenes, defaults)
+    ):
+        raise ConfigError(
+            f"{file}: expected a list of scenes, such as '- name: bowl' and so on, or groups "
+            "'defaults' and 'scenes'"
+        )
+    for number, scene in enumerate(scenes, start=1):
+        yield f"scene {number}", merged(_nested(defaults), _nested(scene))
+
+
+def _scene(row: Mapping[str, Any], methods: Mapping[str, object]) -> dict[str, Any]:
+    """Return a scene's settings as the model takes them; those of the run are its ``settings``."""
+    scene = _nested(row)
+    if "methods" in scene:
+        given = scene["methods"]
+        chosen = row.get("methods") or dict.fromkeys(methods)
+        names: dict[str, Any] = {name: {} for name in chosen}
+        scene["methods"] = merged(names, given) if isinstance(given, Mapping) else names
+    own = {name: scene.pop(name) for name in OWN_TO_SCENES - {"seed"} if name in scene}
+    return merged(scene, {"settings": own}) if own else scene
+
+
+def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings in groups: ``{"camera.bits": 12}`` as ``{"camera": {"bits": 12}}``."""
+    found: dict[str, Any] = {}
+    for name, value in sorted(row.items()):  # methods before options of some
+        parts = name.split(".", 1) if name.startswith("about.") else name.split(".")
+        is_group = isinstance(value, Mapping) and parts[0] != "about"
+        nested: Any = _nested(value) if is_group else value
+        found = merged(found, reduce(lambda inner, part: {part: inner}, reversed(parts), nested))
+    return found
+
+
+def _value(text: str, column: str) -> Any:
+    """Return a cell as the setting takes it: a text, which the model reads, or YAML."""
+    if column.startswith("about."):
+        return text
+    if text in ("null", "~"):
+        return None
+    if text[0] in "[{":
+        return parse_yaml(text)
+    return re.split(r"[;,\s]+", text) if column == "methods" else text
+
+
+def _unfit(name: str, places: Mapping[str, str]) -> str | None:
+    """Return why a name is none for a scene and its folder, or None."""
+    if not name:
+        return "the scene has no name; give it one, such as bowl_1"
+    if name in places:
+        return f"the name {name} stands in {places[name]} as well; change one"
+    if _FOLDER.fullmatch(name):
+        return None
+    return (
+        f"the name {name[:110]!r} is not fit for a folder; expected a lower-case letter, then at "
+        "most 99 such, digits and _, as in item_3; other names can stand in about.title"
+    )
