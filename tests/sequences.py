@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.keys import SEQUENCE_KEY
 from rfpipe.rigs.base import Key, Rig, check_patterns
+from rfpipe.units import SEQUENCE_KEY
 from rfpipe_devices.sequences import Sequencer
 
 Float = NDArray[np.float32]

@@ -12,25 +12,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = [
-    "CaptureError",
-    "ClusterError",
-    "ConfigError",
-    "DamagedStageError",
-    "InputError",
-    "IntegrityError",
-    "LockedError",
-    "PicturesNeeded",
-    "RfpipeError",
-    "StaleStoreError",
-    "StoreError",
-    "TransferError",
-    "UnreachableError",
-    "VerificationError",
-    "installing",
-    "without_password",
-]
-
 # what a URL has between its slashes and its host: a user's name, and a password behind it; a Path
 # that was made of a URL has one slash
 _USER = re.compile(r"(:/+)[^/\s'\"]*@")

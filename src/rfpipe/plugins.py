@@ -19,21 +19,6 @@ from typing import Any
 
 from rfpipe.errors import InputError
 
-__all__ = [
-    "CAMERAS",
-    "COMMANDS",
-    "METHODS",
-    "PLACES",
-    "PROJECTORS",
-    "RIGS",
-    "SCENES",
-    "SEQUENCES",
-    "find",
-    "names",
-    "path_of",
-    "sources_of",
-]
-
 METHODS = "rfpipe.methods"
 """The group of acquisition methods."""
 

@@ -1,18 +1,8 @@
-"""Dtypes, names of units and limits of counts, shared by stores, manifests and reports."""
+"""Dtypes, units and limits of counts, and the keys of brackets that aren't a level's patterns."""
 
 from typing import Literal
 
 import numpy as np
-
-__all__ = [
-    "COUNTS",
-    "COUNT_UNIT",
-    "RADIANCE",
-    "RADIANCE_UNIT",
-    "SATURATION_FRACTION",
-    "SYMMETRY_FRAMES",
-    "NumberFormat",
-]
 
 NumberFormat = Literal["float32", "uint16", "uint8"]
 """How a stored transport keeps its numbers: as they are, or rounded to 16 or 8 bits."""
@@ -34,3 +24,27 @@ SATURATION_FRACTION = 0.98
 
 SYMMETRY_FRAMES = 6  # four say the same within 20 %, eight within 10 %
 """Random patterns that tell whether a rig is coaxial."""
+
+BLACK_LEVEL_KEY = 1_000_000
+"""First part of the keys of all-off brackets, where patterns have their level: (this, i)."""
+
+FLOODLIT_KEY = 1_000_001
+"""The same of the all-on brackets that an acquisition begins with."""
+
+DRIFT_KEY = 1_000_002
+"""The same of the all-on brackets that are repeated during a level: (this, level, i)."""
+
+WARM_UP_KEY = 1_000_003
+"""The same of those that are shown while the lamp warms up, and not kept."""
+
+SYMMETRY_KEY = 1_000_004
+"""The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
+
+VERIFICATION_KEY = 1_000_005
+"""The same of pictures that no method saw, taken to verify a transport: (this, i)."""
+
+LOOK_KEY = 1_000_006
+"""The same of the random pattern that tells, repeated, whether the rig moved: (this, level, i)."""
+
+SEQUENCE_KEY = 1_000_007
+"""The same of what a sequence shows beside its patterns: (this, ...)."""

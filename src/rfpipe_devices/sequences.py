@@ -19,12 +19,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.keys import SEQUENCE_KEY
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key
 from rfpipe.rigs.devices import check_frames
 from rfpipe.rigs.stale import Light, is_little
-from rfpipe.units import SATURATION_FRACTION
+from rfpipe.units import SATURATION_FRACTION, SEQUENCE_KEY
 
 Float = NDArray[np.float32]
 OneByOne = Callable[[Float, Sequence[Key]], NDArray[Any]]

@@ -13,12 +13,12 @@ import pytest
 
 from rfpipe.config import RigConfig, parse_rig_config
 from rfpipe.errors import ConfigError
-from rfpipe.keys import BLACK_LEVEL_KEY
 from rfpipe.photometry import MergeOptions
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import rig_from_config
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
+from rfpipe.units import BLACK_LEVEL_KEY
 
 RAYS = (8, 10)
 

@@ -78,7 +78,7 @@ def test_shared_references_are_not_taken_again(
 
     monkeypatch.setattr(SimulatedRig, "capture", counted)
     acquire_item(settings, "a", "brute_force", tmp_path)
-    from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY
+    from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY
 
     assert len(shown) == 48
     assert not {BLACK_LEVEL_KEY, FLOODLIT_KEY} & {key[0] for key in shown}

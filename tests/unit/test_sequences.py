@@ -10,7 +10,6 @@ from tests.sequences import SequenceFaults, SimulatedSequences
 
 from rfpipe import acquire
 from rfpipe.errors import InputError
-from rfpipe.keys import BLACK_LEVEL_KEY
 from rfpipe.photometry import CameraModel, MergeOptions, Sensor
 from rfpipe.rigs import OperatorRig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
@@ -19,6 +18,7 @@ from rfpipe.stages.capture import brackets_of
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
+from rfpipe.units import BLACK_LEVEL_KEY
 
 RAYS = (12, 14)
 COUNT = 13

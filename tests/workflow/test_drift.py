@@ -12,12 +12,12 @@ from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 
 from rfpipe.config.capture import CaptureConfig
 from rfpipe.errors import CaptureError
-from rfpipe.keys import DRIFT_KEY, WARM_UP_KEY
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.watch import look_count, look_positions
 from rfpipe.store import FrameStore
+from rfpipe.units import DRIFT_KEY, WARM_UP_KEY
 
 EVERY = 3
 

@@ -16,7 +16,6 @@ from tests.workflow.stagewise import CODE, stages
 from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.errors import CaptureError
-from rfpipe.keys import LOOK_KEY, VERIFICATION_KEY
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, verification
@@ -27,6 +26,7 @@ from rfpipe.stages.plan import Plan
 from rfpipe.stages.symmetry import NOTICED
 from rfpipe.stages.watch import LOOK_PATTERNS
 from rfpipe.store import read_manifest
+from rfpipe.units import LOOK_KEY, VERIFICATION_KEY
 
 PICTURES = 4
 

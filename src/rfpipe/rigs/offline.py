@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, PicturesNeeded, StoreError
-from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
 from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.pictures import write_code_picture
@@ -22,6 +21,7 @@ from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import load_calibration, resampled_sensor
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 from rfpipe.store import read_manifest, write_manifest
+from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig

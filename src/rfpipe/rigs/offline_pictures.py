@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures import Header, picture_files, read_header, read_picture
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
 from rfpipe.rigs.offline import OfflineRig, Sheet
-from rfpipe.units import SATURATION_FRACTION
+from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION
 
 Picture = tuple[Header, Path]
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
-from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, WARM_UP_KEY
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import sequence_patterns
@@ -27,7 +26,15 @@ from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.watch import watching_level
 from rfpipe.store import bytes_on_disk
-from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
+from rfpipe.units import (
+    BLACK_LEVEL_KEY,
+    COUNT_UNIT,
+    COUNTS,
+    FLOODLIT_KEY,
+    RADIANCE_UNIT,
+    SYMMETRY_KEY,
+    WARM_UP_KEY,
+)
 
 SENSOR = "sensor"
 """A resampled sensor's arrays, beside the frames of level 0: their store and manifest's key."""

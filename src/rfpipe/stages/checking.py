@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import InputError, StoreError
-from rfpipe.keys import VERIFICATION_KEY
 from rfpipe.stages.capture import SENSOR
 from rfpipe.stages.checked import (
     RESTORE,
@@ -30,6 +29,7 @@ from rfpipe.stages.watch import DRIFT, MOVES
 from rfpipe.store import StoreLock, open_arrays, read_manifest
 from rfpipe.store.files import digest_of
 from rfpipe.store.places import as_address, locate
+from rfpipe.units import VERIFICATION_KEY
 
 # Stores of a level that the manifest of another name is about.
 _OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, DRIFT, MOVES, SENSOR), "capture") | dict.fromkeys(

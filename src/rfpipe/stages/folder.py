@@ -18,7 +18,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
-from rfpipe.keys import VERIFICATION_KEY
 from rfpipe.provenance import versions
 from rfpipe.store import (
     ArrayBundle,
@@ -33,7 +32,7 @@ from rfpipe.store import (
 )
 from rfpipe.store.files import digest_of
 from rfpipe.store.places import Place
-from rfpipe.units import RADIANCE, RADIANCE_UNIT
+from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
 
 REFERENCE = "reference"
 """The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""

@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import Reciprocity, random_signs
 from rfpipe.errors import CaptureError, StoreError
-from rfpipe.keys import DRIFT_KEY, LOOK_KEY
 from rfpipe.photometry.sensor import Merged
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, restore_header
-from rfpipe.units import SATURATION_FRACTION
+from rfpipe.units import DRIFT_KEY, LOOK_KEY, SATURATION_FRACTION
 
 DRIFT = "drift"
 """The repeated floodlit brackets of a level: their store and their key in manifests."""

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
-from rfpipe.keys import BLACK_LEVEL_KEY
 from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.testing.checks import opened, require, require_equal_descriptions, require_raises
+from rfpipe.units import BLACK_LEVEL_KEY
 
 Float = NDArray[np.float32]
 
