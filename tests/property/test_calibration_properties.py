@@ -80,7 +80,7 @@ def test_resampling_inverts_what_the_camera_mixes(
     shares, area = coverage(maps, layout, (40, 40))
     assert (area <= layout.pixels_of_ray * (1 + 1e-9)).all()
     camera = shares @ light
-    rays = fit.resampling.apply(camera.reshape(1, 40, 40, 1).astype(np.float32)).ravel()
+    rays = fit.resampling.matrix @ camera
     seen = fit.resampling.seen.ravel()
     assert seen.any()
     bound = fit.leak[seen] * light.max() + 1e-4

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +22,14 @@ Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
 
-class Counts(Protocol):
-    """Something that counts pictures."""
-
-    def advance(self, patterns: int) -> None:
-        """Count so many more."""
+Progress = Callable[[str, int], AbstractContextManager[Any]]
+"""Makes what counts pictures of a title, such as `rfpipe.stages.jobs.progress.Progress`."""
 
 
-Progress = Callable[[str, int], AbstractContextManager[Counts | None]]
-"""Makes one for a title and a number, such as `rfpipe.stages.jobs.progress.Progress`."""
+_NUMBERS = {
+    "linearity": ("response_gamma",),
+    "transfer": ("full_well_electrons", "read_noise_electrons", "dark_current_electrons"),
+}
 
 
 class DeviceError(Exception):
@@ -58,14 +57,13 @@ def camera_model(camera: Camera) -> CameraModel:
 
 def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
     """Return the parameters of `CameraModel` that were measured."""
-    numbers: dict[str, Any] = {}
+    numbers: dict[str, Any] = {
+        name: found[step][name]
+        for step, names in _NUMBERS.items()
+        for name in (names if step in found else ())
+    }
     if "dark" in found:
         numbers["black_level_counts"] = max(0, round(found["dark"]["black_level_counts"]))
-    if "linearity" in found:
-        numbers["response_gamma"] = found["linearity"]["response_gamma"]
-    if "transfer" in found:
-        names = "full_well_electrons", "read_noise_electrons", "dark_current_electrons"
-        numbers |= {name: found["transfer"][name] for name in names}
     return numbers
 
 
@@ -90,7 +88,7 @@ class Bench:
     settings: CalibrationConfig
     rays: tuple[int, int] | None
     found: Mapping[str, Findings]
-    progress: Callable[[int], AbstractContextManager[Counts | None]]
+    progress: Callable[[int], AbstractContextManager[Any]]
 
     @property
     def model(self) -> CameraModel:

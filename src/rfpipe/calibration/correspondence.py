@@ -138,19 +138,15 @@ def measure_correspondence(bench: Bench) -> Findings:
     x, y = decoded
     valid = x["valid"] & y["valid"]
     error = np.maximum(x["error"], y["error"]).astype(np.float32)
-    lit, is_few = (
-        bench.found["scene"]["lit"] if "scene" in bench.found else valid,
-        valid.sum() < 100,
-    )
-    of_lit = None if is_few or not lit.any() else float(valid[lit].mean())
-    is_sparse = is_few or (of_lit is not None and of_lit < 0.7)
+    lit = bench.found["scene"]["lit"] if "scene" in bench.found else valid
+    is_few, of_lit = valid.sum() < 100, float(valid[lit].mean()) if lit.any() else 1.0
     facts = {
         "projector_shape": list(shape),
         "period_pixels": settings.period_pixels,
         "valid_pixels": int(valid.sum()),
         "valid_share": float(valid.mean()),
-        "decoded_of_lit": of_lit,
-        "median_error_pixels": None if is_sparse else float(np.median(error[valid])),
+        "decoded_of_lit": None if is_few else of_lit,
+        "median_error_pixels": None if is_few or of_lit < 0.7 else float(np.median(error[valid])),
     }
     arrays = {
         "x": x["coordinate"].astype(np.float32),

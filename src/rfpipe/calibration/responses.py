@@ -311,19 +311,17 @@ def fit_noise(signal: Double, variance: Double, pairs: Double, step: Double) -> 
     measured variance, and would pull the fit down. Errors grow with the misfit where it is more
     than noise.
     """
+    from scipy.optimize import nnls
+
     model = variance
     for _ in range(20):
         expected = model * np.sqrt(2 / pairs)
-        (slope, read), covariance = np.polyfit(
-            signal, variance - step**2 / 12, 1, w=1 / expected, cov="unscaled"
-        )
-        if read < 0:  # the best without any
-            weight = signal / expected**2
-            slope, read = float(weight @ (variance - step**2 / 12) / (weight @ signal)), 0.0
+        line = np.stack([signal, np.ones_like(signal)], axis=1) / expected[:, None]
+        (slope, read), _ = nnls(line, (variance - step**2 / 12) / expected)
         slope = max(slope, 1e-9)
         model = read + slope * signal + step**2 / 12
     chi = np.square((variance - model) / expected)
-    covariance *= max(1.0, float(chi.sum()) / max(1, len(chi) - 2))
+    covariance = np.linalg.inv(line.T @ line) * max(1.0, float(chi.sum()) / max(1, len(chi) - 2))
     relative = np.square(variance / model - 1) - 2 / pairs
     misfit = np.sqrt(max(0.0, np.average(relative, weights=pairs)))
     slope_error, read_error = np.sqrt(np.diag(covariance))

@@ -269,7 +269,6 @@ class Reciprocity:
         self._unseen = _UNKNOWN * (1 - float(known.mean()))
         self._patterns = np.empty((_WITNESSES, rays), np.float32)
         self._images, self._noise = np.empty((2, _WITNESSES, rays, channels), np.float32)
-        self._gram = np.zeros((_WITNESSES, _WITNESSES))
         self._count = 0
         self._keep(np.ones(rays, np.float32), *_flat(floodlit, variance))
 
@@ -299,9 +298,10 @@ class Reciprocity:
             return Residual(0.0, 0.0)
         squares = np.divide(residual**2, spread, out=np.zeros_like(spread), where=spread > 0)
         deviations = float(np.sqrt(squares.sum() / ((held - 1) * channels)))
-        values, vectors = np.linalg.eigh(self._gram[:held, :held])
+        gram = (self._patterns[:held] @ self._patterns[:held].T).astype(np.float64)
+        values, vectors = np.linalg.eigh(gram)
         # directions of pattern space that the witnesses hardly span are all noise
-        chosen = values > 0.05 * np.diag(self._gram)[:held].min()
+        chosen = values > 0.05 * np.diag(gram).min()
         ways = vectors[:, chosen]
         along = (ways.T @ residual) ** 2 - (ways**2).T @ spread
         error = float((along.sum(axis=1) / values[chosen]).sum()) / (4 * light) - self._unseen
@@ -316,8 +316,6 @@ class Reciprocity:
             at = 1 + (at - _WITNESSES) % (_WITNESSES - 1)
         self._count += 1
         self._patterns[at], self._images[at], self._noise[at] = pattern, image, noise
-        held = min(self._count, _WITNESSES)
-        self._gram[at, :held] = self._gram[:held, at] = self._patterns[:held] @ pattern
 
 
 def _flat(radiance: Float, variance: Float) -> tuple[Float, Float]:
