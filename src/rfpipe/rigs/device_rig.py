@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import logging
-import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,14 +15,12 @@ from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import VERDICTS_KEY, resampled_sensor
 from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.stale import RETAKE_SECONDS, StaleWatch
+from rfpipe.rigs.stale import StaleWatch
 
 if TYPE_CHECKING:
     from rfpipe.photometry.resampling import Resampling
 
 Float = NDArray[np.float32]
-
-_log = logging.getLogger(__name__)
 
 
 class DeviceRig(Closing):
@@ -92,7 +89,9 @@ class DeviceRig(Closing):
         shape = self.camera.sensor.frame_shape(self.camera.shape, self.channels)
         frames = np.empty((len(patterns), *shape), self.camera.sensor.frame_dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
-            frames[index] = self._bracket(self._picture(pattern), f"pattern {tuple(key)}")
+            name, picture = f"pattern {tuple(key)}", self._picture(pattern)
+            take = partial(bracket_of, self.projector, self.camera, picture, name)
+            frames[index] = self._watch.kept(name, picture, take)
         return frames
 
     @property
@@ -108,22 +107,6 @@ class DeviceRig(Closing):
         if self._sequencer is None or not can_show or not len(patterns):
             return self.capture(patterns, keys)
         frames: NDArray[Any] = self._sequencer.brackets(patterns, keys)
-        return frames
-
-    def _bracket(self, picture: Float, name: str) -> NDArray[Any]:
-        """Show a picture and take its bracket, again where it may be of the picture before."""
-        frames = bracket_of(self.projector, self.camera, picture, name)
-        if self._watch.is_doubtful(frames, picture):
-            time.sleep(RETAKE_SECONDS)
-            again = bracket_of(self.projector, self.camera, picture, name)
-            if self._watch.judge(frames, again):
-                _log.warning(
-                    "%s: the frames were, in part at least, of the pattern before; taken again. "
-                    "The projector is slower than its settle_seconds: `rfpipe calibrate` measures "
-                    "its delay (step latency)", name,
-                )  # fmt: skip
-                frames = again
-        self._watch.accept(frames, picture)
         return frames
 
     def _picture(self, pattern: Float) -> Float:

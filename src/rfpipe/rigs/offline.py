@@ -157,7 +157,7 @@ def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]
     """Return the resampling to means of the camera's pixels whose middles lie on a ray."""
     from scipy.sparse import csr_array
 
-    from rfpipe.photometry.resampling import Resampling
+    from rfpipe.photometry.resampling import Resampling, normalised
 
     layout = ProjectorLayout.within(corners, shape, picture_shape)
     ray, count = layout.ray_of_pixel.ravel(), layout.pixels_of_ray
@@ -166,12 +166,9 @@ def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]
             f"offline.camera_corners: {np.count_nonzero(count == 0)} of {prod(shape)} rays have no "
             f"pixel in pictures of {picture_shape}; check the corners, or take a smaller shape"
         )
-    pixels = np.flatnonzero(ray != DARK)
-    weights = (1 / count[ray[pixels]]).astype(np.float32)
-    whole = prod(shape), prod(picture_shape)
-    return Resampling(
-        shape, picture_shape, csr_array((weights, (ray[pixels], pixels)), shape=whole)
-    )
+    pixels, whole = np.flatnonzero(ray != DARK), (prod(shape), prod(picture_shape))
+    ones = csr_array((np.ones(len(pixels)), (ray[pixels], pixels)), shape=whole)
+    return Resampling(shape, picture_shape, normalised(ones))
 
 
 class Shown(BaseModel):

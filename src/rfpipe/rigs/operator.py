@@ -98,12 +98,8 @@ class OperatorRig:
             radiance = images[index].reshape(*self.camera_shape, self.channels)
             frames[index] = self.sensor.expose(radiance, self.seed, tuple(keys[index]))
 
-        if self._threads == 1:
-            for index in range(len(frames)):
-                expose(index)
-        else:
-            with ThreadPoolExecutor(self._threads) as pool:
-                list(pool.map(expose, range(len(frames))))
+        with ThreadPoolExecutor(self._threads) as pool:
+            list(pool.map(expose, range(len(frames))))
         return frames
 
     def describe(self) -> dict[str, Any]:

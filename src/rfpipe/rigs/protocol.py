@@ -102,12 +102,24 @@ def read_token(file: Path | None = None, variable: str = "RFPIPE_TOKEN") -> str:
         When there is none, others may read the file, or the token is too short, too long or holds
         other characters. No message shows it.
     """
-    if file is None:
-        source, token = f"the environment variable {variable}", os.environ.get(variable, "")
-        if not token:
-            raise ConfigError(f"{source} is not set and no token file is named; {_ADVICE}")
-    else:
-        source, token = str(file), _content(file)
+    source, token = f"the environment variable {variable}", os.environ.get(variable, "")
+    if file is not None:
+        source = str(file)
+        try:
+            with file.open(encoding="utf-8") as opened:
+                mode, token = stat.S_IMODE(os.fstat(opened.fileno()).st_mode), opened.read(1024)
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(
+                f"{file}: can't be read as a token file: {error}; {_ADVICE}"
+            ) from error
+        if os.name == "posix" and mode & 0o077:
+            raise ConfigError(
+                f"{file}: has the mode {mode:o}, so that others may read the token; run: "
+                f"chmod 600 {file}"
+            )
+        token = token.strip()
+    elif not token:
+        raise ConfigError(f"{source} is not set and no token file is named; {_ADVICE}")
     is_visible = token.isascii() and all(33 <= ord(character) <= 126 for character in token)
     if not is_visible or not 16 <= len(token) <= 512:
         raise ConfigError(
@@ -115,18 +127,3 @@ def read_token(file: Path | None = None, variable: str = "RFPIPE_TOKEN") -> str:
             f"letters, digits and signs without spaces; {_ADVICE}"
         )
     return token
-
-
-def _content(file: Path) -> str:
-    try:
-        with file.open(encoding="utf-8") as opened:
-            mode = stat.S_IMODE(os.fstat(opened.fileno()).st_mode)
-            content = opened.read(1024)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: can't be read as a token file: {error}; {_ADVICE}") from error
-    if os.name == "posix" and mode & 0o077:
-        raise ConfigError(
-            f"{file}: has the mode {mode:o}, so that others may read the token; run: "
-            f"chmod 600 {file}"
-        )
-    return content.strip()

@@ -20,7 +20,7 @@ from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.devices import Closing
 from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, unpack
-from rfpipe.rigs.protocol import API, LeaseAnswer, RigAnswer
+from rfpipe.rigs.protocol import API, LeaseAnswer, RigAnswer, StatusAnswer
 
 if TYPE_CHECKING:
     import httpx
@@ -99,10 +99,8 @@ class RemoteRig(Closing):
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
         """What the devices behind the server counted since its start."""
-        devices: dict[str, dict[str, int]] = (
-            self._connection.send("GET", "/v1/status").json().get("devices", {})
-        )
-        return devices
+        answer = self._connection.send("GET", "/v1/status")
+        return StatusAnswer.model_validate_json(answer.content).devices
 
     def close(self) -> None:
         """Give the rig back to other clients; closing twice is no error."""
@@ -182,6 +180,7 @@ class RemoteRig(Closing):
             heart.stop()
 
     def _described(self) -> RigAnswer:
+        """Return the rig as the server describes it, in this version of the interface."""
         api = self._connection.send("GET", "/v1/health").json().get("api")
         if api != API:
             raise CaptureError(

@@ -9,7 +9,10 @@ second one is another, the first was wrong.
 
 from __future__ import annotations
 
+import logging
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +42,8 @@ CONTRADICTION = 0.25
 
 UNSURE = 4.0
 """Factor on the variance that the settings say: it may not be measured yet."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -120,37 +125,38 @@ class StaleWatch:
         self._skipped = 0
         self.statistics = {"doubted": 0, "stale": 0}
 
-    def is_doubtful(self, frames: NDArray[Any], picture: Float) -> bool:
-        """Tell whether a bracket (E, ...) may be, in part or wholly, of the picture before."""
+    def kept(self, name: str, picture: Float, take: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Take a bracket (E, ...) of a picture and return it, or one taken later in its place."""
+        frames = take()
         if not self._lights:
-            return False
+            return frames
         if self._skipped:
             self._skipped -= 1
-            return False
-        bracket = _some(frames)
-        if any(self._contradicts(bracket, number) for number in range(1, len(bracket))):
-            return True
-        return any(
+        elif self._is_doubtful(_some(frames), picture):
+            time.sleep(RETAKE_SECONDS)
+            again = take()
+            self.statistics["doubted"] += 1
+            if self._are_alike(_some(frames), _some(again)):
+                # an unfounded doubt: so many patterns go by unwatched, twice as many the next time
+                self._skipped, self._pause = self._pause, min(2 * self._pause, 64)
+            else:
+                _log.warning(
+                    "%s: the frames were, in part at least, of the pattern before; taken again. "
+                    "The projector is slower than its settle_seconds: `rfpipe calibrate` measures "
+                    "its delay (step latency)", name,
+                )  # fmt: skip
+                self.statistics["stale"] += 1
+                self._pause, frames = 1, again
+        self._last.append((picture.copy(), _some(frames)))
+        return frames
+
+    def _is_doubtful(self, bracket: Float, picture: Float) -> bool:
+        """Tell whether a bracket may be, in part or wholly, of the picture before."""
+        return any(self._contradicts(bracket, number) for number in range(1, len(bracket))) or any(
             self._are_alike(bracket, previous)
             for shown, previous in self._last
             if not np.array_equal(shown, picture)
         )
-
-    def accept(self, frames: NDArray[Any], picture: Float) -> None:
-        """Note the bracket that is kept, for the next one."""
-        if self._lights:
-            self._last.append((picture.copy(), _some(frames)))
-
-    def judge(self, frames: NDArray[Any], again: NDArray[Any]) -> bool:
-        """Tell whether a doubtful bracket was wrong, by another one taken later."""
-        self.statistics["doubted"] += 1
-        if self._are_alike(_some(frames), _some(again)):
-            # an unfounded doubt: this many patterns go by unwatched, twice as many the next time
-            self._skipped, self._pause = self._pause, min(2 * self._pause, 64)
-            return False
-        self.statistics["stale"] += 1
-        self._pause = 1
-        return True
 
     def _contradicts(self, bracket: Float, number: int) -> bool:
         ratio = self._exposures[number] / self._exposures[number - 1]
