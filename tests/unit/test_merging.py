@@ -15,7 +15,7 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
-from rfpipe.stages.jobs.workers import Resources, Workers
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import Merger
 
 CAMERA = CameraModel()
@@ -127,7 +127,8 @@ def test_resources_use_fewer_threads_where_memory_is_short(tmp_path: Path) -> No
     for size, in_flight in ((1, 8), (few.data_bytes // 4, 4), (few.data_bytes, 1)):
         with few.workers(size, tmp_path) as workers:
             assert workers.in_flight == in_flight
-    assert list(Workers(None, 1).results(lambda a, b: (a, b), [(1, 2), (2, 3)])) == [(1, 2), (2, 3)]
+            pieces = list(workers.results(lambda a, b: (a, b), [(1, 2), (2, 3)]))
+            assert pieces == [(1, 2), (2, 3)]
 
 
 def test_the_floodlit_image_is_as_uncertain_as_its_variance_says() -> None:

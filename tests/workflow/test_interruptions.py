@@ -7,15 +7,12 @@ import signal
 from pathlib import Path
 
 import pytest
-from tests.waiting import wait_until
 from tests.workflow.harness import (
     LONG,
-    TINY,
     Workflow,
     freeze_writer,
     journal,
     kill_group,
-    undo,
 )
 
 BRUTE = "long/brute_force"
@@ -85,20 +82,3 @@ def test_a_stopped_capture_closes_its_store_and_goes_on(
     output = workflow.run(LONG)  # with nothing to unlock
     assert f"{captured} of 40 patterns are captured" in output
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
-
-
-@pytest.mark.slow
-def test_a_stage_killed_in_the_middle_is_done_again(copy: Workflow, undisturbed: Workflow) -> None:
-    for _ in range(10):  # until the kill is quicker than the stage
-        log = undo(copy, 3, "merge")
-        process = copy.start(TINY)
-        wait_until(log.exists, "the merge of level 3")
-        kill_group(process, signal.SIGKILL)
-        process.communicate()
-        copy.unlock()
-        if not log.with_suffix(".json").exists():
-            break
-    assert not log.with_suffix(".json").exists()
-
-    copy.run(TINY)
-    assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")

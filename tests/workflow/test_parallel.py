@@ -141,7 +141,6 @@ def test_without_workers_it_does_not_wait_for_ever(
 
     def left_alone(cluster: Any) -> None:
         with Resources(where=cluster.scheduler_address).workers(1, tmp_path) as workers:
-            assert workers.hand_out is not None
             ask = workers.hand_out(identity)
             assert ask(0, 1).result()[1:] == (0, 1)
             cluster.scale(0)
@@ -194,7 +193,6 @@ def test_a_scheduler_that_dies_ends_the_job(
 
     def interrupted() -> None:
         with Resources(where=address).workers(1, tmp_path) as workers:
-            assert workers.hand_out is not None
             promise = workers.hand_out(slow)(0, 1)
             process.kill()
             promise.result()

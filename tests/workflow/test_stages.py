@@ -29,7 +29,7 @@ from tests.workflow.stagewise import (
 from rfpipe import acquire
 from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages.jobs import progress
+from rfpipe.stages.jobs import job as progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import read_manifest

@@ -23,7 +23,7 @@ Double = NDArray[np.float64]
 
 
 Progress = Callable[[str, int], AbstractContextManager[Any]]
-"""Makes what counts pictures of a title, such as `rfpipe.stages.jobs.progress.Progress`."""
+"""Makes what counts pictures of a title, such as `rfpipe.stages.jobs.job.Progress`."""
 
 
 _NUMBERS = {

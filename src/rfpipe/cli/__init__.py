@@ -43,11 +43,21 @@ def _common(
 
 
 app.command(context_settings=PASSED_ON)(run)
-for _one in (plan, settings, catalogue, verify, info, relight, view, export, movie, fit, patterns):
-    app.command()(_one)
+app.command()(plan)
+app.command()(settings)
+app.command()(catalogue)
+app.command()(verify)
+app.command()(info)
+app.command()(relight)
+app.command()(view)
+app.command()(export)
+app.command()(movie)
+app.command()(fit)
+app.command()(patterns)
 app.command("import")(import_)
-for _of_a_rig in (aim, calibrate, serve):
-    app.command()(_of_a_rig)
+app.command()(aim)
+app.command()(calibrate)
+app.command()(serve)
 for _name in plugins.names(plugins.COMMANDS):
     _command = plugins.find(plugins.COMMANDS, _name)
     if isinstance(_command, typer.Typer):

@@ -18,6 +18,7 @@ from rfpipe.cli.transports import (
     View,
     White,
     opened,
+    picture_of_rays,
     times,
     write_picture,
 )
@@ -154,8 +155,6 @@ def pattern_weights(
     """
     import numpy as np
 
-    from rfpipe.blocks import RayDomain
-    from rfpipe.pictures.images import read_image, resized
     from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 
     if name == "white":
@@ -167,20 +166,9 @@ def pattern_weights(
             f"pattern {name}: is no file and no name of a pattern; expected a picture, white, "
             f"{', '.join(RELIGHTING_PATTERNS)}"
         )
-    picture = read_image(Path(name))
-    expected = RayDomain(shape).picture_shape
-    if picture.shape[:2] != expected and resize:
-        sizes = f"from {times(picture.shape[:2])} to {times(expected)} pixels"
-        typer.echo(f"pattern {name}: resized {sizes}", err=True)
-        picture = resized(picture, expected).clip(0, 1)
-    if picture.shape[:2] != expected:
-        raise InputError(
-            f"pattern {name}: is {times(picture.shape[:2])} pixels (height x width); expected "
-            f"{times(expected)}, the shape of the rays that send the light; resize the picture, or "
-            "add --resize"
-        )
-    if picture.ndim == 3 and channels == 1:
+    picture = picture_of_rays(f"pattern {name}", Path(name), shape, resize=resize)
+    if picture.ndim > len(shape) and channels == 1:
         raise InputError(
             f"pattern {name}: is RGB, but the transport has one channel; give a grey picture"
         )
-    return picture.reshape(*shape, *picture.shape[2:])
+    return picture

@@ -66,7 +66,7 @@ def calibrate(
     from rfpipe.errors import StoreError
     from rfpipe.report.calibration import build_calibration_report
     from rfpipe.rigs.calibrated import faults_of
-    from rfpipe.stages.jobs.progress import Progress
+    from rfpipe.stages.jobs.job import Progress
 
     logging.basicConfig(format="%(message)s")
     logging.getLogger("rfpipe").setLevel(logging.INFO)

@@ -314,6 +314,33 @@ def _colour(text: str | None, channels: int) -> tuple[float, ...]:
     return weights
 
 
+def picture_of_rays(
+    name: str, path: Path, shape: tuple[int, ...], *, resize: bool = False
+) -> NDArray[np.float32]:
+    """Read a picture of rays, several views one above the other: (*shape) or (*shape, channels).
+
+    Raises
+    ------
+    InputError
+        When it has another size, and isn't to be resized.
+    """
+    from rfpipe.blocks import RayDomain
+    from rfpipe.pictures.images import read_image, resized
+
+    picture, expected = read_image(path), RayDomain(shape).picture_shape
+    sizes = f"{times(picture.shape[:2])} to {times(expected)} pixels"
+    if picture.shape[:2] != expected and resize:
+        typer.echo(f"{name}: resized from {sizes}", err=True)
+        picture = resized(picture, expected).clip(0, 1)
+    if picture.shape[:2] != expected:
+        raise InputError(
+            f"{name}: is {times(picture.shape[:2])} pixels (height x width); expected "
+            f"{times(expected)}, the shape of the rays, several views one above the other; resize "
+            "it, or a pattern by --resize"
+        )
+    return picture.reshape(*shape, *picture.shape[2:])
+
+
 def write_picture(
     path: Path, picture: NDArray[np.float32], white: float | None, about: dict[str, str]
 ) -> None:

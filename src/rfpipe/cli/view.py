@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rfpipe.cli.transports import TransportPath, times
+from rfpipe.cli.transports import TransportPath, picture_of_rays
 from rfpipe.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,8 +78,6 @@ def view(
 
 def _compared(path: Path, transport: Transport, *, is_truth: bool) -> Compared:
     """Read what to compare with: a transport, or a picture."""
-    from rfpipe.blocks import RayDomain
-    from rfpipe.pictures.images import read_image
     from rfpipe.transport.storage import find_transport
     from rfpipe.viewer import Compared
     from rfpipe.viewer.stored import view_of
@@ -87,7 +85,7 @@ def _compared(path: Path, transport: Transport, *, is_truth: bool) -> Compared:
     if path.suffix.lower() not in _PICTURES:
         other, _ = view_of(find_transport(path))
         return Compared(other.transport, "truth" if is_truth else other.title, is_truth)
-    picture = read_image(path)
+    picture = picture_of_rays(str(path), path, transport.camera_shape)
     if path.suffix.lower() in _EIGHT_BITS:
         import numpy as np
 
@@ -96,13 +94,6 @@ def _compared(path: Path, transport: Transport, *, is_truth: bool) -> Compared:
         low, high = picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4
         linear = np.where(picture <= 0.04045, low, high) * white_of(transport)
         picture = linear.astype(np.float32)
-    expected = RayDomain(transport.camera_shape).picture_shape
-    if picture.shape[:2] != expected:
-        raise InputError(
-            f"{path}: is {times(picture.shape[:2])} pixels; expected {times(expected)}, the "
-            "camera's rays, several views one above the other; resize it"
-        )
-    picture = picture.reshape(*transport.camera_shape, *picture.shape[2:])
     return Compared(picture, path.name, is_truth)
 
 

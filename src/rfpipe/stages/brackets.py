@@ -20,7 +20,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.progress import Progress
+from rfpipe.stages.jobs.job import Progress
 from rfpipe.store import FrameStore, StoreLock, restore_header
 
 Keys = list[tuple[int, ...]]

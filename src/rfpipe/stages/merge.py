@@ -17,7 +17,7 @@ from rfpipe.stages import symmetry
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
-from rfpipe.stages.jobs.progress import Progress
+from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import (
     REFERENCES,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, islice
 from math import prod
 from typing import Any
 
@@ -234,11 +234,8 @@ def _check_saturation(share: float, sensor: Sensor) -> None:
             "exposure, close the aperture, or dim the projector"
         )
     if share:
-        _log.warning(
-            "%.2g%% of the floodlit image is saturated even at the shortest exposure; these "
-            "pixels are clipped",
-            100 * share,
-        )
+        text = "%.2g%% of the floodlit image is saturated at the shortest exposure, and clipped"
+        _log.warning(text, 100 * share)
 
 
 def learn_references(
@@ -249,13 +246,9 @@ def learn_references(
     counted = {name: captured[name] for name in ("black_frames", "floodlit_frames")}
     off, on = counted.values()
     with folder.frames(0, "capture", REFERENCE) as frames:
-
-        def read(first: int, last: int) -> Iterator[Frames]:
-            return (frames.read(index, index + 1) for index in range(first, last))
-
-        merger = Merger.from_references(
-            sensor, read(0, off), read(off, off + on), saturation_fraction, mask_defects
-        )
+        brackets = (frames.read(index, index + 1) for index in range(off + on))
+        black = islice(brackets, off)
+        merger = Merger.from_references(sensor, black, brackets, saturation_fraction, mask_defects)
     arrays = {name: getattr(merger, name) for name in _HELD}
     if merger.defects is not None:
         arrays["defects"] = merger.defects.mask
@@ -267,12 +260,12 @@ def read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: 
     """Read what level 0 learnt."""
     arrays, attributes = folder.read(0, "merge", REFERENCES)
     counted = attributes["counted"]
-    defects = None
-    if "defects" in arrays:
-        defects = DefectMap(arrays["defects"], counted["hot"], counted["dead"])
+    defective = "defects" in arrays
+    defects = DefectMap(arrays["defects"], counted["hot"], counted["dead"]) if defective else None
     options = MergeOptions(counted["black_frames"], saturation_fraction)
-    held = {name: arrays[name] for name in _HELD}
-    return Merger(sensor, options=options, defects=defects, **held)
+    return Merger(
+        sensor, options=options, defects=defects, **{name: arrays[name] for name in _HELD}
+    )
 
 
 def read_floodlit(folder: AcquisitionFolder) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

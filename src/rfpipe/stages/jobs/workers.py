@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
@@ -113,14 +113,9 @@ class Resources:
                 yield Workers(hand_out, self.fitting(bytes_each, _AHEAD * threads))
             return
         count = self.fitting(_AHEAD * bytes_each, self.threads)
-        if count == 1:
-            yield Workers(None, 1)
-            return
         with ThreadPoolExecutor(count) as pool:
             try:
-                yield Workers(
-                    lambda work: lambda first, last: pool.submit(work, first, last), _AHEAD * count
-                )
+                yield Workers(partial(partial, pool.submit), _AHEAD * count if count > 1 else 1)
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
@@ -128,24 +123,13 @@ class Resources:
 
 @dataclass(frozen=True)
 class Workers:
-    """Does pieces of work, several at a time.
+    """Does pieces of work, `in_flight` at a time: with their results, all that is in memory."""
 
-    Parameters
-    ----------
-    hand_out : callable or None
-        None does one piece after the other, here.
-    in_flight : int
-        Pieces handed out at a time: with their results, all that is in memory.
-    """
-
-    hand_out: HandOut | None
+    hand_out: HandOut
     in_flight: int
 
     def results(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:
         """Yield ``work(first, last)`` of each run, in their order."""
-        if self.hand_out is None:
-            yield from (work(first, last) for first, last in runs)
-            return
         ask = self.hand_out(work)
         handed_out: deque[Any] = deque()
         for first, last in runs:
