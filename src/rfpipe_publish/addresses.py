@@ -37,9 +37,20 @@ _BUCKET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _CREDENTIALS = re.compile(
     "AWS_(ACCESS_KEY_ID|WEB_IDENTITY_TOKEN_FILE|CONTAINER_CREDENTIALS_(RELATIVE|FULL)_URI)"
 )
-_OF_THE_ENVIRONMENT = (
-    "the credentials of the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY) and "
-    "AWS_ENDPOINT_URL"
+_DENIED = (
+    "check who may do it, and of s3:// the credentials of the environment (AWS_ACCESS_KEY_ID, "
+    "AWS_SECRET_ACCESS_KEY) and AWS_ENDPOINT_URL"
+)
+_ADVICE = {
+    "NoSuchBucket": "there is no such bucket; make it, or check the address and AWS_ENDPOINT_URL",
+    "NotSupportedError": "its server doesn't answer range requests, or answers a page of its own, "
+    "such as one to log in: check the address, or download it and open the file",
+    "PermissionDeniedError": _DENIED,
+    "UnauthenticatedError": _DENIED,
+}
+_WITHOUT_NETWORK = (
+    "check the network, the address and, of s3://, AWS_ENDPOINT_URL, then run again: an upload "
+    "goes on where it stopped"
 )
 
 
@@ -257,35 +268,17 @@ def _split(address: str) -> SplitResult:
 @contextmanager
 def _errors(place: str, action: str = "read") -> Iterator[None]:
     """Turn what obstore raises into a StoreError of one line; FileNotFoundError passes."""
-    from obstore.exceptions import (
-        BaseError,
-        NotSupportedError,
-        PermissionDeniedError,
-        UnauthenticatedError,
-    )
+    from obstore.exceptions import BaseError
 
-    what = _OF_THE_ENVIRONMENT if place.startswith("s3:") else "the address"
     # none of them chained: obstore's own message shows the address as it was given
     try:
         yield
     except (BaseError, FileNotFoundError) as error:
-        kind = StoreError
-        if "NoSuchBucket" in str(error):
-            advice = "there is no such bucket; make it, or check the address and AWS_ENDPOINT_URL"
-        elif isinstance(error, FileNotFoundError):
+        name = "NoSuchBucket" if "NoSuchBucket" in str(error) else type(error).__name__
+        if name == "FileNotFoundError":
             raise FileNotFoundError(place) from None
-        elif isinstance(error, NotSupportedError):
-            advice = (
-                "its server doesn't answer range requests, or answers a page of its own, such as "
-                "one to log in: check the address, or download it and open the file"
-            )
-        elif isinstance(error, PermissionDeniedError | UnauthenticatedError):
-            advice = f"check {what} and who may read it"
-        else:
-            kind = UnreachableError
-            advice = (
-                f"check the network and {what}, then run again: an upload goes on where it stopped"
-            )
+        kind = StoreError if name in _ADVICE else UnreachableError
+        advice = _ADVICE.get(name, _WITHOUT_NETWORK)
         raise kind(f"{place}: can't be {action}: {_reason(error)}; {advice}") from None
 
 

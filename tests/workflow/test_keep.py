@@ -33,7 +33,7 @@ def test_a_run_keeps_its_results_in_a_bucket(
         use(monkeypatch, seen.endpoint)
         seen.deny = True
         said = workflow.run(succeeds=False)
-        assert "check the credentials of the environment" in said
+        assert "the credentials of the environment" in said
         seen.deny = False
         workflow.run()
         kept = read_manifest(workflow.path("kept.json"))

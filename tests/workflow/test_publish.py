@@ -19,11 +19,6 @@ from rfpipe_publish.metadata import Citation
 from rfpipe_publish.publication import publish
 from rfpipe_publish.run import find_run
 
-# The context comes with ro-crate-py, of a later version that has moved or added these terms.
-_ADDED = ("creditText", "sha256")
-_MOVED = ("ComputationalWorkflow", "FormalParameter", "input", "output")
-_PLACES = ("", "", "ComputationalWorkflow#", "ComputationalWorkflow#")
-
 _VALIDATE_CRATE = """
 import sys, json, responses
 from rocrate_validator import models, services
@@ -78,11 +73,10 @@ def printed(python: str, script: str, *arguments: object) -> object:
 
 def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path, validators: str) -> None:
     source = importlib.resources.files("rocrate").joinpath("data/ro-crate.jsonld")
+    # comes with ro-crate-py, in a later version, which has moved or added these terms
     context = json.loads(source.read_text())
-    for term, place in zip(_MOVED, _PLACES, strict=True):
-        context["@context"][term] = f"https://bioschemas.org/{place}{term}"
-    for term in _ADDED:
-        del context["@context"][term]
+    context["@context"]["ComputationalWorkflow"] = "https://bioschemas.org/ComputationalWorkflow"
+    del context["@context"]["creditText"], context["@context"]["sha256"]
     (tmp_path / "context.json").write_text(json.dumps(context))
     arguments = (tmp_path / "context.json", tmp_path / "cache", "workflow-run-crate")
     assert printed(validators, _VALIDATE_CRATE, crate.with_suffix(".zip"), *arguments) == [True, []]
