@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
 from rfpipe.rigs.base import Key, Rig, check_patterns
 from rfpipe.units import SEQUENCE_KEY
 from rfpipe_devices.sequences import Sequencer
@@ -39,11 +38,6 @@ class SequenceFaults:
     swapped: float = 0.0
     twice: float = 0.0
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name, share in asdict(self).items():
-            if name != "seed" and not 0 <= share <= 1:
-                raise InputError(f"{name} is {share}; expected from 0 to 1")
 
 
 class SimulatedSequences:

@@ -4,7 +4,6 @@ And the rig's contract on it, as on any rig of hardware.
 """
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from rfpipe.photometry import MergeOptions
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import rig_from_config
-from rfpipe.testing import CameraContract, ProjectorContract, RigContract
+from rfpipe.testing import ProjectorContract, RigContract
 from rfpipe.units import BLACK_LEVEL_KEY
 
 RAYS = (8, 10)
@@ -69,19 +68,6 @@ class TestBenchAsARig(RigContract):
 
     def make_rig(self) -> DeviceRig:
         return bench()
-
-
-class TestBenchCamera(CameraContract):
-    @pytest.fixture(autouse=True)
-    def _projectors(self) -> Iterator[None]:
-        with ExitStack() as self.open:
-            yield
-
-    def make_camera(self):  # type: ignore[no-untyped-def]
-        rig = bench()
-        self.open.callback(rig.projector.close)
-        rig.projector.show(np.ones(rig.projector.shape, np.float32))
-        return rig.camera
 
 
 class TestBenchProjector(ProjectorContract):

@@ -78,20 +78,15 @@ def test_what_cannot_be_shown_is_explained() -> None:
         shown.load(np.zeros((2, *SHAPE), np.float32))
         with pytest.raises(CaptureError, match="not for 5e-05 s"):
             shown.play([0], 50e-6)
-        emulator.status = 1 | 1 << 6
-        with pytest.raises(CaptureError, match=r"reports an error \(abort\)"):
-            shown.play([0], 150e-6)
-        emulator.status = 1
-        emulator.refused = {0x1A24}
-        with pytest.raises(CaptureError, match="refuses command 0x1a24"):
-            shown.play([0], 150e-6)
-        emulator.refused = set()
-        emulator.is_silent = True
-        with pytest.raises(CaptureError, match="no answer to command"):
-            shown.play([0], 150e-6)
-        emulator.is_gone = True
-        with pytest.raises(CaptureError, match="USB device is lost"):
-            shown.play([0], 150e-6)
+        for fault, message in (
+            ({"status": 1 | 1 << 6}, r"reports an error \(abort\)"),
+            ({"status": 1, "refused": {0x1A24}}, "refuses command 0x1a24"),
+            ({"refused": set(), "is_silent": True}, "no answer to command"),
+            ({"is_gone": True}, "USB device is lost"),
+        ):
+            vars(emulator).update(fault)
+            with pytest.raises(CaptureError, match=message):
+                shown.play([0], 150e-6)
 
 
 class TriggeredCamera:

@@ -86,27 +86,30 @@ def kind(request: pytest.FixtureRequest) -> Kind:
     return KINDS[request.param]
 
 
+def rig_of(kind: Kind) -> Any:
+    return rig_from_config(parse_rig_config(settings(kind), "rig.yaml"))
+
+
 @ARAVIS
 class TestAravisBench(RigContract):
     repeatable = False
 
-    def make_rig(self):  # type: ignore[no-untyped-def]
-        return rig_from_config(parse_rig_config(settings(KINDS["aravis"]), "rig.yaml"))
+    def make_rig(self) -> Any:
+        return rig_of(KINDS["aravis"])
 
 
 class TestPhotoBench(RigContract):
     repeatable = False
 
-    def make_rig(self):  # type: ignore[no-untyped-def]
-        return rig_from_config(parse_rig_config(settings(KINDS["gphoto2"]), "rig.yaml"))
+    def make_rig(self) -> Any:
+        return rig_of(KINDS["gphoto2"])
 
 
 class TestWebcamBench(RigContract):
     repeatable = False
 
-    def make_rig(self):  # type: ignore[no-untyped-def]
-        linear = replace(KINDS["webcam"], true=None)  # the sensor doesn't know of any gamma yet
-        return rig_from_config(parse_rig_config(settings(linear), "rig.yaml"))
+    def make_rig(self) -> Any:
+        return rig_of(replace(KINDS["webcam"], true=None))  # the sensor doesn't know any gamma yet
 
 
 @pytest.mark.slow
@@ -136,7 +139,7 @@ def test_aravis_takes_sequences_as_it_takes_them_one_by_one() -> None:
     triggered = replace(kind, options={**kind.options, "sequence_line": "Line0"})
     patterns = (np.random.default_rng(0).random((9, *RAYS)) < 0.5).astype(np.float32)
     given = patterns, [(1, index) for index in range(len(patterns))]
-    with rig_from_config(parse_rig_config(settings(triggered), "rig.yaml")) as rig:  # type: ignore[attr-defined]
+    with rig_of(triggered) as rig:
         one_by_one = rig.capture(*given).astype(float)
         frames = rig.show_sequence(*given).astype(float)
         again = rig.capture(*given).astype(float)  # by software triggers, as before

@@ -114,20 +114,16 @@ def test_what_a_sequence_never_gives_is_taken_one_by_one(caplog: pytest.LogCaptu
 def test_only_what_is_missing_is_played_again() -> None:
     plain, given = rig(), patterns("half")
 
-    class Counted(SimulatedSequences):
-        played: list[int]
-
-    sequences = Counted(plain, faults=SequenceFaults(dropped=0.02, seed=5))
-    sequences.played = []
-    play = sequences.player.play
+    sequences = SimulatedSequences(plain, faults=SequenceFaults(dropped=0.02, seed=5))
+    play, played = sequences.player.play, []
 
     def counting(order: Sequence[int], exposure: int) -> Float:
-        sequences.played.append(len(order))
+        played.append(len(order))
         return play(order, exposure)
 
     sequences.player.play = counting  # type: ignore[method-assign]
     sequences.show_sequence(*given)
-    first, again = sequences.played[0], min(sequences.played)
+    first, again = played[0], min(played)
     assert sequences.statistics["sequences"]["lost"] > 0
     assert sequences.statistics["sequences"]["loaded_again"] == 0
     assert first == 3 * 4 + 2 * COUNT
@@ -153,8 +149,6 @@ def test_long_lists_are_cut_and_short_ones_are_none() -> None:
     assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     with pytest.raises(InputError, match="weights from 0 to 1"):
         sequences.show_sequence(given[0] + 1, given[1])
-    with pytest.raises(InputError, match="dropped is 2"):
-        SequenceFaults(dropped=2)
 
 
 def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:
