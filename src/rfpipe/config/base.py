@@ -247,8 +247,7 @@ class MethodSettings(Described):
 
     method: Text | None = setting(
         None,
-        "The method's name, or a class of your own as module:Class or file.py:Class; by default "
-        "the section's name.",
+        "The method, or a class of your own, module:Class or file.py:Class; else the section's.",
     )
 
 

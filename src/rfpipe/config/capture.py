@@ -37,45 +37,33 @@ class CaptureConfig(Settings):
     )
     token_file: Text | None = setting(
         None,
-        "File with the server's token, readable by its owner alone; null: the environment variable "
-        "RFPIPE_TOKEN.",
+        "File with the server's token, readable by its owner alone; null: RFPIPE_TOKEN.",
     )
     patience_seconds: float = setting(
         600.0, "Wait for a server or rig that fails, in seconds.", ge=0, le=604_800
     )
     placing: Command | None = setting(
-        None,
-        "Command that puts the scene named in RFPIPE_SCENE before the rig; null: it stands there.",
+        None, "Command that puts the scene named in RFPIPE_SCENE before the rig, or null."
     )
     seconds_per_pattern: float = setting(
         2.0, "Seconds of a pattern's bracket on a real rig, for forecasts.", gt=0, le=3600
     )
     black_frames: Batch = setting(8, "Brackets of the all-off pattern, averaged: 1 to 1024.")
     floodlit_frames: Batch = setting(
-        64,
-        "Brackets of the all-on pattern, averaged, which set the noise of the direct light: 1 to "
-        "1024.",
+        64, "Brackets of all-on, averaged, which set the direct light's noise: 1 to 1024."
     )
     share_references: Literal["none", "black", "all"] | None = setting(
-        None,
-        "Brackets taken once for many acquisitions: black, all or none; null: black with a "
-        "collection.",
+        None, "What is taken once for many acquisitions; null: black with a collection, else none."
     )
     asymmetry: Fraction = setting(
-        0.05,
-        "Error in relit pictures, a fraction of their norm, above which a rig isn't taken for a "
-        "coaxial one.",
+        0.05, "Relative error in relit pictures above which a rig isn't taken for a coaxial one."
     )
     watch: Literal["off", "warn", "refuse"] = setting(
-        "warn",
-        "When pictures tell that the rig moved or isn't aligned: warn, refuse (end the capture) or "
-        "off (not looked at).",
+        "warn", "Where pictures tell that the rig moved or isn't aligned: refuse ends the capture."
     )
     batch_patterns: Batch = setting(16, "Patterns captured and stored at a time, 1 to 1024.")
     keep_raw: bool = setting(
-        True,
-        "Whether raw exposures stay after their merge; without them, other merge settings mean to "
-        "capture again.",
+        True, "Whether raw exposures stay; else another merge means another capture."
     )
     warm_up_minutes: float = setting(
         0.0, "Minutes of white before a capture whose lamp may be cold.", ge=0, le=240
@@ -84,9 +72,7 @@ class CaptureConfig(Settings):
         None, "Minutes between two looks at the floodlit image; null: none.", gt=0, le=1440
     )
     when_patterns_change: Literal["recapture", "refuse"] = setting(
-        "recapture",
-        "What to do with a level's pictures when other settings change its patterns: recapture or "
-        "refuse.",
+        "recapture", "What to do with pictures whose patterns other settings have changed."
     )
 
     @property
@@ -114,17 +100,13 @@ class OfflineConfig(Settings):
     """A rig whose pictures come and go as files, with capture.rig offline."""
 
     projector_shape: tuple[Extent, Extent] | None = setting(
-        None,
-        "Height and width of the pictures to show, 1 to 4096 each; null: the calibration's, or a "
-        "pixel a ray.",
+        None, "Height and width of the pictures to show; null: the calibration's, or a pixel a ray."
     )
     projector_gamma: Gamma = setting(
         2.2, "Exponent g of the projector, light ~ code^g, above 0 and at most 5."
     )
     picture_shape: tuple[Extent, Extent] | None = setting(
-        None,
-        "Height and width of the camera's pictures in pixels, 1 to 4096 each, where camera_corners "
-        "are set.",
+        None, "Height and width of the camera's pictures in pixels, with camera_corners."
     )
     camera_corners: Corners | None = setting(
         None,
@@ -149,9 +131,7 @@ class VerificationConfig(Settings):
         None, "How many; null: 8 by a real rig, none by another.", ge=0, le=10
     )
     fail_above: Fraction | None = setting(
-        None,
-        "Mean error of these pictures, a fraction of their norm, above which the run fails; null: "
-        "never.",
+        None, "Mean relative error of these pictures above which the run fails; null: never."
     )
 
 
@@ -162,9 +142,7 @@ class MergeConfig(Settings):
         True, "Whether dead and hot pixels are left out, with an infinite variance."
     )
     divide_out_drift: bool = setting(
-        False,
-        "Whether images are divided by the light's brightness at their time, which "
-        "capture.drift_minutes has measured.",
+        False, "Whether images are divided by the light that capture.drift_minutes has measured."
     )
 
 
@@ -173,19 +151,15 @@ class ResourcesConfig(Settings):
 
     memory_gib: float = setting(4.0, "Memory that a job may take, in GiB.", ge=0.5, le=1024)
     workers: Annotated[str, AfterValidator(check_workers)] = setting(
-        THREADS,
-        "Where work is done: threads, or the workers of a dask scheduler by its address, such as "
-        "tls://host:8786 (docs/parallel.md).",
+        THREADS, "threads, or the address of a dask scheduler, tls://host:8786 (docs/parallel.md)."
     )
     jobs: Literal["stage", "acquisition"] | None = setting(
         None,
-        "A job of the workflow: a stage of a level, or a whole acquisition; null: acquisition with "
-        "a collection or capture.placing, else stage.",
+        "A job's work; null: acquisition with a collection or capture.placing, else stage.",
     )
     captures: Literal["here", "job"] = setting(
         "here",
-        "Where jobs of a real rig run: here, beside Snakemake, or as jobs of the cluster "
-        "(docs/clusters.md).",
+        "Where jobs of a real rig run: beside Snakemake, or as a cluster's (docs/clusters.md).",
     )
 
 
@@ -194,13 +168,10 @@ class StorageConfig(Settings):
 
     number_format: NumberFormat = setting(
         "uint8",
-        "Numbers of a stored transport: float32 keeps every bit; uint16 and uint8 round by about "
-        "1e-5 and 3e-3.",
+        "How numbers are kept: float32 as they are; uint16, uint8 within about 1e-5, 3e-3.",
     )
     keep_at: Annotated[str, AfterValidator(check_bucket)] | None = setting(
-        None,
-        "Folder in a bucket, of this run alone, into which its results go at its end, such as "
-        "s3://lab/desk (docs/stores.md).",
+        None, "Folder in a bucket, of this run alone, that keeps its results (docs/stores.md)."
     )
 
 
@@ -208,9 +179,7 @@ class ReportConfig(Settings):
     """What the report shows."""
 
     page: bool | None = setting(
-        None,
-        "Whether a run ends with the report on each scene; null: unless it has a collection, which "
-        "has a catalogue.",
+        None, "Whether a run ends with a report; null: unless its collection has a catalogue."
     )
     title: Text | None = setting(
         None, "The report's title; null: Light transport, of as many scenes as it has."

@@ -55,8 +55,8 @@ class CalibrationConfig(Settings):
     )
     corners: Corners | None = setting(
         None,
-        "Corners of each view in projector pixels, from the upper left one clockwise; null: "
-        "measured, or the middle of the projector.",
+        "Corners of each view on the projector in pixels, from the upper left one clockwise; null: "
+        "measured.",
     )
     symmetry_patterns: int = setting(
         12, "Random patterns of each size that symmetry is checked with.", ge=3, le=1000
@@ -94,8 +94,8 @@ class BenchConfig(Settings):
     )
     projector_corners: Corners | None = setting(
         None,
-        "Corners of each view's rays in the projector's picture, in pixels, from the upper left "
-        "one clockwise; null: in the middle, as large as fits.",
+        "Corners of each view's rays on the projector in pixels, from the upper left one "
+        "clockwise; null: in the middle, as large as fits.",
     )
     camera_corners: Corners | None = setting(
         None, "The same on the camera; null: in the middle, turned and distorted a little."
@@ -134,9 +134,7 @@ class RigConfig(Settings):
     """All settings of a rig."""
 
     kind: Literal["devices", "simulated"] = setting(
-        "devices",
-        "devices: a projector and a camera, or the bench; simulated: a scene, exactly as in a "
-        "run's settings.",
+        "devices", "devices: a projector and a camera, or the bench; simulated: a scene."
     )
     projector: ProjectorDriver = Field(
         default_factory=lambda: ProjectorDriver.model_validate({}),
@@ -144,8 +142,7 @@ class RigConfig(Settings):
     )
     rays: tuple[Extent, Extent] | None = setting(
         None,
-        "Height and width of the ray domain without a calibration, in the middle of the projector; "
-        "null: a projector pixel a ray.",
+        "Height and width of the ray domain without a calibration; null: a projector pixel a ray.",
     )
     camera: CameraDriver = Field(
         default_factory=lambda: CameraDriver.model_validate({}),
@@ -164,8 +161,7 @@ class RigConfig(Settings):
     )
     calibrate: CalibrationConfig = group_of(CalibrationConfig)
     bench: BenchConfig | None = setting(
-        None,
-        "The optical bench in software, in place of display, scene and camera; null for real ones.",
+        None, "The optical bench in software, in place of display, scene and camera."
     )
     scene: SerializeAsAny[SceneSettings] | None = setting(
         None, "The scene of a simulated rig; null for a rig of devices."

@@ -70,8 +70,7 @@ class Config(Settings):
         None, "A CSV or YAML file whose rows are scenes, too (docs/collections.md); or null."
     )
     rigs: dict[SectionName, dict[str, Any]] = setting(
-        {},
-        "Settings that the scenes before one rig share, such as {studio: {camera: {bits: 14}}}.",
+        {}, "Settings that the scenes before one rig share, as in {studio: {camera: {bits: 14}}}."
     )
     methods: MethodSections = Field(
         default_factory=lambda: dict.fromkeys(DEFAULT_METHODS),
@@ -87,8 +86,7 @@ class Config(Settings):
     merge: MergeConfig = group_of(MergeConfig)
     normalization: Normalization = setting(
         "per_channel",
-        "Scaling of a level's images to the floodlit image [B.2]: none, per_channel, or "
-        "total_energy (the thesis' own, for colour mosaics).",
+        "Scaling of a level to the floodlit image [B.2]; total_energy is the thesis'.",
     )
     verification: VerificationConfig = group_of(VerificationConfig)
     offline: OfflineConfig = group_of(OfflineConfig)
@@ -98,9 +96,7 @@ class Config(Settings):
     storage: StorageConfig = group_of(StorageConfig)
     resources: ResourcesConfig = group_of(ResourcesConfig)
     notify: Command | None = setting(
-        None,
-        "Command for the end of a run, which finds RFPIPE_STATUS (done or failed) and RFPIPE_LOG "
-        "in its environment; or null.",
+        None, "Command for a run's end, with RFPIPE_STATUS (done, failed) and RFPIPE_LOG; or null."
     )
     report: ReportConfig = group_of(ReportConfig)
 

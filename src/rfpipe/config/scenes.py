@@ -44,17 +44,13 @@ class SceneSettings(Described):
     )
     channels: Literal[1, 3] = setting(3, "Colour channels: 1 (grey) or 3 (RGB).")
     methods: MethodSections | None = setting(
-        None,
-        "Methods of this scene, with options that differ from the run's, such as {symmetric: "
-        "{tolerance: 2.0e-3}}; null: the run's.",
+        None, "Methods of this scene, with options that differ from the run's; null: the run's."
     )
     rig: SectionName | None = setting(
         None, "The one of the settings' rigs that it stands before; null: the run's."
     )
     settings: dict[str, Any] = setting(
-        {},
-        "Settings of the run, other for this scene, such as {camera: {bits: 10}}; they win over "
-        "its rig's.",
+        {}, "Settings of the run, other for this scene; they win over its rig's."
     )
     about: dict[str, Any] = setting({}, "Facts for the catalogue, such as {number: 1992.14.3}.")
 
@@ -118,8 +114,7 @@ class Views(SceneSettings):
     """A scene before a planar array of coaxial projectors and cameras, or before a single pair."""
 
     views: tuple[ViewCount, ViewCount] | None = setting(
-        None,
-        "Rows and columns of an array of coaxial pairs [5.2], 1 to 16 each; null: a single pair.",
+        None, "Rows and columns of an array of coaxial pairs [5.2]; null: a single pair."
     )
 
     @property

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel
@@ -129,10 +129,8 @@ def _file_of(settings: Settings, schema: str, head: str) -> str:
     return "\n".join([*lines, *_yaml_lines(settings, "")])
 
 
-def _comment(text: object, margin: str) -> str:
-    return textwrap.fill(
-        str(text), 98, initial_indent=f"{margin}# ", subsequent_indent=f"{margin}# "
-    )
+def _comment(text: str, margin: str) -> str:
+    return textwrap.fill(text, 98, initial_indent=f"{margin}# ", subsequent_indent=f"{margin}# ")
 
 
 def _yaml_lines(settings: BaseModel, margin: str) -> list[str]:
@@ -140,7 +138,10 @@ def _yaml_lines(settings: BaseModel, margin: str) -> list[str]:
     lines: list[str] = []
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
-        lines.append(_comment(field.description, margin))
+        said, choices = str(field.description), [*map(str, _choices(field.annotation))]
+        if not all(choice in said for choice in choices):
+            said += f" One of {', '.join(choices)}."
+        lines.append(_comment(said, margin))
         if isinstance(value, BaseModel):
             lines += [f"{margin}{name}:", *_yaml_lines(value, margin + "  ")]
         else:
@@ -150,6 +151,14 @@ def _yaml_lines(settings: BaseModel, margin: str) -> list[str]:
         if not margin:
             lines.append("")
     return lines
+
+
+def _choices(annotation: object) -> list[object]:
+    """Return the values that a setting is one of, if it is."""
+    within = get_args(annotation)
+    if get_origin(annotation) is Literal:
+        return list(within)
+    return [choice for each in within for choice in _choices(each)]
 
 
 if __name__ == "__main__":
