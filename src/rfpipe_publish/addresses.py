@@ -55,15 +55,7 @@ _WITHOUT_NETWORK = (
 
 
 class ObjectPlace(Place):
-    """A folder or file behind an address, each file an object of its own.
-
-    Parameters
-    ----------
-    store
-        Of obstore; its root is the server or the bucket.
-    root : str
-        The store's address, for messages.
-    """
+    """A folder or file behind an address, in a store of obstore, whose own address is `root`."""
 
     def __init__(self, store: Any, key: str, root: str) -> None:
         super().__init__(key)

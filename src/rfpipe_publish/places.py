@@ -114,13 +114,7 @@ class _Listed(Place):
 
 
 class ZipPlace(_Listed):
-    """A folder or file in a zip file.
-
-    Parameters
-    ----------
-    file : Path or Place
-        The zip file.
-    """
+    """A folder or file in a zip file."""
 
     def __init__(self, archive: zipfile.ZipFile, file: Path | Place, key: str = "") -> None:
         super().__init__(key)
@@ -182,15 +176,7 @@ class ZipPlace(_Listed):
 
 
 class PackedPlace(_Listed):
-    """A file or folder of those that are packed.
-
-    Parameters
-    ----------
-    base : Path or Place
-        The packed folder.
-    index : mapping of str to (str, int)
-        SHA-256 and bytes of the files by name.
-    """
+    """A file or folder of those packed in `base`; `index` has SHA-256 and bytes by name."""
 
     def __init__(
         self, base: Path | Place, index: Mapping[str, tuple[str, int]], key: str = ""
