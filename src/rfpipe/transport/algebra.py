@@ -95,17 +95,12 @@ class MatrixAlgebra(ABC):
         rows, columns : array_like of int or bool, slice, or None
             Camera rays and projector rays, see `Rays`; all by default.
         memory_budget : int
-            Bytes that the matrix may take.
+            Bytes that the matrix may take; InputError if it would take more.
 
         Returns
         -------
         ndarray of float32, shape (channels, rows, columns)
             Radiance of a camera ray per weight of a projector ray.
-
-        Raises
-        ------
-        InputError
-            If there is no such ray, or the matrix would take more memory.
         """
         chosen_rows = chosen_rays(rows, self.camera_shape, "rows")
         chosen_columns = chosen_rays(columns, self.projector_shape, "columns")
@@ -132,19 +127,9 @@ class MatrixAlgebra(ABC):
     ) -> Iterator[tuple[slice, slice, Float]]:
         """Yield the matrix of some rays in parts of some MB, as relighting gives them.
 
-        Parameters
-        ----------
-        rows, columns : ndarray of int64
-            Rays.
-        by_rows : bool, optional
-            Whether the parts are whole rows, else whole columns; by default what is fewer.
-        channels : sequence of int, optional
-            Which of them; all by default.
-
-        Yields
-        ------
-        slice, slice, ndarray of float32 (channels, rows, columns)
-            Which of the rows and of the columns, and their entries.
+        Yields which of the `rows` and of the `columns`, and their entries, float32 (channels, rows,
+        columns). The parts are whole rows if `by_rows`, else whole columns; by default what is
+        fewer.
         """
         if by_rows is None:
             by_rows = len(rows) <= len(columns)
@@ -193,13 +178,7 @@ class MatrixAlgebra(ABC):
 
 
 def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
-    """Return the numbers of some rays of a domain.
-
-    Raises
-    ------
-    InputError
-        If there is none, no such one, or they are no numbers; `name` tells which.
-    """
+    """Return the numbers of some rays of a domain; InputError, by `name`, if there are none."""
     count = prod(shape)
     given = rays if rays is None or isinstance(rays, slice) else np.asarray(rays)
     if given is None or isinstance(given, slice):

@@ -144,16 +144,7 @@ class LevelTransport(Transport):
 
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
-    """Named arrays that are read when first used; a plain mapping serves as well.
-
-    Parameters
-    ----------
-    names : sequence of str
-    read : callable
-        Returns the array of a name.
-    take : callable, optional
-        Returns some items of an array, see `items_of`.
-    """
+    """Named arrays that are read when first used; `take` returns some items, see `items_of`."""
 
     def __init__(
         self,
@@ -185,16 +176,7 @@ def items_of(held: Arrays, name: str, items: NDArray[np.int64]) -> NDArray[Any]:
 
 
 class SetsOnDemand(Sequence[S], Generic[K, S]):
-    """Sets that are made when used, and kept in memory or made anew each time.
-
-    Parameters
-    ----------
-    keys : sequence
-    make : callable
-        Returns the set of a key.
-    keep : bool
-        Whether to keep in memory what was made, in `kept`.
-    """
+    """Sets that are made of their keys when used, and kept in memory, in `kept`, if `keep`."""
 
     def __init__(self, keys: Sequence[K], make: Callable[[K], S], *, keep: bool) -> None:
         self.keys, self.keep = keys, keep

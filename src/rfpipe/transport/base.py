@@ -77,12 +77,9 @@ class Light(MatrixAlgebra):
         return np.moveaxis(images, 1, -1).reshape(shape)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
-        """Return a transport that is the same between some rays; of others' light it may lack any.
+        """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
 
-        Parameters
-        ----------
-        seen : ndarray of bool, shape (camera rays,)
-        lit : ndarray of bool, shape (projector rays,)
+        Of others' light it may lack any; both are bool (rays,).
         """
         return self
 
@@ -121,8 +118,8 @@ class Light(MatrixAlgebra):
         Parameters
         ----------
         path : path
-            Ends in ``.npz``, ``.h5``, ``.hdf5`` or ``.mat`` (v7.3); docs/export.md tells what is in
-            them. What stands there is replaced.
+            Ends in ``.npz``, ``.h5``, ``.hdf5`` or ``.mat`` (v7.3), see docs/export.md. What stands
+            there is replaced.
         rows, columns
             As in `toarray`.
         limit_bytes : int
@@ -254,13 +251,7 @@ class Transport(Light):
     ) -> Float:
         """Return the light between few patterns, ``R^T T S`` of one channel, float32 (Q, P).
 
-        Parameters
-        ----------
-        received : csr_array of float32, shape (camera rays, Q)
-            R, how the light that arrives is weighed.
-        sent : csr_array of float32, shape (projector rays, P)
-            S, patterns.
-        channel : int
+        R (camera rays, Q) is how the light that arrives is weighed, S (projector rays, P) patterns.
         """
         found = np.empty((received.shape[1], sent.shape[1]), np.float32)
         for first in range(0, sent.shape[1], _BATCH):
@@ -336,19 +327,8 @@ class Transport(Light):
     ) -> None:
         """Write the transport into a store, ``.zarr``, or its matrix into a file.
 
-        Parameters
-        ----------
-        path, rows, columns, limit_bytes
-            Of a matrix, see `Light.save`.
-        number_format : {"float32", "uint16", "uint8"}, optional
-            Of a store, see `save_transport`; by default it keeps every bit.
-
-        Raises
-        ------
-        InputError
-            As `Light.save`, and where an option is not for that kind of file.
-        StoreError
-            As `Light.save`.
+        A matrix takes `rows`, `columns` and `limit_bytes` as `Light.save`, a store `number_format`
+        as `save_transport`. Errors as there; InputError where an option isn't for such a file.
         """
         if Path(path).suffix.lower() != ".zarr":
             if number_format is not None:
@@ -450,13 +430,7 @@ def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: in
 
 
 def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return `HISTORY_COLUMNS` of the levels after which the method estimated its error.
-
-    Parameters
-    ----------
-    level_rows : iterable of dict
-        As `Transport.level_rows`; a level without an estimate has no ``estimated_error``.
-    """
+    """Return `HISTORY_COLUMNS` of the rows of levels that have an ``estimated_error``."""
     found, shown = [], 0
     for row in level_rows:
         shown += int(row["patterns"])

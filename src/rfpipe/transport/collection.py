@@ -22,13 +22,6 @@ class Collection(Mapping[str, Transport]):
     """Transports by the names of their scenes, such as the positions of a camera or a lamp.
 
     Opened one at a time, when they are asked for, and not kept. Made by `open_collection`.
-
-    Parameters
-    ----------
-    places : mapping of str to Path or Place
-        Where each one's store lies.
-    memory_budget : int
-        Of `rfpipe.open_transport`.
     """
 
     def __init__(self, places: Mapping[str, Path | Place], memory_budget: int) -> None:
@@ -51,13 +44,7 @@ class Collection(Mapping[str, Transport]):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Positions, then the camera's rays, then the projector's: the axes of the field.
-
-        Raises
-        ------
-        InputError
-            When transports have different rays, and make up no field.
-        """
+        """Positions, camera rays, projector rays; InputError when transports' rays differ."""
         shapes = {(it.camera_shape, it.projector_shape): name for name, it in self.items()}
         if len(shapes) > 1:
             said = "; ".join(f"{name}: {camera}, {lit}" for (camera, lit), name in shapes.items())
@@ -66,23 +53,15 @@ class Collection(Mapping[str, Transport]):
         return (len(self), *camera, *projector)
 
     def relight(self, pattern: ArrayLike) -> Iterator[tuple[str, NDArray[np.float32]]]:
-        """Yield name and picture of every position under one pattern, as `Transport.relight`.
-
-        One transport is open at a time, so that any number of positions fits in memory.
-
-        Parameters
-        ----------
-        pattern : array_like
-            ``(*projector_shape)`` or ``(*projector_shape, C)``.
-        """
+        """Yield name and picture of every position under one pattern, as `Transport.relight`."""
         for name, transport in self.items():
             yield name, transport.relight(np.asarray(pattern))
 
     def light_from(self, lights: Mapping[str, ArrayLike]) -> NDArray[np.float32]:
         """Return the picture that the projector would see, lit from several positions at once.
 
-        By reciprocity a camera's position is that of a lamp [2.12]: what its picture shows is what
-        it would light. Together they are a large lamp, which casts soft shadows [Fig. 3.9].
+        By reciprocity a camera's position is that of a lamp [2.12]. Together they are a large lamp,
+        which casts soft shadows [Fig. 3.9].
 
         Parameters
         ----------

@@ -283,15 +283,7 @@ def bounced(
 ) -> Float:
     """Return ``F B S B^T F p`` of one channel for patterns (P, N), float32 (P, N).
 
-    Parameters
-    ----------
-    basis : MultiscaleBasis
-    pairs : tuple of two ndarrays of int32, shape (pairs,)
-        The functions that the cores are about.
-    cores : ndarray of float32, shape (pairs,)
-    factor : ndarray of float32, shape (N,)
-        F.
-    patterns : ndarray of float32 or bool, shape (P, N)
+    S are the `cores` of `pairs` of functions, F is `factor`, (N,).
     """
     from rfpipe.transport.pair_kernels import couple
 

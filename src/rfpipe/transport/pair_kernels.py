@@ -39,14 +39,8 @@ def scatter_to_pixels(block, pixel, values, weights, out):  # type: ignore[no-un
 def gather_to_blocks(block, pixel, values, images, out):  # type: ignore[no-untyped-def]
     """Add ``values * images[pixel]`` to the blocks: the transpose of `scatter_to_pixels`.
 
-    Parameters
-    ----------
-    block, pixel : int32 (n,)
-        Ordered by block, so that a block's sum stays in a register.
-    values : float32 (K, n)
-    images : float32 (P, K, pixels)
-    out : float64 (P, K, n_blocks)
-        Added to in place.
+    Pairs are ordered by block, so that a block's sum stays in a register; `out` is float64 (P, K,
+    n_blocks).
     """
     channels = values.shape[0]
     for plane in numba.prange(images.shape[0] * channels):

@@ -123,16 +123,9 @@ def spread_evenly(tree: BlockTree, pairs: PairSet) -> Spread:
 
 
 def spread_by_transpose(tree: BlockTree, pair_sets: Sequence[PairSet], index: int) -> Spread:
-    """Spread the responses of one set of pairs in proportion to the transpose's estimate.
+    """Spread the responses of the set `index` in proportion to the transpose's estimate.
 
-    Parameters
-    ----------
-    tree : BlockTree
-        Of both the camera's and the projector's rays.
-    pair_sets : sequence of PairSet
-        All responses, at most one set a level.
-    index : int
-        The set to spread.
+    The tree is that of both the camera's and the projector's rays.
     """
     from scipy.sparse import csr_array
 

@@ -22,16 +22,8 @@ _AT_ONCE_BYTES = 64 * 2**20
 class RegroupedTransport(Light):
     """Light between other rays, ``C T P`` computed at each use; see `coarser` and `crop`.
 
-    Parameters
-    ----------
-    whole : Light
-        T, of M camera rays and N projector rays.
-    camera_shape, projector_shape : tuple of int
-        The other rays, m and n.
-    camera, projector : csr_array of float32, shapes (m, M) and (N, n)
-        C and P.
-    name : str
-        How the rays differ from the whole's.
+    C, `camera`, and P, `projector`, are sparse float32 (m, M) and (N, n), where T has M camera rays
+    and N projector rays.
     """
 
     def __init__(

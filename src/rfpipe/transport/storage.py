@@ -66,13 +66,7 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
 
 
 def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
-    """Build the transport of which a store, or a part of one, keeps arrays and attributes.
-
-    Raises
-    ------
-    StoreError
-        If it is of no kind, or in no number format, that this version knows.
-    """
+    """Build the transport that a store, or a part of one, keeps; StoreError if of no known kind."""
     kind = bundle.attributes.get("kind")
     if kind not in _CLASSES:
         raise StoreError(
@@ -91,13 +85,7 @@ def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
 
 
 def transports_in(place: Path | Place) -> list[str]:
-    """Return the names, relative to a folder, of the transports below it.
-
-    Raises
-    ------
-    StoreError
-        When its files can't be listed.
-    """
+    """Return the names, relative to a folder, of the transports below it."""
     if isinstance(place, Path):
         found = (store for store in place.rglob(STORE_NAME) if store.is_dir())
         return sorted(store.relative_to(place).as_posix() for store in found)

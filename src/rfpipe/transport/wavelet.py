@@ -80,13 +80,7 @@ def _padded(side: int, octaves: int) -> int:
 
 
 class Haar:
-    """The transform of images of a stack's cells.
-
-    Parameters
-    ----------
-    stack : tuple of int
-        Views, rows and columns of cells. Views aren't mixed.
-    """
+    """The transform of images of a stack's cells: views, which aren't mixed, rows and columns."""
 
     def __init__(self, stack: tuple[int, int, int]) -> None:
         views, height, width = self.stack = stack
@@ -158,15 +152,7 @@ def cell_side(shape: tuple[int, ...], most: int) -> int:
 
 
 class Cells:
-    """The cells of a ray domain of N rays.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        The ray domain.
-    side : int
-        Pixels along either side of a cell, at least 1; those at the image's end may be smaller.
-    """
+    """The cells of a ray domain of N rays, `side` pixels wide and high, fewer at an image's end."""
 
     def __init__(self, shape: tuple[int, ...], side: int) -> None:
         self.shape, self.side = tuple(shape), side

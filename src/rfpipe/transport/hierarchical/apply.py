@@ -38,21 +38,9 @@ def apply_leaf_sets(
 ) -> Float:
     """Return what the leaves make of patterns, both in the order of images.
 
-    Parameters
-    ----------
-    tree : BlockTree
-    leaf_sets : sequence of LeafSet
-        Gone through once for every 16 patterns; one set at a time is in use.
-    patterns : ndarray of float32, shape (P, K, N)
-        One plane for each of `channels`.
-    channels : sequence of int
-        Which channels of the leaves to use.
-
-    Returns
-    -------
-    ndarray of float32, shape (P, K, N)
-        The same whatever the number of threads. A pattern's result may differ in the last bits
-        between calls with fewer and with more patterns.
+    Patterns and images are float32 (P, K, N), one plane for each of `channels`. The sets are gone
+    through once for every 16 patterns, one at a time. Images are the same whatever the number of
+    threads; their last bits may differ between calls with fewer and with more patterns.
     """
     result = np.empty(patterns.shape, np.float32)
     if not patterns.size:
@@ -183,7 +171,6 @@ def predict(
     ----------
     tree : BlockTree
     leaf_sets : sequence of LeafSet
-        Of any levels.
     level : int
         Whose blocks the patterns are made of.
     pattern_of_block : ndarray of int32
@@ -240,12 +227,8 @@ def _met(starts: Index, others: Index) -> Index:
 def _sides(leaves: LeafSet, tree: BlockTree) -> tuple[Index, Index]:
     """List the leaves that each block has a factor of, block by block; once.
 
-    Returns
-    -------
-    ndarray of int64, shape (n_blocks + 1,)
-        Where each block's list begins, and the length of all.
-    ndarray of int64
-        Twice a leaf's number where the block is its a, one more where it is its b alone.
+    Returns where each block's list begins, and the lists: twice a leaf's number where the block is
+    its a, one more where it is its b alone.
     """
     if "sides" not in leaves.kept:
         apart = np.flatnonzero(leaves.block_a != leaves.block_b)

@@ -233,11 +233,10 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    starts : int64 (n_blocks + 1,)
-        First tree positions of the leaves' blocks.
-    block_a, block_b, offset_a, offset_b : (n,)
-        The leaves and where their two factors begin; the same on the diagonal.
-    values : float32 (C, n_values)
+    starts, block_a, block_b, values
+        As in `apply_leaves`.
+    offset_a, offset_b : int64 (n,)
+        Where the leaves' two factors begin; the same on the diagonal.
     signs : int8 (C, n) or (C, 0)
         Of the leaves; none if all are positive.
     first_side, sides
@@ -290,15 +289,8 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
 def scalars_to_partition(ray_a, ray_b, values, pattern_of_ray, images):  # type: ignore[no-untyped-def]
     """Add ``T p`` of scalar leaves; see `apply_to_partition`.
 
-    Parameters
-    ----------
-    ray_a, ray_b : int32 (n,)
-        Tree positions of each scalar; ``ray_a <= ray_b``, each off-diagonal one counts both ways.
-    values : float32 (C, n)
-    pattern_of_ray : int32 (N,)
-        Pattern that lights each tree position.
-    images : float32 (P, C, N)
-        Added to.
+    Scalars as in `apply_scalars`; `pattern_of_ray`, int32 (N,), is the pattern that lights each
+    tree position.
     """
     patterns, channels = images.shape[0], images.shape[1]
     for c in numba.prange(channels):

@@ -151,10 +151,9 @@ def runs(lengths: NDArray[np.number[Any]], most: float) -> Iterator[slice]:
 def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafSet]:
     """Return the leaves by level and block, from sets found one after the other.
 
-    A level is one set, or several where it has many values. Those of a light field are in the
-    order of their pairs of views first, so that those of a view lie in few runs. Leaves of the
-    same pair, the terms of a leaf of rank k, stand side by side in the order in which they were
-    found.
+    A level is one set, or several where it has many values. Leaves of a light field are in the
+    order of their pairs of views first, so that those of a view lie in few runs. The terms of a
+    leaf of rank k stand side by side in the order of the sets.
     """
     merged: list[LeafSet] = []
     for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):
@@ -213,12 +212,6 @@ def pack_leaves(
     somewhere, and sets of which the scales would take more than the rounding saves. Terms that
     subtract from each other need more bits than light does: sets with signs or negative factors
     are rounded as `rounded` does. `signed_apart` keeps others out of such sets.
-
-    Parameters
-    ----------
-    tree : BlockTree
-    leaves : LeafSet
-    number_format : {"float32", "uint16", "uint8"}
 
     Returns
     -------

@@ -118,13 +118,9 @@ def leaves_between(leaf_sets: Sequence[LeafSet], rays: Rays) -> Sequence[LeafSet
 
 
 def offsets_of_views(tree: BlockTree, leaves: LeafSet) -> Index:
-    """Return where the leaves, and their values, of each pair of views begin.
+    """Return where the leaves, and their values, of each pair of views begin, int64 (2, pairs + 1).
 
-    Returns
-    -------
-    ndarray of int64, shape (2, V (V + 1) / 2 + 1)
-        Of leaves sorted by pair, in the order of ``numpy.triu_indices(V)``; at the end their
-        numbers.
+    Leaves are sorted by pair, in the order of ``numpy.triu_indices(V)``.
     """
     views = tree.n_blocks(1)
     pairs = np.arange(views * (views + 1) // 2 + 1)

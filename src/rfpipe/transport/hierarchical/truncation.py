@@ -49,21 +49,8 @@ def collapse(
 ) -> Iterator[LeafSet]:
     """Sum leaves into rank-1 leaves of `level`, made of their row and column sums.
 
-    Row and column sums are kept, unless the leaves below have signs and all but cancel: then they
-    are reduced.
-
-    Parameters
-    ----------
-    tree : BlockTree
-    leaf_sets : sequence of LeafSet
-        Of `level` or below, rounded or not; one at a time is in use.
-    level : int
-    channels : int
-
-    Yields
-    ------
-    LeafSet
-        With float32 factors.
+    The leaves are of `level` or below; one set is in use at a time. Row and column sums are kept,
+    unless the leaves have signs and all but cancel: then they are reduced.
     """
     keys = [_node_keys(tree, leaves, level) for leaves in leaf_sets]
     if not keys:
