@@ -137,26 +137,21 @@ class Light(MatrixAlgebra):
         write_matrix(self, Path(path), rows, columns, limit_bytes)
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: a table, and the picture under full light."""
-        rows = "".join(
-            f"<tr><th style='text-align:left'>{escape(name)}</th>"
-            f"<td style='text-align:left'>{escape(text)}</td></tr>"
-            for name, text in self._facts().items()
-        )
-        table = f"<table><caption><b>{type(self).__name__}</b></caption>{rows}</table>"
-        picture = ""
-        if prod(self.projector_shape) + prod(self.camera_shape) <= _SHOWN_RAYS:
-            picture = _picture(self.relight(np.ones(self.projector_shape, np.float32)))
-        style = "display:flex;flex-wrap:wrap;gap:1em;align-items:center"
-        return f"<div style='{style}'>{picture}{table}</div>"
+        """Return what a notebook shows: the transport in words, its picture under full light."""
+        from rfpipe.pictures.images import png_bytes
 
-    def _facts(self) -> dict[str, str]:
-        """Return what a notebook shows in its table."""
-        return {
-            "camera": _rays(self.camera_shape),
-            "projector": _rays(self.projector_shape),
-            "channels": str(self.channels),
-        }
+        text = f"<pre>{escape(repr(self))}</pre>"
+        if prod(self.projector_shape) + prod(self.camera_shape) > _SHOWN_RAYS:
+            return text
+        domain = RayDomain(self.camera_shape)
+        image = self.relight(np.ones(self.projector_shape, np.float32))
+        white = float(np.percentile(image, _WHITE)) or float(image.max()) or 1.0
+        view = image.reshape(*domain.stack_shape, -1)[domain.views // 2]
+        said = f"under full light{f', view {domain.views // 2}' if domain.is_stack else ''}"
+        return (
+            f"{text}<img src='data:image/png;base64,{b64encode(png_bytes(view, white)).decode()}' "
+            f"alt='{said}' title='{said}' style='width:{_SHOWN_WIDTH}px;image-rendering:pixelated'>"
+        )
 
 
 class Transport(Light):
@@ -199,9 +194,11 @@ class Transport(Light):
 
     def __repr__(self) -> str:
         channels = f"{self.channels} channel{'s' if self.channels > 1 else ''}"
+        count = sum(int(row.get("patterns", 0)) for row in self.level_rows)
+        shown = f"{count:,} patterns, " if count else ""
         return (
-            f"{type(self).__name__}(camera {self.camera_shape}, projector "
-            f"{self.projector_shape}, {channels}, {self.nbytes / 1e6:.3g} MB)"
+            f"{type(self).__name__}(camera {self.camera_shape}, projector {self.projector_shape}, "
+            f"{channels}, {shown}{self.nbytes / 1e6:.3g} MB)"
         )
 
     def holding(self, level_rows: list[dict[str, Any]], held: Any) -> Self:
@@ -308,13 +305,6 @@ class Transport(Light):
     def nbytes(self) -> int:
         """Bytes stored: on disk if opened from a store, of the arrays if in memory."""
         return self._bytes_in_memory() if self._nbytes is None else self._nbytes
-
-    def _facts(self) -> dict[str, str]:
-        facts = {**super()._facts(), "bytes": f"{self.nbytes:,}"}
-        if self.level_rows:
-            shown = [int(row["patterns"]) for row in self.level_rows if row.get("patterns")]
-            facts["acquired by"] = f"{sum(shown):,} patterns in {len(shown)} levels"
-        return facts
 
     def save(
         self,
@@ -438,24 +428,3 @@ def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
             error = float(row["estimated_error"])
             found.append({"level": int(row["level"]), "patterns": shown, "estimated_error": error})
     return found
-
-
-def _rays(shape: tuple[int, ...]) -> str:
-    return f"{' x '.join(map(str, shape))} = {prod(shape):,} rays"
-
-
-def _picture(image: Float) -> str:
-    """Return a picture as HTML; of several views that in the middle."""
-    from rfpipe.pictures.images import png_bytes
-
-    domain = RayDomain(image.shape[:-1])
-    views = image.reshape(*domain.stack_shape, -1)
-    said = "under full light"
-    if domain.is_stack:
-        said += f", view {domain.views // 2} of {domain.views}"
-    white = float(np.percentile(image, _WHITE)) or float(image.max()) or 1.0
-    data = b64encode(png_bytes(views[domain.views // 2], white)).decode()
-    return (
-        f"<img src='data:image/png;base64,{data}' alt='{said}' title='{said}' "
-        f"style='width:{_SHOWN_WIDTH}px;image-rendering:pixelated'>"
-    )

@@ -118,34 +118,28 @@ def open_collection(
         the folders of one scene.
     """
     place = locate(path)
-    names = transports_in(place)
-    by_scene: dict[str, dict[str, str]] = {}
-    for name in names:
+    stores: dict[str, dict[str, str]] = {}
+    for name in transports_in(place):
         *_, scene, made_by = ["", "", *name.removesuffix(STORE_NAME).strip("/").split("/")]
-        by_scene.setdefault(scene, {})[made_by] = name
-    if "" in by_scene:
+        if not scene:
+            raise StoreError(
+                f"{place}: holds transports without folders of scenes; give the run's results, "
+                "which these lie in, or open one with rfpipe.open_transport"
+            )
+        stores.setdefault(made_by, {})[scene] = name
+    methods = ", ".join(sorted(stores))
+    if method is None and len(stores) > 1:
         raise StoreError(
-            f"{place}: holds transports without folders of scenes; give the run's results, which "
-            "these lie in, or open one with rfpipe.open_transport"
+            f"{place}: scenes have transports by {methods}; say which, as in "
+            f"open_collection(..., method={min(stores)!r})"
         )
-    methods = sorted({made_by for found in by_scene.values() for made_by in found})
-    if method is None and len(methods) == 1:
-        method = methods[0]
-    if not names or (method is not None and method not in methods):
+    chosen = stores.get(method or methods)
+    if chosen is None:
         what = f"has no transports{f' by {method}' if method else ''}"
-        advice = f"there are some by {', '.join(methods)}" if names else "give the results of a run"
+        advice = f"there are some by {methods}" if stores else "give the results of a run"
         raise StoreError(f"{place}: {what}; {advice}")
-    if method is None and any(len(found) > 1 for found in by_scene.values()):
-        raise StoreError(
-            f"{place}: scenes have transports by {', '.join(methods)}; say which, as in "
-            f"open_collection(..., method={methods[0]!r})"
-        )
-    chosen = {
-        scene: by_scene[scene][method or next(iter(by_scene[scene]))]
-        for scene in sorted(by_scene, key=_by_numbers)
-        if method is None or method in by_scene[scene]
-    }
-    return Collection({scene: place / name for scene, name in chosen.items()}, memory_budget)
+    scenes = sorted(chosen, key=_by_numbers)
+    return Collection({scene: place / chosen[scene] for scene in scenes}, memory_budget)
 
 
 def _by_numbers(name: str) -> list[tuple[int, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from rfpipe.blocks import BlockTree
 from rfpipe.transport.base import Float
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
-    decoded,
     factor_offsets,
     leaf_offsets,
     ragged_ranges,
@@ -65,7 +64,7 @@ def _add_up(
     from rfpipe.transport.hierarchical import kernels
 
     lit = _lit_blocks(tree, patterns)
-    for leaves in _prepared(tree, leaf_sets):
+    for leaves in filter(len, leaf_sets):
         bounds, offsets = _cut(tree, leaves, len(sums))
         blocks = leaves.block_a, leaves.block_b
         if leaves.level == tree.n_levels - 1:
@@ -95,48 +94,6 @@ def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.bool_]]:
     for child_starts in reversed(tree.child_starts):
         lit.append(np.logical_or.reduceat(lit[-1], child_starts[:-1], axis=1))
     return lit[::-1]
-
-
-def _prepared(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> Iterator[LeafSet]:
-    """Yield the leaves as they are applied soonest, see `_split_scalars`."""
-    for leaves in leaf_sets:
-        if "split" not in leaves.kept:
-            leaves.kept["split"] = _split_scalars(tree, leaves)
-        yield from filter(len, leaves.kept["split"] or (leaves,))
-
-
-def _split_scalars(tree: BlockTree, leaves: LeafSet) -> tuple[LeafSet, LeafSet] | None:
-    """Return leaves, and those that take no more numbers as scalars as such; None without."""
-    if leaves.level == tree.n_levels - 1:
-        return None
-    sizes = np.diff(tree.starts[leaves.level])
-    size_a, size_b = sizes[leaves.block_a], sizes[leaves.block_b]
-    few = size_a * size_b <= np.where(leaves.block_a == leaves.block_b, size_a, size_a + size_b)
-    if not few.any():
-        return None
-    scalars = _as_scalars(tree, decoded(tree, leaves.subset(tree, few)))
-    return leaves.subset(tree, ~few), scalars
-
-
-def _as_scalars(tree: BlockTree, leaves: LeafSet) -> LeafSet:
-    """Return leaves as scalars, one for each pair of rays."""
-    starts = tree.starts[leaves.level]
-    sizes = np.diff(starts)
-    first, second, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
-    count = sizes[leaves.block_a] * sizes[leaves.block_b]
-    within = ragged_ranges(np.zeros_like(count), count)
-    row, column = np.divmod(within, np.repeat(sizes[leaves.block_b], count))
-    values = np.empty((len(leaves.values), len(row)), np.float32)
-    np.multiply(
-        leaves.values[:, np.repeat(first, count) + row],
-        leaves.values[:, np.repeat(second, count) + column],
-        out=values,
-    )
-    if leaves.signs is not None:
-        values *= np.repeat(leaves.signs, count, axis=1)
-    ray_a = np.repeat(starts[leaves.block_a], count) + row
-    ray_b = np.repeat(starts[leaves.block_b], count) + column
-    return LeafSet(tree.n_levels - 1, ray_a.astype(np.int32), ray_b.astype(np.int32), values)
 
 
 def _cut(tree: BlockTree, leaves: LeafSet, shares: int) -> tuple[Index, Index]:

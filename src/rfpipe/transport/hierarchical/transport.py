@@ -21,11 +21,9 @@ from rfpipe.transport.hierarchical.leaves import (
     signed_apart,
 )
 from rfpipe.transport.hierarchical.some import (
-    VIEWS_PART,
     Rays,
     StoredLeaves,
     leaves_between,
-    offsets_of_views,
 )
 from rfpipe.transport.hierarchical.truncation import collapse, found_later
 from rfpipe.units import NumberFormat
@@ -79,8 +77,6 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
         )
         for index, leaves in enumerate(alike):
             packed = pack_leaves(self.tree, leaves, number_format)
-            if self.tree.splits_views(0) and leaves.level > 0:
-                packed[VIEWS_PART] = offsets_of_views(self.tree, leaves)
             prefix = f"level_{leaves.level:02d}_{index:04d}"
             arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
         return arrays
