@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import threading
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.bracket import BenchCamera, chosen
 from rfpipe.rigs.cameras.genicam import GenicamCamera, GenicamOptions, RefusedError
-from rfpipe.rigs.optics import Scenery
 from rfpipe_devices.aravis_library import (
     STATUSES,
     AravisError,
@@ -31,6 +30,9 @@ from rfpipe_devices.aravis_library import (
     release,
     tried,
 )
+
+if TYPE_CHECKING:
+    from rfpipe.rigs.bench import Scenery
 
 Counts = NDArray[np.uint16]
 

@@ -11,7 +11,7 @@ import re
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures.raw import Raw, read_raw
 from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, FrameOptions
-from rfpipe.rigs.optics import Scenery
 from rfpipe_devices.dng import dng_bytes
 from rfpipe_devices.gphoto_library import (
     Photo,
@@ -33,6 +32,9 @@ from rfpipe_devices.gphoto_library import (
     shutter_times,
     use_virtual,
 )
+
+if TYPE_CHECKING:
+    from rfpipe.rigs.bench import Scenery
 
 Counts = NDArray[np.uint16]
 

@@ -13,7 +13,7 @@ import math
 from collections import deque
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,9 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, load_library
 from rfpipe.rigs.devices import PictureExtent
-from rfpipe.rigs.optics import Scenery
+
+if TYPE_CHECKING:
+    from rfpipe.rigs.bench import Scenery
 
 Counts = NDArray[np.uint16]
 

@@ -10,8 +10,8 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.rigs import DeviceRig, ProjectorLayout
+from rfpipe.rigs.bench import OpticalPath
 from rfpipe.rigs.layout import centred_corners, tilted_corners
-from rfpipe.rigs.optics import OpticalPath
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 from rfpipe.transport.operators import as_pattern_operator
 

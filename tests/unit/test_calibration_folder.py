@@ -26,8 +26,8 @@ from rfpipe.cli import app
 from rfpipe.config import CalibrationConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.report.calibration import build_calibration_report
+from rfpipe.rigs.build import DeviceRig
 from rfpipe.rigs.calibrated import load_calibration as load
-from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.window import code_table
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.store import write_arrays

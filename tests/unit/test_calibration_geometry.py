@@ -23,7 +23,7 @@ from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, MergeOptions
-from rfpipe.rigs.device_rig import DeviceRig
+from rfpipe.rigs.build import DeviceRig
 from rfpipe.rigs.layout import DARK, ProjectorLayout, apply_homography, pixel_middles
 from rfpipe.scenes.relighting import relighting_patterns
 

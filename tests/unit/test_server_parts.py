@@ -10,7 +10,7 @@ from starlette.exceptions import HTTPException
 
 from rfpipe.config import SceneSettings, parse_config
 from rfpipe.errors import ConfigError, InputError
-from rfpipe.rigs.protocol import read_token
+from rfpipe.rigs.messages import read_token
 from rfpipe.scenes import scene_from_config
 from rfpipe.server.worker import Leases
 

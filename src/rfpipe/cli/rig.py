@@ -116,7 +116,7 @@ def serve(
     from rfpipe.config import load_rig_config
     from rfpipe.rigs.build import rig_from_config
     from rfpipe.rigs.calibrated import calibration_of, check_verdicts
-    from rfpipe.rigs.protocol import read_token
+    from rfpipe.rigs.messages import read_token
     from rfpipe.server import ServerSettings
     from rfpipe.server.run import serve as run
 

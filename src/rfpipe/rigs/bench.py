@@ -7,27 +7,262 @@ the driver's virtual camera as its next picture.
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rfpipe import plugins
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import ConfigError
+from rfpipe.errors import ConfigError, InputError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
+from rfpipe.provenance import fingerprint
 from rfpipe.rigs.calibrated import calibration_of, sensor_of
 from rfpipe.rigs.devices import Camera, check_picture
-from rfpipe.rigs.layout import centred_corners, tilted_corners
-from rfpipe.rigs.optics import OpticalPath, Scenery
+from rfpipe.rigs.layout import (
+    DARK,
+    ProjectorLayout,
+    Quadrilateral,
+    apply_homography,
+    centred_corners,
+    homography,
+    lie_within,
+    tilted_corners,
+)
 from rfpipe.rigs.window import WindowProjector
 from rfpipe.scenes import scene_from_config
+from rfpipe.transport.operators import PatternOperator
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from rfpipe.config import BenchConfig, RigConfig, SceneSettings
 
 Float = NDArray[np.float32]
+Double = NDArray[np.floating[Any]]
+Codes = NDArray[np.uint8]
+
+SAMPLES = 8
+"""Points a side at which each camera pixel looks into the scene."""
+
+
+class OpticalPath:
+    """A scene between a projector and a camera that each see its rays under a homography.
+
+    A ray is the light between a projector's patch of pixels and the camera's patch, both at the
+    same point of the scene. Inter-reflection comes from the mean light of each ray's projector
+    pixels. Where `direct` is known, direct light keeps the projector's own resolution: a point of
+    the scene that the camera sees is lit by the one projector pixel that aims at it.
+
+    Parameters
+    ----------
+    scene : PatternOperator
+        Light transport over the rays, from a ray domain to itself.
+    shape : tuple of int
+        The ray domain, see `RayDomain`, of N rays.
+    projector_shape, camera_shape : (int, int)
+        Height and width in pixels.
+    projector_corners, camera_corners : sequence of Quadrilateral
+        Of each view's rays on the projector and on the camera.
+    direct : ndarray, shape (N, C), optional
+        Radiance of each ray that the light of its own projector pixels alone gives: the part of
+        the scene's diagonal to show at the projector's resolution.
+    ambient : float
+        Radiance of other light in every camera pixel.
+
+    Raises
+    ------
+    InputError
+        When corners don't span a quadrilateral, or a ray has no projector pixel.
+    """
+
+    def __init__(
+        self,
+        scene: PatternOperator,
+        shape: tuple[int, ...],
+        projector_shape: tuple[int, int],
+        camera_shape: tuple[int, int],
+        projector_corners: Sequence[Quadrilateral],
+        camera_corners: Sequence[Quadrilateral],
+        direct: NDArray[Any] | None = None,
+        ambient: float = 0.0,
+    ) -> None:
+        self.shape, self.channels = shape, scene.channels
+        self.projector_shape, self.camera_shape = projector_shape, camera_shape
+        self._scene = scene
+        self._ambient = np.float32(ambient)
+        self._to_projector = [homography(shape, corners) for corners in projector_corners]
+        self._to_camera = [homography(shape, corners) for corners in camera_corners]
+        self.layout = ProjectorLayout.within(projector_corners, shape, projector_shape)
+        self._rays = self.layout.ray_of_pixel.ravel()
+        self._lit = self._rays != DARK
+        self._pixels = self.layout.pixels_of_ray
+        if not self._pixels.all():
+            raise InputError(
+                f"bench: {np.count_nonzero(self._pixels == 0)} of {prod(shape)} rays have no "
+                f"projector pixel; {projector_shape} pixels are too few, or the corners lie outside"
+            )
+        self._direct = None if direct is None else np.asarray(direct, np.float32)
+        self._seen = self._sampling()
+
+    def radiance(self, light: NDArray[Any]) -> Float:
+        """Return what the camera sees, float32 (*camera_shape, C).
+
+        `light`, of the projector's shape, is that of each projector pixel, 1 at most.
+        """
+        of_pixels = np.asarray(light, np.float32).ravel()[self._lit]
+        rays = self._rays[self._lit]
+        of_rays = np.bincount(rays, of_pixels, prod(self.shape)) / self._pixels
+        image = self._scene.apply(of_rays[None].astype(np.float32))[0]
+        points = np.zeros((self._rays.size, self.channels), np.float32)
+        points[self._lit] = image[rays]
+        if self._direct is not None:
+            beyond_mean = of_pixels - of_rays[rays].astype(np.float32)
+            points[self._lit] += self._direct[rays] * beyond_mean[:, None]
+        seen: Float = self._seen @ points
+        return seen.reshape(*self.camera_shape, self.channels) + self._ambient
+
+    def projector_points(self, camera_points: ArrayLike) -> Double:
+        """Return where the projector aims at what the camera sees at points (..., 2).
+
+        Both are (x, y) from the picture's corner, as in `Quadrilateral`; NaN where the camera sees
+        no ray.
+        """
+        points = np.asarray(camera_points, np.float64)
+        aimed = np.full(points.shape, np.nan)
+        for to_camera, to_projector in zip(self._to_camera, self._to_projector, strict=True):
+            place = apply_homography(np.linalg.inv(to_camera), points)
+            inside = lie_within(place, RayDomain(self.shape).image_shape)
+            aimed[inside] = apply_homography(to_projector, place[inside])
+        return aimed
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes the picture."""
+        describe = getattr(self._scene, "describe", None)
+        return {
+            "scene": describe() if describe else type(self._scene).__name__,
+            "layout": self.layout.describe(),
+            "to_camera": fingerprint(np.array(self._to_camera)),
+            "camera_shape": list(self.camera_shape),
+            "direct": None if self._direct is None else fingerprint(self._direct),
+            "ambient": float(self._ambient),
+        }
+
+    def _sampling(self) -> csr_array[Any]:
+        """Return the mean of the projector pixels' points that each camera pixel looks at."""
+        from scipy.sparse import csr_array, vstack
+
+        height, width = self.camera_shape
+        columns = self.projector_shape[1]
+        steps = (np.arange(SAMPLES) + 0.5) / SAMPLES
+        x = (np.arange(width)[:, None] + steps).ravel()
+        rows = []
+        for row in range(height):
+            points = np.stack(np.meshgrid(x, row + steps), axis=-1)
+            target = self.projector_points(points).reshape(SAMPLES, width, SAMPLES, 2)
+            pixel = np.broadcast_to(np.arange(width)[None, :, None], target.shape[:-1])
+            inside = lie_within(target, self.projector_shape)
+            u, v = np.floor(target[inside]).astype(np.int64).T
+            weights = np.full(u.size, 1 / SAMPLES**2, np.float32)
+            extent = (width, prod(self.projector_shape))
+            rows.append(csr_array((weights, (pixel[inside], v * columns + u)), shape=extent))
+        return csr_array(vstack(rows, "csr"))
+
+
+class Scenery:
+    """A bench's display, the scene before it, and the true numbers of the camera that looks.
+
+    As a display it is drawn by `rfpipe.rigs.window.WindowProjector`.
+
+    Parameters
+    ----------
+    path : OpticalPath
+    light_of_code : ndarray of float32, shape (256,)
+        The projector's true response.
+    camera : CameraModel
+        Its noise, bits and mosaic; the exposures are those that the driver sets.
+    seed : int
+        Seed of the noise.
+    delay_seconds : float
+        From a picture's drawing to its light.
+    knock : (int, int, int), optional
+        Exposures before a knock against the projector, and the pixels down and to the right that
+        its picture lies from then on.
+
+    Attributes
+    ----------
+    codes : ndarray of uint8, shape path.projector_shape
+        The picture that was drawn last.
+    """
+
+    def __init__(
+        self,
+        path: OpticalPath,
+        light_of_code: Float,
+        camera: CameraModel,
+        seed: int = 0,
+        delay_seconds: float = 0.0,
+        knock: tuple[int, int, int] | None = None,
+    ) -> None:
+        self.path, self.camera = path, camera
+        self.shape = path.projector_shape
+        self.codes: Codes = np.zeros(self.shape, np.uint8)
+        self._light, self._seed = light_of_code, seed
+        self._delay, self._knock = delay_seconds, knock
+        self._drawn: deque[tuple[float, Codes]] = deque(maxlen=16)
+        self._number = 0
+        self._seen: tuple[Codes, Float] | None = None
+
+    def draw(self, codes: Codes) -> None:
+        """Draw a picture; its light may come late."""
+        self.codes = codes
+        self._drawn.append((time.monotonic(), codes))
+
+    def is_undisturbed(self) -> bool:
+        """Nothing else is drawn on this display."""
+        return True
+
+    def close(self) -> None:
+        """Leave the display as it is."""
+
+    def frame(self, exposure: float) -> NDArray[np.uint16]:
+        """Return the counts (Hc, Wc[, 3]) of the next frame, each with noise of its own."""
+        self._number += 1
+        codes = self._lit()
+        if self._seen is None or not np.array_equal(codes, self._seen[0]):
+            self._seen = codes, self.path.radiance(self._light[codes])
+        camera = replace(self.camera, exposures=(exposure,))
+        counts: NDArray[np.uint16] = camera.expose(self._seen[1], self._seed, (self._number,))[0]
+        return counts[..., 0] if counts.shape[2:] == (1,) else counts
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        numbers = self.camera.describe()
+        del numbers["exposures"]  # the sensor's are taken
+        return {
+            "scene": self.path.describe(),
+            "camera": numbers,
+            "light_of_code": fingerprint(self._light),
+            "seed": self._seed,
+            **({} if self._knock is None else {"knock": list(self._knock)}),
+        }
+
+    def _lit(self) -> Codes:
+        """Return the codes that are lit now: those drawn, late or moved by a knock."""
+        drawn, lit_since = tuple(self._drawn), time.monotonic() - self._delay
+        late = (codes for when, codes in drawn[::-1] if when <= lit_since)
+        codes = next(late, drawn[0][1] if drawn else self.codes)
+        if self._knock is None or self._number <= self._knock[0]:
+            return codes
+        from scipy.ndimage import shift
+
+        moved: Codes = shift(codes, self._knock[1:], order=0)
+        return moved
 
 
 class BenchProjector(WindowProjector):

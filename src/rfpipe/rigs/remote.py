@@ -19,8 +19,15 @@ from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.devices import Closing
-from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, unpack
-from rfpipe.rigs.protocol import API, LeaseAnswer, RigAnswer, StatusAnswer
+from rfpipe.rigs.messages import (
+    API,
+    MEDIA_TYPE,
+    LeaseAnswer,
+    RigAnswer,
+    StatusAnswer,
+    encode_patterns,
+    unpack,
+)
 
 if TYPE_CHECKING:
     import httpx

@@ -23,15 +23,17 @@ import rfpipe
 from rfpipe.pictures.images import png_bytes
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
-from rfpipe.rigs.messages import MEDIA_TYPE, decode_patterns, pack
-from rfpipe.rigs.protocol import (
+from rfpipe.rigs.messages import (
     API,
+    MEDIA_TYPE,
     Health,
     LeaseAnswer,
     LeaseRequest,
     Limits,
     RigAnswer,
     StatusAnswer,
+    decode_patterns,
+    pack,
 )
 from rfpipe.server.guard import CAPTURE_PATH, PROBLEM_TYPE, Guard, Problem, add_handlers
 from rfpipe.server.settings import ServerSettings

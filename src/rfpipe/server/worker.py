@@ -19,8 +19,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.rigs.devices import check_frames
-from rfpipe.rigs.messages import Message, SentPatterns
-from rfpipe.rigs.protocol import Metrics
+from rfpipe.rigs.messages import Message, Metrics, SentPatterns
 
 _log = logging.getLogger("rfpipe.server")
 

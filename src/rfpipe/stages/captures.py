@@ -16,7 +16,7 @@ from typing import Any
 from rfpipe.errors import CaptureError, PicturesNeeded, StoreError
 from rfpipe.rigs import RemoteRig
 from rfpipe.rigs.calibrated import warn_of
-from rfpipe.rigs.protocol import read_token
+from rfpipe.rigs.messages import read_token
 from rfpipe.stages import capture
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder

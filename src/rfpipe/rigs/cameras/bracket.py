@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from weakref import finalize
 
 import numpy as np
@@ -22,7 +22,9 @@ from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, installing
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import Closing, Offset, PictureExtent, options_of
-from rfpipe.rigs.optics import Scenery
+
+if TYPE_CHECKING:
+    from rfpipe.rigs.bench import Scenery
 
 Counts = NDArray[np.uint16]
 

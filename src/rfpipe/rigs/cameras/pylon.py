@@ -7,7 +7,7 @@ import re
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,9 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.bracket import BenchCamera, chosen, load_library
 from rfpipe.rigs.cameras.genicam import GenicamCamera, RefusedError, Value
-from rfpipe.rigs.optics import Scenery
+
+if TYPE_CHECKING:
+    from rfpipe.rigs.bench import Scenery
 
 Counts = NDArray[np.uint16]
 
