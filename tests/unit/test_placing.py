@@ -12,24 +12,23 @@ import pytest
 from rfpipe.config import load_config
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.stages import captures
-from rfpipe.stages.captures import Placing
+from rfpipe.stages.captures import place
 from rfpipe.stages.folder import AcquisitionFolder
 
 WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE'] + chr(10))"
 
 
-def placed_by(folder: Path) -> tuple[Placing, Path]:
+def placed_by(folder: Path) -> tuple[str, Path]:
     """A command that notes the scenes it is to place in a file whose name has a space."""
     notes = folder / "the notes.txt"
-    return Placing(f'{sys.executable} -c "{WRITE}" "{notes}"'), notes
+    return f'{sys.executable} -c "{WRITE}" "{notes}"', notes
 
 
 def test_each_scene_is_placed_once_in_a_job(tmp_path: Path) -> None:
-    placing, notes = placed_by(tmp_path)
-    for scene in ("jug", "jug", "cup", "jug"):
-        placing.place(scene)
-    assert notes.read_text().split() == ["jug", "cup", "jug"]
-    Placing(None).place("jug")
+    command, notes = placed_by(tmp_path)
+    for scene in ("jug", "jug", "cup"):
+        place(command, scene)
+    assert notes.read_text().split() == ["jug", "cup"]
 
 
 @pytest.mark.parametrize(
@@ -41,10 +40,9 @@ def test_each_scene_is_placed_once_in_a_job(tmp_path: Path) -> None:
     ],
 )
 def test_a_scene_that_isn_t_placed_isn_t_captured(command: str, says: str) -> None:
-    placing = Placing(command)
     for _ in range(2):  # and is tried again
         with pytest.raises(CaptureError, match="jug was not put before the rig") as caught:
-            placing.place("jug")
+            place(command, "jug")
         assert says in str(caught.value)
         assert "Nothing was captured" in str(caught.value)
 
@@ -64,7 +62,7 @@ def test_a_capture_places_its_scene_before_it_connects_to_the_rig(
         rig_url="http://localhost:1",
         rig_token_file="",
         rig_patience_seconds="0",
-        rig_placing=placed_by(tmp_path)[0].command,
+        rig_placing=placed_by(tmp_path)[0],
     )
     monkeypatch.setenv("RFPIPE_TOKEN", "a" * 32)
     rays = {"camera_shape": (4, 5), "projector_shape": (4, 5), "channels": 3}

@@ -8,8 +8,7 @@ import shlex
 import subprocess
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +40,7 @@ def of_job(job: Any) -> Capture:
         url=asked.rig_url,
         token_file=asked.rig_token_file or None,
         patience_seconds=float(asked.rig_patience_seconds or 0),
-        placing=Placing(asked.rig_placing or None),
+        placing=asked.rig_placing,
     )
 
 
@@ -91,7 +90,7 @@ def by_server(
     url: str,
     token_file: str | None,
     patience_seconds: float,
-    placing: Placing | None = None,
+    placing: str = "",
     **options: Any,
 ) -> None:
     """Capture what isn't captured yet of a level, by a rig behind an acquisition server.
@@ -109,8 +108,8 @@ def by_server(
     """
     if capture.stands_already(folder, level, options):
         return
-    if placing is not None:
-        placing.place(folder.path.parent.name)
+    if placing:
+        place(placing, folder.path.parent.name)
     rig = RemoteRig(url, read_token(Path(token_file) if token_file else None), patience_seconds)
     with closing(rig):
         _check_rays(rig, rays, url)
@@ -120,31 +119,22 @@ def by_server(
         capture.run(rig, folder, level, **options)
 
 
-@dataclass
-class Placing:
-    """Has the user's command put a scene before the rig, where another one stood there.
+@cache
+def place(command: str, scene: str) -> None:
+    """Have the user's command put a scene before the rig, once in a process.
 
     The command is quoted as for a shell, which isn't used; it finds ``RFPIPE_SCENE`` in its
-    environment. None does nothing.
+    environment. Raises CaptureError where it fails: nothing is captured then.
     """
-
-    command: str | None
-    _placed: str | None = None
-
-    def place(self, scene: str) -> None:
-        """Run the command; CaptureError where it fails: nothing is captured then."""
-        if not self.command or scene == self._placed:
-            return
-        _log.info("placing %s: %s", scene, self.command)
-        try:
-            environment = {**os.environ, "RFPIPE_SCENE": scene}
-            subprocess.run(shlex.split(self.command), env=environment, check=True)
-        except (OSError, ValueError, subprocess.SubprocessError) as error:
-            raise CaptureError(
-                f"{scene} was not put before the rig: capture.placing {self.command!r} failed "
-                f"({error}). Nothing was captured; mend that and run again"
-            ) from error
-        self._placed = scene
+    _log.info("placing %s: %s", scene, command)
+    try:
+        environment = {**os.environ, "RFPIPE_SCENE": scene}
+        subprocess.run(shlex.split(command), env=environment, check=True)
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        raise CaptureError(
+            f"{scene} was not put before the rig: capture.placing {command!r} failed ({error}). "
+            "Nothing was captured; mend that and run again"
+        ) from error
 
 
 def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
