@@ -17,13 +17,6 @@ import numpy as np
 from rfpipe.errors import InputError
 from rfpipe.version import __version__
 
-__all__ = [
-    "code_digest",
-    "fingerprint",
-    "generator",
-    "versions",
-]
-
 _DIGEST_BYTES = 16  # blake2b-128: short enough for a manifest, no accidental collisions
 _WORD = 2**32  # numpy's SeedSequence mixes 32-bit words
 _PACKAGE = Path(__file__).parent
@@ -37,7 +30,7 @@ _SHAPES_NOTHING = (
 
 
 def fingerprint(value: object) -> str:
-    """Digest of a value, equal for equal values on every machine and in every process.
+    """Return the digest of a value, the same on every machine and in every process.
 
     Parameters
     ----------
@@ -45,17 +38,12 @@ def fingerprint(value: object) -> str:
         Plain data (None, bool, int, finite float, str; lists, tuples and dicts with string
         keys), pydantic models, NumPy scalars and arrays, nested as you like. Lists and tuples
         count as equal; the order of a dict's keys doesn't matter. An array is known by its
-        dtype, shape and bytes.
+        dtype, shape and bytes. InputError for anything else.
 
     Returns
     -------
     str
         32 hexadecimal digits (blake2b-128).
-
-    Raises
-    ------
-    InputError
-        For anything else, and for NaN or infinity outside an array.
     """
     plain = _plain(value)
     try:
@@ -123,19 +111,15 @@ def _text_of(constant: object) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, rfpipe and the packages whose arithmetic shapes a result.
+    """Return the versions of Python, rfpipe and the packages whose arithmetic shapes a result.
 
-    Returns
-    -------
-    dict
-        Name to version, sorted by name; a package that isn't installed is left out.
+    By their names, sorted; a package that isn't installed is left out.
     """
     return dict(_versions())
 
 
-@cache
+@cache  # a package's version is looked for on the disk, and every manifest names it
 def _versions() -> dict[str, str]:
-    # kept, since a package's version is looked for on the disk, and every manifest names it
     found = {"python": platform.python_version(), "rfpipe": __version__}
     for name in _RECORDED_PACKAGES:
         with suppress(metadata.PackageNotFoundError):
@@ -144,10 +128,9 @@ def _versions() -> dict[str, str]:
 
 
 def generator(seed: int, *key: int) -> np.random.Generator:
-    """Random generator that depends on a seed and a key alone.
+    """Return a Philox generator that depends on a seed and a key alone.
 
-    The numbers of one key don't depend on which keys were used before, so that work in any order
-    and on any number of workers draws the same ones.
+    Work in any order and on any number of workers draws the same numbers.
 
     Parameters
     ----------
@@ -157,11 +140,6 @@ def generator(seed: int, *key: int) -> np.random.Generator:
         Where the numbers are used, such as (level, pattern index, exposure index): integers in
         [0, 2**32). Keys of different lengths are different keys, also when one is the other
         with zeros appended.
-
-    Returns
-    -------
-    numpy.random.Generator
-        A Philox generator.
 
     Raises
     ------

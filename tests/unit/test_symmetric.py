@@ -10,8 +10,8 @@ from rfpipe.methods import options_of
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes.relighting import relighting_patterns
+from rfpipe.stages.acquire import FramesInMemory
 from rfpipe.stages.evaluate import relative_rms
-from rfpipe.stages.memory import FramesInMemory
 from rfpipe.stages.merger import LevelSum
 from rfpipe.stages.normalize import NormalizedImages, normalize_level
 
