@@ -108,64 +108,58 @@ def test_lists_have_decimal_commas_where_semicolons_part_cells(tmp_path: Path) -
         assert run.scenes[name].projector.position == (1.72, 0, 0.54)
 
 
-@pytest.mark.parametrize(
-    ("rows", "expected"),
-    [
-        ("name,kind\na,plane\na,plane\n", ["line 3: the name a stands in line 2"]),
-        (
-            "name,kind\nVase-3,plane\n1992.3,plane\nSch\u00fcssel,plane\n,plane\nnul,plane\n",
-            [
-                "line 2: the name 'Vase-3' is not fit for a folder; expected a lower-case letter",
-                "line 3: the name '1992.3'",
-                "line 4: the name 'Sch\u00fcssel'",
-                "line 5: the scene has no name",
-                "line 6: the name 'nul'",
-            ],
-        ),
-        (
-            "name,kind,surfaces,shapee\na,plane,white,3\nb,plane,white,3\n",
-            [
-                "line 2: scenes.a.shapee is unknown; did you mean shape?",
-                "line 3: scenes.b.shapee is unknown; did you mean shape?",
-            ],
-        ),
-        (
-            "name,kind,surfaces,camera.exposure\na,plane,white,3\n",
-            ["line 2: scenes.a.settings.camera.exposure is unknown; did you mean exposures?"],
-        ),
-        (
-            "name,kind,surfaces,shape\na,plane,white,0 x 3\nb,plane,white,2 x 2\n",
-            ["line 2: scenes.a.shape[0] is 0; it should be greater"],
-        ),
-        ("name,kind\na,pla\n", ["line 2: scenes.a: 'pla' is unknown"]),
-        ('name,note\na,"two\nlines"\nb,1,2\n', ["line 4: '2' stands in a column without"]),
-        ("name,kind,name\n", ["line 1: the header name stands twice"]),
-        ("kind\nplane\n", ["line 1: the header has no column 'name'"]),
-        ('name,kind\na,"pla\n', ["can't be read as a table: "]),
-        (b"name,kind,about.x\na,plane,caf\xe9\n", ["can't be read as a table: 'utf-8' codec"]),
-        ("", ["line 1: the header has no column 'name'"]),
-        ("name,kind\n", ["has no scenes; expected a row for each"]),
-        (
-            "name,kind,folder\na,recorded,nowhere\n",
-            ["line 2: folder is 'nowhere', which isn't there"],
-        ),
-        (
-            "name,kind,surfaces,capture.rig\na,plane,white,remote\n",
-            ["line 2: scenes.a.settings.capture.rig: can't be set for a"],
-        ),
-        ("name,kind,surfaces,shape\na,plane,white,[3\n", ["line 2: while parsing"]),
-        ("name,kind,surfaces\nreport,plane,white\n", ["line 2: scenes.report should be called"]),
-        ("name,kind,surfaces,rig\na,plane,white,b\n", ["line 2: scenes.a.rig is 'b'"]),
-        (b"PK\x03\x04\x14\x00", ["line 1: the header has no column 'name'"]),
-        ("name,kind,surfaces\na,,white\n", ["line 2: scenes.a.kind is missing"]),
-    ],
-)  # fmt: skip
+HEAD = "name,kind,surfaces"
+MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
+    ("name,kind\na,plane\na,plane\n", "line 3: the name a stands in line 2"),
+    (
+        "name,kind\nVase-3,plane\n1992.3,plane\nSch\u00fcssel,plane\n,plane\nnul,plane\n",
+        "line 2: the name 'Vase-3' is not fit for a folder; expected a lower-case letter",
+        "line 3: the name '1992.3'",
+        "line 4: the name 'Sch\u00fcssel'",
+        "line 5: the scene has no name",
+        "line 6: the name 'nul'",
+    ),
+    (
+        f"{HEAD},shapee\na,plane,white,3\nb,plane,white,3\n",
+        "line 2: scenes.a.shapee is unknown; did you mean shape?",
+        "line 3: scenes.b.shapee is unknown; did you mean shape?",
+    ),
+    (
+        f"{HEAD},camera.exposure\na,plane,white,3\n",
+        "line 2: scenes.a.settings.camera.exposure is unknown; did you mean exposures?",
+    ),
+    (
+        f"{HEAD},shape\na,plane,white,0 x 3\nb,plane,white,2 x 2\n",
+        "line 2: scenes.a.shape[0] is 0; it should be greater",
+    ),
+    ("name,kind\na,pla\n", "line 2: scenes.a: 'pla' is unknown"),
+    ('name,note\na,"two\nlines"\nb,1,2\n', "line 4: '2' stands in a column without"),
+    ("name,kind,name\n", "line 1: the header name stands twice"),
+    ("kind\nplane\n", "line 1: the header has no column 'name'"),
+    ('name,kind\na,"pla\n', "can't be read as a table: "),
+    (b"name,kind,about.x\na,plane,caf\xe9\n", "can't be read as a table: 'utf-8' codec"),
+    ("", "line 1: the header has no column 'name'"),
+    ("name,kind\n", "has no scenes; expected a row for each"),
+    ("name,kind,folder\na,recorded,nowhere\n", "line 2: folder is 'nowhere', which isn't there"),
+    (
+        f"{HEAD},capture.rig\na,plane,white,remote\n",
+        "line 2: scenes.a.settings.capture.rig: can't be set for a",
+    ),
+    (f"{HEAD},shape\na,plane,white,[3\n", "line 2: while parsing"),
+    (f"{HEAD}\nreport,plane,white\n", "line 2: scenes.report should be called"),
+    (f"{HEAD},rig\na,plane,white,b\n", "line 2: scenes.a.rig is 'b'"),
+    (b"PK\x03\x04\x14\x00", "line 1: the header has no column 'name'"),
+    (f"{HEAD}\na,,white\n", "line 2: scenes.a.kind is missing"),
+]
+
+
+@pytest.mark.parametrize("case", MISTAKES)
 def test_every_mistake_is_told_with_its_line(
-    tmp_path: Path, rows: str | bytes, expected: list[str]
+    tmp_path: Path, case: tuple[str | bytes, *tuple[str, ...]]
 ) -> None:
-    told = refusal(tmp_path, rows)
-    assert len(told) == len(expected)
-    for line, start in zip(told, expected, strict=True):
+    told = refusal(tmp_path, case[0])
+    assert len(told) == len(case) - 1
+    for line, start in zip(told, case[1:], strict=True):
         assert line.startswith(f"scenes.csv: {start}")
 
 
@@ -221,17 +215,13 @@ def test_no_scene_of_the_collection_that_comes_with_rfpipe_is_too_bright() -> No
         assert shortest.max() < SATURATION_FRACTION * (2**camera.bits - 1), name
 
 
-def test_a_wrong_rig_is_told_where_it_stands(tmp_path: Path) -> None:
+def test_a_wrong_rig_and_a_missing_file_are_told(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,rig\na,plane,white,studio\n"
     (told,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
     assert told.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be less than or")
-
-
-def test_a_missing_file_is_told_with_where_it_was_looked_for(tmp_path: Path) -> None:
-    path = tmp_path / "run.yaml"
-    path.write_text("collection: gone.csv\n")
+    (tmp_path / "run.yaml").write_text("collection: gone.csv\n")
     with pytest.raises(ConfigError, match=f"no file gone.csv nor {tmp_path}/gone.csv"):
-        load_config(path)
+        load_config(tmp_path / "run.yaml")
 
 
 def test_settings_of_a_run_are_those_of_its_scenes_without_own_ones() -> None:
