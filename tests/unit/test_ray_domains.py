@@ -11,7 +11,6 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import BlockTree, Split
 from rfpipe.calibration.rays import coverage
 from rfpipe.calibration.symmetry import random_signs
-from rfpipe.errors import CaptureError
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.layout import ProjectorLayout
@@ -87,5 +86,5 @@ def test_a_calibration_needs_a_map_for_each_of_arranged_views():
     rays = np.arange(48, dtype=np.int32).reshape(6, 8)
     layout = ProjectorLayout(ARRANGED, rays)
     np.testing.assert_array_equal(layout.picture(np.ones(ARRANGED)), np.ones((6, 8)))
-    with pytest.raises(CaptureError, match="2 maps for a layout of 4 views"):
+    with pytest.raises(ValueError, match="shorter"):
         coverage([lambda points: points] * 2, layout, (4, 4))

@@ -286,14 +286,15 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
 
 def _measured(step: Step, bench: Bench, verdicts: dict[str, dict[str, str]]) -> Findings:
     """Measure a step; where that can't be done though the devices work, that is the finding."""
-    failed = [name for name, one in bench.found.items() if one.verdict.standing == "failed"]
-    if failed:
-        text = f"Not measured, as this failed: {STEPS[failed[0]].title.lower()}."
-        return Findings(Verdict("failed", text))
+    for name, one in bench.found.items():
+        if one.verdict.standing == "failed":
+            text = f"Not measured, as this failed: {STEPS[name].title.lower()}."
+            return Findings(Verdict("failed", text))
     poor = [
-        name for name in ("scene", "dark", "rays")
-        if name in verdicts and verdicts[name]["standing"] == "poor"
-    ]  # fmt: skip
+        name
+        for name in ("scene", "dark", "rays")
+        if verdicts.get(name, {}).get("standing") == "poor"
+    ]
     try:
         findings = step.measure(bench)
     except DeviceError as failure:

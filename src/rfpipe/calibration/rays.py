@@ -152,14 +152,10 @@ def coverage(
     from scipy.sparse import coo_array
 
     domain, count = RayDomain(layout.shape), prod(layout.shape)
-    if len(maps) != domain.views:
-        raise CaptureError(
-            f"{len(maps)} maps for a layout of {domain.views} views; expected one each"
-        )
     y, x = np.mgrid[: camera_shape[0] + 1, : camera_shape[1] + 1].astype(np.float64)
     rays = layout.ray_of_pixel.ravel()
     found = []
-    for view, to_projector in enumerate(maps):
+    for view, to_projector in zip(range(domain.views), maps, strict=True):
         corners = to_projector(np.stack([x, y], axis=-1))
         for row in range(camera_shape[0]):
             # around the pixel: upper left, upper right, lower right, lower left
