@@ -161,16 +161,13 @@ def test_a_disc_goes_from_place_to_place() -> None:
         assert ((weights * rows).sum(), (weights * columns).sum()) == pytest.approx((row, column))
 
 
-def test_views_are_lit_in_turn_and_other_paths_light_all() -> None:
+def test_views_are_lit_in_turn_other_paths_light_all_and_light_has_a_colour() -> None:
+    disc = light_path("circle", (20, 30), 1, colour=(1, 0.5, 0)).batch(0, 1)
+    assert disc.shape == (1, 20, 30, 3)
+    np.testing.assert_allclose(disc[..., 1], disc[..., 0] / 2)
     patterns = light_path("views", VIEWS, 2).batch(0, 2)
     assert np.array_equal(patterns.reshape(2, 2, -1).min(2), np.eye(2))
     assert light_path("across", VIEWS, 3).batch(1, 2).shape == (1, *VIEWS)
-
-
-def test_coloured_light() -> None:
-    pattern = light_path("circle", (20, 30), 1, colour=(1, 0.5, 0)).batch(0, 1)
-    assert pattern.shape == (1, 20, 30, 3)
-    np.testing.assert_allclose(pattern[..., 1], pattern[..., 0] / 2)
 
 
 @pytest.mark.parametrize(
@@ -279,16 +276,18 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("name", "options", "message"),
     [
-        (("--scale", "2"), "no more rays than were acquired"),
-        (("--limit-gib", "1e-6"), "choose rows or columns, lower the scale"),
-        (("--rows", "9,9"), "outside the rays"),
+        ("x.npz", ("--scale", "2"), "no more rays than were acquired"),
+        ("x.npz", ("--limit-gib", "1e-6"), "choose rows or columns, lower the scale"),
+        ("x.npz", ("--rows", "9,9"), "outside the rays"),
+        ("rays", (), "give --rows or --columns"),
+        ("rays", ("--rows", ":,:", "--limit-gib", "1e-6"), "48 pictures take"),
     ],
 )
-def test_export_matrix_refuses(stored: Path, tmp_path: Path, options, message: str) -> None:
-    assert message in refused("export", stored, tmp_path / "x.npz", *options)
-    assert not (tmp_path / "x.npz").exists()
+def test_export_refuses(stored: Path, tmp_path: Path, name: str, options, message: str) -> None:
+    assert message in refused("export", stored, tmp_path / name, *options)
+    assert not (tmp_path / name).exists()
 
 
 def test_export_rays(stored: Path, tmp_path: Path) -> None:
@@ -305,13 +304,6 @@ def test_export_rays(stored: Path, tmp_path: Path) -> None:
     run("export", stored, folder, "--rows", "2,3", "--format", "png", "--white", "1")
     shown = read_image(folder / "row_2_3.png")
     np.testing.assert_allclose(shown, srgb(row[::2, ::2], 1.0), atol=1 / 255)
-
-
-def test_export_rays_refuses(stored: Path, tmp_path: Path) -> None:
-    assert "give --rows or --columns" in refused("export", stored, tmp_path / "rays")
-    text = refused("export", stored, tmp_path / "rays", "--rows", ":,:", "--limit-gib", "1e-6")
-    assert "48 pictures take" in text
-    assert not (tmp_path / "rays").exists()
 
 
 def test_export_relit_takes_names_pictures_folders_and_stacks(stored: Path, tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rfpipe
 from rfpipe.errors import InputError, StoreError
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.matrix_out import MATRIX_FILES
@@ -90,14 +89,6 @@ def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
     image = c.reshape((width, height), order="F").T
     np.testing.assert_allclose(image, transport.relight(p)[..., 1], rtol=1e-5)
     assert found["about"].shape[0] == 1
-
-
-def test_a_rig_takes_what_was_exported(tmp_path: Path) -> None:
-    path = tmp_path / "matrix.npz"
-    transport_of(3).save(path)
-    rig = rfpipe.OperatorRig(np.load(path)["T"], CAMERA, PROJECTOR)
-    found = rfpipe.acquire(rig, "brute_force", progress=False).transport
-    np.testing.assert_allclose(found.toarray(), matrix_of(3), rtol=1e-5)
 
 
 def test_equal_matrices_make_equal_files(tmp_path: Path) -> None:

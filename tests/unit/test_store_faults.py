@@ -60,6 +60,14 @@ store.close()
 """
 
 
+def running(code: str, path: Path, says: bytes) -> subprocess.Popen[bytes]:
+    """Start a program that says something, and wait until it has."""
+    program = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
+    assert program.stdout is not None
+    assert program.stdout.readline() == says
+    return program
+
+
 def tree(path: Path) -> dict[str, bytes]:
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
@@ -111,10 +119,7 @@ with FrameStore.create(path, (8, 50, 60), "u2", "abc", {}, chunks_per_file=4) as
         print("half", flush=True)
         time.sleep(60)
 """
-    writer = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
-    with writer:
-        assert writer.stdout is not None
-        assert writer.stdout.readline() == b"half\n"
+    with running(code, path, b"half\n") as writer:
         writer.kill()
     assert len(list(path.glob(".c.1.*.partial"))) == 1
     assert FrameStore.open(path).missing() == [(4, 8)]
@@ -130,12 +135,7 @@ def test_an_orphan_writer_holds_its_lock_until_it_is_killed(tmp_path: Path) -> N
         "import sys, time; from pathlib import Path; from rfpipe.store import StoreLock\n"
         "with StoreLock(Path(sys.argv[1])): print('locked', flush=True); time.sleep(60)"
     )
-    orphan = subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path / "s")], stdout=subprocess.PIPE
-    )
-    with orphan:
-        assert orphan.stdout is not None
-        assert orphan.stdout.readline() == b"locked\n"
+    with running(code, tmp_path / "s", b"locked\n") as orphan:
         with pytest.raises(LockedError, match=f"process {orphan.pid} is writing this store"):
             StoreLock(tmp_path / "s").acquire()
         orphan.kill()
@@ -190,13 +190,9 @@ def test_a_lock_file_removed_by_its_last_holder_is_made_anew(
 
 
 def test_a_full_disk_loses_nothing_that_is_captured(tmp_path: Path) -> None:
-    run = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    frames_error, bundle_error = run.stdout.splitlines()
+    command = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
+    errors = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    frames_error, bundle_error = errors.splitlines()
     assert f"{tmp_path / 's'}: writing the items from 2 on failed" in frames_error
     assert "80,000 bytes needed" in frames_error
     assert "bytes free on its file system; make room and run again" in frames_error
