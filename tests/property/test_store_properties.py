@@ -2,15 +2,13 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
-from numpy.typing import NDArray
 
-from rfpipe.store import FrameStore, open_arrays, write_arrays
+from rfpipe.store import FrameStore
 
 DTYPES = st.sampled_from([np.uint16, np.float32, np.int64])
 
@@ -35,28 +33,3 @@ def test_frames_written_in_any_order_and_any_sessions(
                     store.write(start, frames[start:stop])
         found = FrameStore.open(path).read(0, shape[0])
     assert found.tobytes() == frames.tobytes()  # NaN included
-
-
-@settings(max_examples=20)
-@given(
-    st.dictionaries(
-        st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_-]{0,8}", fullmatch=True),
-        DTYPES.flatmap(
-            lambda dtype: arrays_of.arrays(
-                dtype, arrays_of.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=5)
-            )
-        ),
-        max_size=3,
-    )
-)
-def test_bundles_come_back(arrays: dict[str, NDArray[Any]]) -> None:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "s"
-        digest = write_arrays(path, arrays, {"names": sorted(arrays)})
-        bundle = open_arrays(path)
-        assert bundle.digest == digest
-        assert bundle.names == tuple(sorted(arrays))
-        for name, array in arrays.items():
-            found = bundle.read(name)
-            assert found.shape == array.shape
-            assert found.tobytes() == array.tobytes()
