@@ -26,10 +26,7 @@ _WORKFLOW = "source/Snakefile"
 _REPORT = "results/report/index.html"
 _EXAMPLE, _PREVIEW = "read.py", "ro-crate-preview.html"
 _FORMATS = {
-    ".cff": "application/yaml",
     ".exr": "image/x-exr",
-    ".js": "text/javascript",
-    ".jsonl": "application/jsonl",
     ".md": "text/markdown",
     ".yaml": "application/yaml",
     ".zarr": "application/vnd+zarr",
