@@ -13,7 +13,6 @@ from typing import Any
 import yaml
 
 from rfpipe.config import load_config
-from rfpipe.config.capture import ReportConfig
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.places import METADATA
@@ -91,7 +90,7 @@ class Run:
     def title(self) -> str:
         """The report's title, if it was given one, or one made of the scenes' names."""
         titled = (self.settings or {}).get("report", {}).get("title")
-        if titled and titled != ReportConfig().title:
+        if titled:
             return str(titled)
         names = [*dict.fromkeys(found.scene for found in self.acquisitions)]
         if len(names) > _MOST_NAMED:

@@ -249,11 +249,11 @@ def test_a_collection_is_published_with_its_catalogue(
     invoke = CliRunner().invoke
     done = invoke(app, ["publish", str(results.parent), *cited])
     assert done.exit_code == 0, done.output
-    assert "--config SETTINGS.yaml" in done.output
+    assert "give --config" in done.output
     given = ["--config", str(results.parent / "run.yaml"), "--overwrite"]
     done = invoke(app, ["publish", str(results.parent), *cited, *given])
     assert done.exit_code == 0, done.output
-    assert "SETTINGS.yaml" not in done.output
+    assert "give --config" not in done.output
     page = tmp_path / "crate/results/catalogue/index.html"
     assert "hadamard" in page.read_text()
     assert ".log" not in page.read_text()
