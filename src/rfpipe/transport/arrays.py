@@ -54,6 +54,22 @@ class ArrayTransport(Transport):
 
     _held: Arrays
 
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, N)``."""
+        return _by_channel(self._lit, patterns, channels)
+
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar images ``(P, K, M)``."""
+        return _by_channel(self._lit_back, images, channels)
+
+    @abstractmethod
+    def _lit(self, light: Float, channel: int) -> Any:
+        """Return ``T p`` of one channel for patterns (P, N), (P, M)."""
+
+    def _lit_back(self, light: Float, channel: int) -> Any:
+        """Return ``T^T c`` of one channel for images (P, M), (P, N)."""
+        raise NotImplementedError
+
     def _bytes_in_memory(self) -> int:
         return sum(array.nbytes for array in self._held.values())
 
@@ -83,13 +99,18 @@ class DenseTransport(ArrayTransport):
         """The matrices, float32 ``(channels, camera rays, projector rays)``."""
         return self._held["matrix"]
 
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        return np.stack([patterns[:, k] @ self.matrix[c].T for k, c in enumerate(channels)], axis=1)
+    def _lit(self, light: Float, channel: int) -> Any:
+        return light @ self.matrix[channel].T
 
-    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
-        """Return ``T^T c`` for planar images ``(P, K, M)``."""
-        return np.stack([images[:, k] @ self.matrix[c] for k, c in enumerate(channels)], axis=1)
+    def _lit_back(self, light: Float, channel: int) -> Any:
+        return light @ self.matrix[channel]
+
+
+def _by_channel(
+    apply: Callable[[Float, int], NDArray[Any]], planar: Float, channels: Sequence[int]
+) -> Float:
+    planes = [apply(planar[:, k], channel) for k, channel in enumerate(channels)]
+    return np.ascontiguousarray(np.stack(planes, axis=1), np.float32)
 
 
 class LevelTransport(Transport):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -41,34 +40,19 @@ class FootprintTransport(ArrayTransport):
 
     kind = "footprints"
 
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, projector rays)``."""
-        return self._applied(patterns, channels, ("right", "left"), ("projector", "camera"))
+    def _lit(self, light: Float, channel: int) -> Any:
+        held, functions = self._held, self._functions
+        cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
+        sent = functions["right"].T @ (light.T * held["projector_factor"][channel][:, None])
+        smooth = functions["left"] @ (cores @ sent)
+        return (direct @ light.T + smooth * held["camera_factor"][channel][:, None]).T
 
-    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
-        """Return ``T^T c`` for planar images ``(P, K, camera rays)``."""
-        return self._applied(images, channels, ("left", "right"), ("camera", "projector"))
-
-    def _applied(
-        self,
-        given: Float,
-        channels: Sequence[int],
-        functions: tuple[str, str],
-        sides: tuple[str, str],
-    ) -> Float:
-        """Apply T, or T^T where light goes from the camera's functions to the projector's."""
-        sending, taking = (self._functions[name] for name in functions)
-        gives, takes = (self._held[f"{side}_factor"] for side in sides)
-        planes = []
-        for k, c in enumerate(channels):
-            light = given[:, k].T
-            cores: Any = self._matrix("cores", self._held["cores"][c])
-            direct: Any = self._matrix("footprints", self._held["footprints"][c])
-            if sides[0] == "camera":
-                cores, direct = cores.T, direct.T
-            smooth = taking @ (cores @ (sending.T @ (light * gives[c][:, None])))
-            planes.append((direct @ light + smooth * takes[c][:, None]).T)
-        return np.ascontiguousarray(np.stack(planes, axis=1), np.float32)
+    def _lit_back(self, light: Float, channel: int) -> Any:
+        held, functions = self._held, self._functions
+        cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
+        sent = functions["left"].T @ (light.T * held["camera_factor"][channel][:, None])
+        smooth = functions["right"] @ (cores.T @ sent)
+        return (direct.T @ light.T + smooth * held["projector_factor"][channel][:, None]).T
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> FootprintTransport:
         """Return what some rays see and take, see `Light.between_some`.

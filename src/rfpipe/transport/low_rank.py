@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,13 +57,11 @@ class LowRankTransport(ArrayTransport):
         """Number of terms, the diagonal not counted."""
         return int(self._held["strengths"].shape[1])
 
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        return self._apply(patterns, channels, self._right, self._held["left"])
+    def _lit(self, light: Float, channel: int) -> Any:
+        return self._apply(light, channel, self._right, self._held["left"])
 
-    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
-        """Return ``T^T c`` for planar images ``(P, K, M)``."""
-        return self._apply(images, channels, self._held["left"], self._right)
+    def _lit_back(self, light: Float, channel: int) -> Any:
+        return self._apply(light, channel, self._held["left"], self._right)
 
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
@@ -84,14 +81,11 @@ class LowRankTransport(ArrayTransport):
     def _right(self) -> Float:
         return self._held["right" if "right" in self._held else "left"]
 
-    def _apply(self, given: Float, channels: Sequence[int], inner: Float, outer: Float) -> Float:
-        """Weigh the images of `outer` by how much of those of `inner` is in what is given."""
-        planes = []
-        for k, c in enumerate(channels):
-            # terms cancel over many rays: float64 until the sum is there
-            shares = given[:, k].astype(np.float64) @ inner[c].T.astype(np.float64)
-            plane = (shares * self._held["strengths"][c]) @ outer[c].astype(np.float64)
-            if "diagonal" in self._held:
-                plane += given[:, k] * self._held["diagonal"][c]
-            planes.append(plane.astype(np.float32))
-        return np.stack(planes, axis=1)
+    def _apply(self, light: Float, channel: int, inner: Float, outer: Float) -> Any:
+        """Weigh the images of `outer` by how much of those of `inner` is in the light."""
+        # terms cancel over many rays: float64 until the sum is there
+        shares = light.astype(np.float64) @ inner[channel].T.astype(np.float64)
+        plane = (shares * self._held["strengths"][channel]) @ outer[channel].astype(np.float64)
+        if "diagonal" in self._held:
+            plane += light * self._held["diagonal"][channel]
+        return plane

@@ -9,7 +9,6 @@ views.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -238,13 +237,9 @@ class MultiscaleTransport(CoaxialTransport, ArrayTransport):
         """The functions."""
         return MultiscaleBasis(self.camera_shape, self._held["functions"])
 
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        images = np.empty(patterns.shape, np.float32)
-        for k, c in enumerate(channels):
-            cores, factor = self._held["cores"][c], self._held["factor"][c]
-            images[:, k] = bounced(self.basis, self._pairs, cores, factor, patterns[:, k])
-        return images
+    def _lit(self, light: Float, channel: int) -> Any:
+        cores, factor = self._held["cores"][channel], self._held["factor"][channel]
+        return bounced(self.basis, self._pairs, cores, factor, light)
 
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int

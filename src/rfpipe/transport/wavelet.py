@@ -6,7 +6,6 @@ Light of any shape is dim enough, beside what smooth functions hold, to be told 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -212,16 +211,12 @@ class WaveletTransport(CoaxialTransport, ArrayTransport):
         """The grid of the wavelets."""
         return Cells(self.shape, int(self._held["side"][0]))
 
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, N)``."""
+    def _lit(self, light: Float, channel: int) -> Any:
         from rfpipe.transport.pair_kernels import couple
 
-        images = np.empty(patterns.shape, np.float32)
-        cells, (first, second) = self.cells, self._held["pairs"]
-        for k, c in enumerate(channels):
-            factor = self._held["factor"][c]
-            light = cells.haar.forward(cells.total(patterns[:, k] * factor))
-            received = np.zeros_like(light)
-            couple(first, second, self._held["cores"][c], light, received)
-            images[:, k] = cells.spread(cells.haar.inverse(received)) * factor
-        return images
+        factor, cells = self._held["factor"][channel], self.cells
+        sent = cells.haar.forward(cells.total(light * factor))
+        received = np.zeros_like(sent)
+        first, second = self._held["pairs"]
+        couple(first, second, self._held["cores"][channel], sent, received)
+        return cells.spread(cells.haar.inverse(received)) * factor
