@@ -31,65 +31,55 @@ STATUSES = {
 
 _POINTER = ctypes.POINTER
 _ERROR = _POINTER(c_void_p)
-_OF_FEATURE = (c_void_p, c_char_p)
-
-
-def _number(kind: str, value: Any) -> dict[str, tuple[Any, tuple[Any, ...]]]:
-    """Return the signatures of features that are numbers of a kind."""
-    return {
-        f"arv_device_set_{kind}_feature_value": (None, (*_OF_FEATURE, value, _ERROR)),
-        f"arv_device_get_{kind}_feature_value": (value, (*_OF_FEATURE, _ERROR)),
-        f"arv_device_get_{kind}_feature_bounds": (
-            None, (*_OF_FEATURE, _POINTER(value), _POINTER(value), _ERROR),
-        ),
-    }  # fmt: skip
-
-
-_SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
-    "arv_enable_interface": (None, (c_char_p,)),
-    "arv_disable_interface": (None, (c_char_p,)),
-    "arv_get_n_interfaces": (c_uint, ()),
-    "arv_get_interface_id": (c_char_p, (c_uint,)),
-    "arv_update_device_list": (None, ()),
-    "arv_get_n_devices": (c_uint, ()),
-    "arv_get_device_id": (c_char_p, (c_uint,)),
-    "arv_get_device_serial_nbr": (c_char_p, (c_uint,)),
-    "arv_get_device_model": (c_char_p, (c_uint,)),
-    "arv_get_device_vendor": (c_char_p, (c_uint,)),
-    "arv_open_device": (c_void_p, (c_char_p, _ERROR)),
-    "arv_device_get_feature": (c_void_p, _OF_FEATURE),
-    "arv_device_is_feature_available": (c_int, (*_OF_FEATURE, _ERROR)),
-    "arv_device_execute_command": (None, (*_OF_FEATURE, _ERROR)),
-    "arv_device_set_boolean_feature_value": (None, (*_OF_FEATURE, c_int, _ERROR)),
-    "arv_device_get_boolean_feature_value": (c_int, (*_OF_FEATURE, _ERROR)),
-    "arv_device_set_string_feature_value": (None, (*_OF_FEATURE, c_char_p, _ERROR)),
-    "arv_device_get_string_feature_value": (c_char_p, (*_OF_FEATURE, _ERROR)),
-    **_number("integer", c_int64),
-    **_number("float", c_double),
-    "arv_device_dup_available_enumeration_feature_values_as_strings": (
-        c_void_p, (*_OF_FEATURE, _POINTER(c_uint), _ERROR),
+_FEATURE = c_void_p, c_char_p
+_SIGNATURES: dict[tuple[Any, tuple[Any, ...]], tuple[str, ...]] = {
+    (None, (c_char_p,)): ("enable_interface", "disable_interface"),
+    (None, ()): ("update_device_list",),
+    (c_uint, ()): ("get_n_interfaces", "get_n_devices"),
+    (c_char_p, (c_uint,)): (
+        "get_interface_id", "get_device_id", "get_device_serial_nbr", "get_device_model",
+        "get_device_vendor",
     ),
-    "arv_device_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p, _ERROR)),
-    "arv_gc_feature_node_is_locked": (c_int, (c_void_p, _ERROR)),
-    "arv_gc_feature_node_get_actual_access_mode": (c_int, (c_void_p,)),
-    "arv_gc_float_get_type": (c_size_t, ()),
-    "arv_gc_boolean_get_type": (c_size_t, ()),
-    "arv_gc_string_get_type": (c_size_t, ()),
-    "arv_gc_enumeration_get_type": (c_size_t, ()),
-    "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
-    "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
-    "arv_buffer_new_allocate": (c_void_p, (c_size_t,)),
-    "arv_buffer_get_status": (c_int, (c_void_p,)),
-    "arv_buffer_get_data": (c_void_p, (c_void_p, _POINTER(c_size_t))),
-    "arv_buffer_get_image_width": (c_int, (c_void_p,)),
-    "arv_buffer_get_image_height": (c_int, (c_void_p,)),
+    (c_void_p, (c_char_p, _ERROR)): ("open_device",),
+    (c_void_p, _FEATURE): ("device_get_feature",),
+    (c_int, (*_FEATURE, _ERROR)): (
+        "device_is_feature_available", "device_get_boolean_feature_value",
+    ),
+    (None, (*_FEATURE, _ERROR)): ("device_execute_command",),
+    (None, (*_FEATURE, c_int, _ERROR)): ("device_set_boolean_feature_value",),
+    (None, (*_FEATURE, c_char_p, _ERROR)): ("device_set_string_feature_value",),
+    (c_char_p, (*_FEATURE, _ERROR)): ("device_get_string_feature_value",),
+    (c_void_p, (*_FEATURE, _POINTER(c_uint), _ERROR)): (
+        "device_dup_available_enumeration_feature_values_as_strings",
+    ),
+    (c_void_p, (c_void_p, c_void_p, c_void_p, _ERROR)): ("device_create_stream",),
+    (c_int, (c_void_p, _ERROR)): ("gc_feature_node_is_locked",),
+    (c_size_t, ()): tuple(
+        f"gc_{kind}_get_type" for kind in ("float", "boolean", "string", "enumeration")
+    ),
+    (None, (c_void_p, c_void_p)): ("stream_push_buffer",),
+    (c_void_p, (c_void_p, c_uint64)): ("stream_timeout_pop_buffer",),
+    (c_void_p, (c_size_t,)): ("buffer_new_allocate",),
+    (c_void_p, (c_void_p, _POINTER(c_size_t))): ("buffer_get_data",),
+    (c_int, (c_void_p,)): (
+        "gc_feature_node_get_actual_access_mode", "buffer_get_status", "buffer_get_image_width",
+        "buffer_get_image_height",
+    ),
     # the fake camera's
-    "arv_fake_device_get_fake_camera": (c_void_p, (c_void_p,)),
-    "arv_fake_camera_set_trigger_frequency": (None, (c_void_p, c_double)),
-    "arv_fake_camera_set_fill_pattern": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
-    "arv_gv_fake_camera_new": (c_void_p, (c_char_p, c_char_p)),
-    "arv_gv_fake_camera_get_fake_camera": (c_void_p, (c_void_p,)),
+    (c_void_p, (c_void_p,)): ("fake_device_get_fake_camera", "gv_fake_camera_get_fake_camera"),
+    (None, (c_void_p, c_double)): ("fake_camera_set_trigger_frequency",),
+    (None, (c_void_p,) * 4): ("fake_camera_set_fill_pattern",),
+    (c_void_p, (c_char_p, c_char_p)): ("gv_fake_camera_new",),
 }  # fmt: skip
+"""Names of functions, ``arv_`` left out, by what they return and take."""
+
+for _kind, _value in (("integer", c_int64), ("float", c_double)):
+    _bounds = *_FEATURE, _POINTER(_value), _POINTER(_value), _ERROR
+    _SIGNATURES |= {
+        (None, (*_FEATURE, _value, _ERROR)): (f"device_set_{_kind}_feature_value",),
+        (_value, (*_FEATURE, _ERROR)): (f"device_get_{_kind}_feature_value",),
+        (None, _bounds): (f"device_get_{_kind}_feature_bounds",),
+    }
 
 
 class AravisError(Exception):
@@ -106,9 +96,10 @@ def load_aravis() -> tuple[ctypes.CDLL, ctypes.CDLL]:
     try:
         aravis = ctypes.CDLL(_LIBRARY)
         gobject = ctypes.CDLL(_GOBJECT)
-        for name, (result, arguments) in _SIGNATURES.items():
-            function = getattr(aravis, name)
-            function.restype, function.argtypes = result, arguments
+        for (result, arguments), names in _SIGNATURES.items():
+            for name in names:
+                function = getattr(aravis, f"arv_{name}")
+                function.restype, function.argtypes = result, arguments
     except (OSError, AttributeError) as error:
         raise CaptureError(
             f"Aravis can't be loaded: {error}. Install its library, version 0.8.20 or newer; on "
