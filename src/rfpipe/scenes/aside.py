@@ -66,15 +66,11 @@ def aside_scene(
 
     Parameters
     ----------
-    surfaces
-        The planes that bound the room, and after them a sphere in it, if there is one.
-    camera, projector
-        The two pinholes.
+    surfaces, camera, projector, occluders
+        What is there, and the two pinholes; occluders block the view of either, too.
     albedo
         Albedo in [0, 1), float64 (n, C), of places float64 (n, 3) on surfaces int64 (n,), which
         are numbered as in `surfaces`.
-    occluders
-        Black parallelograms that block light between points, and the view of either pinhole.
     contrast
         The light is dimmed so that no pixel of the projector has more of it, per area, than this
         times what one of mean area has at full strength.

@@ -22,22 +22,21 @@ _PATTERNS_AT_A_TIME = 16
 class Scene(ABC):
     """Ground-truth transport of a simulated scene: patterns in, radiance out.
 
-    A scene is a kind by itself, which settings call by a name, that of an entry point of the group
-    ``rfpipe.scenes``, or by a path, ``module:Class`` or ``file.py:Class``. A scene of your own
-    derives from this class, and is made by ``MyScene(options)``. `rfpipe.testing.SceneContract` has
-    the tests that every scene should pass.
+    Settings call a kind of scene by the name of its entry point in the group ``rfpipe.scenes``, or
+    by a path, ``module:Class`` or ``file.py:Class``. A scene of your own derives from this class,
+    and is made by ``MyScene(options)``. `rfpipe.testing.SceneContract` has the tests for it.
 
     Parameters
     ----------
-    camera_shape, projector_shape : tuple of int
+    camera_shape, projector_shape
         Shapes of the ray domains, of M and of N rays: (H, W), or (V, H, W) for an array of views.
-    channels : int
+    channels
         Colour channels, C: 1 or 3.
 
     Attributes
     ----------
-    Options : type of SceneSettings
-        Its options: a pydantic model, each field with a description, its unit and range.
+    Options
+        A pydantic model, each field with a description, its unit and range.
     """
 
     Options: ClassVar[type[SceneSettings]]
@@ -51,14 +50,9 @@ class Scene(ABC):
 
     @classmethod
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
-        """Return the scene of some options.
+        """Return the scene of some `Options`.
 
-        Parameters
-        ----------
-        options : Options
-            The kind's own.
-        many_patterns : bool
-            Whether thousands of patterns are to come, so that a slower preparation pays.
+        `many_patterns`: thousands are to come, so that a slower preparation pays.
         """
         made: Scene = cls(options)  # type: ignore[call-arg]
         return made
@@ -78,10 +72,7 @@ class Scene(ABC):
 
     @property
     def albedo(self) -> NDArray[np.float32]:
-        """Albedo seen by each camera ray, float32 (*camera_shape, C), for pictures.
-
-        Where a scene doesn't say it: the floodlit image, its maximum as 1.
-        """
+        """Albedo float32 (*camera_shape, C), for pictures; here the floodlit image, 1 at most."""
         image = self.apply(np.ones((1, math.prod(self.projector_shape))))
         brightest = float(image.max())
         image /= brightest if brightest > 0 else 1
@@ -94,34 +85,17 @@ class Scene(ABC):
 
 
 class CoaxialScene(Scene):
-    """A scene whose camera and projector share their rays, so that ``T = T^T`` (2.10).
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Shape of the ray domain.
-    channels : int
-        Colour channels, 1 or 3.
-    """
+    """A scene whose camera and projector share their rays, so that ``T = T^T`` (2.10)."""
 
     def __init__(self, shape: tuple[int, ...], channels: int) -> None:
         super().__init__(shape, shape, channels)
 
 
 def scene_from_config(settings: SceneSettings, *, many_patterns: bool = False) -> Scene:
-    """Build the scene that settings describe.
+    """Build the scene of settings such as ``SceneSettings.of("wedge", shape=(62, 70))``.
 
-    Parameters
-    ----------
-    settings
-        Of any kind, such as ``SceneSettings.of("wedge", surfaces=("white", "texture"))``.
-    many_patterns
-        Whether thousands of patterns are to come, so that a slower preparation pays.
-
-    Raises
-    ------
-    InputError
-        When it is a captured scene, of which no light transport is known.
+    `many_patterns` is as of `Scene.make`. Raises InputError for a captured scene, of which no light
+    transport is known.
     """
     made: Scene = settings.subject.make(settings, many_patterns=many_patterns)
     return made
@@ -136,9 +110,9 @@ def apply_in_batches(
 ) -> NDArray[np.float32]:
     """Put patterns through an operator, always the same number at a time.
 
-    A matrix product may round differently for another number of columns. With a fixed number, and
-    float64 sums that are rounded to float32 at the end, a pattern's radiance is the same whichever
-    patterns stand beside it, and a capture that is resumed repeats its bytes.
+    A matrix product may round differently for another number of columns. With a fixed number a
+    pattern's radiance is the same whichever patterns stand beside it, and a capture that is resumed
+    repeats its bytes.
 
     Parameters
     ----------

@@ -51,18 +51,9 @@ _TINTS: dict[str, Vector] = {
 
 @dataclass(frozen=True)
 class Panel(Rectangle):
-    """A rectangle with texels.
+    """A rectangle with texels, white or textured, and tinted as of `surface_albedo`.
 
-    Parameters
-    ----------
-    centre, edge_u, edge_v, name
-        As of any `Rectangle`.
-    surface
-        ``"white"`` or ``"texture"``.
-    tint
-        Factors of the albedo in red, green and blue; grey takes the middle one.
-    encloses
-        Whether it bounds the room, so that nothing of the scene is behind it.
+    One that `encloses` bounds the room, so that nothing of the scene is behind it.
     """
 
     surface: str
@@ -87,11 +78,9 @@ def room_scene(
     ----------
     surfaces
         ``"white"`` or ``"texture"`` for each of `ROOM_SURFACES`.
-    shape
-        Height and width of a view in pixels; 130 x 200 is the thesis'.
-    views
-        Rows and columns of the array; 3 x 3 is the thesis'. One view, and a ray domain (H, W),
-        where None.
+    shape, views
+        Height and width of a view in pixels, rows and columns of the array: 130 x 200 and 3 x 3 are
+        the thesis'. One view, and a ray domain (H, W), where `views` is None.
     span_degrees
         Angles under which the outermost columns and rows of the array appear from the scene.
     channels, bounces, seed, compress
@@ -178,13 +167,7 @@ def array_of(
 class TexelGrid:
     """The texels of some panels, numbered panel by panel and row by row.
 
-    Parameters
-    ----------
-    panels
-        The panels.
-    pitch
-        Side of a texel, scene units; a panel has a whole number of texels either way, so that
-        they may be a little smaller or larger.
+    Their sides are about `pitch`, scene units: a panel has a whole number of them either way.
     """
 
     def __init__(self, panels: Sequence[Panel], pitch: float) -> None:
@@ -241,10 +224,9 @@ def sightings(pinholes: Sequence[Pinhole], grid: TexelGrid) -> tuple[csr_array[n
 
     Returns
     -------
-    texels : csr_array of float64, (N, texels)
-        How much of each texel a pixel sees; rows add up to 1.
-    footprint : ndarray of float64, (N,)
-        Area of the surfaces that a pixel covers, scene units squared.
+    texels, footprint
+        Sparse (N, texels): how much of each texel a pixel sees, rows add up to 1; and float64 (N,):
+        the area that it covers, scene units squared.
 
     Raises
     ------

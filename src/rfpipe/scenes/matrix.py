@@ -91,13 +91,7 @@ class MatrixScene(Scene):
 
     @classmethod
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
-        """Read the file.
-
-        Raises
-        ------
-        InputError
-            When it can't be read, or holds another shape or number of channels.
-        """
+        """Read the file; raise InputError where it doesn't hold what the options say."""
         camera, projector = options.camera_ray_shape, options.ray_shape
         matrix = read_matrix(options.file, camera, projector, options.dataset, options.order)
         if len(matrix) != options.channels:

@@ -43,16 +43,9 @@ DENSE_POINTS = 8192  # above which a dense matrix is refused: it would take over
 
 
 class FormFactors:
-    """The symmetric operator G on columns of surface points.
+    """The symmetric operator G on columns of surface points, with occluders between them.
 
-    Parameters
-    ----------
-    points
-        The scene's surface points.
-    occluders
-        What may stand between them.
-    compress
-        Compress (True) or store densely (False) whatever the size; None decides by `DENSE_LIMIT`.
+    It is compressed, or not, as `compress` says; None decides by `DENSE_LIMIT`.
     """
 
     def __init__(
@@ -182,7 +175,7 @@ class RadiosityScene(Scene):
 
     @property
     def albedo(self) -> NDArray[np.float32]:
-        """Albedo (*camera_shape, C) in [0, 1) that the camera sees, float32; 0 of an occluder."""
+        """Albedo float32 (*camera_shape, C) in [0, 1); 0 of an occluder."""
         seen = self._values if self.rays is None else np.asarray(self.rays.seen @ self._values)
         return seen.reshape(*self.camera_shape, self.channels).astype(np.float32)
 
@@ -193,24 +186,7 @@ class RadiosityScene(Scene):
         return FormFactors(points, self.occluders, compress=self.compress)
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
-        """Radiance under projected patterns.
-
-        A pattern's radiance doesn't depend on the patterns beside it, see `apply_in_batches`.
-
-        Parameters
-        ----------
-        patterns
-            (B, N) or (B, *projector_shape): weights of the rays, in image order.
-
-        Returns
-        -------
-        float32 (B, M, C)
-
-        Raises
-        ------
-        InputError
-            If the patterns don't have N rays each.
-        """
+        """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape)."""
         rays = math.prod(self.camera_shape)
         return apply_in_batches(self._radiance, patterns, self.projector_shape, self.channels, rays)
 
@@ -259,10 +235,7 @@ class RadiosityScene(Scene):
     def dense(self, channel: int = 0) -> Double:
         """The whole matrix (M, N) of one channel; exactly symmetric, of a coaxial scene.
 
-        Raises
-        ------
-        InputError
-            Above `DENSE_POINTS` rays or points of surfaces, or for a channel that doesn't exist.
+        Raises InputError above `DENSE_POINTS` rays or points.
         """
         count = max(math.prod(self.camera_shape), len(self._values))
         if count > DENSE_POINTS:

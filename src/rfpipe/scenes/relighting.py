@@ -26,22 +26,12 @@ _SMOOTHNESS = 1 / 16  # standard deviation of the random field's blur, over the 
 
 
 def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDArray[np.float32]]:
-    """Make the relighting patterns of a ray domain.
+    """Make the relighting patterns of a ray domain: float32 arrays of `shape`, in [0, 1].
 
-    Parameters
-    ----------
-    shape
-        See `RayDomain`. Several views each get the same picture, and there is one more pattern,
-        `ONE_VIEW`.
-    seed
-        Seed of the noise and of the random picture.
-
-    Returns
-    -------
-    dict of float32 arrays of `shape`, weights in [0, 1]
-        ``vertical_bar``: centred at W / 4, W / 8 wide. ``horizontal_bar``: from H / 3 to H / 2.
-        ``noise``: uniform. ``binary``: a smooth random field cut at its mean. ``spot``: 4 pixels
-        wide and 3 high, left of the middle. On tiny domains each keeps at least one pixel.
+    ``vertical_bar``: centred at W / 4, W / 8 wide. ``horizontal_bar``: from H / 3 to H / 2.
+    ``noise``: uniform. ``binary``: a smooth random field cut at its mean. ``spot``: 4 pixels wide
+    and 3 high, left of the middle. On tiny domains each keeps at least one pixel. Several views
+    each get the same picture, and there is one more pattern, `ONE_VIEW`.
 
     Raises
     ------
@@ -74,18 +64,7 @@ def scene_patterns(scene: Scene, seed: int = 0) -> dict[str, NDArray[np.float32]
 
     Near where surfaces meet most indirect light is exchanged between the fewest pixels, which the
     other patterns hardly weigh. The strip is W / 64 wide on either side, at least a pixel. Outlines
-    where one surface only hides another are left out.
-
-    Parameters
-    ----------
-    scene
-        `CREASE` is made of a coaxial `RadiosityScene` whose surfaces meet in the image.
-    seed
-        As for `relighting_patterns`.
-
-    Returns
-    -------
-    dict of float32 arrays of the projector's shape, weights in [0, 1]
+    where one surface only hides another are left out. Only a coaxial `RadiosityScene` has it.
     """
     patterns = relighting_patterns(scene.projector_shape, seed)
     if isinstance(scene, RadiosityScene) and scene.rays is None:

@@ -55,10 +55,8 @@ def planes_scene(
 
     Parameters
     ----------
-    geometry
-        A key of `GEOMETRIES`, such as ``"wedge"`` or ``"corner"``.
-    surfaces
-        ``"white"`` or ``"texture"`` for each name of a surface, in the order of `GEOMETRIES`.
+    geometry, surfaces
+        A key of `GEOMETRIES`, and ``"white"`` or ``"texture"`` for each name of its surfaces.
     shape
         Height and width of the camera's image in pixels.
     projector
@@ -68,10 +66,8 @@ def planes_scene(
         1 (grey) or 3 (RGB).
     bounces
         1 is direct light alone; each further one adds an inter-reflection.
-    occluders
-        Black parallelograms.
-    seed
-        Seed of the texture.
+    occluders, seed
+        Black parallelograms, and the seed of the texture.
     compress
         Whether to compress the form factors; None decides by their number.
 
@@ -123,20 +119,7 @@ def planes_scene(
 def reference_scene(
     name: str, shape: tuple[int, int], *, channels: int = 3, bounces: int = 3, seed: int = 0
 ) -> RadiosityScene:
-    """Build scene I, II, III or IV of Fig. 2.1 at any resolution; 310 x 350 is the thesis'.
-
-    Parameters
-    ----------
-    name
-        ``"I"`` to ``"IV"``.
-    shape, channels, bounces, seed
-        As for `planes_scene`.
-
-    Raises
-    ------
-    InputError
-        For another name, or settings out of range.
-    """
+    """Build scene I, II, III or IV of Fig. 2.1 as `planes_scene` does; 310 x 350 is the thesis'."""
     if name not in REFERENCE_SCENES:
         raise InputError(f"reference scene {name!r}: expected one of {', '.join(REFERENCE_SCENES)}")
     geometry, surfaces = REFERENCE_SCENES[name]

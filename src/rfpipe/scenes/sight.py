@@ -29,12 +29,8 @@ class Pinhole:
     ----------
     shape
         Height and width in pixels, each at least 1.
-    position
-        Where it stands; the camera itself at the origin.
-    look_at
-        A point at which its optical axis aims. The picture's columns are as upright as may be.
-    up
-        What is up in its picture.
+    position, look_at, up
+        Where it stands, a point on its optical axis, and what is up in its picture.
     width
         Of its image plane at distance 1; None where that plane's short side spans -0.5 to 0.5:
         53 degrees.
@@ -85,9 +81,9 @@ class Pinhole:
         return np.stack([right, np.cross(ahead, right), ahead])
 
     def rays(self, parts: int = 1) -> Double:
-        """Directions of the pixels' parts, `parts` x `parts` each, as long as to distance 1.
+        """Directions of the pixels' parts, `parts` x `parts` each, float64 (H W parts^2, 3).
 
-        float64 (H W parts^2, 3), pixel by pixel.
+        Pixel by pixel; as long as to distance 1.
         """
         height, width = self.shape
         within = (np.arange(parts) + 0.5) / parts
@@ -125,18 +121,8 @@ class Pinhole:
 class Points:
     """Points of a scene's surfaces, each with the area that it stands for.
 
-    Parameters
-    ----------
-    surfaces
-        The scene's; rectangles and spheres hide what is behind them.
-    surface
-        int64 (N,): index into `surfaces` of the one on which each point lies.
-    positions
-        float64 (N, 3), scene units.
-    areas
-        float64 (N,): scene units squared.
-    least_squared_distance
-        Lower clamp of the squared distance between two points, scene units squared.
+    `surface`, int64 (N,), is the index of the one on which a point lies; positions float64 (N, 3),
+    areas (N,), and the lower clamp of squared distances between points are in scene units.
     """
 
     surfaces: tuple[Surface, ...]
@@ -165,21 +151,11 @@ def least_squared(surfaces: Sequence[Surface], mean_area: float) -> float:
 
 
 def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Points:
-    """Find the point, surface and area that every pixel of the camera sees.
+    """Find the point, surface and area that every pixel of the camera sees, in image order.
 
-    Parameters
-    ----------
-    shape
-        Height and width of the image in pixels, each at least 1.
-    surfaces
-        The planes that bound the camera's room, and what stands in it. The nearest is seen, of
-        several at one distance (in the column x = 0 of a wedge of odd width) the first.
-
-    Returns
-    -------
-    Points
-        In image order: a position is where a pixel's central ray meets its surface, an area is what
-        the pixel covers, A = d^2 w / cos(angle), w being its solid angle.
+    A position is where a pixel's central ray meets the nearest surface (of several at one distance,
+    as in the column x = 0 of a wedge of odd width, the first), an area what the pixel covers:
+    ``A = d^2 w / cos(angle)``, w being its solid angle.
 
     Raises
     ------
@@ -203,18 +179,13 @@ class Sight:
 
     Parameters
     ----------
-    pinhole
-        Where the rays come from.
-    parts
-        Of a pixel along either side, each with a ray.
     rays
         float64 (n, 3): as long as to distance 1 from the pinhole.
     surface
         int64 (n,): the surface that each ray meets first, -1 where it meets none.
-    positions, normals
-        float64 (n, 3): where it does, and the unit normal there; zero where it meets none.
-    areas
-        float64 (n,): what the ray's share of a pixel covers there, scene units squared.
+    positions, normals, areas
+        float64 (n, 3), (n, 3), (n,): where it does, the unit normal there, and what its share of a
+        pixel covers, scene units (squared); zero where it meets none.
     """
 
     pinhole: Pinhole

@@ -35,17 +35,7 @@ HIDDEN, VISIBLE, MIXED = np.int8(0), np.int8(1), np.int8(2)
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane that bounds the room in which the camera stands.
-
-    Parameters
-    ----------
-    name
-        What the plane is called in descriptions and errors.
-    point
-        A point of the plane.
-    normal
-        Direction towards the camera's side, of any length.
-    """
+    """A plane that bounds the room: one of its points, and a direction to the camera's side."""
 
     name: str
     point: Vector
@@ -76,18 +66,12 @@ class Plane:
 class Occluder:
     """A black parallelogram that blocks light between surfaces and the camera's own view.
 
-    Parameters
-    ----------
-    centre
-        Centre, scene units.
-    edge_u, edge_v
-        Vectors from the centre to the middle of two neighbouring edges, scene units; not
-        parallel.
+    `edge_u` and `edge_v` go from its centre to the middle of two neighbouring edges.
 
     Raises
     ------
     InputError
-        If the vectors don't span a parallelogram.
+        If they don't span a parallelogram.
     """
 
     centre: Vector
@@ -154,14 +138,8 @@ def _beside(low: Double, high: Double) -> NDArray[np.bool_]:
 class Rectangle(Occluder):
     """An opaque rectangle in the room that reflects on its front; its back is black.
 
-    Parameters
-    ----------
-    centre, edge_u, edge_v
-        As of an `Occluder`, the edges at right angles; the front is where ``edge_v x edge_u``
-        points. Seen from there with edge_u to the right, edge_v points down, as the rows of a
-        picture do.
-    name
-        What it is called in descriptions and errors.
+    The front is where ``edge_v x edge_u`` points. Seen from there with edge_u to the right, edge_v
+    points down, as the rows of a picture do.
     """
 
     name: str
@@ -191,17 +169,7 @@ class Rectangle(Occluder):
 
 @dataclass(frozen=True)
 class Sphere:
-    """An opaque sphere in the room, seen from outside.
-
-    Parameters
-    ----------
-    name
-        What the sphere is called in descriptions and errors.
-    centre
-        Scene units.
-    radius
-        Scene units, above 0.
-    """
+    """An opaque sphere in the room, seen from outside."""
 
     name: str
     centre: Vector

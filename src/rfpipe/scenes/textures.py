@@ -35,21 +35,9 @@ def require_kinds(surfaces: Sequence[str], geometry: str, names: Sequence[str]) 
 
 
 def printed_page(shape: tuple[int, int], seed: int, page: int = 0) -> NDArray[np.bool_]:
-    """Lines of words of letter-like strokes, each one to two pixels wide, at any resolution.
+    """Lines of words of letter-like strokes, one to two pixels wide: bool (H, W), True for ink.
 
-    Parameters
-    ----------
-    shape
-        Height and width in pixels.
-    seed
-        Seed of the strokes.
-    page
-        Number of the page: pages of one seed differ.
-
-    Returns
-    -------
-    ndarray of bool, (H, W)
-        True where there is ink.
+    Pages of one seed differ by their number.
     """
     random = generator(seed, page)
     # a page with margins, so wide that no word that begins within it goes beyond
@@ -92,33 +80,19 @@ def surface_albedo(
     surface: int,
     tint: tuple[float, float, float] | None = None,
 ) -> NDArray[np.float64]:
-    """Albedo of one surface over the whole image, or over its own texels.
+    """Albedo of one surface over an image or its own texels: float64 (H, W, C) in [0, 1].
 
     Parameters
     ----------
     kind
         ``"white"`` or ``"texture"``.
-    shape
-        Height and width in pixels.
     channels
-        1 (grey) or 3 (RGB, tinted).
-    seed
-        Seed of the strokes.
+        1 (grey) or 3 (RGB, tinted); InputError for another number.
     surface
         Number of the surface: its page and its tint.
     tint
         Factors of the albedo in red, green and blue, instead of those in `TINTS`; a grey surface
         takes the middle one.
-
-    Returns
-    -------
-    float64 (H, W, C)
-        Between 0 and 1.
-
-    Raises
-    ------
-    InputError
-        For another number of channels.
     """
     if channels not in (1, 3):
         raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
