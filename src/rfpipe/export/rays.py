@@ -31,12 +31,7 @@ def rays_at(text: str, shape: tuple[int, ...]) -> Index:
     Returns
     -------
     ndarray of int64
-        At least one ray, in C order.
-
-    Raises
-    ------
-    InputError
-        If the text is something else, or there is no such ray.
+        At least one ray, in C order; InputError if there is none, or the text is something else.
     """
     parts = text.replace(" ", "").split(",")
     axes = ",".join(["view"] * (len(shape) - 2) + ["row", "column"])

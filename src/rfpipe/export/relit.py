@@ -26,14 +26,8 @@ def relit_pictures(
 ) -> Iterator[Float]:
     """Yield the pictures under patterns, a few at a time in memory.
 
-    Parameters
-    ----------
-    light : Light
-    patterns : iterable of ndarray, shape (*projector_shape) or (*projector_shape, channels)
-        As `Light.relight` takes them.
-    scale : Scale, optional
-    view : int, optional
-        The one of several views to show; all of them, one above the other, by default.
+    Patterns are as `Light.relight` takes them. Of several views one is shown, `view`, or all, one
+    above the other.
 
     Yields
     ------
@@ -65,7 +59,7 @@ def relit_movie(
     view: int | None = None,
     progress: bool = False,
 ) -> float:
-    """Write the movie of a light path.
+    """Write the movie of a light path; return the radiance shown as white.
 
     Parameters
     ----------
@@ -73,7 +67,6 @@ def relit_movie(
     path : path
         Ends in ``.mp4`` or ``.webm``.
     lights : LightPath
-        Of the projector's rays.
     fps : float
         Pictures a second.
     scale : Scale, optional
@@ -84,11 +77,6 @@ def relit_movie(
         The one of several views to show.
     progress : bool
         Whether to show on stderr how far it is, if that is a terminal.
-
-    Returns
-    -------
-    float
-        Radiance shown as white.
 
     Raises InputError and StoreError as `relit_pictures` and `write_movie`.
     """

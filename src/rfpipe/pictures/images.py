@@ -60,13 +60,7 @@ def pixels_of(path: Path, picture: Any, kind: Any) -> NDArray[Any]:
 
 
 def light_channels(path: Path, names: list[str]) -> list[int]:
-    """Return the places of R, G and B, which stand in any order, or of the one channel of light.
-
-    Raises
-    ------
-    InputError
-        When there are neither; names the file.
-    """
+    """Return the places of R, G and B, in any order, or of the one channel; else InputError."""
     if {"R", "G", "B"} <= set(names):
         return [names.index(name) for name in "RGB"]
     light = [index for index, name in enumerate(names) if name != "A"]
@@ -125,12 +119,7 @@ def png_bytes(image: NDArray[np.floating], white: float) -> bytes:
 def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
     """Render radiance for a screen.
 
-    Parameters
-    ----------
-    radiance : ndarray, shape (*shape, C)
-        C is 1 or 3.
-    white : float
-        Radiance shown as white; more is cut off.
+    Radiance (*shape, C), C 1 or 3, is shown as white from `white` on.
 
     Returns
     -------
@@ -144,13 +133,7 @@ def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
 
 
 def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return a picture (H, W) or (H, W, C) at another size: pixels averaged, or interpolated.
-
-    Raises
-    ------
-    InputError
-        When it can't be resized.
-    """
+    """Return a picture (H, W) or (H, W, C) at another size: pixels averaged, or interpolated."""
     import OpenImageIO as oiio
 
     source = oiio.ImageBuf(np.ascontiguousarray(np.atleast_3d(picture), np.float32))
@@ -164,21 +147,7 @@ def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.
 
 
 def write_code_picture(path: Path, light: NDArray[Any], gamma: float = 1.0) -> None:
-    """Write a grey PNG of 8 bits for a projector whose light goes with ``code**gamma``.
-
-    Parameters
-    ----------
-    path : Path
-    light : ndarray, shape (H, W)
-        Weights from 0 to 1.
-    gamma : float
-        Above 0.
-
-    Raises
-    ------
-    InputError
-        When the file can't be written.
-    """
+    """Write weights (H, W), 0 to 1, as a grey PNG for a projector of light ``code**gamma``."""
     import OpenImageIO as oiio
 
     codes = np.rint(255 * np.clip(light, 0, 1) ** (1 / gamma)).astype(np.uint8)

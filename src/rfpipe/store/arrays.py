@@ -243,15 +243,7 @@ def write_arrays(
 
 
 def open_arrays(path: Path | Place) -> ArrayBundle:
-    """Open a bundle; arrays are read when asked for.
-
-    Raises
-    ------
-    StoreError
-        When there is none.
-    IntegrityError
-        When its metadata are damaged.
-    """
+    """Open a bundle; StoreError when there is none, IntegrityError where metadata are damaged."""
     return ArrayBundle(path)
 
 

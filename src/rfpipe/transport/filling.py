@@ -24,17 +24,8 @@ def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Tran
     nobody has seen stays dark: a masked ray's own direct light ``T_jj``, and light between two of
     them. Rows that a method has filled already, because its model is symmetric, stay as they are.
 
-    Parameters
-    ----------
-    transport : Transport
-    masked : ndarray of bool, shape (*camera_shape)
-        Camera rays that no image shows.
-
-    Returns
-    -------
-    Transport
-        The same where there is nothing to fill, or where the rows that are known show that the rig
-        isn't coaxial.
+    `masked` are the camera rays that no image shows, bool (*camera_shape). The transport stays the
+    same where there is nothing to fill, or where known rows show that the rig isn't coaxial.
     """
     if not masked.any() or transport.camera_shape != transport.projector_shape:
         return transport

@@ -140,11 +140,7 @@ def coarsest_scale(shape: tuple[int, ...]) -> int:
 def functions_over(scale: int, wanted: NDArray[np.bool_]) -> Functions:
     """Return the functions of a scale that are not zero where they are wanted.
 
-    Parameters
-    ----------
-    scale : int
-    wanted : ndarray of bool, shape (V, ceil(H / scale), ceil(W / scale))
-        Cells of ``scale x scale`` pixels.
+    `wanted` are cells of ``scale x scale`` pixels, bool (V, ceil(H / scale), ceil(W / scale)).
     """
     chosen = wanted
     if scale > 1:

@@ -48,15 +48,7 @@ class PatternOperator(Protocol):
 def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> PatternOperator:
     """Return light transport of `rows` camera rays and `columns` projector rays as an operator.
 
-    Parameters
-    ----------
-    matrix : ndarray, sparse matrix, LinearOperator, sequence of those, or PatternOperator
-        A sequence holds one matrix a channel. Entries are finite and not negative.
-    rows, columns : int
-
-    Returns
-    -------
-    PatternOperator
+    A sequence holds one matrix a channel. Entries are finite and not negative.
 
     Raises
     ------

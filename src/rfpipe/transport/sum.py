@@ -22,14 +22,7 @@ if TYPE_CHECKING:
 class SumTransport(Transport):
     """Transport as the sum of parts over the same rays, ``T = sum_i T_i``.
 
-    Parameters
-    ----------
-    parts : sequence of Transport
-        At least one, of any kinds; sums of sums are allowed.
-    level_rows : list of dict
-        The rows of `levels`.
-    nbytes : int, optional
-        Bytes on disk; by default the sum of the parts'.
+    There is at least one part, of any kind; sums of sums are allowed.
     """
 
     kind = "sum"

@@ -27,18 +27,10 @@ _COARSEST = 3  # cells along the shorter side of the coarsest grid, at least
 
 @dataclass(frozen=True)
 class Group:
-    """Functions of one scale.
+    """Functions of one scale, from `start` on, orientation by orientation.
 
-    Attributes
-    ----------
-    start : int
-        The first of them.
-    orientations : int
-        3 of details, 1 of the coarsest means. Functions come orientation by orientation.
-    grid : tuple of int
-        Views, rows, columns of the places of either orientation.
-    side : int
-        Of a function's support, in cells.
+    Of 3 `orientations` of details, or 1 of the coarsest means; each on a `grid` of views, rows and
+    columns; `side` is that of a function's support, in cells.
     """
 
     start: int
