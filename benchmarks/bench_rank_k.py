@@ -4,7 +4,7 @@ Usage: ``python -m benchmarks.bench_rank_k [SIZE ...]``, by default 64 (pixels a
 takes three minutes). Scenes II, III and IV, exact radiance and the default camera. Writes
 results/bench/rank_k.csv.
 
-``--sweep`` instead tries values of `rank_k.AMPLIFIED`, by which terms are kept, on the rooms of
+``--sweep`` instead tries values of `rank_test.AMPLIFIED`, by which terms are kept, on the rooms of
 rooms.py in exact radiance: those it was chosen on, and those that were set aside to judge it.
 Writes results/bench/rank_k_sweep.csv (a quarter of an hour).
 """
@@ -25,7 +25,7 @@ import rfpipe
 from benchmarks.harness import errors, write
 from benchmarks.rooms import Ball, Box, Room, transport
 from rfpipe.methods.symmetric import method as symmetric
-from rfpipe.methods.symmetric import rank_k as nystroem
+from rfpipe.methods.symmetric import rank_test as nystroem
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns

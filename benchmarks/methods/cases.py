@@ -14,7 +14,7 @@ from benchmarks.methods.scenes import settings_of
 from benchmarks.rivals import RIVALS
 from rfpipe.errors import InputError
 from rfpipe.methods import Method, get_method, method_names
-from rfpipe.methods.registry import options_of
+from rfpipe.methods.base import options_of
 from rfpipe.photometry import CameraModel
 from rfpipe.plugins import METHODS, sources_of
 from rfpipe.provenance import code_digest, fingerprint

@@ -7,10 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.symmetric.nodes import Frontier, Pairs, child_pairs
-from rfpipe.methods.symmetric.pieces import Pieces, Subdivided
-from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
-from rfpipe.methods.symmetric.rank_test import Limits
+from rfpipe.methods.symmetric.nodes import Frontier, Pairs, Pieces, Subdivided, child_pairs
+from rfpipe.methods.symmetric.rank_test import Limits, predictable, rank_k_leaves
 
 SEEDS = st.integers(0, 2**32 - 1)
 shapes = st.tuples(st.integers(5, 20), st.integers(5, 20))

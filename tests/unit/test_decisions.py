@@ -11,10 +11,10 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.estimate import Estimate, Held
 from rfpipe.methods.adaptive.footprints.method import Footprints
 from rfpipe.methods.adaptive.near_far import BLOCKS, ROUNDS, NearFar, NearFarState
-from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.adaptive.residual import Residual
 from rfpipe.methods.adaptive.rounds import AdaptiveState
 from rfpipe.methods.base import ErrorOptions
+from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import level_row
 from rfpipe.scenes import reference_scene
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -36,7 +36,7 @@ def decided(state: NearFarState, errors: Sequence[float], noise: bool = False) -
     estimates = tuple(Estimate(error, error, error, share * error, 10 * error) for error in errors)
     assert all(found.is_noise is noise for found in estimates)
     return METHOD.decided(
-        replace(state, following=METHOD.slot(state), estimates=estimates)
+        replace(state, following=METHOD.slot(state)[0], estimates=estimates)
     ).following
 
 
@@ -111,7 +111,8 @@ def test_every_level_is_for_one_thing() -> None:
     rays = RayDomain((16, 16))  # five levels of blocks
     state = METHOD.start(rays, rays, 1, ErrorOptions())
     kinds = [
-        METHOD.slot(replace(state, level=level)) for level in range(1, METHOD.n_levels(rays, rays))
+        METHOD.slot(replace(state, level=level))[0]
+        for level in range(1, METHOD.n_levels(rays, rays))
     ]
     blocks = ["residual"] * len(BLOCKS)
     assert kinds == ["model"] * len(ROUNDS) + blocks + ["hierarchy"] * 4 + blocks

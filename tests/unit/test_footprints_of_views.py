@@ -12,14 +12,14 @@ from tests.helpers import dense
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import options_of
-from rfpipe.methods.adaptive.footprints.both_ways import (
+from rfpipe.methods.adaptive.footprints.candidates import Candidates as Found
+from rfpipe.methods.adaptive.footprints.candidates import (
     averaged,
     joined,
     split,
     with_other_way,
 )
-from rfpipe.methods.adaptive.footprints.candidates import Candidates as Found
-from rfpipe.methods.adaptive.footprints.chart import chart_of
+from rfpipe.methods.adaptive.footprints.functions import chart_of
 from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
 from rfpipe.scenes import room_scene
 from rfpipe.stages.evaluate import relative_rms

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rfpipe.methods.adaptive.posterior import Posterior
-from rfpipe.methods.adaptive.residual import Canvas, CellPictures, residual_of
+from rfpipe.methods.adaptive.residual import Canvas, CellPictures, Posterior, residual_of
 from rfpipe.methods.states import joined
 from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene

@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 from rfpipe.methods.adaptive.patterns import probe_patterns
-from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.adaptive.smooth import as_transport, fit
-from rfpipe.methods.adaptive.smooth_fit import Evidence, Observations, Patches, solve
-from rfpipe.methods.conjugate_gradients import conjugate_gradients
+from rfpipe.methods.adaptive.smooth_fit import (
+    Evidence,
+    Observations,
+    Patches,
+    conjugate_gradients,
+    solve,
+)
+from rfpipe.methods.images import Pictures
 from rfpipe.scenes import reference_scene
 from rfpipe.transport.multiscale import MultiscaleBasis, cells, functions_over
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.fitting.folder import Float, Series
 from rfpipe.fitting.linear import Linear, solve_linear
-from rfpipe.fitting.series import Float, Series
-from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.adaptive.residual import Canvas, residual_of
 from rfpipe.methods.adaptive.smooth import as_transport, fit
+from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import joined, level_row
 from rfpipe.provenance import generator
 from rfpipe.scenes.relighting import relighting_patterns

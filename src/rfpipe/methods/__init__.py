@@ -1,6 +1,13 @@
 """Acquisition methods: each one a class that describes itself, found by its name."""
 
-from rfpipe.methods.base import LevelImages, Method, Options, Pack
-from rfpipe.methods.registry import get_method, method_names, options_of
+from rfpipe.methods.base import (
+    LevelImages,
+    Method,
+    Options,
+    Pack,
+    get_method,
+    method_names,
+    options_of,
+)
 
 __all__ = ["LevelImages", "Method", "Options", "Pack", "get_method", "method_names", "options_of"]

@@ -104,9 +104,9 @@ class Targeted(Adaptive):
         """The inner method."""
         return self._inner
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the depth of the block tree, and two levels of held-out pictures."""
-        return self._inner.n_levels(camera, projector) + 2
+    def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
+        """Return the tree's levels, and two of held-out pictures, in whichever order."""
+        return (("any", 0),) * (BlockTree(projector).n_levels + 1)
 
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Guess the patterns from those of the inner method."""
@@ -133,12 +133,9 @@ class Targeted(Adaptive):
         begun = self._inner_start(state)
         return replace(state, inner=begun, best=begun)
 
-    def slot(self, state: AdaptiveState) -> str:
+    def slot(self, state: AdaptiveState, back: int = 0) -> tuple[str, int]:
         """Return what follows: no level is kept for anything else."""
-        return state.following
-
-    def _in_round(self, state: AdaptiveState) -> int:
-        return 0
+        return state.following, 0
 
     def _nearness(self, state: AdaptiveState) -> Float:
         return nearness(self.transport(state))
@@ -160,15 +157,6 @@ class Targeted(Adaptive):
         if isinstance(after, TargetedState) and not after.held:
             after = replace(after, best=after.inner).changed(best_level=after.inner.level)
         return self.decided(after)
-
-    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
-        return state
-
-    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        return np.zeros((count, *state.projector.shape), np.bool_)
-
-    def _dark(self, state: AdaptiveState) -> None:
-        """Return None: nothing is known of direct light."""
 
     def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield the transport of the inner method's best state."""

@@ -21,12 +21,11 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import smooth_light
 from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT
 from rfpipe.methods.adaptive.patterns import block_patterns, probe_patterns
-from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.adaptive.residual import MOST_CELLS, Canvas, Residual, cells_of, residual_of
 from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState
 from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit, light_range
-from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method
-from rfpipe.methods.registry import get_method
+from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method, get_method
+from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import joined, kept, level_row
 from rfpipe.transport.base import Transport
 from rfpipe.transport.sum import SumTransport
@@ -71,47 +70,25 @@ class NearFar(Adaptive):
         """Symmetric photography."""
         return get_method("symmetric")
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the floodlit level, all rounds, and the levels of symmetric photography."""
-        self.check(camera, projector)
-        return len(ROUNDS) + 2 * len(BLOCKS) + BlockTree(projector).n_levels
-
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
         """Return those of a scene in which no block is of low rank, after all rounds."""
         return self.most + self.hierarchy.most_patterns(camera, projector, options)
 
-    def slot(self, state: AdaptiveState) -> str:
-        """Return what the next level is for."""
-        return self._slot(state, state.level)
-
-    def _slot(self, state: AdaptiveState, level: int) -> str:
-        """Return what a level is for.
-
-        Rounds of smooth light come first, then rounds of what they leave, then the levels of
-        symmetric photography below its floodlit one, then rounds of what those leave.
-        """
-        before = len(ROUNDS) + len(BLOCKS)
-        if len(ROUNDS) < level <= before or level >= before + self._depth(state):
-            return "residual"
-        return "model" if level <= len(ROUNDS) else "hierarchy"
-
-    @staticmethod
-    def _depth(state: AdaptiveState) -> int:
-        return BlockTree(state.projector).n_levels
+    def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
+        """Return rounds of smooth light, of what it leaves, the hierarchy, and what that leaves."""
+        model = tuple(("model", count) for count in ROUNDS)
+        residual = tuple(("residual", count) for count in BLOCKS)
+        below = (("hierarchy", 0),) * (BlockTree(projector).n_levels - 1)
+        return (*model, *residual, *below, *residual)
 
     def _in_round(self, state: AdaptiveState) -> int:
-        if self.slot(state) == "model":
-            return ROUNDS[state.level - 1]
-        if state.reached:  # all that is left is to see whether spots are as good
-            return 0
-        before = len(ROUNDS) + 1
-        if state.inner is not None:
-            before += len(BLOCKS) + self._depth(state) - 1
-        return BLOCKS[state.level - before]
+        kind, count = self.slot(state)
+        # at the target, all that is left is to see whether spots are as good
+        return 0 if kind == "residual" and state.reached else count
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         shape, level = state.projector.shape, state.level
-        if self.slot(state) == "residual":
+        if self.slot(state)[0] == "residual":
             return block_patterns(cells_of(shape), level, count)
         return probe_patterns(shape, level, count, self._range(state) if level > 1 else None)
 
@@ -134,7 +111,7 @@ class NearFar(Adaptive):
     def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Fit smooth light, or what the better model leaves of all pictures."""
         shape, level = state.projector.shape, state.level - 1
-        if self._slot(state, level) == "model":
+        if self.slot(state, back=1)[0] == "model":
             count = images.schedule.count
             more = Pictures.read(images, state.channels, state.projector.size, first, count)
             state = state.changed(taken=more)
@@ -207,14 +184,14 @@ class NearFar(Adaptive):
         """Let symmetric photography refine a level; its pictures serve later rounds, too."""
         if images.schedule.count:
             new["others"] = Canvas.of(state.projector.shape, state.pictures).read(images)
-        if self._slot(state, state.level + 1) == "residual":
+        if self.slot(state, back=-1)[0] == "residual":
             new["following"] = "residual"
         return super()._descend(state, images, memory_bytes, **new)
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on, go another way, or end."""
-        just = self._slot(state, state.level - 1)
-        following = smooth_light(state, just, self.slot(state), self._depth(state))
+        just, depth = self.slot(state, back=1)[0], BlockTree(state.projector).n_levels
+        following = smooth_light(state, just, self.slot(state)[0], depth)
         if following == "hierarchy":
             _log.info("light goes to single places; going on with symmetric photography")
             # of the benchmark's coaxial scenes, relit pictures are off by one to five tolerances of

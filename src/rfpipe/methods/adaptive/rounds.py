@@ -18,11 +18,17 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, Held, error_of
 from rfpipe.methods.adaptive.patterns import held_out_shapes, held_out_spots, held_out_strip
-from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.adaptive.residual import CellPictures, Residual
-from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages, Method, Pack
-from rfpipe.methods.images import FloodlitImage, RenumberedImages
-from rfpipe.methods.registry import options_of
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    ErrorOptions,
+    Float,
+    LevelImages,
+    Method,
+    Pack,
+    options_of,
+)
+from rfpipe.methods.images import FloodlitImage, Pictures, RenumberedImages
 from rfpipe.methods.states import (
     MethodState,
     PackingMethod,
@@ -137,32 +143,45 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """The method that goes down the block tree."""
 
     @abstractmethod
-    def slot(self, state: AdaptiveState) -> str:
-        """Return what the next level is for; where something else follows it shows nothing."""
+    def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
+        """Return what each level below the floodlit one is for, and its round's patterns.
 
-    @abstractmethod
+        Where something else follows, a level shows nothing.
+        """
+
+    def slot(self, state: AdaptiveState, back: int = 0) -> tuple[str, int]:
+        """Return what the next level is for, or one so many before, and its round's patterns."""
+        levels = self.levels(state.projector)
+        return levels[min(state.level - back, len(levels)) - 1]
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the floodlit level, all rounds, and the levels of the hierarchy."""
+        self.check(camera, projector)
+        return 1 + len(self.levels(projector))
+
     def _in_round(self, state: AdaptiveState) -> int:
         """Return how many patterns the next round shows, held-out ones not counted."""
+        return self.slot(state)[1]
 
-    @abstractmethod
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         """Return the next round's patterns, (count, *shape)."""
+        return np.zeros((count, *state.projector.shape), np.bool_)
 
     @abstractmethod
     def _nearness(self, state: AdaptiveState) -> Float:
         """Return how much of each ray's light stays near, (*shape)."""
 
-    @abstractmethod
     def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Return the state with a fit to a round's images, too, from the first on."""
+        return state
 
     @abstractmethod
     def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield what may be returned."""
 
-    @abstractmethod
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_] | None:
-        """Return the camera pixels without direct light in the first held-out picture."""
+        """Return the camera pixels without direct light in the first held-out picture, if known."""
+        return None
 
     @abstractmethod
     def decided(self, state: AdaptiveState) -> AdaptiveState:
@@ -182,7 +201,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         return self.State(camera, projector, channels, options)
 
     def _due(self, state: AdaptiveState) -> str:
-        return state.following if state.following == self.slot(state) else "done"
+        return state.following if state.following == self.slot(state)[0] else "done"
 
     def _asked(self, state: AdaptiveState) -> tuple[int, int]:
         """Return how many held-out pictures a round shows, and how many others."""

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.pictures import SIGNIFICANT, Pictures
 from rfpipe.methods.adaptive.smooth_fit import Evidence, Observations, Patches, Prior, solve
 from rfpipe.methods.base import Float
+from rfpipe.methods.images import SIGNIFICANT, Pictures
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale import (

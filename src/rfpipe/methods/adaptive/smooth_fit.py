@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.base import Float
-from rfpipe.methods.conjugate_gradients import conjugate_gradients
+from rfpipe.methods.images import Pictures
 from rfpipe.transport.multiscale import MultiscaleBasis
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
 
 # Octaves of distance among which indirect light is shared a priori: rather many, for small cores;
 # the data soon say better.
@@ -255,3 +256,56 @@ def solve(
         start = np.divide(start, deviations, out=np.zeros_like(goal), where=deviations > 0)
     found = conjugate_gradients(normal, goal, scaling.__mul__, start, tolerance, most)
     return deviations * found
+
+
+def conjugate_gradients(
+    normal: Callable[[Float], Float],
+    goal: Float,
+    precondition: Callable[[Float], Float],
+    start: Float | None,
+    tolerance: float,
+    most: int,
+    *,
+    weighed: bool = True,
+) -> Float:
+    """Solve ``normal(x) = goal``, normal symmetric and positive.
+
+    Parameters
+    ----------
+    normal : callable
+    goal : ndarray of float32
+    precondition : callable
+        About the inverse of normal.
+    start : ndarray of float32 or None
+        None for 0.
+    tolerance : float
+        Part of the goal's norm that may be left.
+    most : int
+        Iterations at most.
+    weighed : bool
+        Whether the norm is that which `precondition` makes, or the plain one.
+    """
+    solution = np.zeros_like(goal) if start is None else start
+    rest = goal if start is None else goal - normal(start)
+    step = direction = precondition(rest)
+    energy = _dot(rest, step)
+    enough = tolerance**2 * _dot(goal, precondition(goal) if weighed else goal)
+    for _ in range(most):
+        if energy <= 0 or (energy if weighed else _dot(rest, rest)) <= enough:
+            break
+        image = normal(direction)
+        curvature = _dot(direction, image)
+        if curvature <= 0:  # rounding is all that is left
+            break
+        length = np.float32(energy / curvature)
+        solution, rest = solution + length * direction, rest - length * image
+        step = precondition(rest)
+        before, energy = energy, _dot(rest, step)
+        direction = step + np.float32(energy / before) * direction
+    return solution
+
+
+def _dot(a: Float, b: Float) -> float:
+    # not BLAS: its threads change the sum's last bits, and wait for each other on a busy machine
+    axes = "ij"[: a.ndim]
+    return float(np.einsum(f"{axes},{axes}->", a, b, dtype=np.float64))

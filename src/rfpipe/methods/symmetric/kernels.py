@@ -1,12 +1,8 @@
 """Compiled kernels of symmetric photography (thesis §5.1, C.2).
 
-A *piece* ``(k, b)`` is what block ``k`` of the camera received while block ``b`` was lit. The two
-pieces of a pair of blocks stand one after the other, pair after pair; on the diagonal there is
-one. Images are planar and in tree order, so that a piece of an image is one run. Arguments are the
-named tuples of `rfpipe.methods.symmetric.nodes`.
+A *piece* ``(k, b)`` is what block ``k`` of the camera received while block ``b`` was lit. Images
+are planar and in tree order: a piece of an image is one run. See `rfpipe.methods.symmetric.nodes`.
 """
-
-from __future__ import annotations
 
 import numba
 import numpy as np

@@ -17,16 +17,17 @@ from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, TargetOpt
 from rfpipe.methods.states import MethodState, grown, joined, kept, level_row
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
+    Subdivided,
+    affordable,
     as_leaves,
     child_blocks,
     child_counts,
     child_pairs,
+    collect,
     compared_pixels,
     no_nodes,
     select,
 )
-from rfpipe.methods.symmetric.pieces import Subdivided, affordable, collect
-from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
 from rfpipe.methods.symmetric.rank_test import (
     AGREES,
     CLOSE,
@@ -34,6 +35,8 @@ from rfpipe.methods.symmetric.rank_test import (
     Found,
     Limits,
     classify,
+    predictable,
+    rank_k_leaves,
     rank_test,
 )
 from rfpipe.patterns import Schedule

@@ -5,8 +5,6 @@ over b under the children of a; and ``W``, the energies of all pairs of children
 diagonal, so that the pair of children (i, j) is number ``i * children of b + j`` of its node.
 """
 
-from __future__ import annotations
-
 import math
 
 import numba

@@ -15,8 +15,7 @@ import numpy as np
 from rfpipe.methods.adaptive.footprints.candidates import Precision
 from rfpipe.methods.adaptive.footprints.functions import Functions
 from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
-from rfpipe.methods.adaptive.smooth_fit import learned
-from rfpipe.methods.conjugate_gradients import conjugate_gradients
+from rfpipe.methods.adaptive.smooth_fit import conjugate_gradients, learned
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

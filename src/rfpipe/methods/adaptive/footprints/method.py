@@ -23,10 +23,9 @@ from rfpipe.methods.adaptive.footprints.candidates import Candidates
 from rfpipe.methods.adaptive.footprints.model import Model, find
 from rfpipe.methods.adaptive.footprints.series import series_of, unit_of
 from rfpipe.methods.adaptive.patterns import view_patterns
-from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState
-from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method
-from rfpipe.methods.registry import get_method, options_of
+from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method, get_method, options_of
+from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import kept
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport
@@ -97,10 +96,6 @@ class Footprints(Adaptive):
         """Dual photography."""
         return get_method("dual")
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the floodlit level, all rounds, and the levels of dual photography."""
-        return len(ROUNDS) + BlockTree(projector).n_levels
-
     def expected_patterns(
         self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
     ) -> int:
@@ -112,15 +107,16 @@ class Footprints(Adaptive):
         own = options_of(self.hierarchy)
         return most_of(projector.views) + self.hierarchy.most_patterns(camera, projector, own)
 
-    def slot(self, state: AdaptiveState) -> str:
-        """Return what the next level is for: rounds, then the levels of dual photography."""
-        return "model" if state.level <= len(ROUNDS) else "hierarchy"
+    def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
+        """Return rounds, then the levels of dual photography below its floodlit one."""
+        rounds = (("model", in_round(k, projector.views)) for k in range(len(ROUNDS)))
+        return (*rounds, *(("hierarchy", 0),) * (BlockTree(projector).n_levels - 1))
 
     def _in_round(self, state: AdaptiveState) -> int:
         """Return the patterns of the next round; none where held-out ones are all that is left."""
         if state.unfit or state.reached:
             return 0
-        return in_round(state.level - 1, state.projector.views)
+        return super()._in_round(state)
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         return view_patterns(state.projector.shape, state.level, count)

@@ -18,35 +18,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.footprints.both_ways import (
-    averaged,
-    is_symmetric,
-    joined,
-    reconciled,
-    split,
-    with_other_way,
-)
 from rfpipe.methods.adaptive.footprints.candidates import (
     Candidates,
     Precision,
+    averaged,
     first_footprints,
     found_anew,
+    is_symmetric,
+    joined,
+    reconciled,
     reweighted,
+    split,
+    with_other_way,
 )
-from rfpipe.methods.adaptive.footprints.chart import Chart, chart_of
 from rfpipe.methods.adaptive.footprints.exchange import FULLY, NEARLY, ROUGHLY, Exchange
 from rfpipe.methods.adaptive.footprints.functions import (
     Carry,
+    Chart,
     Functions,
     camera_factor,
     carry_of,
+    chart_of,
     projector_factor,
     shared_rays,
 )
 from rfpipe.methods.adaptive.footprints.matching import Templates
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, Series
 from rfpipe.methods.adaptive.patterns import SEED
-from rfpipe.methods.adaptive.pictures import SIGNIFICANT
+from rfpipe.methods.images import SIGNIFICANT
 from rfpipe.provenance import generator
 from rfpipe.transport.multiscale import (
     MultiscaleBasis,

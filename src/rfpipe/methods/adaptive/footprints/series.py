@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.adaptive.pictures import SIGNIFICANT, Pictures
+from rfpipe.methods.images import SIGNIFICANT, Pictures
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
