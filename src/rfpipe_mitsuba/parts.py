@@ -73,18 +73,10 @@ def both_sides(material: Part) -> Part:
 
 
 def body(shape: Part, depth: float, forward: float, *colour: float) -> Part:
-    """Return a shape filled with a translucent medium, its boundary not bending light.
+    """Return a closed shape filled with a translucent medium, its boundary not bending light.
 
-    Parameters
-    ----------
-    shape
-        A closed one. Two of them mustn't meet.
-    depth
-        Mean free path of light in it, in scene units.
-    forward
-        Mean cosine of the angle of scattering, -1 to 1.
-    colour
-        Share of the light that is scattered rather than absorbed, in all or of each channel.
+    `depth` is the mean free path of light, `forward` the mean cosine of the angle of scattering,
+    `colour` the share of light that is scattered rather than absorbed. Bodies mustn't meet.
     """
     medium = {
         "type": "homogeneous",
@@ -98,14 +90,7 @@ def body(shape: Part, depth: float, forward: float, *colour: float) -> Part:
 def sheet(centre: Vector, right: Vector, up: Vector, material: Part) -> Part:
     """Return a parallelogram, seen from both sides.
 
-    Parameters
-    ----------
-    centre
-        Its centre.
-    right, up
-        From the centre to the middles of two neighbouring edges; a texture's u and v.
-    material
-        Its surface.
+    `right` and `up` go from its centre to the middles of neighbouring edges: a texture's u and v.
     """
     ahead = np.cross(right, up)
     to_world = _rows(centre, right, up, ahead / np.linalg.norm(ahead))
@@ -137,14 +122,8 @@ def pillar(foot: Vector, height: float, radius: float, material: Part) -> Part:
 def turned(foot: Vector, profile: ArrayLike, material: Part) -> Part:
     """Return a body as turned on a lathe: a mesh, closed if its profile ends on the axis.
 
-    Parameters
-    ----------
-    foot
-        Where its axis, which is upright, starts.
-    profile
-        Radii and heights (K, 2), upwards.
-    material
-        Its surface, whose outside is away from the axis.
+    The profile is radii and heights (K, 2), upwards from the foot of the upright axis; the outside
+    of its material is away from the axis.
     """
     around = 96  # corners of each ring
     radii, heights = np.asarray(profile, dtype=np.float64).T

@@ -59,13 +59,7 @@ class Recording:
     scale: float
 
     def piece(self, index: int) -> Channels:
-        """Read a run of rows, one matrix a channel, without the scale.
-
-        Raises
-        ------
-        IntegrityError
-            When it is missing or damaged.
-        """
+        """Read a run of rows, one matrix a channel, without the scale."""
         return _read(_transport(self.folder, index))
 
 
@@ -78,20 +72,9 @@ def record(
     *,
     coaxial: bool,
 ) -> Recording:
-    """Record a transport matrix, or find the one that was recorded.
+    """Record the transport of the scene that `scene` returns, or find the recording in the folder.
 
-    Parameters
-    ----------
-    scene
-        Returns Mitsuba's scene.
-    camera, projector
-        The two sides.
-    light
-        What is followed.
-    folder
-        Where the recording is kept. Another process that wants it waits for the one that makes it.
-    coaxial
-        Whether the two sides are one.
+    Another process that wants it waits for the one that makes it.
 
     Raises
     ------
@@ -181,10 +164,7 @@ def _traced(
 ) -> dict[tuple[int, int], Path]:
     """Trace `count` rows or columns of `others` entries, in runs that fit into memory.
 
-    Returns
-    -------
-    dict
-        First and last + 1 ray of each run to its file: three channels of either half.
+    Returns the file of each run, three channels of either half, by its first and last + 1 ray.
     """
     length = max(1, min(count, _PIECE_BYTES // (others * 3 * 8)))
     runs = {}

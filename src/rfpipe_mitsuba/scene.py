@@ -77,13 +77,7 @@ class MitsubaOptions(SceneSettings):
 
     @cached_property
     def world(self) -> World:
-        """The scene.
-
-        Raises
-        ------
-        InputError
-            When there is none of this name, or the file is no scene.
-        """
+        """The scene; raises InputError when there is none of this name, or the file is none."""
         if self.scene in WORLDS:
             return WORLDS[self.scene]
         path = Path(self.scene)
@@ -180,13 +174,7 @@ class MitsubaScene(Scene):
 
     @cached_property
     def recording(self) -> Recording:
-        """The recorded matrix; recorded now, unless it was before.
-
-        Raises
-        ------
-        InputError
-            When it wasn't, and there is no LLVM to record it with.
-        """
+        """The recorded matrix; recorded now, unless it was before."""
         described = {**self.describe(), "channels": 3}
         folder = Path(self.options.cache) / f"{self.world.name}-{fingerprint(described)[:12]}"
         return record(
@@ -200,11 +188,7 @@ class MitsubaScene(Scene):
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape).
 
-        Raises
-        ------
-        InputError
-            If the patterns don't have N rays each, no light comes back to the camera, or the
-            transport can't be recorded here.
+        Raises InputError where no light comes back to the camera, or it can't be recorded here.
         """
         radiance = self._rendered if self.options.light == "rendered" else self._recorded
         return apply_in_batches(

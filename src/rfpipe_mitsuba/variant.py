@@ -33,12 +33,7 @@ def load_mitsuba() -> Any:
     """Return the module of Mitsuba 3, its variant chosen.
 
     The vectorised one where a usable LLVM is found, else the scalar one, which is slow. A variant
-    that was chosen before stays.
-
-    Raises
-    ------
-    InputError
-        When Mitsuba isn't installed.
+    that was chosen before stays. Raises InputError when Mitsuba isn't installed.
     """
     library = usable_llvm()
     if library is not None:

@@ -121,10 +121,7 @@ def world_of_file(path: Path) -> World:
 def load_scene(world: World) -> Any:
     """Return Mitsuba's scene of a world: its shapes, without emitters.
 
-    Raises
-    ------
-    InputError
-        When Mitsuba can't make it: says what Mitsuba said.
+    Raises InputError with what Mitsuba said where Mitsuba can't make it.
     """
     mi = load_mitsuba()
     config, state = _parsed(world.build(), world.name)

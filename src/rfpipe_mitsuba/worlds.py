@@ -47,18 +47,8 @@ def view(origin: Vector, target: Vector, degrees: float, up: Vector = (0, 1, 0))
 def aside(degrees: float, distance: float, target: Vector, rise: float, field: float) -> View:
     """Return a view some degrees to the right of the z axis through its target.
 
-    Parameters
-    ----------
-    degrees
-        Around the vertical through the target.
-    distance
-        From that vertical.
-    target
-        At what it looks.
-    rise
-        How far above its target it stands.
-    field
-        Its field of view in degrees.
+    It stands at a distance from the vertical through the target, and rises above it; `field` is its
+    field of view in degrees.
     """
     turn = float(np.radians(degrees))
     x, y, z = target

@@ -18,9 +18,16 @@ from rfpipe.scenes import (
     scene_patterns,
     surface_points,
 )
-from rfpipe.scenes.geometries import names_of
+from rfpipe.scenes.geometries import (
+    INK,
+    PAPER,
+    SURFACE_TINTS,
+    WHITE,
+    names_of,
+    printed_page,
+    surface_albedo,
+)
 from rfpipe.scenes.surfaces import HIDDEN, MIXED, VISIBLE, is_hidden
-from rfpipe.scenes.textures import INK, PAPER, TINTS, WHITE, printed_page, surface_albedo
 
 ROOMS = tuple(GEOMETRIES)[2:]
 SQUARE = Occluder((0, 0, 1), (0.5, 0, 0), (0, 0.5, 0))  # in the plane z = 1
@@ -157,7 +164,7 @@ def test_albedo_has_the_stated_values_and_its_tint_stays_below_one():
     grey = surface_albedo("texture", (62, 70), 1, 0, 0)
     assert set(np.unique(grey)) == {INK, PAPER}
     assert (surface_albedo("white", (4, 5), 1, 0, 1) == WHITE).all()
-    for surface, tint in enumerate(TINTS):
+    for surface, tint in enumerate(SURFACE_TINTS):
         colour = surface_albedo("texture", (62, 70), 3, 0, surface)
         grey = surface_albedo("texture", (62, 70), 1, 0, surface)
         assert colour.max() < 0.95

@@ -25,10 +25,9 @@ from rfpipe.scenes import (
 )
 from rfpipe.scenes.clusters import ClusterTree, cluster_pairs
 from rfpipe.scenes.formfactors import facing_pairs
-from rfpipe.scenes.geometries import TINTS, names_of
+from rfpipe.scenes.geometries import TINTS, WHITE, names_of
 from rfpipe.scenes.hard import PLATE
 from rfpipe.scenes.radiosity import DENSE_LIMIT, FormFactors
-from rfpipe.scenes.textures import WHITE
 
 TILTED = Occluder((0.2, 0.1, 1.5), (0.2, 0, 0.1), (0, 0.15, 0.05))  # seen by the camera
 

@@ -124,17 +124,8 @@ class CameraModel(Sensor):
     def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> Counts:
         """Take one bracket of a radiance image (*camera_shape, C); see `Sensor.expose`.
 
-        Returns
-        -------
-        ndarray of uint16
-            Shape `frame_shape`, values from 0 to `white_level`.
-
-        Raises
-        ------
-        CaptureError
-            Where the radiance is not finite or is negative.
-        InputError
-            When the image can't be sampled through the mosaic.
+        Counts uint16 of shape `frame_shape`, 0 to `white_level`. Raises InputError when the image
+        can't be sampled through the mosaic.
         """
         light = apply_optics(
             check_light(radiance, key), self.psf_sigma, self.vignetting, self.flare
@@ -256,13 +247,7 @@ class CountsMerge:
         self._noise = (noise + steps[0] if self._is_linear else noise).reshape(len(black), -1)
 
     def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
-        """Merge brackets ``(B, *frame_shape)``, the first of them that of pattern `first_index`.
-
-        Raises
-        ------
-        CaptureError
-            When frames have the wrong shape, dtype or range; names the pattern.
-        """
+        """Merge brackets ``(B, *frame_shape)``; see `BracketMerge`."""
         frames = np.asarray(frames)
         check_shape(frames, self._shape, first_index)
         check_frames(frames, self._camera.white_level, first_index)

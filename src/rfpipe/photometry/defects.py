@@ -31,12 +31,9 @@ class DefectMap:
     Parameters
     ----------
     mask : ndarray of bool, shape (*camera_shape)
-        The defects and, under a colour mosaic, their neighbours, which the interpolation fills
-        from them.
-    hot : int
-        Pixels with an outlying black level or noise.
-    dead : int
-        Others that read the same whatever happens, without even noise.
+        The defects and, under a colour mosaic, their neighbours, which are filled from them.
+    hot, dead : int
+        Pixels with an outlying black level or noise; others that read the same whatever happens.
     """
 
     mask: Mask
@@ -97,20 +94,7 @@ class DarkFrames:
 
 
 def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor) -> DefectMap:
-    """Find the pixels that are hot, dead or stuck.
-
-    Parameters
-    ----------
-    dark : DarkFrames
-        Of brackets of the all-off pattern as the sensor gives them.
-    floodlit_frames : ndarray, shape (E, ...)
-        A bracket of the all-on pattern.
-    sensor : Sensor
-        Tells frames with channels from those of a colour mosaic.
-
-    Returns
-    -------
-    DefectMap
+    """Find pixels that are hot, dead or stuck, by dark frames and a floodlit bracket (E, ...).
 
     Raises
     ------
@@ -146,17 +130,9 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
 
 
 def find_hot(dark: DarkFrames, floodlit_frames: NDArray[Any] | None = None) -> Mask:
-    """Find the photosites with an outlying black level or noise.
+    """Find the photosites with an outlying black level or noise: bool, shape of a frame.
 
-    Parameters
-    ----------
-    dark : DarkFrames
-    floodlit_frames : ndarray, optional
-        What the rounding of float32 frames is relative to; counts don't need it.
-
-    Returns
-    -------
-    ndarray of bool, shape of a frame
+    The rounding of float32 frames is relative to the floodlit ones; counts don't need them.
     """
     # the mean of dark frames is no more certain than their rounding
     floor = _rounding(dark.least.dtype, floodlit_frames) / np.sqrt(dark.count)
@@ -226,20 +202,10 @@ def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
 def check_floodlit(
     radiance: NDArray[Any], variance: NDArray[Any], significance: float = 5.0
 ) -> None:
-    """Raise CaptureError unless the floodlit image holds light.
+    """Raise CaptureError where the floodlit image is below the black level, black or not finite.
 
-    Parameters
-    ----------
-    radiance, variance : ndarray of float, any one shape
-        The merged floodlit image and its variance.
-    significance : float
-        Standard deviations of noise that light must exceed, in the sum over the image or, beyond
-        what the largest of as many noisy samples reaches, in a sample.
-
-    Raises
-    ------
-    CaptureError
-        When the image is below the black level, or all black; when it is not finite.
+    Light must exceed `significance` standard deviations of noise in the sum over the image or,
+    beyond what the largest of as many noisy samples reaches, in a sample.
     """
     image = np.asarray(radiance, np.float64)
     spread = np.asarray(variance, np.float64)
@@ -267,14 +233,8 @@ def warn_if_dim(radiance: NDArray[Any], variance: NDArray[Any], significance: fl
     """Warn where a single picture of full light is hardly brighter than its noise.
 
     Patterns light a part of the projector, and indirect light is a part of theirs: what full light
-    leaves near the noise, they leave below it.
-
-    Parameters
-    ----------
-    radiance, variance : ndarray of float, any one shape
-        The mean floodlit image, and the variance of one picture.
-    significance : float
-        Standard deviations of noise that a pixel's mean light should exceed.
+    leaves near the noise, they leave below it. Given are the mean floodlit image and the variance
+    of one picture, of any one shape.
     """
     light = float(np.mean(radiance, dtype=np.float64))
     noise = float(np.sqrt(np.mean(variance, dtype=np.float64)))

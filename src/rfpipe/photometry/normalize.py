@@ -28,8 +28,6 @@ class Normalization:
         For "total_energy" it multiplies an image's value summed over channels.
     covered : ndarray of bool, shape (*camera_shape, C)
         Samples that are scaled; the corrected images add up to the floodlit image there.
-    mode : str
-        "none", "per_channel" or "total_energy".
     """
 
     gain: NDArray[np.float32]
@@ -121,20 +119,11 @@ def level_gain(
 def apply(
     images: NDArray[np.float32], variance: NDArray[np.float32], normalization: Normalization
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Scale images of a level.
+    """Scale images of a level and their variance, float32 (P, *camera_shape, C).
 
-    Parameters
-    ----------
-    images, variance : ndarray of float32, shape (P, *camera_shape, C)
-        Radiance and its variance.
-    normalization : Normalization
-
-    Returns
-    -------
-    images, variance : ndarray of float32, same shape
-        The inputs themselves where nothing is covered. The noise of the gain is not part of the
-        variance: it is common to all images of the level and below theirs. A channel whose light
-        was taken away (gain 0) keeps its variance.
+    Returns the inputs themselves where nothing is covered. The noise of the gain is not part of the
+    variance: it is common to all images of the level and below theirs. A channel whose light was
+    taken away (gain 0) keeps its variance.
     """
     if not normalization.covered.any():
         return images, variance

@@ -26,10 +26,9 @@ class Merged:
 
     Parameters
     ----------
-    radiance : ndarray of float32, shape (B, *camera_shape, C)
-        In units of the transport matrix; finite; noise may take it below zero.
-    variance : ndarray of float32, same shape
-        Variance of `radiance`; finite, not negative, 0 for exact radiance.
+    radiance, variance : ndarray of float32, shape (B, *camera_shape, C)
+        In units of the transport matrix; finite; noise may take radiance below zero. The variance
+        is 0 of exact radiance.
     saturated : int
         Samples (photosites under a mosaic, else pixels times channels) of the batch that were
         saturated in every exposure. Their radiance is a lower bound, their deviation a quarter of

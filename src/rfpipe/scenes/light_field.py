@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.scenes.geometries import require_kinds, surface_albedo
 from rfpipe.scenes.radiosity import RadiosityScene, Rays
 from rfpipe.scenes.sight import Pinhole, Points, overlaps, sight_of
 from rfpipe.scenes.surfaces import Rectangle, Vector, block, lying, rotation, standing, vector
-from rfpipe.scenes.textures import require_kinds, surface_albedo
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

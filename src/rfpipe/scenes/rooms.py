@@ -15,12 +15,11 @@ from rfpipe.config.scenes import SceneSettings, Views
 from rfpipe.errors import InputError
 from rfpipe.scenes.aside import aside_scene
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometries import GEOMETRIES, TINTS, names_of
+from rfpipe.scenes.geometries import GEOMETRIES, TINTS, names_of, require_kinds, surface_albedo
 from rfpipe.scenes.light_field import ROOM_SURFACES, room_scene
 from rfpipe.scenes.radiosity import DENSE_LIMIT, RadiosityScene
 from rfpipe.scenes.sight import Pinhole, surface_points
 from rfpipe.scenes.surfaces import Occluder, Vector, is_hidden
-from rfpipe.scenes.textures import require_kinds, surface_albedo
 
 REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
     "I": ("plane", ("texture",)),
