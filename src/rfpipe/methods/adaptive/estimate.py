@@ -19,13 +19,9 @@ MOST_HELD_OUT = 3 * HELD_OUT
 
 @dataclass(frozen=True)
 class Held:
-    """Pictures that no fit sees, each pattern's twice in a row.
+    """Pictures (2 or 6, C, M) that no fit sees, each pattern's twice in a row.
 
-    Attributes
-    ----------
-    lit : ndarray of bool, shape (2 or 6, N)
-        A pattern of random shapes, then the strip where most light stays near and small spots.
-    radiance : ndarray of float32, shape (2 or 6, C, M)
+    A pattern of random shapes, then the strip where most light stays near and small spots.
     """
 
     lit: NDArray[np.bool_]

@@ -41,14 +41,9 @@ def cells_of(shape: tuple[int, ...], most: int = MOST_CELLS) -> Cells:
 
 @dataclass(frozen=True)
 class CellPictures:
-    """Pictures, summed over cells.
+    """Pictures of patterns (P, N), summed over cells, (P, C, cells); see `Canvas.reduced`.
 
-    Attributes
-    ----------
-    lit : ndarray of bool, shape (P, N)
-        The patterns, in pixels.
-    radiance, variance : ndarray of float32, shape (P, C, cells)
-        See `Canvas.reduced`; the variance is infinite where a cell has no known pixel.
+    The variance is infinite where a cell has no known pixel.
     """
 
     lit: NDArray[np.bool_]
@@ -57,15 +52,7 @@ class CellPictures:
 
 
 class Canvas:
-    """What all pictures of an acquisition share.
-
-    Parameters
-    ----------
-    cells : Cells
-    floodlit : ndarray of float32, shape (C, N)
-    known : ndarray of bool, shape (N,)
-        Pixels that the pictures show.
-    """
+    """What all pictures share: cells, the floodlit image (C, N), and the pixels shown, (N,)."""
 
     def __init__(self, cells: Cells, floodlit: Float, known: NDArray[np.bool_]) -> None:
         self.cells, self.known = cells, known
@@ -129,13 +116,7 @@ class Canvas:
 
 @dataclass(frozen=True)
 class Residual:
-    """What a model leaves, as `WaveletTransport` has it.
-
-    Attributes
-    ----------
-    pairs : ndarray of int32, shape (2, pairs)
-    cores : ndarray of float32, shape (C, pairs)
-    """
+    """What a model leaves, as `WaveletTransport` has it: pairs (2, pairs), cores (C, pairs)."""
 
     pairs: NDArray[np.int32]
     cores: Float

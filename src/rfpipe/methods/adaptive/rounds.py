@@ -51,11 +51,8 @@ class AdaptiveState(MethodState):
     following : str
         What the next level that shows patterns is for: ``model``, ``residual``, ``hierarchy``,
         ``held`` (held-out pictures alone) or ``done``.
-    taken : Pictures, optional
-        Pictures of the model's rounds, the floodlit one first.
-    others : CellPictures, optional
-        Those of all other levels, which are looked at in cells alone.
-    held : Held, optional
+    taken, others : Pictures and CellPictures, optional
+        Of the model's rounds, the floodlit one first; of all other levels, in cells alone.
     estimates : sequence of Estimate
         After each level that had images, of what is returned from then on.
     model : object, optional

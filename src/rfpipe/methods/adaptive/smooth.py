@@ -44,16 +44,7 @@ _MOST_PAIRS = 2**24
 
 @dataclass(frozen=True)
 class Smooth:
-    """Smooth indirect light.
-
-    Attributes
-    ----------
-    shape : sequence of int
-        The ray domain.
-    functions : ndarray of int32, shape (n, 4)
-        See `MultiscaleBasis`.
-    cores : ndarray of float32, shape (C, pairs)
-    """
+    """Smooth indirect light: int32 functions (n, 4) of `MultiscaleBasis`, cores (C, pairs)."""
 
     shape: Sequence[int]
     functions: NDArray[np.int32]

@@ -268,22 +268,10 @@ def conjugate_gradients(
     *,
     weighed: bool = True,
 ) -> Float:
-    """Solve ``normal(x) = goal``, normal symmetric and positive.
+    """Solve ``normal(x) = goal``, normal symmetric and positive, in at most so many iterations.
 
-    Parameters
-    ----------
-    normal : callable
-    goal : ndarray of float32
-    precondition : callable
-        About the inverse of normal.
-    start : ndarray of float32 or None
-        None for 0.
-    tolerance : float
-        Part of the goal's norm that may be left.
-    most : int
-        Iterations at most.
-    weighed : bool
-        Whether the norm is that which `precondition` makes, or the plain one.
+    `precondition` is about the inverse of normal, `start` None for 0, `tolerance` the part of the
+    goal's norm that may be left: `weighed` by the preconditioner, or plain.
     """
     solution = np.zeros_like(goal) if start is None else start
     rest = goal if start is None else goal - normal(start)

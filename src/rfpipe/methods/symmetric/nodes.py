@@ -24,17 +24,7 @@ _NODES_AT_A_TIME = 2**15
 
 
 class Grid(NamedTuple):
-    """The blocks of a level, for kernels.
-
-    Attributes
-    ----------
-    starts : ndarray of int64, shape (n_blocks + 1,)
-        First tree positions of the level's blocks.
-    children : ndarray of int64, shape (n_blocks + 1,)
-        Each block's first child, a block of the next level.
-    below : ndarray of int64
-        First tree positions of the next level's blocks.
-    """
+    """The blocks of a level, for kernels: first tree positions, first children, and theirs."""
 
     starts: Index
     children: Index
@@ -233,16 +223,7 @@ class Divided(NamedTuple):
 class Subdivided:
     """Unknown nodes of a level, and what the next level's images say of their children.
 
-    Attributes
-    ----------
-    tree : BlockTree
-    level : int
-        Of the nodes; the children's is the next.
-    nodes : Frontier
-    first_pair : ndarray of int64, shape (n + 1,)
-        Node ``i``'s children are the pairs ``first_pair[i]:first_pair[i + 1]``.
-    pieces : Pieces
-        Of the children.
+    Node ``i``'s children are the pairs ``first_pair[i]:first_pair[i + 1]``, of the next level.
     """
 
     tree: BlockTree

@@ -106,15 +106,7 @@ def projector_factor(carry: Carry, factor: Float, floodlit: Float) -> Float:
 
 @dataclass(frozen=True)
 class Functions:
-    """Functions over the rays of both sides.
-
-    Attributes
-    ----------
-    camera : MultiscaleBasis
-    own : MultiscaleBasis
-        The projector's own.
-    carry : Carry
-    """
+    """Functions over the rays of both sides, with the projector's own."""
 
     camera: MultiscaleBasis
     own: MultiscaleBasis
@@ -252,14 +244,9 @@ class Functions:
 
 @dataclass(frozen=True)
 class Chart:
-    """An image of which every camera ray sees a place.
+    """An image of which every camera ray sees a place, row and column in pixels, (rays, 2).
 
-    Attributes
-    ----------
-    shape : tuple of int
-        ``(h, w)``, or the camera's own where each ray is its own place.
-    places : ndarray of float64, shape (rays, 2), optional
-        Row and column in pixels; None where each ray is its own place.
+    Without places each ray is its own, and the shape is the camera's.
     """
 
     shape: tuple[int, ...]
@@ -284,15 +271,7 @@ class Chart:
 
 
 class ChartBasis(MultiscaleBasis):
-    """Functions on a chart.
-
-    Parameters
-    ----------
-    shape, functions
-        See `MultiscaleBasis`.
-    places : ndarray of float64, shape (rays, 2)
-        Row and column on the chart of each ray that `weights` are for.
-    """
+    """Functions on a chart; `weights` are for rays whose places, (rays, 2), lie on it."""
 
     def __init__(self, shape: tuple[int, ...], functions: Int32, places: Double) -> None:
         super().__init__(shape, functions)

@@ -68,15 +68,7 @@ Channel = tuple[Candidates, Exchange]
 
 @dataclass(frozen=True)
 class Model:
-    """What pictures tell of the transport.
-
-    Attributes
-    ----------
-    grey : Candidates
-        Candidates of the sum of the channels, with what a later search begins from.
-    channels : tuple of (Candidates, Exchange)
-        Candidates and indirect light of each.
-    """
+    """What pictures tell: the sum of channels, where a later search begins, and each of them."""
 
     grey: Candidates
     channels: tuple[Channel, ...]
