@@ -20,13 +20,7 @@ _LARGEST_MATRIX_BYTES = 8 * 2**30
 
 @dataclass(frozen=True)
 class ScanState(MethodState):
-    """The state of a scan.
-
-    Attributes
-    ----------
-    matrix : ndarray of float32, shape (C, camera rays, projector rays)
-        Zeros before the scan.
-    """
+    """The state of a scan: a matrix (C, camera rays, projector rays), zeros before it."""
 
     matrix: Float
 

@@ -29,10 +29,7 @@ from rfpipe.transport.base import Transport
 class Descent(PackingMethod[State]):
     """A method that goes down the projector's block tree, from the floodlit root to its rays.
 
-    Attributes
-    ----------
-    thesis_patterns : int
-        Those of a scene of the thesis at 310 x 350 rays, in ten levels.
+    `thesis_patterns` are those of a scene of the thesis at 310 x 350 rays, in ten levels.
     """
 
     trades = "tolerance"
@@ -86,10 +83,6 @@ class Targeted(Adaptive):
     After the floodlit image come pictures of random shapes; when those are predicted, or the tree
     is at its end, pictures of the strip where most light stays near and of small spots, too. None
     of them is shown to the inner method.
-
-    Parameters
-    ----------
-    inner : Descent
     """
 
     State = TargetedState

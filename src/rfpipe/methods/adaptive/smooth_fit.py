@@ -184,11 +184,7 @@ class Observations:
 class Prior:
     """How large cores are expected to be: independent normal deviates about zero.
 
-    Attributes
-    ----------
-    deviations : ndarray of float32, shape (pairs,)
-    group : ndarray of int64, shape (pairs,)
-        Pairs of the same two scales at about the same distance.
+    Pairs of the same two scales at about the same distance are a group; (pairs,) both.
     """
 
     deviations: Float
