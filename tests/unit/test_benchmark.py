@@ -20,7 +20,6 @@ from benchmarks.methods.cases import (
 )
 from benchmarks.methods.measure import measure
 from benchmarks.methods.page import failures, summary_of, tightest
-from benchmarks.methods.pictures import spots
 from benchmarks.methods.scenes import KINDS, stage_of
 
 from rfpipe.errors import InputError
@@ -193,12 +192,6 @@ def test_seeds_are_averaged_and_held_out_ones_kept_apart():
     assert summary.loc["open", "ratio"] == pytest.approx(1)  # half and twice
     assert summary.loc["held out", "error_mean"] == pytest.approx(0.5)
     assert list(summary["runs"]) == [2, 1]
-
-
-def test_spots_lie_in_each_view():
-    for picture in spots((3, 12, 16)).values():
-        assert picture.shape == (3, 12, 16)
-        assert (picture.sum(axis=(1, 2)) == 4).all()
 
 
 @pytest.mark.needs("llvm")

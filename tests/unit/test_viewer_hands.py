@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-import http.server
 import re
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 from tests.browsers import opened, wait_until
+from tests.serving import serving
 from tests.unit.test_viewer_program import planar
 from tests.viewers import transport_of
 
@@ -295,50 +292,9 @@ def test_views_are_chosen_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     page.context.close()
 
 
-class Ranged(http.server.SimpleHTTPRequestHandler):
-    """Gives ranges of files, as all web servers but Python's do."""
-
-    def send_head(self) -> Any:
-        asked = re.match(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-        if not asked:
-            return super().send_head()
-        first, last = map(int, asked.groups())
-        content = Path(self.translate_path(self.path)).read_bytes()[first : last + 1]
-        self.send_response(206)
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
-        return None
-
-    def log_message(self, *about: Any) -> None:
-        pass
-
-
-class Whole(http.server.SimpleHTTPRequestHandler):
-    """Python's own server."""
-
-    def log_message(self, *about: Any) -> None:
-        pass
-
-
-@contextmanager
-def served(folder: Path, handler: Any) -> Iterator[str]:
-    server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), functools.partial(handler, directory=str(folder))
-    )
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}"
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
-
-
-@pytest.mark.parametrize("handler", [Ranged, Whole])
+@pytest.mark.parametrize("ranges", [True, False])
 def test_a_large_transport_is_read_from_a_folder(
-    chromium: Any, tmp_path: Path, handler: Any
+    chromium: Any, tmp_path: Path, ranges: bool
 ) -> None:
     transport = transport_of("symmetric")
     compared = Compared(transport.relight(np.ones(SHAPE)), "the truth", is_truth=True)
@@ -353,15 +309,15 @@ def test_a_large_transport_is_read_from_a_folder(
     assert b"data:image/png" in text[:100_000]
     assert len(list((tmp_path / "big" / "levels").iterdir())) > 3
     assert not older.exists()
-    with served(tmp_path, handler) as address:
-        page = opened(chromium, f"{address}/big/", "#tool=flood&difference=true")
+    with serving(tmp_path, ranges=ranges) as served:
+        page = opened(chromium, f"{served.address}/big/index.html", "#tool=flood&difference=true")
         settled(page)
         alike(page, transport)
         wait_until(page, "still !== null")
         settled(page)
         assert "Differs by" in page.inner_text("#compared")
         assert page.said == []
-        page.goto(f"{address}/big.html")
+        page.goto(f"{served.address}/big.html")
         page.wait_for_url("**/big/index.html")
         page.context.close()
 
