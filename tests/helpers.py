@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.config import Config, parse_config
 from rfpipe.methods import Method
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, MethodRun, matrix_of, run_method
+from rfpipe.transport import Transport
 
-__all__ = ["Acquisition", "MatrixImages", "acquire_matrix", "dense", "settings_of_a_plane"]
+__all__ = [
+    "Acquisition",
+    "MatrixImages",
+    "acquire_matrix",
+    "dense",
+    "picture_error",
+    "settings_of_a_plane",
+]
 
 Acquisition = MethodRun
 dense = matrix_of
@@ -31,6 +41,15 @@ def acquire_matrix(
     own = {name: asked[name] for name in method.Options.model_fields if name in asked}
     shapes = camera_shape, projector_shape
     return run_method(method, matrix, *shapes, sigma=sigma, seed=seed, **own)
+
+
+def picture_error(transport: Transport, matrix: NDArray[Any], pictures: NDArray[Any]) -> float:
+    """Return the mean error of pictures (P, *projector) of a matrix (M, N) or (C, M, N)."""
+    relit = transport.relight_batch(pictures.astype(np.float32))
+    matrices = matrix.reshape(-1, *matrix.shape[-2:])
+    truth = np.einsum("cmn,pn->pmc", matrices, pictures.reshape(len(pictures), -1))
+    pairs = zip(relit, truth.reshape(relit.shape), strict=True)
+    return float(np.mean([relative_rms(*pair) for pair in pairs]))
 
 
 def settings_of_a_plane(**others: Any) -> Config:

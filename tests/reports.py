@@ -81,8 +81,9 @@ def acquired(results: Path, config: Config) -> None:
     for scene, method in config.acquisitions:
         settings, folder = config.scenes[scene], results / scene / method
         rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
-        options = config.methods_of(scene)[method].options()
-        result = acquire(rig, method, progress=False, **options)
+        asked = config.methods_of(scene)[method]
+        options = asked.options()
+        result = acquire(rig, asked.subject, progress=False, **options)
         digest = save_transport(result.transport, folder / "transport.zarr")
         about = {"scene": scene, "method": method, "options": options}
         manifest = {**about, "digest": digest, "patterns": result.patterns}

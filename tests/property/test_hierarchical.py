@@ -140,20 +140,6 @@ def test_truncation_of_signed_leaves_is_rank_1_and_of_bounded_size(shape, seed):
         np.testing.assert_allclose(found, expected, atol=1e-5 * scale)
 
 
-@settings(max_examples=40, deadline=None)
-@given(shape=shapes, channels=st.sampled_from([1, 3]), seed=st.integers(0, 2**32 - 1))
-def test_some_of_the_leaves_are_what_they_were_among_all(shape, channels, seed):
-    rng = np.random.default_rng(seed)
-    tree = BlockTree(RayDomain(shape))
-    leaves = random_leaves(tree, int(rng.integers(tree.n_levels)), channels, rng, signed=True)
-    chosen = rng.random(len(leaves)) < 0.5
-    whole, parts = np.zeros((2, channels, tree.domain.size, tree.domain.size))
-    add_dense(tree, leaves, whole)
-    for subset in (leaves.subset(tree, chosen), leaves.subset(tree, ~chosen)):
-        add_dense(tree, subset, parts)
-    np.testing.assert_allclose(parts, whole, atol=1e-6)
-
-
 def test_the_terms_of_a_leaf_stay_in_order_in_a_merge():
     tree = BlockTree(RayDomain((4, 4)))
     pair = np.array([1], np.int32), np.array([2], np.int32)

@@ -1,8 +1,5 @@
 """The multilevel transport as a linear operator, made by dual photography of random matrices."""
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,7 +7,6 @@ from tests.helpers import acquire_matrix, dense
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.dual import Dual
-from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.multilevel import MultilevelTransport
 
 shapes = st.one_of(
@@ -103,20 +99,6 @@ def test_truncation_keeps_the_energy(transport: MultilevelTransport, data: st.Da
     np.testing.assert_allclose(
         truncated.relight(pattern), transport.relight(pattern), rtol=1e-5, atol=1e-7
     )
-
-
-@settings(max_examples=10)
-@given(transports())
-def test_round_trip_through_the_store(transport: MultilevelTransport) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        save_transport(transport, Path(folder) / "transport.zarr", scene="random")
-        stored = open_transport(Path(folder) / "transport.zarr")
-        assert isinstance(stored, MultilevelTransport)
-        assert stored.camera_shape == transport.camera_shape
-        assert stored.projector_shape == transport.projector_shape
-        assert stored.nbytes > 0
-        assert stored.level_rows == transport.level_rows
-        np.testing.assert_array_equal(dense(stored), dense(transport))
 
 
 @settings(max_examples=25)

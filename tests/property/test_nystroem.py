@@ -123,30 +123,6 @@ def test_a_node_without_light_has_no_leaf():
     assert not found.any()
 
 
-def test_a_smooth_kernel_is_better_known_than_by_the_children_s_rank_1_leaves():
-    """Light between two distant patches: what the method is for."""
-    tree, rows, columns = node_of((32, 32))
-    places = np.stack(np.divmod(tree.order, 32), axis=1)
-    a, b = places[:rows], places[rows : rows + columns] + np.array([0, 16])
-    distances = np.square(a[:, None] - b[None]).sum(axis=2)
-    albedo = np.random.default_rng(0).choice([0.15, 0.85], (2, rows))
-    blocks = (albedo[0][:, None] * albedo[1] / (distances + 100.0))[None]
-    passed, found, terms = outcome(tree, blocks, asked=1e-3 * np.square(blocks.sum(2)).mean())
-    assert passed
-    assert terms > 1
-    starts, middle = tree.starts[2], tree.starts[1][1]
-    by_children = np.empty_like(blocks)
-    for i in range(*tree.child_starts[1][:2]):
-        for j in range(*tree.child_starts[1][1:3]):
-            node = (
-                slice(starts[i], starts[i + 1]),
-                slice(starts[j] - middle, starts[j + 1] - middle),
-            )
-            block = blocks[0][node]
-            by_children[0][node] = np.outer(block.sum(axis=1), block.sum(axis=0)) / block.sum()
-    assert np.linalg.norm(found - blocks) < 0.5 * np.linalg.norm(by_children - blocks)
-
-
 @settings(max_examples=10, deadline=None)
 @given(seed=SEEDS, part=st.sampled_from([1e-4, 1e-3, 1e-2]))
 def test_what_is_not_smooth_is_not_multiplied(seed, part):

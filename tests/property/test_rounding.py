@@ -121,16 +121,6 @@ def test_signed_leaves_are_rounded_apart_and_as_single_values(number_format):
     assert unsigned.signs is None
 
 
-def test_a_glint_does_not_drown_its_surroundings():
-    """Light at 1/1000 of a block's maximum is there still; even steps would lose all of it."""
-    whole = np.zeros(1, np.int32)
-    values = np.linspace(0.9e-3, 1.1e-3, 30, dtype=np.float32)[None]
-    values[0, 4] = 1.0
-    leaves = LeafSet(0, whole, whole, values)
-    found = decoded(TREE, unpack_leaves(0, pack_leaves(TREE, leaves, "uint8"))).values
-    np.testing.assert_allclose(found, values, rtol=0.13)
-
-
 @pytest.mark.parametrize(("number_format", "bits"), [("uint8", 12), ("uint16", 16)])
 @settings(max_examples=200)
 @given(value=numbers, sign=st.sampled_from([1, -1]))

@@ -35,12 +35,6 @@ def test_repeats_and_self_conflicts_drop_out() -> None:
     np.testing.assert_array_equal(graph.toarray(), expected)
 
 
-def test_square_of_a_path_joins_next_neighbours_but_one() -> None:
-    squared = square(graph_of(5, (0, 1), (1, 2), (2, 3), (3, 4))).toarray()
-    distance = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
-    np.testing.assert_array_equal(squared, ((distance > 0) & (distance <= 2)).astype(np.int32))
-
-
 @pytest.mark.usefixtures("either_way")
 def test_a_complete_graph_takes_as_many_colours_as_blocks() -> None:
     edges = [(i, j) for i in range(7) for j in range(i)]

@@ -10,14 +10,13 @@ from tests.helpers import acquire_matrix
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.estimate import Estimate, Held
 from rfpipe.methods.adaptive.footprints.method import Footprints
-from rfpipe.methods.adaptive.near_far import BLOCKS, ROUNDS, NearFar, NearFarState
+from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar, NearFarState
 from rfpipe.methods.adaptive.residual import Residual
 from rfpipe.methods.adaptive.rounds import AdaptiveState
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import level_row
 from rfpipe.scenes import reference_scene
-from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 METHOD = NearFar()
 
@@ -52,21 +51,6 @@ def test_after_a_round_that_leaves_most_of_the_error_come_blocks(
     assert decided(found, [0.3, 0.2, 0.1]) == "residual"
 
 
-@pytest.mark.parametrize("first", [True, False])
-def test_light_that_no_smooth_model_explains_needs_a_hierarchy(
-    after_a_round: NearFarState, first: bool
-) -> None:
-    """The share of it that is unexplained decides; of the first round's few probes, a larger."""
-    for unexplained, expected in ((0.55, "hierarchy"), (0.3, "model" if first else "hierarchy")):
-        found = Estimate(0.5, 0.5, 0.5, unexplained * 0.4, 0.4)
-        after = METHOD.decided(replace(after_a_round, estimates=(found,) * (1 if first else 2)))
-        assert after.following == expected
-        assert (after.inner is not None) is (expected == "hierarchy")
-        # what is left dark while a hierarchy is refined is known from it
-        known = isinstance(METHOD.known(after), HierarchicalTransport)
-        assert known is (expected == "hierarchy")
-
-
 @pytest.mark.parametrize(("left", "expected"), [(0.95, "hierarchy"), (0.9, "residual")])
 def test_blocks_that_hardly_help_are_followed_by_a_hierarchy(
     after_a_round: NearFarState, left: float, expected: str
@@ -93,29 +77,6 @@ def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
     state = replace(after_a_round, level=len(ROUNDS) + 3, rows=rows, options=options)
     assert decided(state, [0.5, 0.4, 0.28, 0.2]) == expected
     assert decided(state, [0.5, 0.4, 0.28, 0.0]) == "done"
-
-
-def test_the_first_estimate_ends_it_where_nothing_is_indirect(after_a_round: NearFarState) -> None:
-    """It knows neither strip nor spots."""
-    target = after_a_round.options.target_error
-    held = Held(after_a_round.held.lit[:2], after_a_round.held.radiance[:2])
-    shapes = replace(after_a_round, held=held)
-    for indirect, expected in ((0.9 * target, "done"), (1.1 * target, "model")):
-        found = Estimate(*[0.9 * target] * 3, 0.0, indirect)
-        assert METHOD.decided(replace(shapes, estimates=(found,))).following == expected
-        both = replace(after_a_round, estimates=(found, found))
-        assert METHOD.decided(both).following == "done"
-
-
-def test_every_level_is_for_one_thing() -> None:
-    rays = RayDomain((16, 16))  # five levels of blocks
-    state = METHOD.start(rays, rays, 1, ErrorOptions())
-    kinds = [
-        METHOD.slot(replace(state, level=level))[0]
-        for level in range(1, METHOD.n_levels(rays, rays))
-    ]
-    blocks = ["residual"] * len(BLOCKS)
-    assert kinds == ["model"] * len(ROUNDS) + blocks + ["hierarchy"] * 4 + blocks
 
 
 def stalled(error: float, before: float = 1.01) -> AdaptiveState:

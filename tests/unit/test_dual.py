@@ -4,16 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import Acquisition, acquire_matrix, dense
+from tests.helpers import acquire_matrix, dense, picture_error
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
-from rfpipe.methods import get_method
 from rfpipe.methods.dual import Dual
 from rfpipe.scenes import reference_scene
-from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.multilevel import MultilevelTransport
+
+FLOODLIT = np.ones((1, 32, 32))
 
 
 def sparse_random(camera: int, projector: int, share: float, seed: int = 0) -> np.ndarray:
@@ -24,11 +23,6 @@ def sparse_random(camera: int, projector: int, share: float, seed: int = 0) -> n
 @pytest.fixture(scope="module")
 def wedge() -> np.ndarray:
     return reference_scene("IV", (32, 32), channels=1).dense(0).astype(np.float32)
-
-
-def test_registry_names_the_methods_it_knows() -> None:
-    with pytest.raises(InputError, match="'duel' is unknown; expected one of auto, brute_force"):
-        get_method("duel")
 
 
 @pytest.mark.parametrize("shape", [(1, 37), (13, 29), (1, 1), (3, 4, 6)])
@@ -48,24 +42,6 @@ def test_dense_random_matrix_degrades_to_brute_force() -> None:
     error = dense(run.transport) - matrix
     assert np.linalg.norm(error) <= 1e-4 * np.linalg.norm(matrix)
     assert np.abs(error).max() <= 1e-4
-
-
-@pytest.mark.parametrize(
-    ("camera", "projector"),
-    [
-        ((7, 3), (1, 37)),
-        ((5, 5), (13, 29)),
-        ((1, 1), (4, 4)),
-        ((4, 6), (1, 1)),
-        ((2, 3, 4), (5, 7)),
-    ],
-)
-def test_sparse_random_matrix_of_any_shape(
-    camera: tuple[int, ...], projector: tuple[int, ...]
-) -> None:
-    matrix = sparse_random(RayDomain(camera).size, RayDomain(projector).size, 0.05)
-    run = acquire_matrix(Dual(), matrix, camera, projector, tolerance=1e-7)
-    np.testing.assert_allclose(dense(run.transport)[0], matrix, rtol=1e-5, atol=1e-6)
 
 
 def test_the_brightest_channel_decides_for_all() -> None:
@@ -97,10 +73,6 @@ def test_responses_are_dropped_stored_or_subdivided(wedge: np.ndarray) -> None:
         assert (state.frontier.values.max(axis=0) >= 0.999e-2 * floodlit).all()
         if not last:
             assert (state.stored[level].values.max(axis=0) < 1.001e-2 * floodlit).all()
-        for pairs in (state.stored[level], state.frontier):
-            assert (pairs.values.max(axis=0) > 0).all()
-            key = pairs.block.astype(np.int64) * 1024 + pairs.pixel
-            assert (np.diff(key) > 0).all()  # sorted, no pair twice
 
 
 @pytest.mark.slow
@@ -112,20 +84,12 @@ def test_patterns_of_the_textured_wedge() -> None:
     assert run.patterns[:4] == [1, 4, 16, 64]
 
 
-def relative_error(run: Acquisition, matrix: np.ndarray, pattern: np.ndarray) -> float:
-    truth = matrix @ pattern.ravel()
-    return float(np.linalg.norm(run.transport.relight(pattern).ravel() - truth)) / float(
-        np.linalg.norm(truth)
-    )
-
-
 def test_subtracting_what_is_stored_keeps_energy_from_counting_again(wedge: np.ndarray) -> None:
-    floodlight = np.ones((32, 32))
     as_in_thesis = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), subtract_stored=False)
     subtracted = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
     assert sum(subtracted.patterns) <= sum(as_in_thesis.patterns)
-    assert relative_error(as_in_thesis, wedge, floodlight) < 0.1
-    assert relative_error(subtracted, wedge, floodlight) < 1e-3
+    assert picture_error(as_in_thesis.transport, wedge, FLOODLIT) < 0.1
+    assert picture_error(subtracted.transport, wedge, FLOODLIT) < 1e-3
 
 
 def test_a_coaxial_rig_s_responses_are_spread_as_its_transpose(
@@ -138,17 +102,10 @@ def test_a_coaxial_rig_s_responses_are_spread_as_its_transpose(
     found, before = dense(run.transport)[0], dense(even)[0]
     assert np.linalg.norm(found - wedge) < 0.6 * np.linalg.norm(before - wedge)
     assert found.min() >= 0
-    dot_test(run.transport)
     save_transport(run.transport, tmp_path / "transport.zarr", scene="wedge")
     stored = open_transport(tmp_path / "transport.zarr")
     np.testing.assert_array_equal(dense(stored)[0], found)
-    for level in range(6):
-        truncated = stored.truncate(level)
-        assert truncated.symmetric
-        np.testing.assert_allclose(
-            truncated.relight(np.ones((32, 32))), stored.relight(np.ones((32, 32))), rtol=1e-5
-        )
-        dot_test(truncated)
+    assert all(stored.truncate(level).symmetric for level in range(6))
 
 
 def test_rigs_that_are_not_coaxial_spread_evenly(wedge: np.ndarray) -> None:
@@ -171,7 +128,7 @@ def test_noise_is_not_subdivided(wedge: np.ndarray) -> None:
         counts.append(sum(run.patterns))
     assert counts[1] <= 1.05 * counts[0]
     assert counts[1] < 200
-    assert relative_error(run, wedge, np.ones((32, 32))) < 0.1
+    assert picture_error(run.transport, wedge, FLOODLIT) < 0.1
 
 
 def test_culled_blocks_leave_a_level_complete_and_stored_ones_do_not() -> None:

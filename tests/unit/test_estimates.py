@@ -7,19 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from tests.reports import acquired, tables_of
 
 from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import Config
 from rfpipe.methods import get_method
-from rfpipe.photometry import sensor_from_config
 from rfpipe.report import build_report
 from rfpipe.report.errors import compare, estimates_figure, estimates_section, histories
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.rigs import SimulatedRig
-from rfpipe.scenes import scene_from_config
-from rfpipe.stages import evaluate, relight
 from rfpipe.stages.refine import log_estimate
-from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
@@ -63,14 +59,9 @@ def test_without_an_estimate_history_is_empty_with_the_same_columns(rows: list) 
     pd.testing.assert_series_equal(history(rows).dtypes, history(ROWS).dtypes)
 
 
-def random_matrix(rays: int = 256) -> np.ndarray:
-    factors = np.random.default_rng(0).random((60, rays))
-    return factors.T @ factors / rays + np.eye(rays)
-
-
-def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path, caplog) -> None:
-    caplog.set_level(logging.INFO, "rfpipe")
-    rig = OperatorRig(random_matrix(), (16, 16), (16, 16))
+def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path) -> None:
+    factors = np.random.default_rng(0).random((60, 256))
+    rig = OperatorRig(factors.T @ factors / 256 + np.eye(256), (16, 16), (16, 16))
     result = acquire(rig, LOW_RANK, target_error=0.005)
     assert result.history["patterns"].tolist() == [17, 33, 65, 129, 257]
     assert result.history["patterns"].iloc[-1] == result.patterns
@@ -80,17 +71,6 @@ def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path, caplog) 
     save_transport(result.transport, tmp_path / "transport.zarr")
     stored = open_transport(tmp_path / "transport.zarr")
     pd.testing.assert_frame_equal(stored.history, result.history)
-    told = [record.message for record in caplog.records if "estimated error" in record.message]
-    assert len(told) == 5
-    assert told[0] == (
-        f"level 1: estimated error {100 * errors[0]:.2f} % after 17 patterns, 0.5 % asked for"
-    )
-
-
-def test_a_method_without_estimates_has_an_empty_history() -> None:
-    result = acquire(OperatorRig(np.eye(4), (2, 2), (2, 2)), "symmetric", progress=False)
-    assert list(result.history.columns) == list(HISTORY_COLUMNS)
-    assert result.history.empty
 
 
 def test_the_log_tells_of_a_levels_own_estimate_alone(caplog) -> None:
@@ -145,7 +125,6 @@ def test_the_section_shows_each_estimate_and_how_good_the_last_was() -> None:
         ["1", "15", "8.00"], ["3", "40", "1.20"], ["1", "40", "0.00"],
     ]  # fmt: skip
     assert "Dashed" in chart.caption
-    assert "0.02 of" in chart.caption
 
 
 def test_without_truth_nothing_is_compared_and_no_line_is_drawn() -> None:
@@ -153,11 +132,7 @@ def test_without_truth_nothing_is_compared_and_no_line_is_drawn() -> None:
     chart, compared, _ = section.blocks
     assert [row[-2:] for row in compared.rows] == 2 * [["\N{EN DASH}", "\N{EN DASH}"]]
     assert [row[-3] for row in compared.rows] == ["1.20", "0.00"]
-    assert "not known" in compared.caption
     assert "Dashed" not in chart.caption
-    assert not [
-        line for axis in chart.figure.axes for line in axis.lines if line.get_linestyle() == "--"
-    ]
 
 
 def test_the_curve_is_drawn_in_per_cent_with_truth_dashed_and_target_dotted() -> None:
@@ -184,35 +159,29 @@ def test_there_is_no_section_where_nothing_was_estimated() -> None:
     assert estimates_section(inputs) is None
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("estimates") / "results"
-    low_rank = {"low_rank": CONFIG.methods["low_rank"]}
+def test_the_reports_tables_hold_what_the_acquisition_found(tmp_path) -> None:
     config = CONFIG.model_copy(
-        update={"scenes": {"corner": CONFIG.scenes["corner"]}, "methods": low_rank}
+        update={
+            "scenes": {"corner": CONFIG.scenes["corner"]},
+            "methods": {"low_rank": CONFIG.methods["low_rank"]},
+        }
     )
-    acquired = folder / "corner" / "low_rank"
-    rig = SimulatedRig(scene_from_config(config.scenes["corner"]), sensor_from_config(None), 1)
-    result = acquire(rig, LOW_RANK, progress=False, target_error=0.02)
-    digest = save_transport(result.transport, acquired / "transport.zarr")
-    about = {"scene": "corner", "method": "low_rank", "options": {"target_error": 0.02}}
-    write_manifest(
-        acquired / "transport.json", {**about, "digest": digest, "patterns": result.patterns}
-    )
-    relight.run(acquired, config.scenes["corner"], "code")
-    tables = [folder / "report" / "tables" / f"{name}.csv" for name in ("errors", "speed_error")]
-    evaluate.run([acquired / "relight.json"], *tables, 2.0)
-    build_report(config, folder, folder / "report" / "index.html", *tables)
-    return folder, result
-
-
-def test_a_report_has_the_estimates_and_draws_no_terms_of_an_image_as_leaves(results) -> None:
-    folder, result = results
-    steps = pd.read_csv(folder / "report" / "tables" / "estimate_history.csv")
-    assert steps["patterns"].tolist() == result.history["patterns"].tolist()
-    assert not (folder / "report" / "figures" / "fig_5_10.png").exists()
-    levels = pd.read_csv(folder / "report" / "tables" / "levels.csv")
-    assert levels["rank1"].max() > 1
-    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    acquired(tmp_path, config)
+    build_report(config, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
+    history = open_transport(tmp_path / "corner" / "low_rank" / "transport.zarr").history
+    tables, figures = tmp_path / "report" / "tables", tmp_path / "report" / "figures"
+    steps = pd.read_csv(tables / "estimate_history.csv")
+    assert steps["patterns"].tolist() == history["patterns"].tolist()
+    np.testing.assert_allclose(steps["estimated_error"], history["estimated_error"], rtol=1e-5)
+    (compared,) = pd.read_csv(tables / "estimates.csv").to_dict("records")
+    errors = pd.read_csv(tables / "errors.csv")
+    assert compared["true_error"] == pytest.approx(errors["rms_total"].mean(), rel=1e-5)
+    assert compared["patterns"] == history["patterns"].iloc[-1]
+    assert (figures / "estimated_error.png").is_file()
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    assert 'id="estimates"' in page
+    # terms of an image are not drawn as leaves of blocks
+    assert not (figures / "fig_5_10.png").exists()
+    assert pd.read_csv(tables / "levels.csv")["rank1"].max() > 1
     assert "(c) Entries of T" in page
     assert "(d) Level of the leaf" not in page

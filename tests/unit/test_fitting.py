@@ -9,6 +9,7 @@ import OpenImageIO as oiio
 import pytest
 import yaml
 from scipy.linalg import hadamard
+from tests.helpers import dense, picture_error
 from typer.testing import CliRunner
 
 from rfpipe import open_transport
@@ -37,18 +38,14 @@ def series(patterns: np.ndarray, noise: float = 0.0, seed: int = 0) -> Series:
 def error_of(transport) -> float:
     """Mean error of the reference patterns' pictures."""
     lit = np.stack(list(relighting_patterns(SHAPE).values()))
-    truth = np.einsum("cmn,kn->kmc", T, lit.reshape(len(lit), -1)).reshape(len(lit), *SHAPE, 3)
-    found = transport.relight_batch(lit.astype(np.float32))
-    return float(np.mean([np.linalg.norm(a - b) / np.linalg.norm(b)
-                          for a, b in zip(found, truth, strict=True)]))  # fmt: skip
+    return picture_error(transport, T, lit)
 
 
 def test_one_light_at_a_time_is_taken_as_it_stands() -> None:
     found = fit_transport(series(np.eye(RAYS)))
     assert found.complete
     assert found.error is None  # nothing to tell it by
-    dense = np.stack([found.transport.channel(c) @ np.eye(RAYS) for c in range(3)])
-    np.testing.assert_allclose(dense, T, rtol=1e-5, atol=1e-6 * T.max())
+    np.testing.assert_allclose(dense(found.transport), T, rtol=1e-5, atol=1e-6 * T.max())
 
 
 def test_hadamard_patterns_and_the_error_that_noise_makes() -> None:

@@ -8,17 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.helpers import dense
+from tests.helpers import dense, picture_error
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import options_of
-from rfpipe.methods.adaptive.footprints.candidates import Candidates as Found
-from rfpipe.methods.adaptive.footprints.candidates import (
-    averaged,
-    joined,
-    split,
-    with_other_way,
-)
 from rfpipe.methods.adaptive.footprints.functions import chart_of
 from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
 from rfpipe.scenes import room_scene
@@ -46,39 +39,11 @@ def errors(transport: Any, matrix: np.ndarray) -> float:
     shown[1] = np.random.default_rng(3).random(SHAPE) < 0.5
     shown[2, 0, 3:7, 4:8] = 1
     shown[3, 1] = 1
-    relit = transport.relight_batch(shown)
-    truth = np.einsum("cmn,pn->pmc", matrix, shown.reshape(4, -1)).reshape(relit.shape)
-    return float(np.mean([relative_rms(*pair) for pair in zip(relit, truth, strict=True)]))
+    return picture_error(transport, matrix, shown)
 
 
 def rounds_of(views: int, *numbers: int) -> int:
     return sum(in_round(number, views) for number in numbers)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_parts_and_both_ways_are_those_of_matrices(seed: int) -> None:
-    random, views, rays = np.random.default_rng(seed), 3, 4
-    known = random.random((views * rays,) * 2) < 0.3
-    known[-rays:] &= seed > 0  # a view that sees nothing
-    weights = known * random.integers(0, 3, known.shape).astype(np.float32)
-    variance = known * random.random(known.shape, np.float32)
-    keys = np.flatnonzero(known)
-    found = Found(keys, variance.ravel()[keys], weights.ravel()[keys])
-    parts = split(found, views, rays)
-    for view, part in enumerate(parts):
-        own = np.s_[:, view * rays : (view + 1) * rays]
-        np.testing.assert_array_equal(part.keys, np.flatnonzero(known[own]))
-        np.testing.assert_array_equal(part.variance, variance[own][known[own]])
-    again = joined(parts, rays)
-    for name in ("keys", "variance", "weights"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
-    wider, either = with_other_way(found, views * rays), known | (weights.T > 0)
-    np.testing.assert_array_equal(wider.keys, np.flatnonzero(either))
-    np.testing.assert_array_equal(wider.weights, weights[either])
-    np.testing.assert_array_equal(wider.variance, np.maximum(variance, variance.T)[either])
-    np.testing.assert_array_equal(
-        averaged(found, views * rays).weights, ((weights + weights.T) / 2)[either]
-    )
 
 
 def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> None:

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import MatrixImages, acquire_matrix, dense
+from tests.helpers import acquire_matrix, dense, picture_error
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError
-from rfpipe.methods import Pack
 from rfpipe.methods.adaptive.estimate import HELD_OUT
 from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
 from rfpipe.stages.acquire import AcquisitionResult
 from rfpipe.stages.evaluate import relative_rms
-from rfpipe.store.arrays import open_arrays, write_arrays
-from rfpipe.testing import dot_test
-from rfpipe.transport import Transport, open_transport, save_transport
+from rfpipe.testing import MethodContract
+from rfpipe.transport import Transport
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 CASES = hard_cases()
@@ -125,18 +122,12 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
     rows = found.transport.level_rows
     assert [row["level"] for row in rows] == list(range(len(rows)))
     assert sum(row["patterns"] for row in rows) == found.patterns
-    apart = [
-        np.linalg.norm(dense(result.transport)[0] - matrix) / np.linalg.norm(matrix)
-        for result in (found, rival)
-    ]
+    apart = [relative_rms(dense(result.transport)[0], matrix) for result in (found, rival)]
     assert apart[0] < 1.1 * apart[1] + 1e-7
     if noise is None and make is not caustics:
         assert apart[0] < 1e-6
     # what is estimated is the error of the transport that is returned, not of the model before it
-    lit = (generator(8).random((4, *shape)) < 0.3).astype(np.float32)
-    truth = lit.reshape(4, -1) @ matrix.T
-    relit = found.transport.relight_batch(lit).reshape(truth.shape)
-    true = np.mean([relative_rms(*pair) for pair in zip(relit, truth, strict=True)])
+    true = picture_error(found.transport, matrix, generator(8).random((4, *shape)) < 0.3)
     told = found.history["estimated_error"]
     floor = 1e-3 if noise is None else 5e-3  # that noise of two pictures leaves
     assert 0.4 * true - floor < told.iloc[-1] < 2.5 * true + floor
@@ -147,53 +138,26 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
 # --- states
 
 
-@pytest.mark.parametrize("case", ["wedge", "mirror", "colours"])
-def test_states_go_through_a_store_at_every_level(case: str, tmp_path: Path) -> None:
-    side = 12
-    if case == "mirror":
-        matrix = mirror(side)[None]
-    else:
-        scene = reference_scene("IV", (side, side), channels=3 if case == "colours" else 1)
-        matrix = np.stack([scene.dense(channel) for channel in range(scene.channels)])
-    method, shape = NearFar(), (side, side)
-    done = acquire_matrix(method, matrix, shape, shape)
-    start = done.states[0]
-    assert (done.states[-1].inner is not None) is (case == "mirror")
-    packs = []
-    for level, pack in enumerate(done.packs):
-        write_arrays(tmp_path / f"{level}.zarr", dict(pack.arrays), {"state": pack.attributes})
-        bundle = open_arrays(tmp_path / f"{level}.zarr")
-        arrays = {name: bundle.read(name) for name in bundle.names}
-        packs.append(Pack(arrays, bundle.attributes["state"]))
-        restored, after = method.restore(start, packs), done.states[level + 1]
-        told = [(s.level, s.following, s.shown, list(s.estimates)) for s in (restored, after)]
-        assert told[0] == told[1]
-        expected, about = method.transport(after).pack()
-        found, restored_about = method.transport(restored).pack()
-        assert restored_about == about
-        assert set(found) == set(expected)
-        for name, array in expected.items():
-            np.testing.assert_array_equal(found[name], array, err_msg=name)
-        if after.level < len(done.schedules):
-            schedule = method.schedule(restored)
-            assert schedule.digest() == done.schedules[after.level].digest()
-            images = MatrixImages(matrix, shape, schedule)
-            np.testing.assert_array_equal(
-                dense(method.transport(method.refine(restored, images))),
-                dense(method.transport(done.states[level + 2])),
-            )
+class OnAMirror(MethodContract):
+    """The contract where symmetric photography takes over."""
+
+    def make_method(self) -> NearFar:
+        return NearFar()
+
+    def _matrix(self) -> np.ndarray:
+        return np.repeat(0.9 * np.eye(42)[None, ::-1], 3, axis=0)
 
 
-def test_the_transport_is_a_sum_of_parts_that_a_store_keeps(tmp_path: Path) -> None:
+def test_a_state_that_symmetric_photography_took_over_is_restored() -> None:
+    suite = OnAMirror()
+    assert suite._run(suite._matrix()).states[-1].inner is not None
+    suite.test_a_state_is_restored_from_its_packs()
+
+
+def test_the_transport_is_a_small_sum_of_parts() -> None:
     scene = reference_scene("IV", (40, 40), channels=1)
     transport = run(scene, "near_far", None).transport
     assert [part.kind for part in transport.parts] == ["low_rank", "multiscale", "multiscale"]
-    dot_test(transport)
-    save_transport(transport, tmp_path / "transport.zarr")
-    stored = open_transport(tmp_path / "transport.zarr")
-    picture = np.random.default_rng(0).random((40, 40))
-    np.testing.assert_array_equal(stored.relight(picture), transport.relight(picture))
-    assert stored.history.equals(transport.history)
     assert transport.nbytes < 40**4 * 4 / 5
 
 

@@ -100,20 +100,6 @@ def test_channels_are_found_from_what_all_of_them_told_and_dark_ones_stay_dark()
         assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize("weighed", [True, False])
-def test_conjugate_gradients_solve(weighed: bool) -> None:
-    random = np.random.default_rng(0)
-    root = random.standard_normal((12, 12))
-    matrix = (root @ root.T + np.eye(12)).astype(np.float32)
-    goal = random.standard_normal(12).astype(np.float32)
-    scaling = (1 / np.diag(matrix)).astype(np.float32)
-    for start in (None, np.ones(12, np.float32)):
-        found = conjugate_gradients(
-            matrix.__matmul__, goal, scaling.__mul__, start, 1e-6, 60, weighed=weighed
-        )
-        np.testing.assert_allclose(matrix @ found, goal, atol=1e-4)
-
-
 @pytest.mark.parametrize("share", [0, -1])
 def test_they_end_where_rounding_is_all_that_is_left(share: int) -> None:
     goal = np.ones(5, np.float32)

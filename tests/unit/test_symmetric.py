@@ -2,34 +2,23 @@
 
 import numpy as np
 import pytest
+from tests.helpers import acquire_matrix, dense, picture_error
 
 import rfpipe
-from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
-from rfpipe.methods import options_of
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes.relighting import relighting_patterns
-from rfpipe.stages.acquire import FramesInMemory
 from rfpipe.stages.evaluate import relative_rms
-from rfpipe.stages.merger import LevelSum
-from rfpipe.stages.normalize import NormalizedImages, normalize_level
-
-
-def dense(transport, channel=0):
-    """Return a transport's matrix."""
-    rays = int(np.prod(transport.projector_shape))
-    return transport.channel(channel).matmat(np.eye(rays))
 
 
 def relative_error(transport, matrix):
-    """Relative error in the Frobenius norm."""
-    return np.linalg.norm(dense(transport) - matrix) / np.linalg.norm(matrix)
+    return relative_rms(dense(transport)[0], matrix)
 
 
-def acquire(matrix, shape, tolerance=1e-3, **settings):
-    rig = rfpipe.OperatorRig(matrix, camera_shape=shape, projector_shape=shape)
-    return rfpipe.acquire(rig, "symmetric", tolerance=tolerance, progress=False, **settings)
+def acquire(matrix, shape, tolerance=1e-3, noise=None, seed=0):
+    rig = rfpipe.OperatorRig(matrix, shape, shape, noise, seed=seed)
+    return rfpipe.acquire(rig, "symmetric", tolerance=tolerance, progress=False)
 
 
 def involution(size, seed):
@@ -88,17 +77,14 @@ def test_direct_light_100000_times_the_indirect_does_not_spoil_it():
     indirect = np.outer(albedo, albedo)
     matrix = np.diag(1e5 * 256 * albedo) + indirect
     result = acquire(matrix, (16, 16), tolerance=1e-7)
-    error = dense(result.transport) - matrix
+    error = dense(result.transport)[0] - matrix
     np.fill_diagonal(error, 0)
     assert np.linalg.norm(error) < 0.05 * np.linalg.norm(indirect)
 
 
 def test_camera_noise_does_not_make_it_subdivide_noise():
     albedo = np.random.default_rng(6).uniform(0.1, 1, 32 * 32)
-    rig = rfpipe.OperatorRig(
-        np.diag(albedo), camera_shape=(32, 32), projector_shape=(32, 32), noise=CameraModel()
-    )
-    result = rfpipe.acquire(rig, "symmetric", tolerance=1e-6, progress=False)
+    result = acquire(np.diag(albedo), (32, 32), 1e-6, CameraModel())
     assert result.patterns < 60
     assert relative_error(result.transport, np.diag(albedo)) < 0.02
 
@@ -106,22 +92,16 @@ def test_camera_noise_does_not_make_it_subdivide_noise():
 def test_a_glint_that_saturates_the_camera_spoils_its_own_pixel_alone():
     albedo = np.random.default_rng(8).uniform(0.1, 1, 32 * 32)
     albedo[500] = 50  # full scale is at 2
-    rig = rfpipe.OperatorRig(
-        np.diag(albedo), camera_shape=(32, 32), projector_shape=(32, 32), noise=CameraModel()
-    )
-    result = rfpipe.acquire(rig, "symmetric", progress=False)
+    result = acquire(np.diag(albedo), (32, 32), noise=CameraModel())
     assert result.saturated > 0
-    found = np.diag(dense(result.transport))
+    found = np.diag(dense(result.transport)[0])
     assert 1.9 < found[500] < 2.1
     np.testing.assert_allclose(np.delete(found, 500), np.delete(albedo, 500), rtol=0.03)
 
 
 def test_a_floodlit_image_that_is_saturated_is_refused_before_the_night_begins():
-    rig = rfpipe.OperatorRig(
-        np.diag(np.full(64, 5.0)), camera_shape=(8, 8), projector_shape=(8, 8), noise=CameraModel()
-    )
     with pytest.raises(CaptureError, match="saturated"):
-        rfpipe.acquire(rig, "symmetric", progress=False)
+        acquire(np.diag(np.full(64, 5.0)), (8, 8), noise=CameraModel())
 
 
 def test_the_transport_is_exactly_symmetric_and_not_negative():
@@ -129,9 +109,22 @@ def test_the_transport_is_exactly_symmetric_and_not_negative():
     x = rng.uniform(size=(100, 3))
     distance = ((x[:, None] - x[None]) ** 2).sum(axis=2)
     matrix = np.diag(rng.uniform(1, 2, 100)) + 0.01 / (0.1 + distance)
-    found = dense(acquire(matrix, (10, 10), 1e-4).transport)
+    found = dense(acquire(matrix, (10, 10), 1e-4).transport)[0]
     assert np.abs(found - found.T).max() <= 1e-6 * found.max()
     assert found.min() >= 0
+
+
+def test_truncation_is_what_stopping_there_would_have_given():
+    x = np.linspace(0, 1, 144)
+    matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
+    run = acquire_matrix(Symmetric(), matrix, (12, 12), (12, 12), tolerance=1e-6)
+    ones = np.ones((12, 12))
+    for level, state in enumerate(run.states[1:]):
+        truncated = run.transport.truncate(level)
+        assert truncated.levels["level"].max() == level
+        stopped = dense(Symmetric().transport(state))
+        assert np.allclose(dense(truncated), stopped, rtol=1e-3, atol=1e-4)
+    assert np.allclose(run.transport.truncate(0).relight(ones), run.transport.relight(ones), 1e-5)
 
 
 def grainy_light(side, seed):
@@ -153,56 +146,18 @@ def test_errors_of_many_leaves_do_not_add_up_beyond_the_tolerance(seed):
     shape = (24, 24)
     matrix = grainy_light(24, seed)
     pictures = [*relighting_patterns(shape).values(), np.arange(24) < np.full((24, 1), 12)]
-    patterns = np.stack(pictures).reshape(len(pictures), -1).astype(np.float32)
-    truth = patterns @ matrix
+    patterns = np.stack(pictures)
     errors = []
     for tolerance in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4):
         transport = acquire(matrix, shape, tolerance).transport
-        images = transport.relight_batch(patterns.reshape(-1, *shape)).reshape(truth.shape)
-        errors.append(np.mean([relative_rms(*pair) for pair in zip(images, truth, strict=True)]))
+        errors.append(picture_error(transport, matrix, patterns))
         assert errors[-1] < 3 * tolerance
     assert errors == sorted(errors, reverse=True)
-
-
-def test_truncation_is_what_stopping_there_would_have_given():
-    x = np.linspace(0, 1, 144)
-    matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
-    method, domain = Symmetric(), RayDomain((12, 12))
-    state = method.start(domain, domain, 1, options_of(method, tolerance=1e-6))
-    stopped = []
-    for _ in range(method.n_levels(domain, domain)):
-        state = method.refine(state, _images(matrix, method.schedule(state), (12, 12)))
-        stopped.append(method.transport(state))
-    for level, transport in enumerate(stopped):
-        truncated = stopped[-1].truncate(level)
-        assert truncated.levels["level"].max() == level
-        assert np.allclose(dense(truncated), dense(transport), rtol=1e-3, atol=1e-4)
-    row_sums = stopped[-1].relight(np.ones((12, 12)))
-    assert np.allclose(stopped[-1].truncate(0).relight(np.ones((12, 12))), row_sums, rtol=1e-5)
-
-
-def _images(matrix, schedule, shape):
-    patterns = schedule.batch(0, schedule.count).reshape(schedule.count, matrix.shape[1])
-    light = (patterns @ matrix.T).astype(np.float32).reshape(schedule.count, *shape, 1)
-    merged = FramesInMemory((schedule.count, 2, *light.shape[1:]), np.float32)
-    merged.write(0, np.stack([light, np.zeros_like(light)], axis=1))
-    floodlit = (matrix.sum(axis=1).astype(np.float32)).reshape(*shape, 1)
-    total = LevelSum.zero(floodlit.shape)
-    return NormalizedImages(
-        schedule, merged, normalize_level(schedule, total, (floodlit, floodlit), None, "none", 3.0)
-    )
 
 
 @pytest.mark.slow
 def test_noise_alone_is_not_taken_for_light_among_many_tests():
     albedo = np.random.default_rng(4).uniform(0.2, 1, 64 * 64)
     for seed in range(3):
-        rig = rfpipe.OperatorRig(
-            np.diag(albedo),
-            camera_shape=(64, 64),
-            projector_shape=(64, 64),
-            noise=CameraModel(),
-            seed=seed,
-        )
-        levels = rfpipe.acquire(rig, "symmetric", tolerance=1e-5, progress=False).levels
+        levels = acquire(np.diag(albedo), (64, 64), 1e-5, CameraModel(), seed).levels
         assert levels["scalar"].sum() == 64 * 64  # the diagonal, and nothing beside it
