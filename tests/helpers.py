@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rfpipe.config import Config, parse_config
 from rfpipe.methods import Method
+from rfpipe.scenes import reference_scene
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, MethodRun, matrix_of, run_method
 from rfpipe.transport import Transport
@@ -19,6 +20,7 @@ __all__ = [
     "acquire_matrix",
     "dense",
     "picture_error",
+    "scene_matrices",
     "settings_of_a_plane",
 ]
 
@@ -50,6 +52,12 @@ def picture_error(transport: Transport, matrix: NDArray[Any], pictures: NDArray[
     truth = np.einsum("cmn,pn->pmc", matrices, pictures.reshape(len(pictures), -1))
     pairs = zip(relit, truth.reshape(relit.shape), strict=True)
     return float(np.mean([relative_rms(*pair) for pair in pairs]))
+
+
+def scene_matrices(name: str, shape: tuple[int, ...], channels: int = 1) -> NDArray[np.float64]:
+    """Return a reference scene's matrices, (C, N, N)."""
+    scene = reference_scene(name, shape, channels=channels)
+    return np.stack([np.asarray(scene.dense(channel), np.float64) for channel in range(channels)])
 
 
 def settings_of_a_plane(**others: Any) -> Config:

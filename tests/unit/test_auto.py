@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 import pytest
+from tests.helpers import scene_matrices
 
 import rfpipe
 from rfpipe.methods import Method
@@ -14,7 +15,6 @@ from rfpipe.methods.adaptive.near_far import NearFar
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.scenes import reference_scene
 
 SIDE = 12
 SHAPE = (SIDE, SIDE)
@@ -22,7 +22,7 @@ FRAMES = {"black_frames": 2, "floodlit_frames": 8, "progress": False}
 
 
 def coaxial() -> np.ndarray:
-    return np.asarray(reference_scene("IV", SHAPE, channels=1).dense()).reshape(SIDE**2, SIDE**2)
+    return scene_matrices("IV", SHAPE)[0]
 
 
 def beside(shift: int = 1) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from typing import Any
 
@@ -16,7 +15,7 @@ from rfpipe.methods.adaptive.footprints.functions import chart_of
 from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
 from rfpipe.scenes import room_scene
 from rfpipe.stages.evaluate import relative_rms
-from rfpipe.testing.methods import MatrixImages, run_method
+from rfpipe.testing.methods import MethodContract, run_method
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -64,24 +63,29 @@ def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> No
     assert chart.shape == (8, 10)
 
 
-def test_a_light_field_is_good_after_few_patterns_and_resumes_to_the_last_bit() -> None:
-    method, matrix, target = Footprints(), room(), 0.015
-    done = run_method(method, matrix, SHAPE, SHAPE, sigma=2e-4, target_error=target)
+class OnViews(MethodContract):
+    """The contract where there are views."""
+
+    options = {"target_error": 0.001}  # noqa: RUF012
+
+    def make_method(self) -> Footprints:
+        return Footprints()
+
+    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        return (2, 3, 4), (3, 3, 4)
+
+
+def test_a_state_of_views_is_restored() -> None:
+    OnViews().test_a_state_is_restored_from_its_packs()
+
+
+def test_a_light_field_is_good_after_few_patterns() -> None:
+    matrix, target = room(), 0.015
+    done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=2e-4, target_error=target)
     assert sum(done.patterns) <= 1 + 6 + rounds_of(VIEWS, 0, 1)
     error, told = errors(done.transport, matrix), done.states[-1].estimates[-1].error
     assert error < 1.3 * target
     assert 1 / 2 < told / error < 2
-    packs = [type(p)(p.arrays, json.loads(json.dumps(p.attributes))) for p in done.packs]
-    level = max(number for number, count in enumerate(done.patterns) if count)
-    restored = method.restore(done.states[0], packs[:level])
-    schedule = method.schedule(restored)
-    assert schedule.digest() == done.schedules[level].digest()
-    restored = method.refine(restored, MatrixImages(matrix, SHAPE, schedule, 2e-4))
-    found, wanted = (
-        method.transport(state).pack()[0] for state in (restored, done.states[level + 1])
-    )
-    for name, array in wanted.items():
-        np.testing.assert_array_equal(found[name], array)
 
 
 @pytest.mark.slow

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.helpers import dense
+from tests.helpers import dense, scene_matrices
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
 from rfpipe.photometry.normalize import level_gain
 from rfpipe.rigs import Rig
-from rfpipe.scenes import reference_scene
 from rfpipe.stages.acquire import AcquisitionResult
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.transport import Transport
@@ -53,7 +52,7 @@ class BadPixels:
 
 
 def matrix_iv() -> np.ndarray:
-    return reference_scene("IV", SHAPE, channels=1).dense().astype(np.float64)
+    return scene_matrices("IV", SHAPE)[0]
 
 
 def rig_of(matrix: np.ndarray) -> OperatorRig:
@@ -125,9 +124,7 @@ def test_a_rig_that_is_not_coaxial_has_nothing_to_fill_in_from() -> None:
 
 
 def test_a_mosaic_hides_the_neighbours_of_a_hot_photosite() -> None:
-    scene = reference_scene("IV", (8, 8), channels=3)
-    matrix = np.stack([scene.dense(channel) for channel in range(3)])
-    rig = OperatorRig(matrix, (8, 8), (8, 8), CameraConfig(bayer="RGGB"))
+    rig = OperatorRig(scene_matrices("IV", (8, 8), 3), (8, 8), (8, 8), CameraConfig(bayer="RGGB"))
 
     class HotPhotosite(BadPixels):
         def capture(self, patterns: Any, keys: Any) -> Any:

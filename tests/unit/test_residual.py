@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.helpers import scene_matrices
 
 from rfpipe.methods.adaptive.residual import Canvas, CellPictures, Posterior, residual_of
 from rfpipe.methods.states import joined
 from rfpipe.provenance import generator
-from rfpipe.scenes import reference_scene
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.wavelet import Cells, Haar, cell_side
 
@@ -125,8 +125,7 @@ def pictures_of(matrix: np.ndarray, canvas: Canvas, count: int, known: np.ndarra
 def test_it_finds_what_a_model_leaves_and_no_darkness_below_nought(side: int, unknown: int) -> None:
     """Of a wedge, from a model that knows the direct light alone; in cells, one without texture."""
     shape, channels = (16, 16), 3
-    scene = reference_scene("IV" if side == 1 else "II", shape, channels=channels)
-    matrix = np.stack([scene.dense(channel) for channel in range(channels)])
+    matrix = scene_matrices("IV" if side == 1 else "II", shape, channels)
     known = np.ones(256, np.bool_)
     known[generator(0, 4).permutation(256)[:unknown]] = False
     floodlit = matrix.sum(axis=2).astype(np.float32)
@@ -153,7 +152,7 @@ def test_it_finds_what_a_model_leaves_and_no_darkness_below_nought(side: int, un
 def test_of_too_many_pictures_those_tell_that_the_model_predicts_worst(monkeypatch) -> None:
     """Half of them show what the model has already."""
     shape = (12, 12)
-    matrix = reference_scene("IV", shape, channels=1).dense()[None]
+    matrix = scene_matrices("IV", shape)
     known = np.ones(144, np.bool_)
     canvas = Canvas(Cells(shape, 1), matrix.sum(axis=2).astype(np.float32), known)
     direct = (np.eye(144) * matrix).astype(np.float32)

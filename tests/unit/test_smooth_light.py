@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.helpers import scene_matrices
 
 from rfpipe.methods.adaptive.patterns import probe_patterns
 from rfpipe.methods.adaptive.smooth import as_transport, fit
@@ -15,7 +16,6 @@ from rfpipe.methods.adaptive.smooth_fit import (
     solve,
 )
 from rfpipe.methods.images import Pictures
-from rfpipe.scenes import reference_scene
 from rfpipe.transport.multiscale import MultiscaleBasis, cells, functions_over
 
 SHARE = 0.002
@@ -85,8 +85,8 @@ def test_cores_are_those_of_the_dense_least_squares(
 
 
 def test_channels_are_found_from_what_all_of_them_told_and_dark_ones_stay_dark() -> None:
-    scene, shape = reference_scene("IV", (24, 24), channels=3), (24, 24)
-    matrix = np.stack([scene.dense(channel) for channel in range(3)])
+    shape = (24, 24)
+    matrix = scene_matrices("IV", shape, 3)
     lit = np.concatenate([np.ones((1, *shape), bool), probe_patterns(shape, 1, 12)]).reshape(13, -1)
     matrix[2] = 0
     radiance = np.einsum("mn,crn->mcr", lit, matrix).astype(np.float32)
