@@ -8,6 +8,7 @@ from rfpipe.methods.adaptive.patterns import (
     block_patterns,
     held_out_shapes,
     held_out_spots,
+    held_out_strip,
     probe_patterns,
     view_patterns,
 )
@@ -90,6 +91,13 @@ def test_the_held_out_shapes_are_no_probe() -> None:
     shapes = held_out_shapes(SHAPE)
     assert shapes.mean() == pytest.approx(0.3, abs=1e-3)
     assert not any((shapes == probe).all() for probe in probe_patterns(SHAPE, 1, 6))
+
+
+def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
+    strip = held_out_strip(crease().nearness)
+    assert strip.sum() == strip.size // 32
+    # of equal pixels the first: both columns of the crease from the top
+    assert strip[:20, 19:21].all()
 
 
 @pytest.mark.parametrize("shape", [(48, 64), (3, 24, 30), (1, 9), (310, 350), (1, 1)])

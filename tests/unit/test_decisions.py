@@ -79,6 +79,18 @@ def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
     assert decided(state, [0.5, 0.4, 0.28, 0.0]) == "done"
 
 
+def test_the_first_estimate_ends_it_where_nothing_is_indirect(after_a_round: NearFarState) -> None:
+    """It knows neither strip nor spots."""
+    target = after_a_round.options.target_error
+    held = Held(after_a_round.held.lit[:2], after_a_round.held.radiance[:2])
+    shapes = replace(after_a_round, held=held)
+    for indirect, expected in ((0.9 * target, "done"), (1.1 * target, "model")):
+        found = Estimate(*[0.9 * target] * 3, 0.0, indirect)
+        assert METHOD.decided(replace(shapes, estimates=(found,))).following == expected
+        both = replace(after_a_round, estimates=(found, found))
+        assert METHOD.decided(both).following == "done"
+
+
 def stalled(error: float, before: float = 1.01) -> AdaptiveState:
     """A state of footprints whose last round has hardly helped."""
     rays = RayDomain((12, 16))
