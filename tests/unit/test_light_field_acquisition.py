@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.helpers import picture_error
 
 from rfpipe import acquire
 from rfpipe.photometry import CameraModel
@@ -59,7 +60,5 @@ def test_views_that_see_the_same_spots_alike_are_not_taken_for_smooth(tolerance)
     shape = (4, 8, 8)
     matrix = np.kron(np.ones((4, 4)), one) / 8
     found = acquire(OperatorRig(matrix, shape, shape), tolerance=tolerance, progress=False)
-    lit = (generator(5).random((3, *shape)) < 0.5).astype(np.float32)
-    truth = (lit.reshape(3, -1) @ matrix.T).reshape(lit.shape)
-    relit = found.transport.relight_batch(lit).reshape(lit.shape)
-    assert relative_rms(relit, truth) < 3 * tolerance
+    lit = generator(5).random((3, *shape)) < 0.5
+    assert picture_error(found.transport, matrix, lit) < 3 * tolerance
