@@ -16,8 +16,7 @@ acquisition, a single job takes an acquisition through the same stages, to the s
 import os
 from pathlib import Path
 
-from rfpipe.stages.jobs.ends import FailedJobs, notify, write_run
-from snakemake.logging import logger
+from rfpipe.stages.jobs.ends import notify, write_run
 from snakemake.utils import min_version
 
 min_version("9.27")
@@ -70,8 +69,6 @@ rule all:
 
 
 onstart:
-    if workflow.non_local_exec:
-        logger.addHandler(FailedJobs(logger.error))
     write_run(
         Path("results"),
         Path(workflow.main_snakefile),

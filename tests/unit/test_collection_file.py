@@ -140,7 +140,7 @@ MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
     (b"name,kind,about.x\na,plane,caf\xe9\n", "can't be read as a table: 'utf-8' codec"),
     ("", "line 1: the header has no column 'name'"),
     ("name,kind\n", "has no scenes; expected a row for each"),
-    ("name,kind,folder\na,recorded,nowhere\n", "line 2: folder is 'nowhere', which isn't there"),
+    ("name,kind,file\na,matrix,nowhere\n", "line 2: file is 'nowhere', which isn't there"),
     (
         f"{HEAD},capture.rig\na,plane,white,remote\n",
         "line 2: scenes.a.settings.capture.rig: can't be set for a",

@@ -1,4 +1,4 @@
-"""Collections on files: shared references, one field of all transports, contents kept once."""
+"""Collections on files: one field of all transports, contents kept once."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ from rfpipe.cli import app
 from rfpipe.config import Config, load_config
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.report.catalogue import write_catalogue
-from rfpipe.store import FrameStore, read_manifest
 
 ROWS = "name,kind,surfaces,shape,channels\na,plane,texture,6 x 8,1\nb,wedge,white white,6 x 8,1\n"
 SETTINGS = """
 collection: scenes.csv
 methods: {hadamard: {}, brute_force: {}}
-capture: {black_frames: 3, floodlit_frames: 4, share_references: all}
+capture: {black_frames: 3, floodlit_frames: 4}
 """
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Path]:
-    """Two scenes by two methods, with shared references."""
+    """Two scenes by two methods."""
     folder = tmp_path_factory.mktemp("collection")
     (folder / "scenes.csv").write_text(ROWS)
     (folder / "run.yaml").write_text(SETTINGS)
@@ -38,50 +37,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Path]:
     for scene, method in settings.acquisitions:
         acquire_item(settings, scene, method, folder / "results")
     return settings, folder / "results"
-
-
-def store_of(results: Path, name: str) -> FrameStore:
-    return FrameStore.open(results / name)
-
-
-def test_references_are_taken_once_and_are_those_taken_alone(
-    run: tuple[Config, Path], tmp_path: Path
-) -> None:
-    settings, results = run
-    kept = sorted(path.name.partition("_")[0] for path in (results / "references").glob("*.zarr"))
-    assert kept == ["black", "floodlit", "floodlit"]  # of the rig, and of each scene
-    alone = settings.model_copy(
-        update={"capture": settings.capture.model_copy(update={"share_references": "none"})}
-    )
-    name = "b/hadamard/L00/reference.zarr"
-    acquire_item(alone, "b", "hadamard", tmp_path)
-    assert not (tmp_path / "references").exists()
-    assert store_of(results, name).digest() == store_of(tmp_path, name).digest()
-    transports = [it / "b/hadamard/transport.json" for it in (results, tmp_path)]
-    first, second = (read_manifest(path)["digest"] for path in transports)
-    assert first == second
-
-
-def test_shared_references_are_not_taken_again(
-    run: tuple[Config, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings, results = run
-    shutil.copytree(results / "references", tmp_path / "references")
-    shown: list[tuple[int, ...]] = []
-    from rfpipe.rigs import SimulatedRig
-
-    capture = SimulatedRig.capture
-
-    def counted(self: SimulatedRig, patterns: np.ndarray, keys: list[tuple[int, ...]]) -> object:
-        shown.extend(keys)
-        return capture(self, patterns, keys)
-
-    monkeypatch.setattr(SimulatedRig, "capture", counted)
-    acquire_item(settings, "a", "brute_force", tmp_path)
-    from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY
-
-    assert len(shown) == 48
-    assert not {BLACK_LEVEL_KEY, FLOODLIT_KEY} & {key[0] for key in shown}
 
 
 def test_a_collection_is_one_field(run: tuple[Config, Path]) -> None:

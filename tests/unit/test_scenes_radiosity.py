@@ -313,7 +313,7 @@ def test_albedo_out_of_range_is_refused():
 
 
 def test_the_settings_make_the_same_scenes():
-    others = {"room", "captured", "matrix", "mitsuba", "recorded"}
+    others = {"room", "captured", "matrix", "mitsuba"}
     assert set(GEOMETRIES) == set(names(SCENES)) - others
     for name in GEOMETRIES:
         assert scene_from_config(SceneSettings.of(name, shape=(6, 7))).shape == (6, 7)

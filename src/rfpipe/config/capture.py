@@ -52,9 +52,6 @@ class CaptureConfig(Settings):
     floodlit_frames: Batch = setting(
         64, "Brackets of all-on, averaged, which set the direct light's noise: 1 to 1024."
     )
-    share_references: Literal["none", "black", "all"] | None = setting(
-        None, "What is taken once for many acquisitions; null: black with a collection, else none."
-    )
     asymmetry: Fraction = setting(
         0.05, "Relative error in relit pictures above which a rig isn't taken for a coaxial one."
     )

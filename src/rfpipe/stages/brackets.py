@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, LockedError, StaleStoreError
+from rfpipe.errors import CaptureError, StaleStoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch
@@ -26,11 +24,8 @@ from rfpipe.store import FrameStore, StoreLock, restore_header
 Keys = list[tuple[int, ...]]
 """A key a pattern: for the rig's random numbers, and for messages."""
 
-Shared = Literal["none", "black", "all"]
-
 _NAMED_DIGITS = 12
 _SHOWN_DIFFERENCES = 6
-_POLL_SECONDS = 0.2
 
 _log = logging.getLogger(__name__)
 
@@ -203,51 +198,6 @@ class Brackets:
             "%s: CAPTURING ANEW, since the settings changed (%s). The %d patterns captured with "
             "the old settings %s", self.path, changed, count, kept,
         )  # fmt: skip
-
-
-def take_shared(
-    share: Shared, folder: AcquisitionFolder, references: Brackets, black: int, batch: int
-) -> None:
-    """Fill reference brackets that are missing with shared ones; take those where there are none.
-
-    Dark frames ("black") are those of all acquisitions by a rig; the floodlit ones ("all") those of
-    a scene, by whatever method. They lie in ``references`` in the folder of results. Of the
-    acquisition's `references` the first `black` ones are all off.
-    """
-    about = {
-        "rig": {name: it for name, it in references.shown["rig"].items() if name != "scene"},
-        "layout": [list(references.rig.camera_shape), references.rig.channels],
-    }
-    scene = {"scene": references.shown["rig"].get("scene"), "name": folder.path.parent.name}
-    parts: list[tuple[str, int, int, dict[str, Any]]] = [
-        ("black", 0, black, {}), ("floodlit", black, references.count, scene)
-    ]  # fmt: skip
-    for name, first, last, of in parts[: {"none": 0, "black": 1, "all": 2}[share]]:
-        runs = [(max(a, first), min(b, last)) for a, b in references.missing(batch)]
-        missing = [(a, b) for a, b in runs if a < b]
-        if not missing:
-            continue
-        shown = {"shared": name, "count": last - first, **about, **of}
-        place = folder.path.parents[1] / "references" / f"{name}_{fingerprint(shown)[:12]}.zarr"
-
-        def patterns(begin: int, end: int, at: int = first) -> tuple[NDArray[np.float32], Keys]:
-            return references.patterns(at + begin, at + end)
-
-        shared = replace(
-            references, path=place, name=f"{name} brackets for all", count=last - first,
-            shown=shown, patterns=patterns,
-        )  # fmt: skip
-        while shared.count_missing():
-            with suppress(LockedError):  # by who takes the same ones
-                shared.settle()
-                shared.capture(batch)
-                break
-            time.sleep(_POLL_SECONDS)
-        with FrameStore.open(place) as taken, references.recording() as frames:
-            for begin, end in missing:
-                frames.write(begin, taken.read(begin - first, end - first))
-        text = "reference brackets: %d of %d are shared (%s)"
-        _log.info(text, last - first, references.count, place.name)
 
 
 def differing(old: dict[str, Any], new: dict[str, Any]) -> str:

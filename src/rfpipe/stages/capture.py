@@ -19,7 +19,7 @@ from rfpipe.errors import StoreError
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import sequence_patterns
-from rfpipe.stages.brackets import Brackets, Keys, Shared, take_shared
+from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
 from rfpipe.stages.jobs.workers import Resources
@@ -57,7 +57,6 @@ def run(
     warm_up_minutes: float = 0.0,
     drift_patterns: int = 0,
     watching: Mapping[str, Any] | None = None,
-    share: Shared = "none",
     progress: bool = True,
     resources: Resources | None = None,
 ) -> None:
@@ -79,8 +78,6 @@ def run(
         Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
     watching : mapping, optional
         Of `rfpipe.stages.watch.watching_level`: "mode", "looks" and "mutual_error".
-    share : {"none", "black", "all"}
-        Reference brackets to share, see `rfpipe.stages.brackets.take_shared`.
 
     Raises
     ------
@@ -100,8 +97,6 @@ def run(
     for part in parts:
         part.settle(when_patterns_change)
     off, on = _counts(rig, references)
-    if level == 0:
-        take_shared(share, folder, before[REFERENCE], off, batch_patterns)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture and folder.is_kept:
         merged = folder.store(level, "merge")  # of a capture before: replaced

@@ -165,7 +165,6 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
         "references": [capture.black_frames, capture.floodlit_frames],
         "symmetry_frames": SYMMETRY_FRAMES if plan.asks_symmetry else 0,
         "watching": {"mode": capture.watch, "looks": capture.looks, "mutual_error": mutual_error},
-        "share": capture.share_references or ("none" if config.collection is None else "black"),
     }
     merged = {**of_scene.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw}
     return {
