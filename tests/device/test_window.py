@@ -2,10 +2,8 @@
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from tests.displays import OWN_NAME, XServer
 from tests.waiting import wait_until
 
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.rigs.window import WindowProjector, code_table, read_response
+from rfpipe.rigs.window import WindowProjector, code_table
 from rfpipe.testing import ProjectorContract
 
 XVFB = pytest.mark.needs("xvfb")
@@ -84,12 +82,12 @@ def test_a_window_that_is_moved_is_put_back(projector: WindowProjector, x_server
 @XVFB
 def test_a_lost_display_is_an_error_until_it_comes_back(caplog: pytest.LogCaptureFixture) -> None:
     with XServer((40, 50), OWN_NAME) as server:
-        projector = WindowProjector(OWN_NAME, settle_seconds=0, reopen_seconds=0)
+        projector = WindowProjector(OWN_NAME, settle_seconds=0)
         projector.show(white(projector))
     assert not projector.undisturbed()
-    for _ in range(2):  # at every picture, what happened first is said
+    for _ in range(2):
         with pytest.raises(
-            CaptureError, match=rf"display {OWN_NAME}: .*window is gone.*open it again.*DISPLAY"
+            CaptureError, match=rf"display {OWN_NAME}: .*no display answers.*DISPLAY"
         ):
             projector.show(white(projector))
     with XServer((40, 50), OWN_NAME) as server:
@@ -97,21 +95,10 @@ def test_a_lost_display_is_an_error_until_it_comes_back(caplog: pytest.LogCaptur
         assert projector.undisturbed()
         assert (server.pixels == 255).all()
     assert projector.statistics == {"shown": 2, "reopened": 1, "disturbed": 1}
-    assert "going on" in caplog.text
+    assert "window is gone" in caplog.text
     projector.close()
     with pytest.raises(CaptureError, match="closed"):
         projector.show(white(projector))
-
-
-@XVFB
-def test_a_lost_display_is_not_waited_for_by_who_closes() -> None:
-    with XServer((40, 50), OWN_NAME):
-        projector = WindowProjector(OWN_NAME, settle_seconds=0, reopen_seconds=600)
-    threading.Timer(0.5, projector.close).start()
-    began = time.monotonic()
-    with pytest.raises(CaptureError, match="closed"):
-        projector.show(white(projector))
-    assert time.monotonic() - began < 30
 
 
 @XVFB
@@ -165,31 +152,13 @@ def test_codes_give_the_nearest_light() -> None:
 
 
 @pytest.mark.parametrize(
-    ("light", "expected"),
-    [
-        (np.ones(256), "255 must be brighter than 0"),
-        (np.r_[np.linspace(0, 1, 255), 0.5], "light of code 255 is 0.5, below that of code 254"),
-        (np.linspace(0, 1, 100), r"shape \(100,\)"),
-        (np.r_[np.linspace(0, 1, 255), np.nan], "finite"),
-    ],
-)
-def test_a_response_must_be_one(light: np.ndarray, expected: str) -> None:
-    with pytest.raises(InputError, match=expected):
+    "light",
+    [np.ones(256), np.r_[np.linspace(0, 1, 255), 0.5], np.linspace(0, 1, 100),
+     np.r_[np.linspace(0, 1, 255), np.nan]],
+)  # fmt: skip
+def test_a_response_must_be_one(light: np.ndarray) -> None:
+    with pytest.raises(InputError, match="never fall"):
         code_table(light)
-
-
-def test_a_response_is_read_from_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "response.txt"
-    np.savetxt(path, GAMMA)
-    assert read_response(path) == pytest.approx(GAMMA)
-    np.savetxt(path, GAMMA[:200])
-    with pytest.raises(InputError, match=r"response\.txt: .*a table of shape \(200,\)"):
-        read_response(path)
-    path.write_text("light\n")
-    with pytest.raises(InputError, match=r"response\.txt: can't be read"):
-        read_response(path)
-    with pytest.raises(InputError, match="can't be read"):
-        read_response(tmp_path / "absent.txt")
 
 
 def cover_for_a_while(x_server: XServer) -> None:

@@ -20,10 +20,9 @@ from rfpipe.calibration.folder import (
     calibrate,
     calibrate_rig,
     finish,
-    uncalibrated,
 )
 from rfpipe.cli import app
-from rfpipe.config import CalibrationConfig, parse_rig_config
+from rfpipe.config import CalibrationConfig, RigConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.report.calibration import build_calibration_report
 from rfpipe.rigs.build import DeviceRig
@@ -244,25 +243,18 @@ def test_there_is_no_report_of_nothing(tmp_path: Path) -> None:
         build_calibration_report(CalibrationFolder(tmp_path))
 
 
-def test_an_earlier_calibration_is_not_built_upon() -> None:
-    config = parse_rig_config(
-        {"calibration": "old", "projector": {"options": {"response": "old.txt"}}}, "rig.yaml"
-    )
-    bare = uncalibrated(config)
-    assert bare.calibration is None
-    assert bare.projector.arguments()["response"] is None
-
-
 def test_the_command_calibrates_and_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = wedge_bench(RAYS)
-    monkeypatch.setattr(
-        "rfpipe.calibration.folder.devices_from_config",
-        lambda config: (bench.projector, bench.camera),
-    )
+
+    def devices(config: RigConfig) -> tuple[Any, Any]:
+        assert config.calibration is None  # an earlier one is not built upon
+        return bench.projector, bench.camera
+
+    monkeypatch.setattr("rfpipe.calibration.folder.devices_from_config", devices)
     rig = tmp_path / "rig.yaml"
-    rig.write_text("rays: [16, 16]\ncalibrate: {dark_frames: 4}\n")
+    rig.write_text("rays: [16, 16]\ncalibrate: {dark_frames: 4}\ncalibration: old\n")
     output = str(tmp_path / "calibration")
     arguments = ["calibrate", str(rig), "--output", output, "--step", "scene"]
     done = CliRunner().invoke(app, arguments, catch_exceptions=False)

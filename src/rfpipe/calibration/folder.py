@@ -151,15 +151,6 @@ class CalibrationFolder:
         write_manifest(self.manifest(step), {**about, "facts": findings.facts, "arrays": digest})
 
 
-def uncalibrated(config: RigConfig) -> RigConfig:
-    """Return the settings without what an earlier calibration, or a file, knows of the devices."""
-    projector = config.projector
-    if "response" in type(projector.options).model_fields:
-        options = projector.options.model_copy(update={"response": None})
-        projector = projector.model_copy(update={"options": options})
-    return config.model_copy(update={"calibration": None, "projector": projector})
-
-
 def settings_of_step(config: RigConfig, step: Step) -> dict[str, Any]:
     """Return a rig's settings as plain data, with those of the calibration that shape a step."""
     shaping = config.calibrate.model_dump(mode="json", include={"coaxial", *step.settings})
@@ -179,7 +170,7 @@ def calibrate_rig(
 
     Parameters as `calibrate`; raises ConfigError, too, where the rig has no devices.
     """
-    projector, camera = devices_from_config(uncalibrated(config))
+    projector, camera = devices_from_config(config.model_copy(update={"calibration": None}))
     with closing(projector), closing(camera):
         place, settings = CalibrationFolder(folder), config.calibrate
         calibrate(projector, camera, place, settings, config.rays, only, progress, again=again)

@@ -25,13 +25,12 @@ def aim(
     """
     import logging
 
-    from rfpipe.calibration.folder import uncalibrated
     from rfpipe.config import load_rig_config
     from rfpipe.rigs.build import devices_from_config
     from rfpipe.server.aim import aim as run
 
     logging.basicConfig(format="%(message)s")
-    config = uncalibrated(load_rig_config(rig))
+    config = load_rig_config(rig).model_copy(update={"calibration": None})
 
     def say(address: str) -> None:
         typer.echo(f"open {address}")

@@ -312,8 +312,7 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
     bench = config.bench
     assert bench is not None
     window = config.projector.arguments()
-    if window["response"] is None:
-        window["response"] = calibration_of(config).projector_response
+    window["response"] = calibration_of(config).projector_response
     true = sensor_from_config(bench.camera or config.sensor)
     assert isinstance(true, CameraModel)
     codes = np.linspace(0, 1, 256) ** bench.projector_gamma

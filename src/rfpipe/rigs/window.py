@@ -22,7 +22,7 @@ from pydantic import Field
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.devices import Closing, Offset, PictureExtent, check_picture, options_of
+from rfpipe.rigs.devices import Closing, Offset, PictureExtent, check_picture
 
 Float = NDArray[np.float32]
 Codes = NDArray[np.uint8]
@@ -64,20 +64,6 @@ class WindowOptions(Settings):
         description="Wait after a picture was drawn, until the projector shows it, in seconds, 0 "
         "to 60: two or three frames of the display plus the projector's own delay.",
     )
-    reopen_seconds: float = Field(
-        10.0,
-        ge=0,
-        le=3600,
-        description="How long to try to open the window again when its display is lost, as by a "
-        "cable that flickers or an X server that is started again, in seconds, 0 to 3600. A "
-        "client of the server that serves the rig then waits for up to capture.patience_seconds.",
-    )
-    response: str | None = Field(
-        None,
-        description="Text file with the light of the codes 0 to 255, one number a line, as a "
-        "fraction of that of 255; null for that of the calibration, or, without one, light in "
-        "proportion to the code.",
-    )
 
 
 def code_table(light: NDArray[Any] | None) -> Codes:
@@ -88,18 +74,11 @@ def code_table(light: NDArray[Any] | None) -> Codes:
     nearest. InputError where the table is none.
     """
     measured = np.arange(256.0) if light is None else np.asarray(light, np.float64)
-    if measured.shape != (256,) or not np.isfinite(measured).all():
+    is_rising = measured.shape == (256,) and (np.diff(measured) >= 0).all()
+    if not is_rising or not 0 < measured[-1] - measured[0] < np.inf:
         raise InputError(
-            f"projector response: a table of shape {measured.shape}; expected the light of the "
-            "codes 0 to 255, 256 finite numbers"
-        )
-    falls = np.flatnonzero(np.diff(measured) < 0)
-    if falls.size or measured[-1] <= measured[0]:
-        code = int(falls[0]) + 1 if falls.size else 255
-        raise InputError(
-            f"projector response: the light of code {code} is {measured[code]:g}, below that of "
-            f"code {code - 1}, {measured[code - 1]:g}; light must not fall, and 255 must be "
-            "brighter than 0. Measure it again, with the lamp warm"
+            "projector response: expected the light of the codes 0 to 255, finite numbers that "
+            "never fall, the last above the first. Measure it again, with the lamp warm"
         )
     relative = (measured - measured[0]) / (measured[-1] - measured[0])
     between = (relative[1:] + relative[:-1]) / 2
@@ -107,21 +86,10 @@ def code_table(light: NDArray[Any] | None) -> Codes:
     return np.searchsorted(between, weights).astype(np.uint8)
 
 
-def read_response(path: str | Path) -> NDArray[np.float64]:
-    """Read a projector's response, one number a line for the codes 0 to 255, or InputError."""
-    try:
-        light = np.loadtxt(path, dtype=np.float64, ndmin=1)
-        code_table(light)
-    except (OSError, ValueError) as error:  # InputError is a ValueError, too
-        raise InputError(f"{path}: can't be read as a projector's response: {error}") from error
-    return light
-
-
 class _LostWindowError(CaptureError):
-    """The window, or its display, is gone; `reason` says so without advice."""
+    """The window, or its display, is gone."""
 
     def __init__(self, display: str | None, reason: str) -> None:
-        self.reason = reason
         super().__init__(
             f"projector on display {display or 'unset'}: {reason}. Check that the "
             "projector is a monitor of this display, and set projector.display, screen, offset "
@@ -134,16 +102,15 @@ class WindowProjector(Closing):
 
     The window lives in a process of its own (`rfpipe.rigs.window_process`), so `show` may be
     called from any thread, and the loss of the display is an error instead of the process' end.
-    A window that is lost is opened again, for `reopen_seconds` and then at each further picture:
-    a display that comes back goes on. `show` returns after the display's server has confirmed
-    that it drew the picture (on X11 by XSync) and after `settle_seconds`. When the light then
+    A window that is lost is opened again at the next picture. `show` returns `settle_seconds` after
+    the display's server has confirmed that it drew the picture (on X11 by XSync). When the light
     leaves the lens is known to the projector alone: calibration's step *latency* measures it.
 
     Parameters
     ----------
     display : str, optional
-    response : ndarray, shape (256,), or path, optional
-        Light measured at each code, see `code_table`, or a file of it, see `read_response`.
+    response : ndarray, shape (256,), optional
+        Light measured at each code, see `code_table`.
     options
         As `WindowOptions` has them, by name, the same where they aren't given.
 
@@ -167,19 +134,16 @@ class WindowProjector(Closing):
         self,
         display: str | None = None,
         *,
-        response: NDArray[Any] | str | Path | None = None,
+        response: NDArray[Any] | None = None,
         **options: Any,
     ) -> None:
-        chosen = options_of(self, options)
-        light = read_response(response) if isinstance(response, str | Path) else response
-        self._codes = code_table(light)
+        chosen = WindowOptions(**options)
+        self._codes = code_table(response)
         self._display = display
         self._settings = chosen.model_dump(include={"screen", "offset", "shape"}, mode="json")
         self.settle_seconds = chosen.settle_seconds
-        self._reopen_seconds = chosen.reopen_seconds
         self._lock = threading.Lock()
-        self._closing = threading.Event()
-        self._lost: _LostWindowError | None = None
+        self._is_closed = False
         self.statistics = {"shown": 0, "reopened": 0, "disturbed": 0}
         self._window: Any = self._open()
         self.shape: tuple[int, int] = self._window.shape
@@ -203,7 +167,8 @@ class WindowProjector(Closing):
             try:
                 stood = self._window is not None and bool(self._window.is_undisturbed())
             except _LostWindowError as error:
-                self._lose(error)
+                _log.warning("%s", error)
+                self._drop()
                 stood = False
             self.statistics["disturbed"] += not stood
         return stood
@@ -219,8 +184,8 @@ class WindowProjector(Closing):
 
     def close(self) -> None:
         """Close the window; closing twice is no error."""
-        self._closing.set()
         with self._lock:
+            self._is_closed = True
             self._drop()
 
     def _open(self) -> Any:
@@ -229,45 +194,26 @@ class WindowProjector(Closing):
 
     def _draw(self, codes: Codes) -> None:
         """Draw a picture, in a window opened again where it is lost."""
-        end, pause = time.monotonic() + self._reopen_seconds, 0.2
-        while not self._closing.is_set():
+        if self._is_closed:
+            raise CaptureError("the projector's window is closed; open it anew")
+        if self._window is not None:
             try:
-                if self._window is None:
-                    self._window = self._open()
-                    if self._window.shape != self.shape:
-                        raise _LostWindowError(
-                            self._display,
-                            f"the projector's monitor has {self._window.shape} pixels now, "
-                            f"{self.shape} before; set its resolution back",
-                        )
                 self._window.draw(codes)
+                return
             except _LostWindowError as error:
-                first = self._lose(error)  # which explains most
-                if time.monotonic() >= end:
-                    raise _LostWindowError(
-                        self._display,
-                        f"{first}; tried to open it again for {self._reopen_seconds:g} s "
-                        "(reopen_seconds)",
-                    ) from error
-                self._closing.wait(min(pause, end - time.monotonic()))
-                pause = min(2 * pause, 5.0)
-                continue
-            if self._lost is not None:
-                self._lost = None
-                self.statistics["reopened"] += 1
-                _log.warning("projector: the window is open again; going on")
-            return
-        raise CaptureError("the projector's window is closed; open it anew")
-
-    def _lose(self, error: _LostWindowError) -> str:
-        """Let go of a lost window; return the reason of the first loss since it stood."""
-        if self._lost is None:
-            self._lost = error
-            _log.warning(
-                "%s. Opening the window again, for up to %g s", error, self._reopen_seconds
+                _log.warning("%s. Opening the window again", error)
+                self._drop()
+        self._window = self._open()
+        if self._window.shape != self.shape:
+            shape = self._window.shape
+            self._drop()
+            raise _LostWindowError(
+                self._display,
+                f"the projector's monitor has {shape} pixels now, {self.shape} before; set its "
+                "resolution back",
             )
-        self._drop()
-        return self._lost.reason
+        self._window.draw(codes)
+        self.statistics["reopened"] += 1
 
     def _drop(self) -> None:
         window, self._window = self._window, None
