@@ -2,8 +2,7 @@
 
 Usage: ``python -m benchmarks.bench_devices``. Needs a display of 1080 x 1920 pixels, such
 as ``xvfb-run -s "-screen 0 1920x1080x24"`` gives it. Medians over repeats: a picture on the
-projector's window, an exposure of pylon's emulated camera, a bracket of the bench; and an exposure
-of each other driver on its library's virtual camera, before the bench's scene, of those installed.
+projector's window, an exposure of pylon's emulated camera, a bracket of the bench.
 """
 
 from __future__ import annotations
@@ -11,28 +10,21 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from benchmarks.harness import write
-from rfpipe.config import load_rig_config, parse_rig_config
+from rfpipe.config import load_rig_config
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import rig_from_config
-from rfpipe.rigs.cameras.pylon import PylonCamera
 from rfpipe.rigs.window import WindowProjector
+from rfpipe_devices.pylon import PylonCamera
 
 REPEATS = 50
 DISPLAYS = (288, 320), (768, 1024), (1080, 1920)
 CAMERAS = (310, 350), (1024, 1280)
-DRIVERS: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
-    "pylon": ({}, {}, 1),
-    "aravis": ({"pixel_format": "Mono16"}, {"bits": 16}, 1),
-    "gphoto2": ({}, {"bits": 14, "bayer": "RGGB"}, 3),
-    "webcam": ({}, {"bits": 8, "black_level_counts": 8}, 3),
-}
 
 
 def median_ms(step: Callable[[], object]) -> float:
@@ -67,31 +59,10 @@ def bench() -> float:
         rig.close()  # type: ignore[attr-defined]
 
 
-def virtual_camera(driver: str, shape: tuple[int, int]) -> float:
-    """Time an exposure of a driver before a scene that doesn't change, the making of noise too."""
-    options, sensor, channels = DRIVERS[driver]
-    scene = {"kind": "wedge", "surfaces": ["white", "white"], "shape": [8, 8], "channels": channels}
-    settings = {
-        "rays": [8, 8],
-        "projector": {"options": {"settle_seconds": 0}},
-        "camera": {"driver": driver, "options": options},
-        "sensor": {"exposures": [0.01], **sensor},
-        "bench": {"scene": scene, "display_shape": [72, 80], "camera_shape": list(shape)},
-    }
-    rig = rig_from_config(parse_rig_config(settings, driver))
-    try:
-        return median_ms(rig.camera.expose)  # type: ignore[attr-defined]
-    finally:
-        rig.close()  # type: ignore[attr-defined]
-
-
 def rows() -> Iterator[dict[str, Any]]:
     """Yield a row a step and size."""
     os.environ["PYLON_CAMEMU"] = "1"
     steps = [("window", window, DISPLAYS), ("emulated camera", emulated_camera, CAMERAS)]
-    for driver in DRIVERS:
-        name = f"{driver}, before the bench's scene"
-        steps.append((name, partial(virtual_camera, driver), CAMERAS))
     for name, measure, shapes in steps:
         try:
             for shape in shapes:

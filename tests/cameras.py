@@ -1,5 +1,6 @@
 """Aravis' virtual cameras, for the tests of its driver."""
 
+import ctypes
 import fcntl
 import tempfile
 from collections.abc import Iterator
@@ -10,16 +11,32 @@ from typing import Any
 import numpy as np
 
 from rfpipe.photometry import CameraModel
-from rfpipe_devices.aravis import PreparedCamera
+from rfpipe_devices.aravis import AravisCamera
 from rfpipe_devices.aravis_library import call, release
 
+_FILL = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
+)
 
-class FilledCamera(PreparedCamera):
+
+class FilledCamera(AravisCamera):
     """Aravis' fake camera before a picture of one's own, (H, W) counts as the format has them."""
 
     def __init__(self, picture: np.ndarray, sensor: CameraModel, **options: Any) -> None:
-        self.put(picture, sensor.bits)
-        super().__init__(sensor, shape=picture.shape, **options)
+        self._frame_bytes = picture.astype(np.uint8 if sensor.bits == 8 else "<u2").tobytes()
+        self._fill = _FILL(self._copy)  # kept, as the library calls it
+        super().__init__(sensor, **{"shape": picture.shape, **options, "serial": "1", "fake": True})
+
+    def _start(self, room: int = 0) -> None:
+        fake = call("arv_fake_device_get_fake_camera", self._handle)
+        call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
+        call("arv_fake_camera_set_trigger_frequency", fake, 1000.0)  # looks for a trigger so often
+        super()._start(room)
+
+    def _copy(self, buffer: int, *_: Any) -> None:
+        """Fill the library's buffer with the picture; is called by a thread of its own."""
+        data = call("arv_buffer_get_data", buffer, None)
+        ctypes.memmove(data, self._frame_bytes, len(self._frame_bytes))
 
 
 @contextmanager

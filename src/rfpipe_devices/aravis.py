@@ -6,19 +6,14 @@ a camera of metal: look at the first frames with care.
 
 from __future__ import annotations
 
-import ctypes
-import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import BenchCamera, chosen
-from rfpipe.rigs.cameras.genicam import GenicamCamera, GenicamOptions, RefusedError
 from rfpipe_devices.aravis_library import (
     STATUSES,
     AravisError,
@@ -30,15 +25,9 @@ from rfpipe_devices.aravis_library import (
     release,
     tried,
 )
-
-if TYPE_CHECKING:
-    from rfpipe.rigs.bench import Scenery
+from rfpipe_devices.genicam import GenicamCamera, GenicamOptions, RefusedError, chosen
 
 Counts = NDArray[np.uint16]
-
-_FILL = ctypes.CFUNCTYPE(
-    None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
-)
 
 
 class AravisOptions(GenicamOptions):
@@ -60,7 +49,6 @@ class AravisCamera(GenicamCamera):
 
     kind = "aravis"
     Options = AravisOptions
-    bench = "rfpipe_devices.aravis:AravisBenchCamera"
     faults = AravisError, RefusedError
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
@@ -127,60 +115,3 @@ class AravisCamera(GenicamCamera):
         stream, self._stream = self._stream, None
         release(stream)
         release(handle)
-
-
-class PreparedCamera(AravisCamera):
-    """Aravis' fake camera, which takes what lies before it: `frame`, as the pixel format has it."""
-
-    frame: bytes = b""
-
-    def __init__(self, sensor: CameraModel, **options: Any) -> None:
-        self._fill = _FILL(self._copy)  # kept, as the library calls it
-        super().__init__(sensor, **{**options, "serial": "1", "fake": True})
-
-    def put(self, counts: NDArray[np.uint16], bits: int) -> None:
-        """Lay counts (H, W) before the camera."""
-        self.frame = counts.astype(np.uint8 if bits == 8 else "<u2").tobytes()
-
-    def _start(self, room: int = 0) -> None:
-        fake = call("arv_fake_device_get_fake_camera", self._handle)
-        call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
-        call("arv_fake_camera_set_trigger_frequency", fake, 1000.0)  # looks for a trigger so often
-        super()._start(room)
-
-    def _copy(self, buffer: int, *_: Any) -> None:
-        """Fill the library's buffer with the picture; is called by a thread of its own."""
-        ctypes.memmove(call("arv_buffer_get_data", buffer, None), self.frame, len(self.frame))
-
-
-class AravisBenchCamera(BenchCamera, PreparedCamera):
-    """Aravis' fake camera on the bench; InputError where it has no such pixel format."""
-
-    kind = "bench of aravis"
-
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
-        if scenery.camera.bits != (16 if sensor.bayer is None else 8):
-            raise InputError(
-                f"sensor.bits is {scenery.camera.bits}; the bench with camera.driver aravis, which "
-                "is Aravis' fake camera, has Mono16, or a colour mosaic of 8 bits"
-            )
-        self._filled = threading.Event()
-        super().__init__(scenery, sensor, **{**options, "shape": scenery.path.camera_shape})
-
-    def trigger(self) -> None:
-        """Take a frame while armed, as the projector's signal would have it."""
-        if self._armed is not None:
-            self._before_trigger(self._armed[0])
-            self._filled.clear()
-            self._expect()
-            self._filled.wait(self._options.timeout_seconds)
-
-    def _start(self, room: int = 0) -> None:  # noqa: ARG002
-        super()._start()  # the fake camera fills whatever it has, triggered or not
-
-    def _copy(self, buffer: int, *_: Any) -> None:
-        super()._copy(buffer)
-        self._filled.set()
-
-    def _before_trigger(self, exposure: float) -> None:
-        self.put(self._scenery.frame(exposure), self._scenery.camera.bits)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.rigs.cameras.genicam import RefusedError, Value
+from rfpipe_devices.genicam import RefusedError, Value
 
 _LIBRARY, _GOBJECT = "libaravis-0.8.so.0", "libgobject-2.0.so.0"
 

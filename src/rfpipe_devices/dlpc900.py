@@ -23,8 +23,8 @@ from pydantic import Field
 
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.rigs.cameras.bracket import load_library
 from rfpipe.rigs.devices import Closing, check_picture
+from rfpipe_devices.bracket import load_library
 
 Float = NDArray[np.float32]
 Device = Literal["DLP6500", "DLP670S"]

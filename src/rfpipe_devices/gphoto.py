@@ -7,11 +7,9 @@ metal: what Canon, Nikon and Sony call their settings stands here as libgphoto2'
 from __future__ import annotations
 
 import logging
-import re
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +19,7 @@ from rfpipe.config.base import Text
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures.raw import Raw, read_raw
-from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, FrameOptions
-from rfpipe_devices.dng import dng_bytes
+from rfpipe_devices.bracket import BracketCamera, FrameOptions
 from rfpipe_devices.gphoto_library import (
     Photo,
     ShutterTime,
@@ -32,9 +29,6 @@ from rfpipe_devices.gphoto_library import (
     shutter_times,
     use_virtual,
 )
-
-if TYPE_CHECKING:
-    from rfpipe.rigs.bench import Scenery
 
 Counts = NDArray[np.uint16]
 
@@ -49,22 +43,11 @@ FIXED = {
 MANUAL = ("expprogram", "autoexposuremode", "autoexposuremodedial")
 """Settings that say the mode; of a dial, so they can only be read."""
 
-MIRROR: dict[str, int | str] = {"mirrorlock": 1, "exposuredelaymode": "On"}
-"""Canon's and Nikon's ways to keep the mirror still; Sony's cameras have none."""
-
-MIRROR_SECONDS = 1.0
-"""Wait after it is raised."""
-
-LEAST_BATTERY = 20
-"""Charge in per cent below which a line warns."""
-
 _log = logging.getLogger(__name__)
 
 
 class PhotoOptions(FrameOptions):
     """A photo camera, by gphoto2."""
-
-    channels: ClassVar[int] = 3
 
     model: Text | None = Field(
         None,
@@ -74,20 +57,10 @@ class PhotoOptions(FrameOptions):
     iso: Annotated[int, Field(ge=25, le=409_600)] = Field(
         100, description="Sensitivity, fixed, 25 to 409600; the lowest has the least noise."
     )
-    image_format: Text | None = Field(
-        None,
-        description="What the camera calls raw files alone, or null to find it among the usual "
-        "names.",
-    )
     nominal_times: bool = Field(
         False,
         description="Whether exposures last as long as they are named, 1/60 s, and not the power "
         "of two that shutters are timed for, 1/64 s: true or false.",
-    )
-    mirror_lock: bool = Field(
-        False,
-        description="Whether the mirror is raised before each exposure, where the camera can: true "
-        "or false.",
     )
     keep_pictures: bool = Field(
         False, description="Whether the pictures stay on the camera's card, too: true or false."
@@ -130,7 +103,6 @@ class PhotoCamera(BracketCamera):
 
     kind = "gphoto2"
     Options = PhotoOptions
-    bench = "rfpipe_devices.gphoto:PhotoBenchCamera"
     advice = "Check its cable, battery and card, and that its mode dial is at M"
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
@@ -154,13 +126,10 @@ class PhotoCamera(BracketCamera):
             "bayer": self.sensor.bayer,
             "black_level_counts": self.sensor.black_level_counts,
             "white_level_counts": self.sensor.white_level,
-            "mirror_lock": self._options.mirror_lock,
             "settings": dict(sorted(self._options.settings.items())),
         }
 
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        if self.statistics["frames"] % 100 == 99:
-            self._look_at_battery()
         self._before_trigger(exposure)
         data = self._taken(self._times[exposure])
         if data is None:
@@ -180,9 +149,6 @@ class PhotoCamera(BracketCamera):
         if self._shown != shutter.name:
             photo.set("shutterspeed", shutter.name)
             self._shown = shutter.name
-        if self._options.mirror_lock and photo.get("mirrorlock") is not None:
-            photo.release()  # the first release raises the mirror
-            time.sleep(MIRROR_SECONDS)
         photo.release()
         patience = shutter.seconds + self._options.timeout_seconds
         return photo.picture(patience, keep=self._options.keep_pictures)
@@ -257,19 +223,11 @@ class PhotoCamera(BracketCamera):
         photo.set("iso", str(options.iso))
         for name in ("imageformat", "imagequality"):
             known = photo.choices(name)
-            raw = options.image_format or next(
-                (each for each in RAW_FORMATS if each in known), None
-            )
-            if raw is not None and (raw in known or options.image_format):
+            if raw := next((each for each in RAW_FORMATS if each in known), None):
                 photo.set(name, raw)
-        if options.mirror_lock:
-            ways = [name for name, value in MIRROR.items() if photo.set(name, value)]
-            if not ways:
-                _log.warning("%s: has no mirror lock that gphoto2 can set", self._name)
         for name, setting in options.settings.items():
             if not photo.set(name, setting):
                 raise CaptureError(f"{self._name}: has no setting {name} that can be made")
-        self._look_at_battery()
 
     def _first(self, shutter: ShutterTime) -> Raw:
         """Take a picture and return it."""
@@ -285,7 +243,7 @@ class PhotoCamera(BracketCamera):
         except InputError as error:
             raise CaptureError(
                 f"{self._name}: {error}. Set the camera to raw files alone, in its menu or by "
-                "camera.image_format"
+                "camera.settings"
             ) from error
 
     def _learn(self, raw: Raw, times: list[ShutterTime]) -> None:
@@ -316,63 +274,5 @@ class PhotoCamera(BracketCamera):
             "%s: %s, black level %.0f, white level %d", self._name, raw.bayer, raw.black, raw.white
         )
 
-    def _look_at_battery(self) -> None:
-        """Warn of a battery that may not last."""
-        level = self._handle.get("batterylevel")
-        if level is None:
-            return
-        found = re.match(r"(\d+)", str(level))
-        charge = int(found[1]) if found else 100 * (str(level).lower() != "low")
-        if charge < LEAST_BATTERY:
-            _log.warning(
-                "%s: its battery is at %s; a night takes mains power (a dummy battery)",
-                self._name, level,
-            )  # fmt: skip
-
-    def _restart(self) -> None:
-        self._drop()
-        self._connect()
-
     def _release(self, handle: Photo) -> None:
         handle.close()
-
-
-class PhotoBenchCamera(BenchCamera, PhotoCamera):
-    """libgphoto2's virtual camera on the bench, each of its raw files made when it is released.
-
-    InputError where the bench's camera has no colour mosaic.
-    """
-
-    kind = "bench of gphoto2"
-
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
-        if scenery.camera.bayer is None:
-            raise InputError(
-                "sensor.bayer is null; the bench with camera.driver gphoto2 makes raw files of a "
-                "colour mosaic: set it to RGGB, and bench.scene.channels to 3"
-            )
-        self._folder = self._new_folder()
-        self._put(scenery.camera, np.zeros(scenery.path.camera_shape, np.uint16), 1.0)
-        self._released = 0
-        # to delete a picture takes the virtual camera a quarter of a second
-        own = {"virtual": str(self._folder), "keep_pictures": True}
-        super().__init__(scenery, sensor, **{**options, **own})
-
-    def _before_trigger(self, exposure: float) -> None:
-        if self._released == 20:  # it is full after 26, and only a new session empties it
-            self._restart()
-        self._put(self._scenery.camera, self._scenery.frame(exposure), exposure)
-        self._released += 1
-
-    def _connect(self) -> None:
-        super()._connect()
-        self._released = 0
-
-    def _put(self, true: CameraModel, counts: Counts, seconds: float) -> None:
-        """Lay a raw file before the virtual camera, which knows only the length that it had."""
-        assert true.bayer is not None
-        made = self._folder / "next"
-        made.write_bytes(
-            dng_bytes(counts, seconds, true.bayer, true.black_level_counts, true.white_level)
-        )
-        made.replace(self._folder / "raw.jpg")

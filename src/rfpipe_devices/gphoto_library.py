@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.rigs.cameras.bracket import load_library
+from rfpipe_devices.bracket import load_library
 
 Setting = bool | int | float | str
 

@@ -9,11 +9,9 @@ camera's controls in software. Never tried on a camera of metal, nor on a device
 from __future__ import annotations
 
 import logging
-import math
-from collections import deque
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +20,8 @@ from pydantic import Field
 from rfpipe.config.base import Settings, Text
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, load_library
 from rfpipe.rigs.devices import PictureExtent
-
-if TYPE_CHECKING:
-    from rfpipe.rigs.bench import Scenery
+from rfpipe_devices.bracket import BracketCamera, load_library
 
 Counts = NDArray[np.uint16]
 
@@ -55,13 +50,6 @@ class WebcamOptions(Settings):
     )
     shape: tuple[PictureExtent, PictureExtent] | None = Field(
         None, description="Height and width of the frames in pixels, or null for the camera's own."
-    )
-    fourcc: Text | None = Field(
-        "YUYV",
-        min_length=4,
-        max_length=4,
-        description="Format of the stream that is asked for, not compressed, four letters; null "
-        "for the camera's own.",
     )
     skip_frames: int = Field(
         4,
@@ -94,7 +82,6 @@ class Webcam(BracketCamera):
 
     kind = "webcam"
     Options = WebcamOptions
-    bench = "rfpipe_devices.webcam:WebcamBenchCamera"
     advice = "Check its cable and hub, and that no other program uses it"
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
@@ -120,7 +107,6 @@ class Webcam(BracketCamera):
             "device": str(self._options.device),
             "backend": self._options.backend,
             "channels": self.channels,
-            "fourcc": self._options.fourcc,
             "skip_frames": self._options.skip_frames,
             "controls": dict(sorted(self._options.controls.items())),
             "adapts": list(self.adapts),
@@ -184,8 +170,7 @@ class Webcam(BracketCamera):
     def _set_up(self) -> None:
         """Make all settings but the exposure time, and warn of those that failed."""
         options, adapts = self._options, []
-        if options.fourcc is not None:
-            self._set("FOURCC", self._cv2.VideoWriter_fourcc(*options.fourcc))
+        self._set("FOURCC", self._cv2.VideoWriter_fourcc(*"YUYV"))  # not compressed
         if options.shape is not None:
             self._set("FRAME_HEIGHT", options.shape[0])
             self._set("FRAME_WIDTH", options.shape[1])
@@ -221,15 +206,12 @@ class Webcam(BracketCamera):
 
     def _set_exposure(self, exposure: float) -> float | None:
         """Set the exposure time in seconds; return the camera's, or None if it has none to set."""
-        prop, backend = self._cv2.CAP_PROP_EXPOSURE, self._handle.getBackendName()
         self._set_to = exposure
-        if backend == "V4L2":
-            made = self._handle.set(prop, max(1, round(exposure * V4L2_TICKS)))
-            return float(self._handle.get(prop)) / V4L2_TICKS if made else None
-        if backend in ("DSHOW", "MSMF"):
-            made = self._handle.set(prop, round(math.log2(exposure)))
-            return float(2.0 ** self._handle.get(prop)) if made else None
-        return None
+        if self._handle.getBackendName() != "V4L2":
+            return None
+        prop = self._cv2.CAP_PROP_EXPOSURE
+        made = self._handle.set(prop, max(1, round(exposure * V4L2_TICKS)))
+        return float(self._handle.get(prop)) / V4L2_TICKS if made else None
 
     def _take_over_times(self) -> None:
         """Replace the sensor's exposure times by those that the camera takes."""
@@ -264,69 +246,3 @@ class Webcam(BracketCamera):
 def _letters(fourcc: int) -> str:
     """Return the four letters of a stream's format."""
     return "".join(chr((fourcc >> shift) & 0x7F) for shift in (0, 8, 16, 24)).upper()
-
-
-class VirtualUvc:
-    """A V4L2 camera in software: controls that hold what they are told, frames that come late.
-
-    `late` frames that are on their way when the picture changes still show the old one, as a
-    driver's buffers do.
-    """
-
-    def __init__(self, frame: NDArray[np.uint8], late: int) -> None:
-        self._frames = deque([frame])
-        self._last, self._late = frame, late
-        self._controls: dict[int, float] = {}
-
-    def put(self, frame: NDArray[np.uint8]) -> None:
-        """Lay the next frame before the camera."""
-        self._frames.extend([self._last] * self._late + [frame])
-        self._last = frame
-
-    def isOpened(self) -> bool:  # noqa: N802
-        """Tell whether there is a camera."""
-        return True
-
-    def grab(self) -> bool:
-        """Take a frame, and leave it."""
-        return self.read()[0]
-
-    def read(self) -> tuple[bool, NDArray[np.uint8] | None]:
-        """Take a frame."""
-        return (True, self._frames.popleft()) if self._frames else (False, None)
-
-    def set(self, prop: int, value: float) -> bool:
-        """Make a setting."""
-        self._controls[prop] = float(value)
-        return True
-
-    def get(self, prop: int) -> float:
-        """Return a setting."""
-        return self._controls.get(prop, 0.0)
-
-    def getBackendName(self) -> str:  # noqa: N802
-        """Name the backend whose controls these are."""
-        return "V4L2"
-
-    def release(self) -> None:
-        """Let go."""
-
-
-class WebcamBenchCamera(BenchCamera, Webcam):
-    """A virtual webcam on the bench in software, each frame made when it is asked for."""
-
-    kind = "bench of webcam"
-
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
-        own = {"device": "of the bench", "shape": scenery.path.camera_shape}
-        super().__init__(scenery, sensor, **{**options, **own})
-
-    def _opened(self) -> VirtualUvc:
-        dark = np.zeros((*self._scenery.path.camera_shape, 3), np.uint8)
-        return VirtualUvc(dark, self._options.skip_frames)
-
-    def _before_trigger(self, exposure: float) -> None:  # noqa: ARG002
-        # as long as the camera was told, whatever the driver believes
-        ticks = self._handle.get(self._cv2.CAP_PROP_EXPOSURE)
-        counts = self._scenery.frame(ticks / V4L2_TICKS).astype(np.uint8)
-        self._handle.put(counts if counts.ndim == 2 else counts[..., ::-1])

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.dng import dng_bytes
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.testing import CameraContract
 from rfpipe_devices import gphoto_library
-from rfpipe_devices.dng import dng_bytes
 from rfpipe_devices.gphoto import PhotoCamera, PhotoOptions
 from rfpipe_devices.gphoto_library import Photo
 
@@ -112,7 +112,7 @@ def _files(device: Any, folder: str) -> list[str]:
 
 def test_a_picture_that_is_not_raw_says_what_to_set(tmp_path: Path) -> None:
     (tmp_path / "raw.jpg").write_bytes(b"\xff\xd8" + bytes(5_000))
-    with pytest.raises(CaptureError, match=r"can't be read as a raw file.*camera\.image_format"):
+    with pytest.raises(CaptureError, match=r"can't be read as a raw file.*camera\.settings"):
         camera_of(tmp_path)
 
 
@@ -144,23 +144,10 @@ def test_a_lost_camera_is_found_again(tmp_path: Path, monkeypatch: pytest.Monkey
         assert camera.statistics == {"frames": 2, "failed": 0, "timed_out": 0, "reconnected": 1}
 
 
-def test_a_low_battery_warns(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with camera_of(tmp_path):  # the virtual one is at 50 %
-        assert "battery" not in caplog.text
-    monkeypatch.setattr("rfpipe_devices.gphoto.LEAST_BATTERY", 60)
-    with camera_of(tmp_path):
-        assert "its battery is at 50%" in caplog.text
-
-
-def test_settings_are_made_or_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    with camera_of(tmp_path, settings={"f-number": "f/8"}, mirror_lock=True) as camera:
+def test_settings_are_made_or_refused(tmp_path: Path) -> None:
+    with camera_of(tmp_path, settings={"f-number": "f/8"}) as camera:
         assert camera._handle.get("f-number") == "f/8"
         assert camera._handle.get("autofocus") == "Off"
-    assert "has no mirror lock that gphoto2 can set" in caplog.text
     with pytest.raises(CaptureError, match=r"f-number can't be f/7; it is one of f/2\.8"):
         camera_of(tmp_path, settings={"f-number": "f/7"})
     with pytest.raises(CaptureError, match="has no setting whitebalance"):
@@ -176,32 +163,3 @@ def test_a_mode_other_than_manual_is_refused(
     )
     with pytest.raises(CaptureError, match="its mode is A; turn the dial to M"):
         camera_of(tmp_path)
-
-
-def test_the_mirror_is_raised_by_a_release_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    get, choose, release = Photo.get, Photo.set, Photo.release
-    made: dict[str, Any] = {}
-    released = []
-
-    def second_only(photo: Photo) -> None:
-        released.append(photo)
-        if len(released) % 2 == 0:
-            release(photo)
-
-    def note(photo: Photo, name: str, value: Any) -> bool:
-        if name != "mirrorlock":
-            return choose(photo, name, value)
-        made[name] = value
-        return True
-
-    # the setting of a camera that the virtual one isn't
-    monkeypatch.setattr(Photo, "get", lambda p, name: 1 if name == "mirrorlock" else get(p, name))
-    monkeypatch.setattr(Photo, "set", note)
-    monkeypatch.setattr(Photo, "release", second_only)
-    monkeypatch.setattr("rfpipe_devices.gphoto.MIRROR_SECONDS", 0.0)
-    with camera_of(tmp_path, mirror_lock=True) as camera:
-        assert made["mirrorlock"] == 1
-        assert (camera.expose() == COUNTS).all()
-    assert len(released) == 6

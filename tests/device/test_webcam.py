@@ -1,6 +1,7 @@
 """The driver of webcams, on image sequences that OpenCV opens as a device, and on UVC controls."""
 
 import sys
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.testing import CameraContract
-from rfpipe_devices.webcam import VirtualUvc, Webcam
+from rfpipe_devices.webcam import Webcam
 
 SENSOR = CameraModel(exposures=(0.03,), bits=8, black_level_counts=2)
 SHAPE = (24, 30)
@@ -29,6 +30,52 @@ def sequence(folder: Path, frames: int = 40, picture: np.ndarray = PICTURE) -> s
 
 def webcam(folder: Path, sensor: CameraModel = SENSOR, **options: Any) -> Webcam:
     return Webcam(sensor, device=sequence(folder), backend="images", **{**QUICK, **options})
+
+
+class VirtualUvc:
+    """A V4L2 camera in software: controls that hold what they are told, frames that come late.
+
+    `late` frames that are on their way when the picture changes still show the old one, as a
+    driver's buffers do.
+    """
+
+    def __init__(self, frame: np.ndarray, late: int) -> None:
+        self._frames = deque([frame])
+        self._last, self._late = frame, late
+        self._controls: dict[int, float] = {}
+
+    def put(self, frame: np.ndarray) -> None:
+        """Lay the next frame before the camera."""
+        self._frames.extend([self._last] * self._late + [frame])
+        self._last = frame
+
+    def isOpened(self) -> bool:  # noqa: N802
+        """Tell whether there is a camera."""
+        return True
+
+    def grab(self) -> bool:
+        """Take a frame, and leave it."""
+        return self.read()[0]
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        """Take a frame."""
+        return (True, self._frames.popleft()) if self._frames else (False, None)
+
+    def set(self, prop: int, value: float) -> bool:
+        """Make a setting."""
+        self._controls[prop] = float(value)
+        return True
+
+    def get(self, prop: int) -> float:
+        """Return a setting."""
+        return self._controls.get(prop, 0.0)
+
+    def getBackendName(self) -> str:  # noqa: N802
+        """Name the backend whose controls these are."""
+        return "V4L2"
+
+    def release(self) -> None:
+        """Let go."""
 
 
 class UvcCamera(Webcam):
@@ -107,7 +154,7 @@ def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:
     with Webcam(SENSOR, device=device, backend="images", **QUICK) as camera:
         for _ in range(3):
             assert (camera.expose()[0] == PICTURE).all()
-        assert camera.statistics == {"frames": 3, "failed": 2, "timed_out": 0, "reconnected": 0}
+        assert camera.statistics == {"frames": 3, "failed": 2, "timed_out": 0, "reconnected": 2}
 
 
 @pytest.mark.parametrize(

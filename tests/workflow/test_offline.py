@@ -15,6 +15,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import yaml
+from tests.dng import dng_bytes
 from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import acquire, contents, symmetric_matrix
 from typer.testing import CliRunner
@@ -28,7 +29,6 @@ from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.rigs.offline_pictures import check_pictures
 from rfpipe.stages.plan import Plan, plan_of, stages_of
-from rfpipe_devices.dng import dng_bytes
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "photographer.py"
 SHAPE = (4, 5)

@@ -211,9 +211,8 @@ class RigConfig(Settings):
         drivers = self.projector.driver, self.camera.driver
         if drivers[0] != "window" or self.camera.bench is None:
             raise ValueError(
-                "projector.driver and camera.driver should be window and pylon, or another camera "
-                "of rfpipe's own, with a bench, which drives them in software, not "
-                f"{drivers[0]} and {drivers[1]}"
+                "projector.driver and camera.driver should be window and pylon with a bench, "
+                f"which drives them in software, not {drivers[0]} and {drivers[1]}"
             )
         options = self.camera.options
         channels = getattr(options, "channels", self.bench.scene.channels)

@@ -128,16 +128,6 @@ class SequenceCamera(Camera, Protocol):
         """
 
 
-def options_of(driver: Any, options: dict[str, Any]) -> Any:
-    """Return a driver's options, whose ranges are checked where settings are read.
-
-    Those that aren't given have its model's defaults; TypeError for one that it doesn't have.
-    """
-    if unknown := options.keys() - driver.Options.model_fields:
-        raise TypeError(f"{type(driver).__name__} has no options {', '.join(sorted(unknown))}")
-    return driver.Options.model_construct(**options)
-
-
 class Closing:
     """What a with statement closes in the end."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from abc import abstractmethod
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, ClassVar, Protocol, TypeAlias
 
@@ -14,7 +15,7 @@ from pydantic import Field
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import BracketCamera, FrameOptions
+from rfpipe_devices.bracket import BracketCamera, FrameOptions
 
 Counts = NDArray[np.uint16]
 Value: TypeAlias = bool | int | float | str
@@ -366,3 +367,23 @@ class GenicamCamera(BracketCamera):
             with suppress(Exception):
                 takes = f". It takes {', '.join(nodes.choices(name))}"
             raise RefusedError(f"camera: refuses {name} = {value}: {error}{takes}") from error
+
+
+def chosen(connected: Iterable[str], serial: str | None) -> int:
+    """Return the index of a camera by the serial numbers of those that answer.
+
+    Raises
+    ------
+    CaptureError
+        When it is none, or any of several.
+    """
+    serials = list(connected)
+    if serial is not None and serial in serials:
+        return serials.index(serial)
+    if serial is None and len(serials) == 1:
+        return 0
+    wanted = "any camera" if serial is None else f"camera {serial}"
+    raise CaptureError(
+        f"{wanted}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
+        "Check power, cable and network, and name the camera by camera.serial"
+    )

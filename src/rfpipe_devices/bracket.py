@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
 from importlib import import_module
-from pathlib import Path
-from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
-from weakref import finalize
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +16,11 @@ from pydantic import Field
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, installing
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.devices import Closing, Offset, PictureExtent, options_of
-
-if TYPE_CHECKING:
-    from rfpipe.rigs.bench import Scenery
+from rfpipe.rigs.devices import Closing, Offset, PictureExtent
 
 Counts = NDArray[np.uint16]
 
 _log = logging.getLogger(__name__)
-
-
-TimeoutSeconds = Annotated[
-    float,
-    Field(
-        gt=0,
-        le=600,
-        description="Seconds until a frame counts as lost, beyond its exposure time; above 0, at "
-        "most 600.",
-    ),
-]
 
 
 class FrameOptions(Settings):
@@ -53,7 +34,13 @@ class FrameOptions(Settings):
         description="Place of the frames on the sensor: rows from its upper edge, columns from "
         "its left edge; of a photo camera even numbers both.",
     )
-    timeout_seconds: TimeoutSeconds = 2.0
+    timeout_seconds: float = Field(
+        2.0,
+        gt=0,
+        le=600,
+        description="Seconds until a frame counts as lost, beyond its exposure time; above 0, at "
+        "most 600.",
+    )
 
 
 class BracketCamera(Closing, ABC):
@@ -66,12 +53,7 @@ class BracketCamera(Closing, ABC):
     ----------
     sensor : CameraModel
     options
-        Those of the driver's model `Options`, by name; see `rfpipe.rigs.devices.options_of`.
-
-    Raises
-    ------
-    TypeError
-        When there is an option that the driver doesn't have.
+        Those of the driver's model `Options`, by name.
 
     Attributes
     ----------
@@ -79,9 +61,8 @@ class BracketCamera(Closing, ABC):
         The driver's settings.
     kind : str
         The driver's name in descriptions.
-    attempts, reconnects, reconnect_seconds : int, int, float
-        Times that a frame is taken, that a lost camera is looked for, and the wait before each: a
-        server's clients ask for longer.
+    attempts, reconnect_seconds : int, float
+        Times that a frame is taken, and the wait before a lost camera is looked for.
     channels : int
         Of a frame: 1 of a grey camera and under a mosaic, or 3.
     statistics : dict of str to int
@@ -96,13 +77,12 @@ class BracketCamera(Closing, ABC):
     Options: ClassVar[type[Settings]]
     kind: ClassVar[str]
     attempts: ClassVar[int] = 4
-    reconnects: ClassVar[int] = 5
     reconnect_seconds: ClassVar[float] = 2.0
     advice: ClassVar[str] = "Check its cable and the load of its port (packet size, USB hub)"
     faults: tuple[type[Exception], ...] = ()
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
-        self._options = options_of(self, options)
+        self._options: Any = self.Options(**options)
         self.sensor = sensor
         self.channels = 1
         self._handle: Any = None
@@ -145,7 +125,6 @@ class BracketCamera(Closing, ABC):
     def _restart(self) -> None:
         """Start afresh, so that a frame that comes late is not taken for the next one."""
         self._drop()
-        self._open()
 
     def _is_lost(self) -> bool:
         """Tell whether there is no camera at hand."""
@@ -164,16 +143,37 @@ class BracketCamera(Closing, ABC):
         """Is called before each trigger; a real camera needs nothing more."""
 
     def _check_open(self) -> None:
+        """Find a lost camera again, or raise CaptureError."""
         if self._closed:
             raise CaptureError("the camera is closed; open it anew")
-        if self._is_lost():
-            self._reconnect("it was disconnected")
+        for attempt in range(self.attempts):
+            if not self._is_lost():
+                return
+            self._drop()
+            time.sleep(self.reconnect_seconds)
+            try:
+                shape = self._open()
+            except CaptureError as error:
+                _log.warning("attempt %d of %d: %s", attempt + 1, self.attempts, error)
+                problem = error
+                continue
+            if shape != self.shape:
+                raise CaptureError(
+                    f"{self._name}: has {shape} pixels since it came back, {self.shape} before"
+                )
+            self.statistics["reconnected"] += 1
+            _log.warning("%s is back", self._name)
+            return
+        raise CaptureError(
+            f"{self._name} was lost and not found again in {self.attempts} attempts; the last: "
+            f"{problem}. Check its power, cable and network, and that no other program took it"
+        )
 
     def _exposure(self, exposure: float) -> Counts:
         """Take one frame, again where it fails."""
         for attempt in range(self.attempts):
+            self._check_open()
             try:
-                self._check_open()
                 frame, problem = self._frame(exposure)
                 if frame is not None:
                     if frame.shape[:2] == self.shape:
@@ -185,7 +185,7 @@ class BracketCamera(Closing, ABC):
                 self._restart()
             except self.faults as error:
                 problem = self._said(error)
-                self._reconnect(problem)
+                self._drop()
             _log.warning(
                 "%s, exposure %g s, attempt %d of %d: %s",
                 self._name, exposure, attempt + 1, self.attempts, problem,
@@ -194,66 +194,6 @@ class BracketCamera(Closing, ABC):
             f"{self._name}: no good frame of {exposure:g} s in {self.attempts} attempts; "
             f"the last: {problem}. {self.advice}, or raise camera.timeout_seconds"
         )
-
-    def _reconnect(self, reason: str) -> None:
-        """Find the camera again."""
-        _log.warning("%s was lost: %s", self._name, reason)
-        problem = reason
-        for attempt in range(self.reconnects):
-            self._drop()
-            time.sleep(self.reconnect_seconds)
-            try:
-                shape = self._open()
-            except CaptureError as error:
-                problem = str(error)
-                _log.warning("attempt %d of %d: %s", attempt + 1, self.reconnects, error)
-                continue
-            if shape != self.shape:
-                raise CaptureError(
-                    f"{self._name}: has {shape} pixels since it came back, {self.shape} before"
-                )
-            self.statistics["reconnected"] += 1
-            _log.warning("%s is back", self._name)
-            return
-        raise CaptureError(
-            f"{self._name} was lost ({reason}) and not found again in {self.reconnects} attempts; "
-            f"the last: {problem}. Check its power, cable and network, and that no other program "
-            "took it"
-        )
-
-
-class BenchCamera(BracketCamera):
-    """A driver's virtual camera before a bench's scenery; mixed into the driver.
-
-    Parameters
-    ----------
-    scenery : Scenery
-    sensor : CameraModel
-        The camera as the rig has it; its exposures are set, its noise is not used.
-    options
-        As the driver has them; what says which camera it is, and the frames' shape, is the bench's.
-    """
-
-    _remove: Callable[[], object] = staticmethod(lambda: None)
-
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
-        self._scenery = scenery
-        super().__init__(sensor, **options)
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return super().describe() | self._scenery.describe()
-
-    def _new_folder(self) -> Path:
-        """Return a folder for the virtual camera's pictures, which ends with the camera."""
-        folder = mkdtemp(prefix="rfpipe-bench-")
-        self._remove = finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        return Path(folder)
-
-    def close(self) -> None:
-        """Give the camera back; closing twice is no error."""
-        super().close()
-        self._remove()
 
 
 def load_library(module: str, extra: str) -> Any:
@@ -264,23 +204,3 @@ def load_library(module: str, extra: str) -> Any:
         raise CaptureError(
             f"{module} can't be loaded: {error}. To install it, {installing(extra)}"
         ) from error
-
-
-def chosen(connected: Iterable[str], serial: str | None) -> int:
-    """Return the index of a camera by the serial numbers of those that answer.
-
-    Raises
-    ------
-    CaptureError
-        When it is none, or any of several.
-    """
-    serials = list(connected)
-    if serial is not None and serial in serials:
-        return serials.index(serial)
-    if serial is None and len(serials) == 1:
-        return 0
-    wanted = "any camera" if serial is None else f"camera {serial}"
-    raise CaptureError(
-        f"{wanted}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
-        "Check power, cable and network, and name the camera by camera.serial"
-    )

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import BenchCamera, chosen, load_library
-from rfpipe.rigs.cameras.genicam import GenicamCamera, RefusedError, Value
+from rfpipe_devices.bracket import load_library
+from rfpipe_devices.genicam import GenicamCamera, RefusedError, Value, chosen
 
 if TYPE_CHECKING:
     from rfpipe.rigs.bench import Scenery
@@ -34,7 +38,7 @@ class PylonCamera(GenicamCamera):
     """
 
     kind = "pylon"
-    bench = "rfpipe.rigs.cameras.pylon:PylonBenchCamera"
+    bench = "rfpipe_devices.pylon:PylonBenchCamera"
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
         super().__init__(sensor, **options)
@@ -91,14 +95,26 @@ class PylonCamera(GenicamCamera):
                 step()
 
 
-class PylonBenchCamera(BenchCamera, PylonCamera):
-    """The driver's emulated camera on the bench in software, its pictures read from files."""
+class PylonBenchCamera(PylonCamera):
+    """The driver's emulated camera on the bench in software, its pictures read from files.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    sensor : CameraModel
+        The camera as the rig has it; its exposures are set, its noise is not used.
+    options
+        As the driver has them; what says which camera it is, and the frames' shape, is the bench's.
+    """
 
     kind = "bench"
 
     def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
         os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
-        self._folder = self._new_folder()
+        self._scenery = scenery
+        folder = mkdtemp(prefix="rfpipe-bench-")
+        self._remove = finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self._folder = Path(folder)
         pictures = self._folder / "pictures"
         pictures.mkdir()
         self._put(np.zeros(scenery.path.camera_shape, np.uint16), scenery.camera.bits)
@@ -110,7 +126,7 @@ class PylonBenchCamera(BenchCamera, PylonCamera):
             },
         }  # fmt: skip
         try:
-            super().__init__(scenery, sensor, **{**options, **own})
+            super().__init__(sensor, **{**options, **own})
         except CaptureError as error:
             raise CaptureError(
                 f"{error}. The bench needs pylon's emulated camera: set PYLON_CAMEMU=1 in the "
@@ -119,7 +135,12 @@ class PylonBenchCamera(BenchCamera, PylonCamera):
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return super().describe() | {"nodes": {}}
+        return super().describe() | {"nodes": {}} | self._scenery.describe()
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        super().close()
+        self._remove()
 
     def trigger(self) -> None:
         """Take a frame while armed, as the projector's signal would have it."""

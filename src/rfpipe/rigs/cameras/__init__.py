@@ -1,1 +1,0 @@
-"""Cameras that expose frame by frame: GenICam and Basler."""
