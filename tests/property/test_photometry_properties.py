@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rfpipe.photometry import CameraModel, MergeOptions, Response
+from rfpipe.photometry import CameraModel, MergeOptions
 from rfpipe.photometry.defects import DarkFrames, find_defects
 from rfpipe.photometry.normalize import MAXIMUM_GAIN, apply, level_gain
 
@@ -109,16 +109,3 @@ def test_good_pixels_are_not_called_defective(seed: int, bayer: str | None) -> N
     off = np.stack([camera.expose(np.zeros_like(image), seed, (9, i)) for i in range(4)])
     lit = camera.expose(image, seed, (0, 0))
     assert not find_defects(DarkFrames.of(off), lit, camera).mask.any()
-
-
-@given(
-    hnp.arrays(np.float64, 6, elements=st.floats(1e-3, 1)),
-    hnp.arrays(np.float64, 20, elements=st.floats(-1, 1)),
-)
-def test_a_response_is_monotone_and_odd(steps: np.ndarray, levels: np.ndarray) -> None:
-    exposure = np.concatenate([[0], np.cumsum(steps)]) / steps.sum()
-    exposure[-1] = 1
-    response = Response(np.linspace(0, 1, 7), exposure)
-    ordered = np.sort(levels)
-    assert (np.diff(response.linearise(ordered)) >= 0).all()
-    np.testing.assert_array_equal(response.linearise(-ordered), -response.linearise(ordered))

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.photometry import CameraModel, ExactSensor, sensor_from_config
+from rfpipe.photometry import CameraModel, ExactSensor
 from rfpipe.photometry.camera import apply_optics
 from rfpipe.photometry.demosaic import mosaic
 from rfpipe.provenance import fingerprint
@@ -54,13 +53,6 @@ def test_read_noise_and_dark_current() -> None:
     assert drawn.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / drawn.size))
 
 
-def test_dark_current_grows_with_the_exposure() -> None:
-    camera = replace(FINE, exposures=(0.5, 2.0), dark_current_electrons=30.0)
-    frames = camera.expose(flat(0.0), 0, (0, 0))
-    means = frames.mean(axis=(1, 2, 3)) - camera.black_level_counts
-    np.testing.assert_allclose(means, [15, 60], rtol=0.01)
-
-
 def test_full_well_is_full_scale_and_darkness_is_the_black_level() -> None:
     camera = replace(QUIET, exposures=(1.0,))
     bright = flat(10 * camera.full_well_electrons / camera.electrons_per_radiance)
@@ -69,13 +61,6 @@ def test_full_well_is_full_scale_and_darkness_is_the_black_level() -> None:
     half = flat(0.5 * camera.full_well_electrons / camera.electrons_per_radiance)
     expected = (camera.white_level + camera.black_level_counts) / 2
     assert camera.expose(half, 0, (0, 0)).mean() == pytest.approx(expected, rel=1e-3)
-
-
-def test_noise_below_the_black_level_is_cut_at_zero_counts() -> None:
-    camera = replace(FINE, black_level_counts=0, read_noise_electrons=3.0)
-    frames = camera.expose(flat(0.0), 0, (0, 0))
-    assert frames.min() == 0
-    assert (frames == 0).mean() > 0.4
 
 
 @pytest.mark.parametrize("gamma", [0.5, 2.2])
@@ -153,28 +138,6 @@ def test_flare_spreads_a_fraction_of_each_views_light() -> None:
     np.testing.assert_allclose(seen[1, 2, 3, 0], 0.9 * 20 + 0.1, rtol=1e-6)
 
 
-def test_optics_are_linear() -> None:
-    one, two = np.random.default_rng(0).random((2, 8, 9, 3)).astype(np.float32)
-    settings = (0.8, 0.3, 0.05)
-    together = apply_optics(one + two, *settings)
-    apart = apply_optics(one, *settings) + apply_optics(two, *settings)
-    np.testing.assert_allclose(together, apart, rtol=1e-5)
-
-
-def test_camera_of_the_settings() -> None:
-    assert sensor_from_config(None) == ExactSensor()
-    assert sensor_from_config(CameraConfig()) == CameraModel()
-    changed = CameraConfig(bits=10, bayer="GRBG", exposures=(0.5, 1.0), vignetting=0.2)
-    camera = sensor_from_config(changed)
-    assert isinstance(camera, CameraModel)
-    assert (camera.bits, camera.bayer, camera.exposures, camera.vignetting) == (
-        10,
-        "GRBG",
-        (0.5, 1.0),
-        0.2,
-    )
-
-
 def test_description_holds_every_setting() -> None:
     described = CameraModel(flare=0.1).describe()
     assert json.loads(json.dumps(described)) == described
@@ -220,11 +183,6 @@ def test_a_white_level_below_full_scale() -> None:
     for wrong in (600, 2**14):
         with pytest.raises(InputError, match="black_level_counts is"):
             replace(camera, white_level_counts=wrong)
-
-
-def test_exact_sensor_has_one_exposure() -> None:
-    with pytest.raises(InputError, match="one exposure, not 2"):
-        ExactSensor((1.0, 2.0))
 
 
 @pytest.mark.parametrize("sensor", [ExactSensor(), CameraModel()], ids=["exact", "camera"])

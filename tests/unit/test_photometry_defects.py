@@ -49,17 +49,6 @@ def test_surfaces_without_reflection_are_not_defects(bayer: str | None) -> None:
     assert not defects_of(*capture(camera, image), camera).mask.any()
 
 
-@pytest.mark.parametrize("bayer", [None, "RGGB"])
-def test_a_pixel_that_sees_empty_space_is_not_dead(bayer: str | None) -> None:
-    camera = replace(CAMERA, bayer=bayer)
-    image = texture()
-    image[8, 9] = image[20, 30] = image[20, 31] = 0  # all neighbours are lit
-    image[30, 5, 2] = 0
-    found = defects_of(*capture(camera, image), camera)
-    assert not found.mask.any()
-    assert (found.hot, found.dead) == (0, 0)
-
-
 @pytest.mark.parametrize("black", [0, 64])
 def test_constant_counts_say_nothing_where_steps_hide_the_noise(black: int) -> None:
     quiet = {"read_noise_electrons": 0.2, "dark_current_electrons": 0.0}
@@ -133,12 +122,6 @@ def test_small_and_stacked_domains(shape: tuple[int, ...]) -> None:
     found = defects_of(*capture(CAMERA, np.full(shape, 0.5, np.float32)), CAMERA)
     assert found.mask.shape == shape[:-1]
     assert not found.mask.any()
-
-
-def test_views_do_not_vouch_for_each_other() -> None:
-    off, lit = capture(CAMERA, np.full((2, 9, 9, 3), 0.5, np.float32))
-    lit[:, 1] = off[0, :, 1]  # one view sees nothing at all
-    assert not defects_of(off, lit, CAMERA).mask.any()
 
 
 def test_exact_radiance_has_no_defects() -> None:

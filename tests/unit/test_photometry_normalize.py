@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 import pytest
 
-from rfpipe.errors import InputError
 from rfpipe.photometry.camera import apply_optics
 from rfpipe.photometry.demosaic import demosaic, mosaic
 from rfpipe.photometry.normalize import MAXIMUM_GAIN, Mode, Normalization, apply, level_gain
@@ -121,23 +120,6 @@ def test_the_variance_follows_the_scaling(mode: Mode) -> None:
     corrected, spread = apply(images[:1] + noise, np.full_like(noise, sigma**2), normalization)
     np.testing.assert_allclose(corrected.var(axis=0), spread[0], rtol=0.15)
     assert corrected.dtype == spread.dtype == np.float32
-
-
-def test_views_and_grey_images() -> None:
-    images = np.full((4, 2, 3, 5, 1), 0.2, np.float32)
-    floodlit = np.ones((2, 3, 5, 1))
-    for mode in ("per_channel", "total_energy"):
-        normalization = level_gain(
-            floodlit, images.sum(axis=0), np.zeros_like(floodlit), mode, True, 3.0
-        )
-        np.testing.assert_allclose(apply(images, images, normalization)[0], 0.25, rtol=1e-6)
-
-
-def test_wrong_arguments() -> None:
-    with pytest.raises(InputError, match="must have one shape"):
-        level_gain(NONE, NONE[:2], NONE, "none", True, 3.0)
-    with pytest.raises(InputError, match="normalization is 'grey'"):
-        level_gain(NONE, NONE, NONE, "grey", True, 3.0)  # type: ignore[arg-type]
 
 
 BLUR = 0.6

@@ -1,8 +1,7 @@
-"""Camera model and its inverse: noise, HDR merge, response, mosaic, defects, normalization."""
+"""Camera model and its inverse: noise, HDR merge, mosaic, defects, normalization."""
 
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.photometry.resampling import ResampledSensor, Resampling, sensor_from_description
-from rfpipe.photometry.response import Response, recover_response
 from rfpipe.photometry.sensor import ExactSensor, Merged, MergeOptions, Sensor
 
 __all__ = [
@@ -12,9 +11,7 @@ __all__ = [
     "Merged",
     "ResampledSensor",
     "Resampling",
-    "Response",
     "Sensor",
-    "recover_response",
     "sensor_from_config",
     "sensor_from_description",
 ]

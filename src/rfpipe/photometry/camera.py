@@ -236,12 +236,12 @@ class CountsMerge:
         ]
         self._full_scale = camera.full_well_electrons / self._collection[0]
         self._usable_below = COUNTS(np.ceil(options.saturation_fraction * camera.white_level))
-        table = electrons_of_counts(camera, options)
+        table = electrons_of_counts(camera)
         background = np.interp(black, np.arange(len(table)), table).astype(np.float32)
         # the converter's steps are as coarse in electrons as the response is steep
         steps = np.square(np.gradient(table)).astype(np.float32) / 12
         noise = _fixed_noise(camera, background, options)
-        self._is_linear = camera.response_gamma == 1 and options.response is None
+        self._is_linear = camera.response_gamma == 1
         self._table, self._steps = table, steps
         self._background = (black if self._is_linear else background).reshape(len(black), -1)
         self._noise = (noise + steps[0] if self._is_linear else noise).reshape(len(black), -1)
@@ -347,14 +347,11 @@ def merge_bracket(
     return estimate, variance, saturated
 
 
-def electrons_of_counts(camera: CameraModel, options: MergeOptions) -> Float:
+def electrons_of_counts(camera: CameraModel) -> Float:
     """Return the electrons above the nominal black level behind each count, float32."""
     span = camera.white_level - camera.black_level_counts
     level = (np.arange(camera.white_level + 1) - camera.black_level_counts) / span
-    if options.response is not None:
-        fraction = options.response.linearise(level)
-    else:
-        fraction = np.copysign(np.abs(level) ** camera.response_gamma, level)
+    fraction = np.copysign(np.abs(level) ** camera.response_gamma, level)
     return (fraction * camera.full_well_electrons).astype(np.float32)
 
 

@@ -8,8 +8,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
-
 Mode = Literal["none", "per_channel", "total_energy"]
 
 MAXIMUM_GAIN = 10.0
@@ -70,25 +68,13 @@ def level_gain(
         Finite and bounded. Not covered: pixels where the total or the floodlit image is unknown,
         within noise or not positive, or where the total holds less than ``1 / MAXIMUM_GAIN`` of the
         floodlit image.
-
-    Raises
-    ------
-    InputError
-        When the shapes differ or the mode is unknown.
     """
     if floodlit_variance is None:
         floodlit_variance = np.zeros(np.shape(floodlit))
-    given = (floodlit, floodlit_variance, total, total_variance)
-    if len({np.shape(array) for array in given}) != 1:
-        raise InputError(
-            "floodlit image, total and their variances must have one shape, (*camera_shape, "
-            f"channels), not {[np.shape(array) for array in given]}"
-        )
     floodlit, floodlit_variance, total, total_variance = (
-        np.asarray(array, np.float64) for array in given
+        np.asarray(array, np.float64)
+        for array in (floodlit, floodlit_variance, total, total_variance)
     )
-    if mode not in ("none", "per_channel", "total_energy"):
-        raise InputError(f"normalization is {mode!r}; expected none, per_channel or total_energy")
     if mode == "none" or not complete:
         nowhere = np.zeros(floodlit.shape, bool)
         return Normalization(np.ones(floodlit.shape, np.float32), nowhere, mode)

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, InputError
-from rfpipe.photometry.response import Response
+from rfpipe.errors import CaptureError
 from rfpipe.units import RADIANCE, SATURATION_FRACTION
 
 Float = NDArray[np.float32]
@@ -50,21 +49,10 @@ class MergeOptions:
         Number of all-off brackets that `black` is the mean of; its noise enters the variance.
     saturation_fraction : float
         Counts at or above this fraction of full scale are saturated and not used, in (0, 1].
-    response : Response, optional
-        A recovered response, used in place of the camera's nominal one.
     """
 
     black_count: int = 1
     saturation_fraction: float = SATURATION_FRACTION
-    response: Response | None = None
-
-    def __post_init__(self) -> None:
-        if self.black_count < 1:
-            raise InputError(f"black_count is {self.black_count}; expected at least 1")
-        if not 0 < self.saturation_fraction <= 1:
-            raise InputError(
-                f"saturation_fraction is {self.saturation_fraction}; expected above 0, at most 1"
-            )
 
 
 class BracketMerge(Protocol):
@@ -122,13 +110,10 @@ class Sensor(Protocol):
 class ExactSensor(Sensor):
     """A sensor without noise or limits: one exposure of a second, frames are radiance."""
 
-    exposures: tuple[float, ...] = (1.0,)
-
-    def __post_init__(self) -> None:
-        if len(self.exposures) != 1:
-            raise InputError(
-                f"exact radiance has one exposure, not {len(self.exposures)}: {self.exposures}"
-            )
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        """The only exposure, of a second."""
+        return (1.0,)
 
     @property
     def frame_dtype(self) -> np.dtype[Any]:
@@ -191,11 +176,6 @@ def check_black(black: NDArray[Any], exposures: int) -> None:
 
 def check_shape(frames: NDArray[Any], bracket: tuple[int, ...], first_index: int) -> None:
     """Raise CaptureError unless the brackets (B, E, ...) have the shape of the all-off one."""
-    if frames.ndim != 1 + len(bracket) or frames.shape[1] != bracket[0]:
-        raise CaptureError(
-            f"pattern {first_index}: frames have the shape {frames.shape}; expected "
-            f"(patterns, {bracket[0]} exposures, *camera_shape[, channels])"
-        )
     if frames.shape[1:] != bracket:
         raise CaptureError(
             f"pattern {first_index}: brackets have the shape {frames.shape[1:]}, the "
