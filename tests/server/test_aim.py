@@ -37,23 +37,17 @@ class Client:
         self._app = app
         self._cookies: dict[str, str] = {}
 
-    def _ask(self, method: str, path: str, **options: Any) -> Response:
+    def get(self, path: str, **options: Any) -> Response:
         async def asked() -> Response:
             async with AsyncClient(
                 transport=ASGITransport(self._app), base_url="http://127.0.0.1",
                 cookies=self._cookies, follow_redirects=True,
             ) as client:  # fmt: skip
-                answer = await client.request(method, path, **options)
+                answer = await client.get(path, **options)
                 self._cookies = dict(client.cookies)
                 return answer
 
         return asyncio.run(asked())
-
-    def get(self, path: str, **options: Any) -> Response:
-        return self._ask("GET", path, **options)
-
-    def post(self, path: str, **options: Any) -> Response:
-        return self._ask("POST", path, **options)
 
 
 @pytest.fixture
@@ -68,7 +62,6 @@ def wait_for(watch: Watch, number: int) -> None:
 def test_nothing_is_shown_without_the_token(client: Client) -> None:
     for path in ("/", "/?token=another", "/state.json", "/picture.png"):
         assert client.get(path).status_code == 401
-    assert client.post("/mode", json={"shown": "white"}).status_code == 401
     page = client.get(f"/?token={TOKEN}")
     assert page.status_code == 200
     assert TOKEN not in str(page.url)
@@ -91,18 +84,6 @@ def test_it_tells_what_the_camera_sees(client: Client, watch: Watch) -> None:
     red = (picture[..., 0] > 0.8) & (picture[..., 1] < 0.2)
     assert red.mean() > 0.3
     assert (np.abs(picture - [1.0, 0.82, 0.12]).max(axis=-1) < 0.02).any()  # the outline
-
-
-def test_a_held_picture_stays(client: Client, watch: Watch, bench: Bench) -> None:
-    client.get(f"/?token={TOKEN}")
-    wait_for(watch, 1)
-    assert client.post("/mode", json={"shown": "nonsense"}).status_code == 422
-    assert client.post("/mode", json={"shown": "white"}).status_code == 204
-    wait_for(watch, watch.look.number + 2)
-    assert (bench.projector.light == 1).all()
-    state = client.get("/state.json").json()
-    assert state["mode"] == "white"
-    assert state["proposal"]
 
 
 def test_a_device_that_fails_is_told_of_and_tried_again(

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
-from PIL import Image
 from tests.ports import free_port
 from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, posted, running
 from tests.waiting import wait_until
@@ -24,7 +21,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig, RemoteRig
 from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns
 from rfpipe.server import ServerSettings
-from rfpipe.server.run import bound_socket, start_log
+from rfpipe.server.run import bound_socket
 
 ON = np.ones((1, 3, 7), np.float32)
 
@@ -66,8 +63,6 @@ def test_a_request_sent_again_is_not_exposed_again(http: httpx.Client, rig: Slow
     assert first.status_code == again.status_code == 200
     assert first.content == again.content
     assert rig.shown == [(1, 5)]
-    status = http.get("/v1/status").json()
-    assert (status["brackets"], status["answered_again"]) == (1, 1)
     other = encode_patterns(0 * ON, [(1, 5)])
     answer = http.post("/v1/captures", content=other, headers=headers)
     assert answer.status_code == 422
@@ -151,16 +146,6 @@ def test_the_capture_of_a_client_that_died_ends_before_the_next_pattern(
         assert 1 < len(rig.shown) < 10
 
 
-def test_a_preview_shows_the_last_bracket(http: httpx.Client) -> None:
-    assert http.get("/v1/preview.png").status_code == 404
-    body = encode_patterns(ON, [(1, 5)])
-    assert http.post("/v1/captures", content=body, headers=headers_of(lease_of(http))).is_success
-    picture = http.get("/v1/preview.png")
-    assert picture.headers["content-type"] == "image/png"
-    image = Image.open(io.BytesIO(picture.content))
-    assert image.size == (4 * 5, 4)  # four exposures side by side
-
-
 def test_a_rig_that_fails_is_tried_again_and_then_given_up(
     server: Running, rig: SlowRig, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -215,15 +200,6 @@ def test_a_failed_request_goes_on_where_it_was(server: Running, rig: SlowRig) ->
         frames = client.capture(patterns, keys)
     assert rig.shown == keys
     np.testing.assert_array_equal(frames, OperatorRig.capture(rig, patterns, keys))
-
-
-def test_a_rig_that_returns_something_else_is_named(server: Running, rig: SlowRig) -> None:
-    rig.capture = lambda p, k: np.zeros((len(k), 2, 2), np.uint16)  # type: ignore[method-assign]
-    with (
-        server.client(patience_seconds=1) as client,
-        pytest.raises(CaptureError, match=r"shape \(1, 2, 2\)"),
-    ):
-        client.capture(ON, [(1, 0)])
 
 
 def test_a_restart_is_waited_for_and_the_request_goes_on(caplog: pytest.LogCaptureFixture) -> None:
@@ -339,18 +315,6 @@ def test_a_rig_is_opened_and_used_in_one_thread() -> None:
     assert threads[0] != threading.get_ident()
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"host": "0.0.0.0"}, "no loopback address"),
-        ({"host": "rig.example.org"}, "no loopback address"),
-    ],
-)
-def test_settings_out_of_range(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        ServerSettings(**settings)
-
-
 def test_a_port_that_is_taken_is_named(server: Running) -> None:
     with (
         pytest.raises(ConfigError, match=rf"port {server.port}.*choose another --port"),
@@ -359,22 +323,18 @@ def test_a_port_that_is_taken_is_named(server: Running) -> None:
         pass
 
 
-def test_the_log_names_requests_and_faults(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    start_log(tmp_path / "server.log")
-    with running(SlowRig()) as server, server.http() as http:
-        http.get("/v1/rig", headers={"Authorization": "Bearer wrong"})
-    logging.getLogger("rfpipe.server").error("with a traceback", exc_info=ValueError("x"))
-    logging.getLogger("rfpipe").handlers[-1].close()
-    text = (tmp_path / "server.log").read_text()
-    assert '"GET /v1/rig HTTP/1.1" 401' in text
-    assert text.splitlines()[-1] == "ValueError: x"
-    assert capsys.readouterr().err.splitlines()[-1] == "ValueError: x"
-    with pytest.raises(ConfigError, match="can't be written as a log file"):
-        start_log(tmp_path / "nowhere" / "server.log")
-
-
 def test_the_token_is_in_no_answer(http: httpx.Client) -> None:
     for path in ("/v1/health", "/v1/status", "/v1/rig", "/v1/openapi.json", "/v1/nothing"):
         assert TOKEN not in http.get(path, headers=RIGHT).text
+
+
+def test_another_address_than_loopback_must_be_allowed() -> None:
+    for host in ("0.0.0.0", "rig.example.org"):
+        with pytest.raises(ConfigError, match="no loopback address"):
+            ServerSettings(host)
+
+
+def test_the_log_names_requests(server: Running, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO), server.http() as http:
+        http.get("/v1/rig", headers={"Authorization": "Bearer wrong"})
+    assert '"GET /v1/rig HTTP/1.1" 401' in caplog.text

@@ -34,8 +34,7 @@ TIMES = int(os.environ.get("RFPIPE_FUZZING_TIMES", "1"))
 CASES = 1000 * TIMES
 """At least so many in all, of the operations and ways of generation."""
 
-FEW = {"GET /v1/health", "GET /v1/status", "GET /v1/rig", "GET /v1/rig/arrays",
-       "GET /v1/preview.png"}  # fmt: skip
+FEW = {"GET /v1/health", "GET /v1/status", "GET /v1/rig", "GET /v1/rig/arrays"}
 """Operations without parameters, of which there is little to vary."""
 
 

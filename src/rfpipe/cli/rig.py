@@ -102,7 +102,6 @@ def serve(
         float,
         typer.Option(min=0.5, help="Seconds that a client keeps the rig without a sign of life."),
     ] = 15.0,
-    log_file: Annotated[Path | None, typer.Option(help="File to log to beside stderr.")] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Serve a rig whose calibration is not good, too.")
     ] = False,
@@ -124,7 +123,6 @@ def serve(
         port=port,
         allow_remote=allow_remote,
         lease_seconds=lease_seconds,
-        log_file=log_file,
     )
     config = load_rig_config(rig)
     if config.kind == "devices" and config.rig is None:

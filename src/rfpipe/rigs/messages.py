@@ -58,12 +58,8 @@ class Metrics(BaseModel):
     """What happened since the start."""
 
     brackets: int = Field(0, description="Patterns exposed.")
-    answered_again: int = Field(
-        0, description="Requests that came again and were answered without a new exposure."
-    )
     failures: int = Field(0, description="Exposures that ended with an error of the rig.")
     last_error: str | None = None
-    exposing_seconds: float = Field(0.0, description="Time that the rig took for all brackets.")
 
 
 class StatusAnswer(Metrics):

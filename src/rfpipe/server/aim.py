@@ -6,15 +6,15 @@ import hmac
 import io
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from importlib.resources import files
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import uvicorn
-from fastapi import Body, FastAPI, HTTPException, Request, Response
+from fastapi import FastAPI, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from numpy.typing import NDArray
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -24,16 +24,12 @@ from rfpipe.calibration.sight import measure_sight, sight_picture, sight_picture
 from rfpipe.errors import RfpipeError
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 from rfpipe.server.run import bound_socket, local_config
-from rfpipe.units import SATURATION_FRACTION
 
 Devices = Callable[[], tuple[Projector, Camera]]
-Mode = Literal["measure", "white", "stripes", "off"]
-"""What the projector shows: all that is measured from, in turn; or one picture, held."""
 
 AGAIN_SECONDS = 2.0
 """Wait after a device failed, before it is tried again."""
 
-_HARDLY = 0.01  # of a picture's pixels may be saturated
 _COOKIE = "rfpipe-aim"
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -114,10 +110,6 @@ def create_app(watch: Watch, token: str) -> FastAPI:
             raise HTTPException(404, "nothing was seen yet")
         return Response(watch.look.picture, media_type="image/png")
 
-    @app.post("/mode", status_code=204)
-    def mode(shown: Annotated[Mode, Body(embed=True)]) -> None:
-        watch.turn(shown)
-
     return app
 
 
@@ -147,10 +139,9 @@ class Watch:
 
     def __init__(self, devices: Devices, period: int) -> None:
         self._period = period
-        self._mode: Mode = "measure"
         self.look = Look(0, b"", {})
         self._error: str | None = None
-        self._stopping, self._turned = threading.Event(), threading.Event()
+        self._stopping = threading.Event()
         self._thread = ThreadPoolExecutor(1, "aim")
         try:
             projector, camera = self._thread.submit(devices).result()
@@ -161,14 +152,9 @@ class Watch:
 
     @property
     def state(self) -> dict[str, Any]:
-        """Plain data: the mode, the last look, and the devices' error."""
+        """Plain data: the last look, and the devices' error."""
         look = self.look
-        return {"number": look.number, "mode": self._mode, "error": self._error, **look.facts}
-
-    def turn(self, mode: Mode) -> None:
-        """Have another picture shown."""
-        self._mode = mode
-        self._turned.set()
+        return {"number": look.number, "error": self._error, **look.facts}
 
     def close(self) -> None:
         """Give the devices back, after the exposure in hand."""
@@ -178,7 +164,6 @@ class Watch:
     def _run(self, projector: Projector, camera: Camera) -> None:
         with closing(projector), closing(camera):
             while not self._stopping.is_set():
-                self._turned.clear()
                 try:
                     self._look_once(projector, camera)
                     self._error = None
@@ -187,53 +172,28 @@ class Watch:
                     self._stopping.wait(AGAIN_SECONDS)
 
     def _look_once(self, projector: Projector, camera: Camera) -> None:
-        """Take the pictures of the mode; leave it where the mode changes meanwhile."""
-        mode = self._mode
+        """Take the pictures of a look; leave it where the page is closed meanwhile."""
         taken = []
-        for index, shown in enumerate(_pictures(mode, projector.shape, self._period)):
+        for index, shown in enumerate(sight_pictures(projector.shape, self._period)):
             taken.append(bracket_of(projector, camera, shown, f"picture {index}"))
-            if self._stopping.is_set() or self._turned.is_set():
+            if self._stopping.is_set():
                 return
         model = camera_model(camera)
-        if mode == "measure":
-            sight = measure_sight(taken, model.exposures, model.white_level, self._period)
-            lit, dark = sight["lit"], sight["dark"]
-            picture = sight_picture(sight["white"], sight["saturated"], dark, lit)
-            proposal = ", ".join(f"{one:g}" for one in sight["proposed_exposures_s"])
-            facts = {
-                "standing": sight.verdict.standing,
-                "verdict": sight.verdict.text,
-                "saturated": sight["saturated_share"],
-                "dark": float(dark.sum() / max(lit.sum(), 1)),
-                "lit": sight["lit_share"],
-                "focus": sight["focus_contrast"],
-                "exposures": list(model.exposures),
-                "proposal": f"sensor:\n  exposures: [{proposal}]",
-            }
-        else:
-            picture, facts = _held(taken[0], model.white_level), self.look.facts
+        sight = measure_sight(taken, model.exposures, model.white_level, self._period)
+        lit, dark = sight["lit"], sight["dark"]
+        picture = sight_picture(sight["white"], sight["saturated"], dark, lit)
+        proposal = ", ".join(f"{one:g}" for one in sight["proposed_exposures_s"])
+        facts = {
+            "standing": sight.verdict.standing,
+            "verdict": sight.verdict.text,
+            "saturated": sight["saturated_share"],
+            "dark": float(dark.sum() / max(lit.sum(), 1)),
+            "lit": sight["lit_share"],
+            "focus": sight["focus_contrast"],
+            "exposures": list(model.exposures),
+            "proposal": f"sensor:\n  exposures: [{proposal}]",
+        }
         self.look = Look(self.look.number + 1, _png(picture), facts)
-
-
-def _pictures(mode: Mode, shape: tuple[int, int], period: int) -> Iterator[NDArray[np.float32]]:
-    """Yield the pictures of a mode."""
-    if mode == "measure":
-        yield from sight_pictures(shape, period)
-    elif mode == "stripes":
-        y, x = np.mgrid[: shape[0], : shape[1]]
-        yield ((x % period < period / 2) ^ (y % period < period / 2)).astype(np.float32)
-    else:
-        yield np.full(shape, float(mode == "white"), np.float32)
-
-
-def _held(bracket: NDArray[np.uint16], white_level: int) -> NDArray[np.float64]:
-    """Return the longest exposure that is hardly saturated."""
-    frames = bracket if bracket.ndim == 3 else bracket.max(axis=-1)
-    full = frames >= SATURATION_FRACTION * white_level
-    best = max(int((full.mean(axis=(1, 2)) < _HARDLY).sum()) - 1, 0)
-    # the darkest are about as dark as without light
-    light = frames[best] - np.percentile(frames[best], 1)
-    return sight_picture(light, full[best], np.zeros_like(full[best]))
 
 
 def _png(picture: NDArray[np.float64]) -> bytes:

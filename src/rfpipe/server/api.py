@@ -5,22 +5,18 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-import threading
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from math import prod
 from typing import Annotated, Any
 
-import numpy as np
 from fastapi import APIRouter, Depends, FastAPI, Header, HTTPException, Request, Response
 from fastapi.responses import StreamingResponse
 from fastapi.security import HTTPBearer
-from numpy.typing import NDArray
 
 import rfpipe
-from rfpipe.pictures.images import png_bytes
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.messages import (
@@ -38,11 +34,11 @@ from rfpipe.rigs.messages import (
 from rfpipe.server.guard import CAPTURE_PATH, PROBLEM_TYPE, Guard, Problem, add_handlers
 from rfpipe.server.settings import ServerSettings
 from rfpipe.server.worker import Leases, RigWorker
-from rfpipe.units import SATURATION_FRACTION
 
 _log = logging.getLogger("rfpipe.server")
 
-_MOST_PIXELS = 512  # of a preview
+_MOST_PATTERNS = 64  # in a request
+_MOST_ANSWER_BYTES = 128 * 2**20  # of brackets; one pattern is always allowed
 _PIECE = 2**18  # bytes of an answer that are sent once those before it were taken
 
 _problem = {"content": {PROBLEM_TYPE: {"schema": Problem.model_json_schema()}}}
@@ -63,11 +59,10 @@ class _Served:
 
     def __init__(self, worker: RigWorker, settings: ServerSettings) -> None:
         self.worker, self.leases = worker, worker.leases
-        self.began = time.monotonic()
+        self.began, self.body_seconds = time.monotonic(), settings.body_seconds
         self.rig = _described(worker.rig, settings)
         arrays = getattr(worker.rig.sensor, "arrays", dict)
         self.arrays = pack({}, arrays(), deflate=True)  # of a resampled sensor
-        self.drawing = threading.Lock()
         # held while a capture's body is in memory: one at a time
         self.reading = asyncio.Lock()
 
@@ -93,7 +88,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     RfpipeError
         When the rig can't be opened.
     """
-    worker = RigWorker(rig, Leases(settings.lease_seconds), settings.kept_captures)
+    worker = RigWorker(rig, Leases(settings.lease_seconds))
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -207,7 +202,12 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
     served.worker.check_free(key)  # before anything of the body is read
     limits = served.rig.limits
     async with served.reading:
-        body = b"".join([piece async for piece in request.stream()])
+        try:
+            async with asyncio.timeout(served.body_seconds):
+                body = await request.body()
+        except TimeoutError:
+            detail = "the request did not arrive in time"
+            raise HTTPException(408, detail, {"Connection": "close"}) from None
         digest = hashlib.sha256(body).hexdigest()
         patterns = partial(
             decode_patterns, body, served.rig.projector_shape, limits.patterns, limits.request_bytes
@@ -225,39 +225,11 @@ async def _in_pieces(message: bytes) -> AsyncIterator[bytes]:
         yield message[first : first + _PIECE]
 
 
-@_closed.get("/preview.png", **_binary("image/png"))
-def preview(served: Served) -> Response:
-    """Draw the last bracket, with what is saturated in red."""
-    shown = served.worker.last
-    if shown is None:
-        raise HTTPException(404, "nothing was captured since the server's start")
-    with served.drawing:
-        return Response(preview_png(shown, served.rig.sensor), media_type="image/png")
-
-
-def preview_png(bracket: NDArray[Any], sensor: Mapping[str, Any]) -> bytes:
-    """Return a bracket ``(E, *shape[, C])`` as a PNG file: its exposures side by side.
-
-    Views stand one above the other. Where the sensor's description tells the camera's bits, pixels
-    are red that the merge takes for saturated.
-    """
-    camera = sensor.get("sensor", sensor)  # of a resampled one, that behind it
-    full_scale = 2 ** camera["bits"] - 1 if "bits" in camera else 0
-    frames = bracket[..., None] if camera.get("bayer") is not None else bracket
-    images = frames.reshape(len(frames), -1, *frames.shape[-2:])
-    step = max(1, -(-max(images.shape[1:3]) // _MOST_PIXELS))
-    images = images[:, ::step, ::step]
-    light = np.repeat(images / (full_scale or images.max() or 1), 3 // images.shape[-1], axis=-1)
-    if full_scale:
-        light[(images >= SATURATION_FRACTION * full_scale).any(axis=-1)] = (0.7, 0.01, 0.01)
-    return png_bytes(np.concatenate([*light], axis=1), 1.0)
-
-
 def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
     """Describe a rig, and how much of it a request may ask for."""
     description = rig.describe()
     bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
-    brackets = settings.most_response_bytes // (bracket * rig.sensor.frame_dtype.itemsize)
+    brackets = _MOST_ANSWER_BYTES // (bracket * rig.sensor.frame_dtype.itemsize)
     # of ones and zeros: eight a byte
     patterns = 8 * settings.most_request_bytes // prod(rig.projector_shape)
     return RigAnswer(
@@ -270,7 +242,7 @@ def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
         description=description,
         digest=fingerprint(description),
         limits=Limits(
-            patterns=max(1, min(settings.most_patterns, brackets, patterns)),
+            patterns=max(1, min(_MOST_PATTERNS, brackets, patterns)),
             request_bytes=settings.most_request_bytes,
             lease_seconds=settings.lease_seconds,
         ),

@@ -76,7 +76,7 @@ class Guard:
     """ASGI middleware that lets no request through without the token, nor with too long a body.
 
     Nothing of a body is read before the token was found right, and connections of those who haven't
-    shown it end with their answer: they can't keep others out. A body has to arrive in time.
+    shown it end with their answer: they can't keep others out.
     """
 
     def __init__(self, app: ASGIApp, token: str, settings: ServerSettings) -> None:
@@ -100,12 +100,15 @@ class Guard:
             detail = "the bearer token is missing or wrong; it is the one that the server was "
             refusal = problem_response(401, f"{detail}started with", {"WWW-Authenticate": "Bearer"})
             await refusal(scope, receive, send)
+        elif b"transfer-encoding" in headers:
+            detail = f"a body without Content-Length; up to {most} bytes are allowed here"
+            await problem_response(411, detail, {"Connection": "close"})(scope, receive, send)
         elif declared > most:
             # closed, rather than to read a long body to its end
             detail = f"a body of {declared} bytes; up to {most} are allowed here"
             await problem_response(413, detail, {"Connection": "close"})(scope, receive, send)
         else:
-            await self._app(scope, _limited(receive, most, self._settings.body_seconds), send)
+            await self._app(scope, receive, send)
 
     def _is_right(self, authorization: bytes) -> bool:
         scheme, _, given = authorization.partition(b" ")
@@ -123,31 +126,6 @@ def _closing(send: Send) -> Send:
         await send(message)
 
     return send_last
-
-
-def _limited(receive: Receive, most: int, seconds: float) -> Receive:
-    """Refuse a body of more bytes than are allowed, or that takes longer since it is asked for."""
-    left, deadline, is_whole = most, 0.0, False
-
-    async def receive_limited() -> Message:
-        nonlocal left, deadline, is_whole
-        if is_whole:
-            return await receive()
-        deadline = deadline or asyncio.get_running_loop().time() + seconds
-        try:
-            async with asyncio.timeout_at(deadline):
-                message = await receive()
-        except TimeoutError:
-            detail = "the request did not arrive in time"
-            raise HTTPException(408, detail, {"Connection": "close"}) from None
-        is_whole = not message.get("more_body", False)
-        left -= len(message.get("body", b""))
-        if left < 0:
-            detail = f"the body is longer than {most} bytes"
-            raise HTTPException(413, detail, {"Connection": "close"})
-        return message
-
-    return receive_limited
 
 
 def guarded_protocol(settings: ServerSettings) -> type[asyncio.Protocol]:

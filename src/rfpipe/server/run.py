@@ -6,7 +6,6 @@ import logging
 import socket
 from collections.abc import Callable
 from contextlib import closing, suppress
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -33,29 +32,6 @@ class _Server(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         self.worker.stop()
         super().handle_exit(sig, frame)
-
-
-def start_log(file: Path | None = None) -> None:
-    """Log as a run does, to stderr, and to the end of a file where one is named.
-
-    Raises
-    ------
-    ConfigError
-        When the file can't be written.
-    """
-    handlers: list[logging.Handler] = [logging.StreamHandler()]
-    if file is not None:
-        try:
-            handlers.append(logging.FileHandler(file, encoding="utf-8"))
-        except OSError as error:
-            raise ConfigError(f"{file}: can't be written as a log file: {error}") from error
-    for handler in handlers:
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    for name in ("rfpipe", "uvicorn.error", "uvicorn.access"):
-        logger = logging.getLogger(name)
-        logger.handlers = list(handlers)
-        logger.setLevel(logging.INFO)
-        logger.propagate = False
 
 
 def make_server(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> _Server:
@@ -113,11 +89,11 @@ def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) ->
     Raises
     ------
     ConfigError
-        When the address can't be listened on or the log not be written.
+        When the address can't be listened on.
     RfpipeError
         When the rig can't be opened.
     """
-    start_log(settings.log_file)
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
     with bound_socket(settings.host, settings.port) as bound:
         server = make_server(rig, token, settings)
         host, port = bound.getsockname()[:2]

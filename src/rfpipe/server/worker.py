@@ -23,6 +23,8 @@ from rfpipe.rigs.messages import Message, Metrics, SentPatterns
 
 _log = logging.getLogger("rfpipe.server")
 
+_KEPT = 2  # captures, for requests that come again
+
 
 def _come_again(status: int, detail: str) -> HTTPException:
     return HTTPException(status, detail, {"Retry-After": "1"})
@@ -105,8 +107,6 @@ class RigWorker:
         A callable is called in the thread that uses the rig: windows and drivers may want that.
     leases : Leases
         A capture ends before its next pattern when its lease is no longer in force.
-    kept : int
-        Captures kept for requests that come again.
 
     Raises
     ------
@@ -114,17 +114,14 @@ class RigWorker:
         When the rig can't be opened.
     """
 
-    def __init__(self, rig: Rig | Callable[[], Rig], leases: Leases, kept: int) -> None:
+    def __init__(self, rig: Rig | Callable[[], Rig], leases: Leases) -> None:
         self.leases = leases
-        self._kept = kept
         self._captures: dict[str, _Capture] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._is_closed = False
         self._thread = ThreadPoolExecutor(1, "rig")
         self.metrics = Metrics()
-        self.last: NDArray[Any] | None = None
-        """The last bracket."""
         try:
             self.rig: Rig = self._thread.submit(rig).result() if callable(rig) else rig
         except BaseException:
@@ -177,13 +174,12 @@ class RigWorker:
             if before is not None:
                 before.lease = lease
                 if not (before.result.done() and before.result.exception()):
-                    self.metrics.answered_again += 1
                     return before.result
         sent = patterns()
         with self._lock:
             self._check_free()
             if before is None:
-                self._forget(self._kept - 1)
+                self._forget(_KEPT - 1)
                 message = Message({"keys": sent.keys})
                 before = self._captures[identity] = _Capture(digest, lease, message, Future())
             before.result = self._thread.submit(self._expose, before, sent)
@@ -237,11 +233,8 @@ class RigWorker:
                 raise _come_again(503, "the lease lapsed; send it again")
             last = min(first + step, len(patterns))
             keys = patterns.keys[first:last]
-            began = time.perf_counter()
             brackets = self._taken(patterns.expanded(first, last), keys)
-            self.metrics.exposing_seconds += time.perf_counter() - began
             self.metrics.brackets += last - first
-            self.last = brackets[-1]
             for index, bracket in enumerate(brackets, first):
                 capture.message.add(str(index), bracket)
             capture.exposed = last
