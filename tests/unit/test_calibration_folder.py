@@ -119,8 +119,6 @@ def test_a_projector_that_is_not_dark_when_off_changes_nothing_else(tmp_path: Pa
     bench.camera._radiance = radiance
     run()
     found = load(folder.path)
-    assert "Projector black: 0.3" in found.facts["dark"]["verdict"]
-    assert found.facts["dark"]["projector_black"] == pytest.approx(0.003, rel=0.1)
     assert found.facts["linearity"]["standing"] == "good"
     assert found.camera["response_gamma"] == 1
     assert found.camera["full_well_electrons"] == pytest.approx(20_000, rel=0.1)
@@ -196,7 +194,6 @@ def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) ->
     _, folder, run = begun(tmp_path, sensor=brighter(CAMERA, 200.0))
     run()
     assert folder.read("scene").verdict.standing == "poor"
-    assert "saturated" in folder.read("light").verdict.text
     assert {folder.read(name).verdict.standing for name in ("rays", "symmetry")} == {"failed"}
     assert load(folder.path).layout is None
     before = folder.manifest("dark").stat().st_mtime_ns

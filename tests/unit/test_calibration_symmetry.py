@@ -79,7 +79,7 @@ def test_a_symmetric_rig_is_good_and_half_a_pixel_is_not() -> None:
     poor = symmetry_findings(taken(shifted(0.5), camera), 0.02)
     assert poor.verdict.standing == "poor"
     assert "dual photography" in poor.verdict.text
-    assert poor.facts["scales"][0]["side_rays"] == 1
+    assert poor["sides"][0] == 1
 
 
 def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
@@ -89,13 +89,6 @@ def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
     assert "noise can't tell" in findings.verdict.text
 
 
-def test_error_bars_are_those_of_the_noise() -> None:
-    found = checked(wedge(), CameraModel(), 30)
-    for scale in found:
-        misses = (scale.forward - scale.backward) / scale.error
-        assert np.sqrt(np.mean(misses**2)) == pytest.approx(1, abs=0.3)
-
-
 def test_views_have_signs_of_their_own() -> None:
     signs = random_signs((3, 8, 10), 4, 5, 0)
     assert signs.shape == (5, 3, 8, 10)
@@ -103,7 +96,6 @@ def test_views_have_signs_of_their_own() -> None:
     assert (signs[:, :, :4, :4] == signs[:, :, :1, :1]).all()
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_one_pair_has_no_spread(count: int) -> None:
+def test_one_pair_has_no_spread() -> None:
     with pytest.raises(CaptureError, match="3 or more"):
-        checked(wedge(), count=count)
+        checked(wedge(), count=2)

@@ -1,8 +1,6 @@
-"""Black level, dark current, hot pixels, and the light that the all-off picture leaves."""
+"""Black level, dark current, and hot pixels."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +13,6 @@ from rfpipe.units import SATURATION_FRACTION
 
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-_MOST_CURRENT = 1e4
-# Electrons a second that a sensor's dark current stays below: good ones have a few at room
-# temperature, poor and hot ones a thousand.
-
-_BAND = 2  # camera pixels on either side of the projector's outline that are compared across it
-_LEAST_PIXELS = 40
 
 
 def measure_dark(bench: Bench) -> Findings:
@@ -89,17 +80,6 @@ def measure_dark(bench: Bench) -> Findings:
         "filled_share": float(filled),
         "bearable_s": float(0.05 * span / current) if current > 0 else None,
     }
-    if "scene" in bench.found:
-        known = (usable & ~hot) if hot.ndim == 2 else (usable & ~hot).all(axis=-1)
-        above = (black - black_level).reshape(*black.shape[:3], -1).mean(axis=-1)
-        time = np.where(known, times[:, None, None], 0)
-        squares = np.maximum(np.square(time).sum(axis=0), np.finfo(float).tiny)
-        noise_of_mean = np.maximum(variance / frames.count, 1e-3)[:, None, None]
-        error = np.sqrt((np.square(time) * noise_of_mean).sum(axis=0)) / squares
-        rate = (time * above).sum(axis=0) / squares
-        least = 0.025 * span / longest if filled > 0.05 else None
-        scene, electrons = bench.found["scene"], model.electrons_per_count
-        facts |= _glow(rate, error, np.asarray(known.any(axis=0)), scene, electrons, least)
     return Findings.of("dark", facts, {"black": black.astype(np.float32), "hot": hot})
 
 
@@ -124,48 +104,3 @@ def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:
         # nine deviations: what none of 10^7 good ones exceeds by chance
         hot |= at & (np.abs(mean - np.clip(mean, low, high)) > 9 * max(noise, shape))
     return hot
-
-
-def _glow(
-    rate: Double, error: Double, good: Mask, sight: Findings, electrons: float, least: float | None
-) -> dict[str, Any]:
-    """Tell apart what grows with the exposure time in the dark; counts a second.
-
-    Light of the projector has the shape of its own white picture: its step at the outline, where
-    the camera sees beyond it and surfaces and the room's light go on; else all of the shape. What
-    is left is even or not; a sensor's current is even, and small. Where `least` is given, the dark
-    is too light, and causes are named; a current from `least` on.
-    """
-    from scipy.ndimage import distance_transform_edt
-
-    white, lit = sight["white"].astype(np.float64), sight["lit"]
-    if good.sum() < _LEAST_PIXELS:
-        return {}
-    at, tells = good, white
-    # pixels on the outline itself are lit in part
-    away = distance_transform_edt(lit), distance_transform_edt(~lit)
-    inside, outside = (good & (pixels > 1.5) & (pixels < 2 + _BAND) for pixels in away)
-    if min(inside.sum(), outside.sum()) >= _LEAST_PIXELS and (
-        white[inside].mean() > white[outside].mean()
-    ):
-        at, tells = inside | outside, inside.astype(np.float64)
-    x, y, z = (values[at] - values[at].mean() for values in (white, rate, tells))
-    along, black, typical = float(z @ x), 0.0, float(np.median(error[good]))
-    if along > 0 and lit.any():
-        slope = float(z @ y) / along
-        rest = max(float((y - slope * x).std()), float(np.median(error)))
-        # neighbours share what the model doesn't know: a quarter of the pixels are independent
-        black = slope if slope > 10 * rest * float(np.sqrt(z @ z)) / along else 0.0
-    left = rate[good] - black * white[good]
-    even = float(np.median(left))
-    spread = np.percentile(np.abs(left - even), 95) ** 2 - (2 * typical) ** 2
-    uneven = float(np.sqrt(max(spread, 0.0)))
-    # an imperfect white picture leaves a tenth of the black's shape
-    if uneven < max(typical, 0.1 * black * float(white[good].max())):
-        uneven = 0.0
-    room = uneven + (max(even, 0.0) if even * electrons > _MOST_CURRENT else 0.0)
-    facts = {"projector_black": black, "even_counts_per_s": even, "uneven_counts_per_s": uneven}
-    if least is not None:
-        facts |= {"black_fills": black, "room_fills": room}
-        facts |= {"current_fills": even} if room == 0 and even > least else {}
-    return facts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,7 @@ STEPS: dict[str, Step] = {
     for step in (
         Step("latency", "Delay from display to camera", (), (), measure_latency),
         Step("scene", "What the camera sees", (), ("period_pixels",), _scene),
-        Step("dark", "Black level and dark frames", ("scene",), ("dark_frames",), measure_dark),
+        Step("dark", "Black level and dark frames", (), ("dark_frames",), measure_dark),
         Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), measure_linearity),
         Step("light", "Response of the projector", _LIT[:2], ("codes", "tolerance"), measure_light),
         Step("transfer", "Photon-transfer curve", _LIT, ("levels", "repeats"), measure_transfer),
@@ -244,7 +244,7 @@ def calibrate(
                 continue
             count = partial(progress, step.title) if progress else lambda _: nullcontext()
             bench = Bench(projector, camera, settings, rays, needs, count)
-            findings = _measured(step, bench, folder.verdicts())
+            findings = _measured(step, bench)
             folder.write(step.name, findings, made_for)
             level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
             _log.log(level, "%s: %s. %s", step.title, *findings.verdict)
@@ -275,34 +275,15 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
     write_calibration(folder.path, calibration)
 
 
-def _measured(step: Step, bench: Bench, verdicts: dict[str, dict[str, str]]) -> Findings:
+def _measured(step: Step, bench: Bench) -> Findings:
     """Measure a step; where that can't be done though the devices work, that is the finding."""
     for name, one in bench.found.items():
         if one.verdict.standing == "failed":
             text = f"Not measured, as this failed: {STEPS[name].title.lower()}."
             return Findings(Verdict("failed", text))
-    poor = [
-        name
-        for name in ("scene", "dark", "rays")
-        if verdicts.get(name, {}).get("standing") == "poor"
-    ]
     try:
-        findings = step.measure(bench)
+        return step.measure(bench)
     except DeviceError as failure:
         raise failure.args[0] from None
     except RfpipeError as error:
-        why = [f" {verdicts[name]['title']}: {verdicts[name]['verdict']}" for name in poor[:1]]
-        return Findings(Verdict("failed", f"Could not be measured: {error}.{''.join(why)}"))
-    standing, text = findings.verdict
-    follows = [name for name in poor if name != "dark" and name in _below(step)]
-    if follows and standing != "good" and step.name != "dark":  # which names its own cause
-        text += (
-            f" This may follow from another step that is not good: "
-            f"{STEPS[follows[0]].title.lower()}; mend that first."
-        )
-    return replace(findings, verdict=Verdict(standing, text))
-
-
-def _below(step: Step) -> set[str]:
-    """Return the steps that one builds on, those that they build on among them."""
-    return {*step.needs, *(name for need in step.needs for name in _below(STEPS[need]))}
+        return Findings(Verdict("failed", f"Could not be measured: {error}."))

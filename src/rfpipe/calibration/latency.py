@@ -80,9 +80,18 @@ def measure_latency(bench: Bench) -> Findings:
             right, wrong = (middle, wrong) if is_right(middle) else (right, middle)
     waits = sorted(found)
     arrays = {"waits": np.array(waits), "worst": np.array([found[wait] for wait in waits])}
-    settle = getattr(bench.projector, "settle_seconds", None)
-    facts = _facts(right, wrong, settle, sum(bench.camera.sensor.exposures))
-    return Findings.of("latency", {**facts, "trials": _TRIALS * len(waits)}, arrays)
+    settle = getattr(bench.projector, "settle_seconds", 0.0)
+    facts: dict[str, Any] = {"settle_seconds": settle, "trials": _TRIALS * len(waits)}
+    if right > LONGEST_SECONDS:
+        facts["unsettled_seconds"] = wrong
+    else:
+        facts |= {
+            "delay_seconds": right,
+            "delay_ms": 1000 * right,
+            "proposed_settle_seconds": round(1.25 * right + _PERIOD_SECONDS, 3),
+            "short_seconds": right - settle,
+        }
+    return Findings.of("latency", facts, arrays)
 
 
 def _settled(look: Callable[[int, float], Double]) -> tuple[Double, Double, float]:
@@ -104,21 +113,3 @@ def _settled(look: Callable[[int, float], Double]) -> tuple[Double, Double, floa
         "the camera's shortest exposure doesn't tell a white picture from a black one. Is the lens "
         "open, does the projector light the scene, and is the exposure long enough?"
     )
-
-
-def _facts(right: float, wrong: float, settle: float | None, bracket: float) -> dict[str, Any]:
-    """Compare the least right wait with the settings'; all in seconds."""
-    if right > LONGEST_SECONDS:
-        return {"settle_seconds": settle, "unsettled_seconds": wrong}
-    proposed = round(1.25 * right + _PERIOD_SECONDS, 3)
-    facts = {
-        "delay_seconds": right,
-        "delay_ms": 1000 * right,
-        "settle_seconds": settle,
-        "proposed_settle_seconds": proposed,
-    }
-    if settle is None:
-        return {**facts, "early_seconds": right}
-    is_long = settle > 2 * proposed
-    spared = (settle - proposed) / (settle + bracket) if is_long else None
-    return {**facts, "short_seconds": right - settle, "spared_share": spared}

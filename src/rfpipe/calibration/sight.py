@@ -19,20 +19,18 @@ Mask = NDArray[np.bool_]
 _AIM = 0.75  # fraction of full scale of the brightest pixels at the shortest exposure
 _SURE = 5.0  # standard deviations of light
 _REPEATS = 2
-_DIM_CODES = (16, 32, 64, 128)  # how much too bright is what white saturates
-_USUAL_GAMMA = 2.2
+_DARKER = 8  # proposed exposures than ones that saturate, whose light is not known
 _FEW = 25  # pixels
 
 RED, BLUE, YELLOW = (0.9, 0.1, 0.1), (0.15, 0.3, 0.95), (1.0, 0.82, 0.12)
 
 
 def sight_pictures(shape: tuple[int, int], period: int) -> list[Float]:
-    """Return off, white and dimmer pictures; stripes: fine ones along x and y, and wide ones.
+    """Return off and white pictures; stripes: fine ones along x and y, and wide ones.
 
-    All but the dimmer ones are of codes 0 and 255: the projector's response isn't known yet.
+    All are of codes 0 and 255: the projector's response isn't known yet.
     """
-    codes = (*[0] * _REPEATS, *[255] * _REPEATS, *_DIM_CODES)
-    pictures = [np.broadcast_to(np.float32(code / 255), shape) for code in codes]
+    pictures = [np.broadcast_to(np.float32(n // _REPEATS), shape) for n in range(2 * _REPEATS)]
     # a few stripes at least, so that flare, which goes with a picture's mean, is the same in all
     wide = max(2 * period, min(4 * period, shape[1] // 4))
     for axis, pixels in ((1, period), (0, period), (1, wide)):
@@ -75,7 +73,7 @@ def measure_sight(
     frames = counts.mean(axis=-1)
     full: Mask = np.asarray((counts >= SATURATION_FRACTION * white_level).any(axis=-1))
     off, on = frames[:_REPEATS], frames[_REPEATS : 2 * _REPEATS]
-    dim, stripes = np.split(frames[2 * _REPEATS :], [len(_DIM_CODES)])
+    stripes = frames[2 * _REPEATS :]
     off_full: Mask = np.asarray(full[:_REPEATS].any(axis=0))
     white_full: Mask = np.asarray(full[: 2 * _REPEATS].any(axis=0))
     times, black = np.reshape(exposures, (-1, 1, 1)).astype(float), off.mean(axis=0)
@@ -96,35 +94,26 @@ def measure_sight(
     saturated = lit & white_full[0]
     fine = np.minimum(fine_x, fine_y)
     focus = np.divide(fine, wide, out=np.full(wide.shape, np.nan), where=lit & above)
-    rates, unknown = at_best(signal / times), white_full[0].copy()
-    of_white = 1.0
-    # of what is saturated, by dimmer pictures, whose light is a share of white's
-    for index, code in reversed(list(enumerate(_DIM_CODES))):
-        light = (dim[index, 0] - black[0]) / exposures[0]
-        is_known = ~full[2 * _REPEATS + index, 0]
-        shared = is_known & ~unknown & (rates > 10 * noise[0] / exposures[0])
-        of_white = (code / 255) ** _USUAL_GAMMA
-        if shared.sum() >= _FEW:
-            of_white = max(float(np.median(light[shared] / rates[shared])), 1e-6)
-        rates[unknown & is_known] = light[unknown & is_known] / of_white
-        unknown &= ~is_known
-    rates[unknown] = max(rates.max(), white_level / exposures[0] / of_white)
+    rates = at_best(signal / times)
+    rates[white_full[0]] = max(rates.max(), white_level / exposures[0])  # at least
     # the brightest half per cent are glints
     is_few = bool(lit.sum() < _FEW)
     of_lit = rates.ravel() if is_few else rates[lit]
     brightest, brighter = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
-    middle = np.median(black, axis=(1, 2))
-    last = max(int((middle < SATURATION_FRACTION * white_level).sum()) - 1, 0)
-    glow = max((middle[last] - middle[0]) / (exposures[last] - exposures[0]), 0.0) if last else 0.0
-    level = min(max(middle[0] - glow * exposures[0], 0.0), white_level / 2)
+    level = min(float(np.median(black[0])), white_level / 2)
+    share = float(saturated.sum() / max(lit.sum(), 1))
     seen = (signal > _SURE * noise[:, None, None]) & ~off_full
+    sides = {"upper": lit[0], "lower": lit[-1], "left": lit[:, 0], "right": lit[:, -1]}
+    edges = [name for name, side in sides.items() if side.mean() > 0.1]
     facts = {
-        **_outline(lit, rates),
-        **_exposed(brightest, brighter, glow, white_level - level, exposures),
+        "lit_share": float(lit.mean()),
+        "edges_left": len(edges),
+        "edges": ", ".join(edges),
+        **_exposed(brightest, brighter, white_level - level, exposures, share > 0.01),
         "stripes_pixels": period,
         "focus_contrast": float(np.nanmedian(focus)) if np.isfinite(focus).any() else None,
         "black_level": float(level),
-        "saturated_share": float(saturated.sum() / max(lit.sum(), 1)),
+        "saturated_share": share,
         "black_saturated_share": float(off_full[0].mean()),
     }
     is_black, is_dark = facts["black_saturated_share"] <= 0.01, facts["brighter_level"] < 0.1
@@ -162,41 +151,22 @@ def sight_picture(
     return picture
 
 
-def _outline(lit: Mask, rates: Double) -> dict[str, Any]:
-    """Return the outline's share of the picture, light beyond it, and where it is cut."""
-    from scipy.ndimage import distance_transform_edt
-
-    beyond = distance_transform_edt(~lit) > max(4.0, 0.03 * max(lit.shape))
-    has_veil = beyond.sum() >= _FEW and lit.any() and rates.mean() > 0
-    sides = {"upper": lit[0], "lower": lit[-1], "left": lit[:, 0], "right": lit[:, -1]}
-    left = [name for name, side in sides.items() if side.mean() > 0.1]
-    return {
-        "lit_share": float(lit.mean()),
-        "veil": max(float(np.median(rates[beyond]) / rates.mean()), 0.0) if has_veil else None,
-        "edges_left": len(left),
-        "edges": ", ".join(left),
-    }
-
-
 def _exposed(
-    brightest: float, brighter: float, glow: float, span: float, exposures: Sequence[float]
+    brightest: float, brighter: float, span: float, exposures: Sequence[float], is_over: bool
 ) -> dict[str, Any]:
     """Return how bright the lit pixels are (counts a second), and a bracket that suits them.
 
     It has as many exposures, as far apart, the brightest pixels just below saturation; none longer
-    than a minute, nor than what the light of the all-off picture leaves room for.
+    than a minute.
     """
     proposed = list(exposures)
     if brightest > 0:
-        first = _AIM * span / brightest
-        longest = min(60.0, max(0.25 * span / glow, first) if glow > 0 else 60.0)
+        first = exposures[0] / _DARKER if is_over else _AIM * span / brightest
         scaled = [float(f"{one * first / exposures[0]:.2g}") for one in exposures]
-        kept = [one for one in scaled if one <= 1.05 * longest]
-        proposed = list(dict.fromkeys(kept or [float(f"{min(first, longest):.2g}")]))
+        proposed = list(dict.fromkeys(min(one, 60.0) for one in scaled))
     return {
         "shortest_s": exposures[0],
         "longest_s": exposures[-1],
-        "times_too_bright": float(brightest * exposures[0] / (SATURATION_FRACTION * span)),
         "brighter_level": float(brighter * exposures[-1] / span),
         "proposed_exposures_s": proposed,
     }

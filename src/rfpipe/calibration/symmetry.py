@@ -55,17 +55,11 @@ class Scale(NamedTuple):
     ----------
     side : int
         Rays a side of the patches.
-    forward, backward, error : ndarray of float64, shape (pairs,)
-        ``p2^T T p1`` and ``p1^T T p2`` over their RMS, p1 of such patches and p2 of single rays;
-        the standard error of their difference by the noise.
     predicted, predicted_error : float
         Relative error that asymmetry brings to a picture relit under such patterns; standard error.
     """
 
     side: int
-    forward: Double
-    backward: Double
-    error: Double
     predicted: float
     predicted_error: float
 
@@ -126,10 +120,7 @@ def measure_symmetry(floodlit: Double, variance: Double, pictures: list[Pictures
         # it what the error alone would be the square of
         predicted = float(np.sqrt(max(square, 0.0)))
         predicted_error = min(np.sqrt(error), error / max(2 * predicted, _LEAST))
-        size = max(float(np.sqrt(np.square(forward).sum(axis=1).mean())), _LEAST)
-        both = forward.sum(axis=1) / size, backward.sum(axis=1) / size
-        by_noise = np.sqrt(spread.sum(axis=1)) / size
-        scales.append(Scale(coarse.side, *both, by_noise, predicted, predicted_error))
+        scales.append(Scale(coarse.side, predicted, predicted_error))
     return scales
 
 
@@ -207,20 +198,11 @@ def symmetry_findings(taken: Taken, tolerance: float) -> Findings:
         "side_rays": worst.side,
         "least_error": error - margin,
         "most_error": error + margin,
-        "scales": [
-            {
-                "side_rays": scale.side,
-                "pairs": len(scale.forward),
-                "predicted_error": scale.predicted,
-                "standard_error": scale.predicted_error,
-            }
-            for scale in scales
-        ],
     }
     arrays = {
-        f"{name}_{scale.side}": getattr(scale, name)
-        for scale in scales
-        for name in ("forward", "backward", "error")
+        "sides": np.array([scale.side for scale in scales]),
+        "predicted": np.array([scale.predicted for scale in scales]),
+        "predicted_error": np.array([scale.predicted_error for scale in scales]),
     }
     return Findings.of("symmetry", facts, arrays)
 

@@ -69,14 +69,10 @@ latency good: A picture is seen {delay_ms:.0f} ms after it was drawn, in all of 
 latency poor unsettled_seconds > 0: Even {unsettled_seconds:g} s after a picture was drawn, the
     camera didn't see it wholly. Does the lamp flicker, or change with the picture (dynamic
     contrast, eco mode)? Switch that off, and calibrate again.
-latency poor early_seconds > 0: A picture is seen {delay_ms:.0f} ms after it was drawn. The
-    projector's driver returns before its light has settled: let its `show` wait for
-    {proposed_settle_seconds:g} s more.
-latency poor short_seconds > 0: A picture is seen {delay_ms:.0f} ms after it was drawn, but
-    projector.options.settle_seconds is {settle_seconds:g}: frames are taken of the picture before.
-    Set it to {proposed_settle_seconds:g}, and calibrate again.
-latency note spared_share > 0: projector.options.settle_seconds is {settle_seconds:g};
-    {proposed_settle_seconds:g} would do, and save about {spared_share:.0%} of a capture's time.
+latency poor short_seconds > 0: A picture is seen {delay_ms:.0f} ms after it was drawn, but the
+    projector's driver waits for {settle_seconds:g} s: frames are taken of the picture before. Set
+    projector.options.settle_seconds to {proposed_settle_seconds:g}, or let a `show` of your own
+    wait as long, and calibrate again.
 scene good: The projector lights {lit_share:.0%} of the picture; white would reach
     {brighter_level:.2g} times full scale at the longest exposure. Stripes of {stripes_pixels}
     projector pixels keep {focus_contrast:.0%} of their contrast.
@@ -84,9 +80,8 @@ scene poor black_saturated_share > 0.01: The all-off picture itself saturates
     {black_saturated_share:.0%} of the camera's pixels at the shortest exposure, {shortest_s:.3g} s:
     darken the room, or the projector is not black when it is off.
 scene poor overexposed_share > 0.01: {saturated_share:.1%} of the pixels that the projector lights
-    are saturated even at the shortest exposure, {shortest_s:.3g} s, the brightest about
-    {times_too_bright:.2g} times. Add shorter exposures, as sensor.exposures:
-    {proposed_exposures_s}, close the aperture, or dim the projector.
+    are saturated even at the shortest exposure, {shortest_s:.3g} s. Take shorter exposures, as
+    sensor.exposures: {proposed_exposures_s}, close the aperture, or dim the projector.
 scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.3g} s, white reaches
     {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted. Take
     longer exposures, as sensor.exposures: {proposed_exposures_s}, or open the aperture.
@@ -95,8 +90,6 @@ scene poor is_unlit > 0: Too dark: at the longest exposure, {longest_s:.3g} s, t
     projector lights? Then take much longer exposures, or open the aperture.
 scene poor is_stripeless > 0: The camera sees light, but no stripes of the projector: focus both,
     and turn the camera to what the projector lights.
-scene note veil > 0.01: Beyond the projector's outline there is {veil:.1%} of white's mean light:
-    flare of the lens, which every picture has, or what the scene reflects.
 scene note edges_left > 0: It leaves the camera's view at the {edges} edge.
 dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites
     ({hot_share:.3%}), which are left out.
@@ -106,27 +99,16 @@ dark poor headroom_deviations < 4: The black level, {black_level_counts:.1f} cou
 dark poor hot_share > 0.001: {hot_share:.2%} of the photosites are hot, more than {limit:.1%}: cool
     the camera or use shorter exposures.
 dark poor filled_share > 0.05: The all-off picture isn't dark: at {longest_s:.3g} s it takes
-    {filled_share:.0%} of the camera's range; exposures up to {bearable_s:.2g} s would bear it.
-dark note projector_black > 0: Projector black: {projector_black:.2%} of its full light, in the
-    shape of its picture.
-dark note black_fills > 0: Lower the projector's brightness setting, close its iris, or take one of
-    more contrast.
-dark note room_fills > 0: Stray light of the room: {room_fills:.3g} counts a second, more than a
-    sensor's dark current. Black out the room.
-dark note current_fills > 0: Dark current: {current_fills:.3g} counts a second, the same all over
-    the picture, or as much stray light that falls evenly. To tell which, put the cap on, and run
-    rfpipe calibrate with --step dark --again. If it stays, cool the camera; if not, black out the
-    room.
+    {filled_share:.0%} of the camera's range; exposures up to {bearable_s:.2g} s would bear it. With
+    the lens cap on, run rfpipe calibrate with --step dark --again. If it stays, it is dark current:
+    cool the camera. If not, black out the room, or lower the projector's brightness.
 linearity good: {kind}: exposures agree within {deviation:.2%} beyond noise, {tolerance:.1%}
     allowed.
 linearity unknown compared_levels < 1: Exposures could not be compared: it takes two or more, a few
     times apart, of light between black and saturated.
-linearity poor bent_deviation > tolerance: Not linear: exposures of the same light differ by up to
-    {worst_deviation:.1%}, and no power law describes them, the nearest by {bent_deviation:.1%};
-    switch the camera's gamma off.
-linearity poor unsteady_deviation > tolerance: Exposures of the same light differ by up to
-    {worst_deviation:.1%}, the same at all levels: is the light steady, are gain and exposure not
-    automatic, and are the exposure times true?
+linearity poor deviation > tolerance: Not linear: exposures of the same light differ by up to
+    {worst_deviation:.1%}, and no power law describes them. Switch the camera's gamma off. Is the
+    light steady, are gain and exposure not automatic, and are the exposure times true?
 light good: {usable_codes} steps of light; half the light is code {code_of_half_light:.0f}; the lamp
     drifted by {drift:+.2%}.
 light poor over_noise < 30: Too dark: full light is {over_noise:.0f} times a pixel's noise where it

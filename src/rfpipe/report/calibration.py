@@ -107,8 +107,7 @@ def _latency(done: All) -> Figure:
     one = done["latency"]
     figure, (axis,) = _plots(("wait after a picture was drawn, ms", "share of the step seen"))
     axis.plot(1000 * one["waits"], one["worst"], color=_BLUE, **_DOTS)
-    if one["settle_seconds"] is not None:
-        axis.axvline(1000 * one["settle_seconds"], color=_GREY, linestyle="--")
+    axis.axvline(1000 * one["settle_seconds"], color=_GREY, linestyle="--")
     axis.set_ylim(-0.1, 1.1)
     return figure
 
@@ -194,19 +193,10 @@ def _rays(done: All) -> Figure:
 
 def _symmetry(done: All) -> Figure:
     one = done["symmetry"]
-    figure, (left, right) = _plots(
-        ("p2' T p1, relative", "p1' T p2 less p2' T p1, relative"),
-        ("patches, rays a side", "predicted error, %"),
-    )
-    left.axhline(0, color=_GREY, linewidth=0.8)
-    right.axhline(100 * one["tolerance"], **_FIT)
-    for index, scale in enumerate(one["scales"]):
-        side, style = scale["side_rays"], {"color": f"C{index}"}
-        ahead, back, error = (one[f"{name}_{side}"] for name in ("forward", "backward", "error"))
-        _errors(left, ahead, back - ahead, error, **style)
-        predicted = scale["predicted_error"], scale["standard_error"]
-        _errors(right, str(side), *(100 * value for value in predicted), **style)
-    right.set_ylim(bottom=0)
+    figure, (axis,) = _plots(("patches, rays a side", "predicted error, %"))
+    axis.axhline(100 * one["tolerance"], **_FIT)
+    _errors(axis, one["sides"].astype(str), 100 * one["predicted"], 100 * one["predicted_error"])
+    axis.set_ylim(bottom=0)
     return figure
 
 
@@ -233,7 +223,6 @@ _CHARTS: dict[str, _Chart] = {
         "and how far the stripes rise above their noise."),
     "rays": _Chart(_rays, "Camera pixels a ray, light of other rays that leaks into each, and a "
         "ray's noise. Views one above the other."),
-    "symmetry": _Chart(_symmetry, "Pairs of random patterns, lit one way and the other, patches "
-        "of each size in its colour; the predicted error of relit pictures, and what is accepted. "
-        "Bars are two standard errors."),
+    "symmetry": _Chart(_symmetry, "The predicted error of pictures relit with patches of each "
+        "size, and what is accepted; bars are two standard errors."),
 }  # fmt: skip
