@@ -76,8 +76,8 @@ def measure_linearity(bench: Bench) -> Findings:
     deviation = short * ratio / long - 1
     arrays = {"level": long / span / count, "deviation": deviation, "error": error}
     known = error < max(tolerance, 1e-3)
-    of_bins = (values[known] for values in (short, long, ratio, error))
-    facts = _exponent(*of_bins, tolerance) if known.any() else {}
+    short, long, ratio, error = (values[known] for values in (short, long, ratio, error))
+    facts = _exponent(short, long, ratio, error, tolerance) if known.any() else {}
     facts |= {"tolerance": tolerance, "compared_levels": int(known.sum())}
     linear = {"kind": "Linear", "response_gamma": 1.0}
     return Findings.of("linearity", {**linear, **facts}, arrays)
