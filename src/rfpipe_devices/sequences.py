@@ -6,7 +6,7 @@ complement: their pictures must add up to the white one. No scene and no geometr
 for that, and two patterns that can be mistaken for each other without any sum being off look alike.
 At longer exposures, each frame must be what the one before promises. A frame that was lost or came
 late shifts those that follow, by as many as the words tell. What isn't told beyond doubt is played
-again, then loaded again, then taken one by one.
+again, then taken one by one.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ MOST_LAG = 4
 ALIKE = 0.25
 """Difference of two pictures of one thing, as a share of that of white and black."""
 
-REPLAYS, LOADS = 3, 2
-"""How often missing patterns are played again, and a list is loaded."""
+REPLAYS = 3
+"""How often missing patterns are played again."""
 
 _log = logging.getLogger(__name__)
 
@@ -60,8 +60,8 @@ class Sequencer:
     """Takes brackets by sequences of at most `most` patterns: a list for each exposure.
 
     ``one_by_one(patterns, keys)`` takes brackets without a sequence. `statistics` counts ``played``
-    lists; ``lost`` frames, which weren't told beyond doubt and were played again; ``loaded_again``
-    sequences; ``one_by_one``: patterns that no sequence gave.
+    lists; ``lost`` frames, which weren't told beyond doubt and were played again; ``one_by_one``:
+    patterns that no sequence gave.
     """
 
     def __init__(self, player: Player, sensor: Sensor, one_by_one: OneByOne, most: int) -> None:
@@ -69,7 +69,7 @@ class Sequencer:
         self._sensor = sensor
         self._one_by_one = one_by_one
         self.most = most
-        self.statistics = {"played": 0, "lost": 0, "loaded_again": 0, "one_by_one": 0}
+        self.statistics = {"played": 0, "lost": 0, "one_by_one": 0}
 
     def brackets(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Return the brackets (B, E, ...) of patterns; CaptureError where a device fails."""
@@ -78,26 +78,18 @@ class Sequencer:
         return np.concatenate([self._list(patterns[part], keys[part]) for part in lists])
 
     def _list(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        frames: list[list[Any]] = [[None] * len(patterns) for _ in self._sensor.exposures]
-        missing = list(range(len(patterns)))
-        for load in range(LOADS):
-            self.statistics["loaded_again"] += load > 0
-            self._load(patterns[missing], [keys[index] for index in missing])
-            for of_all, of_these in zip(frames, self._played(len(missing)), strict=True):
-                for place, frame in of_these.items():
-                    of_all[missing[place]] = frame
-            missing = [index for index in missing if any(one[index] is None for one in frames)]
-            if not missing:
-                break
-        else:
+        self._load(patterns, keys)
+        frames: list[dict[int, Any]] = self._played(len(patterns))
+        if missing := [i for i in range(len(patterns)) if any(i not in one for one in frames)]:
             names = ", ".join(str(tuple(keys[index])) for index in missing)
             _log.warning("patterns %s don't come by a sequence; taking them one by one", names)
             self.statistics["one_by_one"] += len(missing)
             taken = self._one_by_one(patterns[missing], [keys[index] for index in missing])
-            for index, bracket in zip(missing, taken, strict=True):
-                for of_all, frame in zip(frames, bracket, strict=True):
-                    of_all[index] = frame
-        return np.stack([np.stack(one) for one in frames], axis=1)
+            for number, of_exposure in enumerate(frames):
+                of_exposure |= {
+                    i: bracket[number] for i, bracket in zip(missing, taken, strict=True)
+                }
+        return np.stack([[one[i] for one in frames] for i in range(len(patterns))])
 
     def _load(self, patterns: Float, keys: Sequence[Key]) -> None:
         """Load white, black, the patterns and their complements."""
@@ -133,19 +125,20 @@ class Sequencer:
         playlist = Playlist(count, shown, with_complements=number == 0)
         raw = self._player.play(playlist.order, number)
         self.statistics["played"] += 1
-        frames = self._linear(raw)
+        frames = raw.astype(np.float32)
         lags = playlist.lags(frames)
         places: dict[int, int] = {}
         if lags is not None:
             shorter = lights[number - 1] if number else None
-            white, light = playlist.light(frames, lags, self._saturated, shorter)
+            saturated = SATURATION_FRACTION * getattr(self._sensor, "white_level", np.inf)
+            white, light = playlist.light(frames, lags, saturated, shorter)
             if len(lights) == number:
                 lights.append(light)
             if shorter is None:
                 places = playlist.by_complements(frames, lags, white, light)
             else:
                 ratio = self._sensor.exposures[number] / self._sensor.exposures[number - 1]
-                earlier = {index: self._linear(before[index]) for index in shown}
+                earlier = {index: before[index].astype(np.float32) for index in shown}
                 places = playlist.by_promise(frames, lags, earlier, light, shorter, ratio)
         if lost := len(shown) - len(places):
             self.statistics["lost"] += lost
@@ -157,21 +150,6 @@ class Sequencer:
                 "picture trigger the camera, and is white bright?)",
             )  # fmt: skip
         return {index: raw[place] for index, place in places.items()}
-
-    @property
-    def _saturated(self) -> float:
-        white = getattr(self._sensor, "white_level", None)
-        return np.inf if white is None else float(self._linear(SATURATION_FRACTION * white))
-
-    def _linear(self, frames: Any) -> Any:
-        """Return counts in proportion to light, from any black level on."""
-        gamma = getattr(self._sensor, "response_gamma", 1.0)
-        counts = np.asarray(frames, np.float32)
-        if gamma == 1.0:
-            return counts
-        white, black = self._sensor.white_level, self._sensor.black_level_counts  # type: ignore[attr-defined]
-        level = (counts - black) / np.float32(white - black)
-        return np.copysign(np.abs(level) ** np.float32(gamma), level) * np.float32(white)
 
 
 @dataclass(frozen=True)

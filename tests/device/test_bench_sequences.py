@@ -29,7 +29,7 @@ def test_a_sequence_gives_what_one_by_one_gives(rig: DeviceRig) -> None:
     one_by_one = rig.capture(*shown()).astype(float)
     frames = rig.show_sequence(*shown()).astype(float)
     assert rig.statistics["sequences"] == {
-        "played": 2, "lost": 0, "loaded_again": 0, "one_by_one": 0
+        "played": 2, "lost": 0, "one_by_one": 0
     }  # fmt: skip
     assert frames.shape == one_by_one.shape
     step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()

@@ -12,7 +12,7 @@ from rfpipe.report.text import fixed, number, percent, words
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
 # What devices count of a capture without faults.
-_USUAL = (" frames", " shown", " played", " doubted", " loaded_again", " one_by_one")
+_USUAL = (" frames", " shown", " played", " doubted", " one_by_one")
 _AGAIN = ("reconnected", "reopened")
 
 

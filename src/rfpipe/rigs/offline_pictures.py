@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -86,19 +86,15 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
     files = picture_files(folder)
     step = len(sheet.exposures_s)
     expected = step * len(sheet.shown)
-    if len(files) < expected:
+    if len(files) != expected:
         raise CaptureError(
             f"{folder}: holds {len(files)} pictures; {len(sheet.shown)} patterns of {step} "
             f"exposures each make {expected}, as {sheet.folder} says. Check that the first and "
-            "the last are there, and none twice"
+            "the last are there, none twice, and none of another series"
         )
     pictures = [(_checked_header(rig, path), path) for path in files]
-    first = _first_of_series(rig, pictures, sheet, folder)
-    pictures = pictures[first : first + expected]
     is_timed = all(header.exposure_s is not None for header, _ in pictures)
     notes = []
-    if surplus := len(files) - expected:
-        notes.append(f"{surplus} pictures before or after the markers are left out")
     if step > 1 and not is_timed:
         notes.append(
             "not all pictures say their exposure time: each bracket is taken to go from the "
@@ -111,6 +107,16 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
             bracket = _by_exposure(bracket, sheet.exposures_s, shown.file)
         if shown.key is not None:
             of_key[shown.key] = tuple(path for _, path in bracket)
+    marker, opposite, last = (
+        np.sum([_small(_pixels(rig, path)) for _, path in pictures[first : first + step]], axis=0)
+        for first in (0, step, expected - step)
+    )
+    if np.linalg.norm(opposite - last) >= SAME * np.linalg.norm(marker - last):
+        raise CaptureError(
+            f"{folder}: the series doesn't begin with the marker and its opposite and end with the "
+            "opposite, as it was to be shown: a picture is out of order, or these are of another "
+            "series. Names are sorted by the numbers in them"
+        )
     patterns = {shown.key: shown.pattern for shown in sheet.shown if shown.key is not None}
     wrong = _wrong_light(rig, of_key)
     if wrong and not anyway:
@@ -144,59 +150,6 @@ def _checked_header(rig: OfflineRig, path: Path) -> Header:
     return header
 
 
-def _first_of_series(rig: OfflineRig, pictures: list[Picture], sheet: Sheet, folder: Path) -> int:
-    """Return the picture at which the series begins: marker, opposite, patterns, opposite."""
-    step = len(sheet.exposures_s)
-    last = step * (len(sheet.shown) - 1)
-    firsts = range(len(pictures) - last - step + 1)
-
-    @cache
-    def image(start: int) -> NDArray[np.float32]:
-        """Return the light of a bracket."""
-        frames = (_pixels(rig, path) for _, path in pictures[start : start + step])
-        return np.asarray(np.sum([_small(frame) for frame in frames], axis=0))
-
-    def is_bracket(start: int) -> bool:
-        seconds = sorted(header.exposure_s or 0 for header, _ in pictures[start : start + step])
-        return all(map(_is_exposure, seconds, sheet.exposures_s))
-
-    # where no exposure times fit, the messages about single brackets explain more
-    fitting = [
-        first
-        for first in list(filter(is_bracket, firsts)) or firsts
-        if _is_same(image(first + step), image(first + last), image(first))
-    ]
-    if len(fitting) == 1:
-        return fitting[0]
-    if fitting:
-        problem = (
-            f"the markers fit pictures {', '.join(str(one + 1) for one in fitting)} as the first; "
-            "take away those that don't belong to the series"
-        )
-    elif len(firsts) == 1 and _is_same(image(0), image(last - step), image(last)):
-        problem = (
-            "the markers stand the other way round: the pictures are in reverse order. Name them "
-            "in the order in which they were taken"
-        )
-    else:
-        problem = (
-            "the series doesn't begin with the marker and its opposite and end with the opposite, "
-            "as it was to be shown: a picture is missing or out of order, or these are of another "
-            "series. Names are sorted by the numbers in them"
-        )
-    raise CaptureError(f"{folder}: {problem}")
-
-
-def _is_exposure(seconds: float, expected: float) -> bool:
-    return abs(seconds - expected) <= EXPOSURE_ERROR * expected
-
-
-def _is_same(one: NDArray[Any], other: NDArray[Any], opposite: NDArray[Any]) -> bool:
-    """Tell whether two pictures are alike, beside one that should be their opposite."""
-    apart = float(np.linalg.norm(opposite - other))
-    return float(np.linalg.norm(one - other)) < SAME * apart
-
-
 def _small(frame: NDArray[Any]) -> NDArray[np.float32]:
     """Return the means of about 64 x 64 fields, which tell a marker."""
     rows, columns = frame.shape[:2]
@@ -211,7 +164,7 @@ def _by_exposure(bracket: list[Picture], exposures: tuple[float, ...], name: str
     ordered = sorted(bracket, key=lambda each: each[0].exposure_s or 0)
     for (header, path), expected in zip(ordered, exposures, strict=True):
         seconds = header.exposure_s or 0
-        if not _is_exposure(seconds, expected):
+        if abs(seconds - expected) > EXPOSURE_ERROR * expected:
             times = ", ".join(f"{each.exposure_s:g}" for each, _ in ordered)
             raise CaptureError(
                 f"{path}: was exposed for {seconds:g} s; the bracket of {name} ({times} s) should "
@@ -254,18 +207,10 @@ def _pixels(rig: OfflineRig, path: Path) -> NDArray[Any]:
     pixels, sensor = read_picture(path).pixels, rig.camera_sensor
     if isinstance(sensor, CameraModel):
         if (largest := int(pixels.max(initial=0))) > sensor.white_level:
-            shift = 16 - sensor.bits
-            is_shifted = not (pixels & np.uint16(2**shift - 1)).any()
             raise CaptureError(
                 f"{path}: holds {largest} counts; full scale of camera.bits {sensor.bits} is "
-                f"{sensor.white_level}. "
-                + (
-                    f"All counts are multiples of {2**shift}: the file has them shifted to 16 "
-                    f"bits. Set camera.bits to 16, and camera.black_level_counts to {2**shift} "
-                    "times what it is"
-                    if is_shifted
-                    else "Set camera.bits to those of the file"
-                )
+                f"{sensor.white_level}. Set camera.bits to those of the file: to 16 where it has "
+                "counts shifted to 16 bits, and camera.black_level_counts accordingly"
             )
     elif not np.isfinite(pixels).all():
         raise CaptureError(f"{path}: holds NaN or infinity; light is finite. Take it again")
