@@ -239,7 +239,7 @@ def test_a_zip_of_transports_is_verified_where_it_lies(run: Path) -> None:
     assert "whole. 1 stores" in verified(run / "crate.zip")
     assert "whole. 2 stores" in verified(run / "both.zip")
     assert "whole. 1 stores" in verified(run / "both.zip" / DESK)
-    with pytest.raises(InputError, match="no folder and no zip file"):
+    with pytest.raises(InputError, match="holds nothing of a run"):
         verified(run / "nothing.zip")
 
 

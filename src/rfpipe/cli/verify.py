@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rfpipe.stages.checked import Checked
+    from rfpipe.stages.checking import Checked
 
 
 def verify(

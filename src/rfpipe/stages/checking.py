@@ -1,45 +1,116 @@
-"""Checking a run's folder: every manifest, the stores it is about, and what they say of others."""
+"""Checking a run's folder or a published one: every manifest, store and file, by its digest."""
 
 from __future__ import annotations
 
-import json
+import hashlib
 import re
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
+from urllib.parse import unquote
 
 from rfpipe.errors import InputError, StoreError
 from rfpipe.stages.capture import SENSOR
-from rfpipe.stages.checked import (
-    RESTORE,
-    Checked,
-    Finding,
-    Mend,
-    check_place,
-    check_store,
-    damage_of,
-)
 from rfpipe.stages.folder import FILES, REFERENCE, STAGES, SYMMETRY, with_followers
 from rfpipe.stages.jobs.ends import RUN, run_again
 from rfpipe.stages.merge import SUMS
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.verification import MANIFEST as VERIFICATION
 from rfpipe.stages.watch import DRIFT, MOVES
-from rfpipe.store import StoreLock, open_arrays, read_manifest
+from rfpipe.store import (
+    FrameStore,
+    StoreLock,
+    bytes_on_disk,
+    header_is_whole,
+    open_arrays,
+    read_manifest,
+)
 from rfpipe.store.files import digest_of
-from rfpipe.store.places import as_address, locate
-from rfpipe.units import VERIFICATION_KEY
+from rfpipe.store.places import METADATA, Place, as_address, content_of, locate
+from rfpipe.transport.storage import MANIFEST as LIST
+from rfpipe.transport.storage import ZIP_NAME, transports_in
 
+_TAGS = "tagmanifest-sha256.txt"
 # Stores of a level that the manifest of another name is about.
 _OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, DRIFT, MOVES, SENSOR), "capture") | dict.fromkeys(
     (SUMS, REFERENCES), "merge"
 )
 _LEFT_OUT = (".snakemake", ".git", ".venv", "bench")
-_LEVEL = re.compile(r"L(\d\d+)")
+_LEVEL = re.compile(r"L\d\d+")
+_NAMED = 8  # files that a finding names
 
 
-def check(folder: Path, progress: Callable[[int], object] | None = None) -> Checked:
+class Mend(NamedTuple):
+    """What mends a finding: the workflow, `rfpipe calibrate`, or a copy alone.
+
+    Attributes
+    ----------
+    remove : tuple of Path
+        Removed first, so that the workflow notices that something is missing.
+    cost : str
+        What it takes, where that is more than some computing.
+    """
+
+    how: Literal["run", "calibrate", "restore"]
+    remove: tuple[Path, ...] = ()
+    cost: str = ""
+
+
+_RESTORE = Mend("restore")
+
+
+class Finding(NamedTuple):
+    """A store, manifest or file that is damaged: its path, the damage, and what mends it."""
+
+    path: Path | Place
+    what: str
+    mend: Mend
+
+
+@dataclass
+class Checked:
+    """What was checked, and the damage.
+
+    Attributes
+    ----------
+    notes : list of str
+        Remarks on what is no damage.
+    stores, manifests, files, bytes : int
+        Counts of what was checked, and the bytes read, of which `progress` is told.
+    seen : set of Path
+        Stores that are checked.
+    facts : dict of Path to dict
+        The content of each whole manifest.
+    """
+
+    progress: Callable[[int], object] = lambda _: None
+    findings: list[Finding] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    stores: int = 0
+    manifests: int = 0
+    files: int = 0
+    bytes: int = 0
+    seen: set[Path] = field(default_factory=set)
+    facts: dict[Path, dict[str, Any]] = field(default_factory=dict)
+
+    def wrong(self, path: Path | Place, what: str, mend: Mend) -> None:
+        """Add a finding."""
+        self.findings.append(Finding(path, what, mend))
+
+    def read(self, nbytes: int) -> None:
+        """Count bytes as read."""
+        self.bytes += nbytes
+        self.progress(nbytes)
+
+    def removals(self) -> list[Path]:
+        """Return all that has to go before the workflow runs, each once."""
+        return list(dict.fromkeys(path for each in self.findings for path in each.mend.remove))
+
+
+def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> Checked:
     """Check every store, chunk, manifest and table below a folder.
 
     Parameters
@@ -56,21 +127,19 @@ def check(folder: Path, progress: Callable[[int], object] | None = None) -> Chec
     InputError
         When there is nothing that could be checked; StoreError when a server doesn't answer.
     """
-    checked = Checked(progress=progress or (lambda _: None))
+    checked = Checked(progress)
     place = folder if folder.is_dir() and as_address(folder) is None else locate(folder)
-    if isinstance(place, Path) and not place.is_dir():
-        raise InputError(
-            f"{folder}: is no folder and no zip file; expected a run's folder, such as results"
-        )
-    if check_place(place, checked):
+    if isinstance(place, Place) or (place / LIST).is_file():
+        _check_published(place, checked)
         return checked
     inside = [each for each in (folder / "results", folder / "calibration") if each.is_dir()]
     for root in inside if (folder / "results").is_dir() else [folder]:
-        _check_below(root, checked)
-    if not checked.stores + checked.manifests + checked.files and not checked.notes:
+        if root.is_dir():
+            _check_below(root, checked)
+    if not checked.stores + checked.manifests and not checked.notes:
         raise InputError(
             f"{folder}: holds nothing of a run; expected results, one of its folders, a "
-            "calibration or a published folder"
+            "calibration, or a published folder or zip file"
         )
     return checked
 
@@ -91,6 +160,58 @@ def command_for(finding: Finding) -> str:
     return f"rm -rf {gone} && {again}" if gone else again
 
 
+def _check_published(place: Path | Place, checked: Checked) -> None:
+    """Check files by their list, in one folder of a zip file, too; else transports."""
+    if isinstance(place, Place) and not place.key and content_of(place / LIST) is None:
+        with suppress(StoreError):  # a web server doesn't list its files
+            lists = [name for name in place.files() if name.endswith(f"/{LIST}")]
+            place = place / min(lists, key=len).removesuffix(f"/{LIST}") if lists else place
+    if content_of(place / LIST) is not None:
+        _check_list(place, checked)
+        return
+    is_store = content_of(place / METADATA) is not None
+    stores = [place] if is_store else [place / name for name in transports_in(place)]
+    if not stores:
+        raise InputError(
+            f"{place}: has no {LIST} and no transport; expected what 'rfpipe keep' or 'rfpipe "
+            "publish' made, or a transport"
+        )
+    for store in stores:
+        if isinstance(store, Place) and store.key.endswith(ZIP_NAME):
+            _check_published(locate(store), checked)
+            continue
+        for what in _check_arrays(store, checked)[0]:
+            checked.wrong(store, what, _RESTORE)
+
+
+def _check_list(root: Path | Place, checked: Checked) -> None:
+    """Check each file of a list ``digest  path``, as BagIt (RFC 8493) has it."""
+    listed = {}
+    for name in (LIST, _TAGS):
+        for line in (content_of(root / name) or b"").decode(errors="replace").splitlines():
+            digest, _, path = line.strip().partition(" ")
+            listed[unquote(path.lstrip(" \t*")).removeprefix("./")] = digest.lower()
+    for name, digest in listed.items():
+        checked.files += 1
+        try:
+            content = (root / name).read_bytes()
+        except FileNotFoundError:
+            checked.wrong(root / name, "is missing", _RESTORE)
+        except (StoreError, OSError) as error:
+            checked.wrong(root / name, f"can't be read: {error}", _RESTORE)
+        else:
+            checked.read(len(content))
+            if hashlib.sha256(content).hexdigest() != digest:
+                text = "is altered: its SHA-256 isn't that of the list"
+                checked.wrong(root / name, text, _RESTORE)
+    if isinstance(root, Path):
+        files = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
+        payload = "data/" if (root / "bagit.txt").exists() else ""
+        for name in sorted(files - listed.keys() - {LIST, _TAGS}):
+            if name.startswith(payload):
+                checked.notes.append(f"{root / name}: isn't in the list of files")
+
+
 def _check_below(folder: Path, checked: Checked) -> None:
     """Check a folder and all below it."""
     if folder.name in _LEFT_OUT or folder in checked.seen:
@@ -104,24 +225,15 @@ def _check_below(folder: Path, checked: Checked) -> None:
         if holder is not None and holder.is_known:
             checked.notes.append(f"{folder}: is being acquired at this moment; not checked")
             return
-    for manifest in sorted(folder.glob("*.json")):
-        if _is_manifest(manifest):
-            _check_manifest(manifest, checked)
+    for path in sorted(folder.glob("*.json")):
+        is_about = path.name == RUN or path.with_suffix(".zarr").exists()
+        if is_about or b'"checksum"' in path.read_bytes():
+            _check_manifest(path, checked)
     for inner in sorted(folder.iterdir()):
         if inner.is_dir() and not inner.is_symlink():
             _check_below(inner, checked)
     if is_acquisition:
         _check_acquisition(folder, checked)
-
-
-def _is_manifest(path: Path) -> bool:
-    if path.name == RUN or path.with_suffix(".zarr").exists():
-        return True
-    content = path.read_bytes()
-    try:
-        return b'"checksum"' in content and "checksum" in json.loads(content)
-    except ValueError:
-        return True
 
 
 def _check_manifest(path: Path, checked: Checked) -> None:
@@ -130,18 +242,16 @@ def _check_manifest(path: Path, checked: Checked) -> None:
     try:
         facts = checked.facts[path] = read_manifest(path)
     except StoreError as error:  # its stores are checked alone
-        checked.wrong(path, damage_of(error, path), _mend(path))
+        checked.wrong(path, _damage_of(error, path), _mend(path))
         return
-    entries = {path.stem: facts, **{key: it for key, it in facts.items() if isinstance(it, dict)}}
-    for name, entry in entries.items():
+    of_patterns = facts.get("stage") == "schedule"
+    for name, entry in {path.stem: facts, **{key: facts.get(key) for key in _OWNERS}}.items():
         store = path.with_name(f"{name}.zarr")
         # a calibration calls the digest of its store arrays
-        stated = next((entry[key] for key in ("digest", "arrays") if key in entry), None)
-        is_told = entry is facts or name in _OWNERS
-        of_patterns = facts.get("stage") == "schedule"
-        if store in checked.seen or not (is_told and (stated or store.exists() or of_patterns)):
+        stated = isinstance(entry, dict) and (entry.get("digest") or entry.get("arrays"))
+        if not stated and (name != path.stem or not (store.exists() or of_patterns)):
             continue
-        damage, digest = check_store(store, checked, entry.get("fingerprint"))
+        damage, digest = _check_store(store, checked)
         if stated and digest not in (None, stated):
             damage.append(f"isn't the store of {path.name}: its digest is {digest}, not {stated}")
         if of_patterns and not damage and open_arrays(store).attributes["facts"] != facts:
@@ -150,7 +260,7 @@ def _check_manifest(path: Path, checked: Checked) -> None:
             checked.wrong(store, what, _mend(path, store))
     for name, digest in facts.get("files", {}).items():
         file = path.parent / name
-        content = file.read_bytes() if file.is_file() else None
+        content = content_of(file)
         checked.files += 1
         checked.read(len(content or b""))
         if content is None:
@@ -163,70 +273,84 @@ def _check_manifest(path: Path, checked: Checked) -> None:
 def _check_alone(path: Path, checked: Checked) -> None:
     """Check a store that no whole manifest tells of: one kept aside, a recording, a user's own."""
     manifest = path.with_name(f"{_OWNERS.get(path.stem, path.stem)}.json")
-    for what in check_store(path, checked)[0]:
+    for what in _check_store(path, checked)[0]:
         if "not in its journal" in what:  # an interrupted capture
             checked.notes.append(f"{path}: {what}")
         else:
-            checked.wrong(path, what, _mend(manifest, path) if manifest.exists() else RESTORE)
+            checked.wrong(path, what, _mend(manifest, path) if manifest.exists() else _RESTORE)
+
+
+def _check_store(path: Path, checked: Checked) -> tuple[list[str], str | None]:
+    """Check a store of frames or of arrays; return the damage, and its digest if it is known."""
+    checked.seen.add(path)
+    header = content_of(path / METADATA) or b""
+    if (path / "journal.jsonl").exists() or re.search(rb'"kind":\s*"frames"', header):
+        return _check_frames(path, checked)
+    return _check_arrays(path, checked)
+
+
+def _check_arrays(path: Path | Place, checked: Checked) -> tuple[list[str], str | None]:
+    checked.stores += 1
+    damage: list[str] = []
+    try:
+        bundle = open_arrays(path)
+    except StoreError as error:
+        return [_damage_of(error, path)], None
+    for name in bundle.names:
+        try:
+            checked.read(bundle.read(name).nbytes)
+        except StoreError as error:
+            damage.append(_damage_of(error, path))
+    return damage, bundle.digest
+
+
+def _check_frames(path: Path, checked: Checked) -> tuple[list[str], str | None]:
+    checked.stores += 1
+    if not header_is_whole(path):
+        return [f"its header, {METADATA} or its copy header.json, is damaged or missing"], None
+    try:
+        store = FrameStore.open(path)
+        if not store.complete:
+            absent = store.shape[0] - int(store.done.sum())
+            return [f"{absent} of {store.shape[0]} items are not in its journal"], None
+        altered = [] if store.dropped else store.damaged()
+    except StoreError as error:
+        return [_damage_of(error, path)], None
+    checked.read(bytes_on_disk(path))
+    if not altered:
+        return [], store.digest()
+    files = ", ".join(sorted({file.name for file in store.files_of(altered)})[:_NAMED])
+    which = f"{len(altered)} of {store.shape[0]} items are missing, truncated or altered"
+    return [f"{which} ({files})"], store.digest()
+
+
+def _damage_of(error: Exception, path: Path | Place) -> str:
+    """Return an error's message without the place that a finding names."""
+    return str(error).removeprefix(f"{path}: ").removeprefix(f"{path}/")
 
 
 def _check_acquisition(folder: Path, checked: Checked) -> None:
-    """Check that the levels of an acquisition are whole, and its transport is made of them."""
-    levels = sorted(place for place in folder.glob("L*") if _LEVEL.fullmatch(place.name))
+    """Check that a transport is made of the levels beside it, and what is made of it is."""
     transport = folder / "transport.json"
-    for level in levels:
-        _check_level(level, STAGES, int(level.name[1:]), checked, transport.exists())
-    pictures = folder / "verification"
-    if pictures.is_dir():
-        is_complete = (folder / VERIFICATION).exists()
-        _check_level(pictures, STAGES[:3], VERIFICATION_KEY, checked, is_complete)
     if not transport.exists():
-        checked.notes.append(
-            f"{folder}: not finished, {len(levels)} levels begun; the next run goes on there"
-        )
-    elif "made_of" in (facts := checked.facts.get(transport, {})):
-        for path, what in _strangers(folder, levels, facts, checked.facts):
-            checked.wrong(path, what, _mend(path if path.suffix == ".json" else transport))
-
-
-def _check_level(
-    level: Path, stages: Sequence[str], number: int, checked: Checked, is_complete: bool
-) -> None:
-    of_level = {stage: checked.facts.get(level / f"{stage}.json", {}) for stage in stages}
-    for stage, facts in of_level.items():
-        manifest = level / f"{stage}.json"
-        if is_complete and not manifest.exists():
-            checked.wrong(manifest, "is missing", _mend(manifest))
-        elif facts and (facts["stage"], facts["level"]) != (stage, number):
-            what = f"is of {facts['stage']} of level {facts['level']}"
-            checked.wrong(manifest, what, _mend(manifest))
-    captured, merged = of_level["capture"], of_level["merge"]
-    if captured and merged and merged["made_of"]["captured"] != captured["digest"]:
-        merge = level / "merge.json"
-        checked.wrong(merge, "is of another capture", _mend(merge))
-
-
-def _strangers(
-    folder: Path, levels: list[Path], facts: dict[str, Any], manifests: dict[Path, dict[str, Any]]
-) -> Iterator[tuple[Path, str]]:
-    """Yield what doesn't belong to the transport of an acquisition, and why."""
-    transport, place = folder / "transport.json", folder.resolve()
-    names = facts["scene"], facts["method"]
-    if names != (place.parent.name, place.name) and place.parents[1].name == "results":
-        yield transport, f"is of {names[0]} by {names[1]}, not of this folder"
-    for number, digest in facts["made_of"]["refine"]:
-        refined = folder / f"L{number:02d}" / "refine.json"
-        if refined.parent not in levels:
-            yield refined.parent, "is missing"
-        elif manifests.get(refined, {"digest": digest})["digest"] != digest:
-            of = refined.relative_to(folder)
-            yield transport, f"was made of another {of} than stands there"
-    references = manifests.get(folder / "L00" / "merge.json", {}).get(REFERENCES)
-    if references and references["digest"] != facts["made_of"]["references"]:
-        yield transport, "was made with another floodlit image than stands there"
-    for path, about in manifests.items():
-        if path.parent == folder and about.get("transport", facts["digest"]) != facts["digest"]:
-            yield path, "is of another transport than stands beside it"
+        checked.notes.append(f"{folder}: not finished; the next run goes on there")
+    made = checked.facts.get(transport, {})
+    for number, digest in made.get("made_of", {}).get("refine", ()):
+        level = folder / f"L{number:02d}"
+        for manifest in (level / f"{stage}.json" for stage in STAGES):
+            if not manifest.exists():
+                checked.wrong(manifest, "is missing", _mend(manifest))
+        refined = checked.facts.get(level / "refine.json")
+        if refined and refined["digest"] != digest:
+            text = f"was made of another {level.name}/refine.json than stands there"
+            checked.wrong(transport, text, _mend(transport))
+    for path, facts in checked.facts.items():
+        if (
+            path.parent == folder
+            and made
+            and facts.get("transport", made["digest"]) != made["digest"]
+        ):
+            checked.wrong(path, "is of another transport than stands beside it", _mend(path))
 
 
 def _mend(manifest: Path, damaged: Path | None = None) -> Mend:
@@ -238,9 +362,8 @@ def _mend(manifest: Path, damaged: Path | None = None) -> Mend:
         return Mend("run", (folder,), "the light of this scene is recorded again")
     if folder.name == "verification":
         return Mend("run", (manifest, folder.with_name(VERIFICATION)))
-    if name == FILES and (folder / "index.html").is_file():  # which the workflow knows of
-        tables = tuple(each for each in (damaged,) if each and each.parent.name == "tables")
-        return Mend("run", (*tables, folder / "index.html"))
+    if name == FILES:  # the workflow knows of the page and of the tables
+        return Mend("run", (damaged or manifest, folder / "index.html"))
     if not _LEVEL.fullmatch(folder.name):
         return Mend("run", (manifest,))
     gone, cost = tuple(with_followers(manifest)), ""
@@ -250,18 +373,9 @@ def _mend(manifest: Path, damaged: Path | None = None) -> Mend:
             "it did"
         )
     elif manifest.stem == "merge" and (folder / "capture.zarr" / "dropped.json").exists():
-        gone = (manifest, *_captured(folder.parent))
+        gone = tuple(sorted(folder.parent.glob("L*")))
         cost = (
             "the raw exposures were dropped after their merge (capture.keep_raw): ALL patterns are "
             "taken again. A copy of the folder, if there is one, is better"
         )
-    return Mend("run", tuple(dict.fromkeys((*gone, folder.with_name("transport.json")))), cost)
-
-
-def _captured(folder: Path) -> Iterator[Path]:
-    """Yield the captures of an acquisition, and what is made of them."""
-    for level in folder.glob("L*"):
-        stores = (level / f"{name}.zarr" for name in ("capture", REFERENCE, SYMMETRY))
-        for place in (*with_followers(level / "capture.json"), *stores):
-            if place.exists():
-                yield place
+    return Mend("run", (*gone, folder.with_name("transport.json")), cost)
