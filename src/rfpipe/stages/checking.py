@@ -204,12 +204,19 @@ def _check_list(root: Path | Place, checked: Checked) -> None:
             if hashlib.sha256(content).hexdigest() != digest:
                 text = "is altered: its SHA-256 isn't that of the list"
                 checked.wrong(root / name, text, _RESTORE)
-    if isinstance(root, Path):
+    if isinstance(root, Place):
+        with suppress(StoreError):  # a web server doesn't list its files
+            _note_others(root, set(root.files()) - listed.keys(), checked)
+    else:
         files = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
-        payload = "data/" if (root / "bagit.txt").exists() else ""
-        for name in sorted(files - listed.keys() - {LIST, _TAGS}):
-            if name.startswith(payload):
-                checked.notes.append(f"{root / name}: isn't in the list of files")
+        _note_others(root, files - listed.keys(), checked)
+
+
+def _note_others(root: Path | Place, names: set[str], checked: Checked) -> None:
+    payload = "" if content_of(root / "bagit.txt") is None else "data/"
+    for name in sorted(names - {LIST, _TAGS}):
+        if name.startswith(payload):
+            checked.notes.append(f"{root / name}: isn't in the list of files")
 
 
 def _check_below(folder: Path, checked: Checked) -> None:
