@@ -44,7 +44,7 @@ def merged_anew(folder: AcquisitionFolder, level: int, resources: Resources) -> 
     FrameStore.discard(folder.store(level, "merge"))
     merge.run(
         folder, level,
-        saturation_fraction=0.98, mask_defects=True, code="", resources=resources,
+        mask_defects=True, code="", resources=resources,
     )  # fmt: skip
 
 

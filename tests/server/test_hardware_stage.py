@@ -52,7 +52,7 @@ class Acquisition:
         self.capture(level)
         merge.run(
             self.folder, level,
-            saturation_fraction=0.98, mask_defects=True, code=CODE,
+            mask_defects=True, code=CODE,
         )  # fmt: skip
         normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
         refine.run(self.plan, self.folder, level, CODE)
@@ -94,7 +94,7 @@ def server() -> Any:
 def test_a_rig_that_is_not_the_plans(tmp_path: Path, server: Running) -> None:
     acquisition = Acquisition(tmp_path, server.url, camera_shape=(8, 5))
     acquisition.schedule(0)
-    with pytest.raises(CaptureError, match=r"has \(4, 5\) camera rays.* say \(8, 5\)"):
+    with pytest.raises(CaptureError, match=r"has .*\(4, 5\).* say .*\(8, 5\)"):
         acquisition.capture(0)
     with server.http() as http:
         assert http.get("/v1/status").json()["brackets"] == 0

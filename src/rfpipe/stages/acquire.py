@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.methods import Method, get_method
-from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
 from rfpipe.stages import capture, merge
 from rfpipe.stages.acquisition import run_levels
@@ -30,7 +29,7 @@ from rfpipe.stages.symmetry import NOTICED
 from rfpipe.stages.verification import NAMES, Verification, compared, schedule_of
 from rfpipe.stages.watch import MUTUAL
 from rfpipe.transport import Transport
-from rfpipe.units import RADIANCE, SATURATION_FRACTION
+from rfpipe.units import RADIANCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,13 +93,11 @@ def acquire(
     method: str | Method[Any] = "symmetric",
     *,
     progress: bool = True,
-    normalization: Mode = "per_channel",
     black_frames: int = 8,
     floodlit_frames: int = 64,
     symmetry_frames: int = 6,
     asymmetry: float = 0.05,
     mask_defects: bool = True,
-    saturation_fraction: float = SATURATION_FRACTION,
     verification: int = 0,
     watch: Literal["off", "warn", "refuse"] = "warn",
     **options: Any,
@@ -116,8 +113,6 @@ def acquire(
     progress : bool
         Whether to show a progress bar a level on stderr, and to log what methods estimate of
         their error.
-    normalization : {"per_channel", "none", "total_energy"}
-        How a level's images are made to add up to the floodlit image (thesis B.2).
     black_frames : int
         All-off brackets whose mean is subtracted; at least 1. Exact radiance takes one.
     floodlit_frames : int
@@ -132,8 +127,6 @@ def acquire(
     mask_defects : bool
         Whether dead and hot pixels are left out. On a coaxial rig, what other pixels see of their
         light fills them in at the end; otherwise their rows of T are zero.
-    saturation_fraction : float
-        Counts from this fraction of full scale on are not used.
     verification : int
         Pictures that the method doesn't see, taken afterwards to compare the transport with, up to
         10; 0 for none.
@@ -185,12 +178,11 @@ def acquire(
     }  # fmt: skip
     code = {"code": ""}  # nothing is kept that it made
     merging: dict[str, Any] = {
-        "saturation_fraction": saturation_fraction, "mask_defects": mask_defects,
-        "sensor": rig.sensor, "progress": False, **code,
+        "mask_defects": mask_defects, "sensor": rig.sensor, "progress": False, **code,
     }  # fmt: skip
     settings = {
         "schedule": code, "capture": capturing, "merge": merging,
-        "normalize": {"mode": normalization, **code}, "refine": code,
+        "normalize": {"mode": "per_channel", **code}, "refine": code,
     }  # fmt: skip
     resources = Resources()
     run_levels(plan, folder, partial(capture.run, rig), settings, resources)

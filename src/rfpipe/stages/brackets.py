@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from time import monotonic
 from typing import Any, Literal
 
 import numpy as np
@@ -82,13 +83,12 @@ class Brackets:
         """
         with self.recording() as frames:
             done = int(np.count_nonzero(frames.done))
-            if frames.complete:
-                _log.info("%s: all %d patterns are captured", self.name, self.count)
-            elif done:
+            if 0 < done < self.count:
                 _log.info(
                     "%s: %d of %d patterns are captured; going on at pattern %d",
                     self.name, done, self.count, frames.missing(1)[0][0],
                 )  # fmt: skip
+            began = monotonic()
             with Progress(self.name, self.count, done, shown=progress) as bar:
                 for start, stop in frames.missing(batch):
                     looks = watch.due(start, stop) if watch else ()
@@ -99,6 +99,9 @@ class Brackets:
                         if watch:
                             watch.after(first, taken)
                         bar.advance(last - first)
+            if done < self.count:
+                text = "%s: %d patterns in %.1f s"
+                _log.info(text, self.name, self.count - done, monotonic() - began)
             if watch:
                 watch.before(self.count)
             return self.entry(frames)
@@ -214,5 +217,4 @@ def differing(old: dict[str, Any], new: dict[str, Any]) -> str:
         for name in sorted({*before, *after})
         if before.get(name) != after.get(name)
     ]
-    more = len(changed) - _SHOWN_DIFFERENCES
-    return ", ".join(changed[:_SHOWN_DIFFERENCES]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(changed[:_SHOWN_DIFFERENCES])

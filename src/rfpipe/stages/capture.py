@@ -6,8 +6,8 @@ import logging
 import time
 from collections.abc import Mapping
 from functools import partial
+from itertools import count
 from math import prod
-from time import monotonic, sleep
 from types import SimpleNamespace
 from typing import Any, Literal
 
@@ -39,8 +39,7 @@ from rfpipe.units import (
 SENSOR = "sensor"
 """A resampled sensor's arrays, beside the frames of level 0: their store and manifest's key."""
 
-# The floodlit pattern stays up between two looks at its brightness.
-_SECONDS_BETWEEN_LOOKS = 30.0
+_SECONDS_BETWEEN_BRACKETS = 30.0  # of white, while the lamp warms up
 
 _log = logging.getLogger(__name__)
 
@@ -244,24 +243,19 @@ def _stands(
 
 
 def _warm_up(rig: Rig, folder: AcquisitionFolder, seconds: float) -> None:
-    """Show the all-on pattern for some seconds, unless brackets were taken that recently.
-
-    Logs how its brightness settles: projectors change by per cents in their first minutes.
-    """
+    """Show the all-on pattern for some seconds, unless brackets were taken that recently."""
     journals = [journal.stat().st_mtime for journal in folder.path.glob("L*/*.zarr/journal.jsonl")]
     if not seconds or (journals and time.time() - max(journals) < seconds):
         return
     _log.info("the lamp warms up for %.3g minutes (capture.warm_up_minutes)", seconds / 60)
-    white = np.ones((1, *rig.projector_shape), np.float32)
-    began, index, before = monotonic(), 0, 0.0
-    while (rest := seconds - (monotonic() - began)) > 0:
-        brightness = float(rig.capture(white, [(WARM_UP_KEY, index)]).mean(dtype=np.float64))
-        if before:
-            change = 100 * (brightness / before - 1)
-            text = "warming up: %.0f s to go, the picture's mean changed by %+.2f %%"
-            _log.info(text, rest, change)
-        before, index = brightness, index + 1
-        sleep(min(_SECONDS_BETWEEN_LOOKS, max(0.0, seconds - (monotonic() - began))))
+    end = time.monotonic() + seconds
+    for index in count():
+        # some devices show a pattern as long as its bracket takes
+        rig.capture(np.ones((1, *rig.projector_shape), np.float32), [(WARM_UP_KEY, index)])
+        rest = end - time.monotonic()
+        if rest <= 0:
+            return
+        time.sleep(min(_SECONDS_BETWEEN_BRACKETS, rest))
 
 
 def _counted_by(rig: Rig) -> dict[str, int]:

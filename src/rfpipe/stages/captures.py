@@ -138,19 +138,13 @@ def place(command: str, scene: str) -> None:
 
 
 def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
-    for what, key in (
-        ("projector rays (shape, views)", "projector_shape"),
-        ("camera rays (camera_shape; null for a coaxial rig)", "camera_shape"),
-        ("channels", "channels"),
-    ):
-        held, expected = (
-            tuple(value) if key != "channels" else value for value in (getattr(rig, key), rays[key])
+    expected = {key: tuple(it) if isinstance(it, list) else it for key, it in rays.items()}
+    held = {key: getattr(rig, key) for key in expected}
+    if held != expected:
+        raise CaptureError(
+            f"{name}: the rig has {held}; the settings of the scene say {expected} (camera_shape: "
+            "null for a coaxial rig). Set them to the rig's"
         )
-        if held != expected:
-            raise CaptureError(
-                f"{name}: the rig has {held} {what}; the settings of the scene say {expected}. "
-                "Set them to the rig's"
-            )
 
 
 def _check_begun(rig: RemoteRig, folder: AcquisitionFolder) -> None:

@@ -30,7 +30,7 @@ from rfpipe.stages.merger import (
 )
 from rfpipe.stages.watch import DRIFT, MOVES, measure_looks
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
-from rfpipe.units import RADIANCE_UNIT, SATURATION_FRACTION
+from rfpipe.units import RADIANCE_UNIT
 
 SUMS = "sums"
 """Sum of the level's images and of their variance: their store and manifest's key."""
@@ -44,7 +44,6 @@ def run(
     *,
     mask_defects: bool,
     code: str,
-    saturation_fraction: float = SATURATION_FRACTION,
     divide_out_drift: bool = False,
     keep_raw: bool = True,
     sensor: Sensor | None = None,
@@ -58,8 +57,6 @@ def run(
     level : int
         Level 0 also learns the black level, the defects and the floodlit image, and whether the
         rig is coaxial, where random patterns were taken for that.
-    saturation_fraction : float
-        Counts from this fraction of full scale on are not used.
     mask_defects : bool
         Whether dead and hot pixels are left out: of infinite variance in every image.
     code : str
@@ -91,7 +88,6 @@ def run(
     made_of: dict[str, Any] = {
         "settings": {
             "sensor": sensor.describe() if folder.is_kept else None,
-            "saturation_fraction": saturation_fraction,
             "mask_defects": mask_defects,
         },
         "captured": captured["digest"],
@@ -109,12 +105,10 @@ def run(
                 "fingerprint": made_from, "versions": versions(),
             }  # fmt: skip
             if level == 0:
-                merger, facts[REFERENCES] = learn_references(
-                    sensor, folder, saturation_fraction, mask_defects
-                )
+                merger, facts[REFERENCES] = learn_references(sensor, folder, mask_defects)
                 facts |= symmetry.measured(folder, merger)
             else:
-                merger = read_merger(sensor, folder, saturation_fraction)
+                merger = read_merger(sensor, folder)
             gains, looks = measure_looks(folder, merger, level, divide_out=divide_out_drift)
             facts |= looks
             facts |= _merge(merger, gains, folder, level, facts, resources or Resources(), progress)
@@ -188,7 +182,7 @@ def _merge(
         merging = folder.merging(level, shape, facts["fingerprint"], layout)
         images, writer = stack.enter_context(merging)
         name = f"{name_of(level)} merge"
-        bar = stack.enter_context(Progress(name, count, quick=True, shown=progress))
+        bar = stack.enter_context(Progress(name, count, shown=progress))
         work = _MergeRun(merger, gains, frames, writer, chunk)
         place = folder.store(level, "merge").parent
         workers = stack.enter_context(resources.workers(work.bytes_in_hand, place))

@@ -24,7 +24,7 @@ from rfpipe.photometry.defects import (
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
-from rfpipe.units import RADIANCE, SATURATION_FRACTION
+from rfpipe.units import RADIANCE
 
 REFERENCES = "merged_reference"
 """Black level, defects and floodlit image: their store, and their key in level 0's merge."""
@@ -127,7 +127,6 @@ class Merger:
         sensor: Sensor,
         black_frames: Iterable[Frames],
         floodlit_frames: Iterable[Frames],
-        saturation_fraction: float = SATURATION_FRACTION,
         mask_defects: bool = True,
     ) -> Merger:
         """Learn black level and defects from the first brackets of an acquisition.
@@ -136,8 +135,6 @@ class Merger:
         ----------
         black_frames, floodlit_frames : iterable of ndarray, shape (B, E, ...)
             Brackets of the all-off pattern, used up first, and of the all-on one, a few at a time.
-        saturation_fraction : float
-            Counts from this fraction of full scale on are not used.
         mask_defects : bool
             Whether to look for dead and hot pixels. Exact radiance has none.
 
@@ -151,7 +148,7 @@ class Merger:
         dark = DarkFrames()
         for frames in black_frames:
             dark.add(frames)
-        options = MergeOptions(dark.count, saturation_fraction)
+        options = MergeOptions(dark.count)
         batches = iter(floodlit_frames)
         first = next(batches)
         is_camera = not isinstance(sensor, ExactSensor)
@@ -239,7 +236,7 @@ def _check_saturation(share: float, sensor: Sensor) -> None:
 
 
 def learn_references(
-    sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float, mask_defects: bool
+    sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool
 ) -> tuple[Merger, dict[str, Any]]:
     """Learn from the reference brackets, and write it; return its entry for the manifest, too."""
     captured = folder.read_manifest(0, "capture")[REFERENCE]
@@ -248,7 +245,7 @@ def learn_references(
     with folder.frames(0, "capture", REFERENCE) as frames:
         brackets = (frames.read(index, index + 1) for index in range(off + on))
         black = islice(brackets, off)
-        merger = Merger.from_references(sensor, black, brackets, saturation_fraction, mask_defects)
+        merger = Merger.from_references(sensor, black, brackets, mask_defects)
     arrays = {name: getattr(merger, name) for name in _HELD}
     if merger.defects is not None:
         arrays["defects"] = merger.defects.mask
@@ -256,13 +253,13 @@ def learn_references(
     return merger, {**folder.write_part(0, REFERENCES, arrays, counted=counted), **counted}
 
 
-def read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:
+def read_merger(sensor: Sensor, folder: AcquisitionFolder) -> Merger:
     """Read what level 0 learnt."""
     arrays, attributes = folder.read(0, "merge", REFERENCES)
     counted = attributes["counted"]
     defective = "defects" in arrays
     defects = DefectMap(arrays["defects"], counted["hot"], counted["dead"]) if defective else None
-    options = MergeOptions(counted["black_frames"], saturation_fraction)
+    options = MergeOptions(counted["black_frames"])
     return Merger(
         sensor, options=options, defects=defects, **{name: arrays[name] for name in _HELD}
     )

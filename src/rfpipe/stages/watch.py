@@ -25,7 +25,7 @@ from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, restore_header
-from rfpipe.units import DRIFT_KEY, LOOK_KEY, SATURATION_FRACTION
+from rfpipe.units import DRIFT_KEY, LOOK_KEY
 
 DRIFT = "drift"
 """The repeated floodlit brackets of a level: their store and their key in manifests."""
@@ -158,8 +158,6 @@ def _log_drift(level: int, gain: Double, deviation: Double, rest: float, divided
     is_change = span > _SIGNIFICANCE * np.sqrt(2) * deviation.max(axis=0)
     largest, noise = float(np.where(is_change, span, 0).max()), float(deviation.max())
     if not largest and not rest:
-        text = "%s: the light kept steady, to its noise of %.2g %%, in %d looks"
-        _log.info(text, name_of(level), 100 * noise, len(gain))
         return
     advice = "it is divided out" if divided else "merge.divide_out_drift would divide it out"
     _log.warning(
@@ -208,7 +206,7 @@ def watching_level(
     """
     folder, merger = of_level.folder, None
     if folder.exists(0, "merge"):
-        merger = read_merger(of_level.rig.sensor, folder, SATURATION_FRACTION)
+        merger = read_merger(of_level.rig.sensor, folder)
     is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
     shape = of_level.rig.projector_shape
     lit = random_signs(shape, 1, 1, seed=15)[0] > 0
@@ -243,9 +241,7 @@ def _begin(
             with FrameStore.open(path) as old:
                 is_of_this = old.attributes.get("made_beside") == of_level.made_for
                 every = int(old.attributes["every"]) if is_of_this else 0
-        elif every:
-            text = "%s was begun without a %s, and goes on without"
-            _log.warning(text, name_of(level), title)
+        else:
             every = 0
     if not every or not patterns:
         return None
@@ -302,20 +298,11 @@ class Watcher:
             if look.frames.done[index]:
                 continue
             bracket = look.brackets.take(look.frames, index, index + 1)
-            if self.merger is None:
-                continue
-            known = _known(self.of_level.folder, self.merger, look.name)
-            if known is None:
-                continue
-            gain, deviation, rest = change(self.merger, known, bracket)
-            if look.name == DRIFT:
-                light = ", ".join(f"{100 * part:.2f} %" for part in gain)
-                _log.info(
-                    "drift watch before pattern %d: %s of the floodlit image's light (noise %.2g "
-                    "%%); parts of the image differ by %.2g %%",
-                    position, light, 100 * deviation.max(), 100 * rest,
-                )  # fmt: skip
-            elif rest > _MOVED:
+            known = None
+            if self.merger and look.name == MOVES:
+                known = _known(self.of_level.folder, self.merger, MOVES)
+            rest = change(self.merger, known, bracket).rest if self.merger and known else 0.0
+            if rest > _MOVED:
                 self._say(
                     f"before pattern {position}: the rig or the scene moved: the same pattern "
                     f"looks different by {rest:.1%} from how it looked first, whatever the lamp "

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import atexit
 import logging
 import os
-import resource
 import signal
 import sys
-from contextlib import suppress
 from io import StringIO
 from pathlib import Path
-from time import monotonic
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -37,30 +33,18 @@ def start(log_file: str) -> None:
     os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     path = Path(log_file)
     path.parent.mkdir(parents=True, exist_ok=True)
-    to_file = _LogFile(path, mode="w")
+    to_file = logging.FileHandler(path, mode="w")
     to_file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     to_terminal = logging.StreamHandler()
     to_terminal.setFormatter(_Brief(path))
+    logging.raiseExceptions = False  # a log on a full disk is done without: the stage says that
     _log.setLevel(logging.INFO)
     _log.handlers = [to_file, to_terminal]
     _log.propagate = False
     logging.captureWarnings(True)
     logging.getLogger("py.warnings").addHandler(to_file)
     sys.excepthook = _report
-    atexit.register(_log_usage)
     signal.signal(signal.SIGTERM, _interrupt)
-
-
-class _LogFile(logging.FileHandler):
-    """A log that does without what can't be written, as on a full disk: the stage says that."""
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """Leave out what the standard library would print, for each message a page."""
-
-    def close(self) -> None:
-        """Close the file; what it still holds is lost as well."""
-        with suppress(OSError):
-            super().close()
 
 
 class _Brief(logging.Formatter):
@@ -72,15 +56,6 @@ class _Brief(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         brief = logging.makeLogRecord({**record.__dict__, "exc_info": None, "exc_text": None})
         return super().format(brief)
-
-
-def _log_usage() -> None:
-    """Say what the job took: Snakemake looks at a job now and then, and misses peaks."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    _log.info(
-        "took at most %.1f MB of memory, %.2f s of processor time",
-        usage.ru_maxrss * 1024 / 1e6, usage.ru_utime + usage.ru_stime,
-    )  # fmt: skip
 
 
 def _report(
@@ -118,16 +93,9 @@ class Progress:
         What is in progress.
     total, done : int
         Patterns in all, and those done before.
-    unit : str
-        What is counted, if no patterns; its plural has an s.
-    quick : bool
-        Whether it goes unsaid that it ended where it took seconds.
     """
 
-    def __init__(
-        self, name: str, total: int, done: int = 0, *, unit: str = "pattern", quick: bool = False,
-        shown: bool = True,
-    ) -> None:  # fmt: skip
+    def __init__(self, name: str, total: int, done: int = 0, *, shown: bool = True) -> None:
         from tqdm import tqdm
 
         to_log: dict[str, Any] = {
@@ -135,11 +103,8 @@ class Progress:
             "delay": _SECONDS_BETWEEN_LINES,
             "bar_format": "{desc}: {n_fmt} of {total_fmt} {unit}s, {remaining} to go",
         }  # fmt: skip
-        self._name, self._unit, self._done = name, unit, done
-        self._began = monotonic()
-        self._least = _SECONDS_BETWEEN_LINES if quick else 0.0
         self._bar: Any = tqdm(
-            total=total, initial=done, desc=name, unit=unit, leave=False, disable=not shown,
+            total=total, initial=done, desc=name, unit="pattern", leave=False, disable=not shown,
             **({} if sys.stderr.isatty() else to_log),
         )  # fmt: skip
 
@@ -152,7 +117,3 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         self._bar.close()
-        count, seconds = self._bar.n - self._done, monotonic() - self._began
-        if count > 0 and seconds >= self._least:
-            took = self._bar.format_interval(seconds)
-            _log.info("%s: %d %ss in %s", self._name, count, self._unit, took)

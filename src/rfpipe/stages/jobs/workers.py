@@ -1,34 +1,26 @@
 """What a stage may use, memory and cores, and its work side by side within that.
 
-On a `dask.distributed` cluster, whose workers share the results' file system, work lies in a file
-of the folder that it reads or writes. A worker reads it once, a piece of it is a message of some
-hundred bytes, and another worker can do the piece where one died.
+The workers of a `dask.distributed` cluster share the results' file system.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-import pickle
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from pathlib import Path
-from time import monotonic
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
-from uuid import uuid4
 
-from rfpipe.config.addresses import THREADS, check_port, check_workers
-from rfpipe.errors import ClusterError, ConfigError
+from rfpipe.config.addresses import THREADS
+from rfpipe.errors import ClusterError
 from rfpipe.provenance import code_digest, fingerprint, versions
-from rfpipe.store.files import write_atomically
-
-_VARIABLE = "RFPIPE_WORKERS"
 
 Result = TypeVar("Result")
 Work = Callable[[int, int], Result]
@@ -40,9 +32,6 @@ _SHARE_FOR_DATA = 0.5
 _AHEAD = 2
 
 _PATIENCE_SECONDS = 10
-# A nanny starts a worker that died anew within some seconds.
-_WITHOUT_WORKERS_SECONDS = 60.0
-_LOOK_SECONDS = 5.0
 _HERE = ("localhost", "127.0.0.1")
 
 _log = logging.getLogger(__name__)
@@ -71,21 +60,12 @@ class Resources:
 
     @classmethod
     def of_job(cls, snakemake: Any) -> Resources:
-        """Return the resources of a job of the workflow; RFPIPE_WORKERS overrules its settings.
-
-        Raises ConfigError when that is no place to work.
-        """
+        """Return the resources of a job of the workflow."""
         asked = snakemake.resources
         memory_gib = asked.mem_mib / 1024
         if "memory_gib" in asked.keys():  # noqa: SIM118 - Snakemake's resources are no mapping
             memory_gib = min(memory_gib, float(asked.memory_gib))
-        named = os.environ.get(_VARIABLE, "").strip()
-        try:
-            check_workers(named or THREADS)
-        except ValueError as error:
-            text = f"environment variable {_VARIABLE} is {named!r}; it {error}"
-            raise ConfigError(text) from None
-        return cls(memory_gib, snakemake.threads, named or asked.get("workers") or THREADS)
+        return cls(memory_gib, snakemake.threads, asked.get("workers") or THREADS)
 
     @property
     def data_bytes(self) -> int:
@@ -144,18 +124,12 @@ class Workers:
 def connected(address: str, folder: Path) -> Iterator[tuple[HandOut, int]]:
     """Connect to a scheduler; provide what hands out work, and the number of its workers' threads.
 
-    Certificates are those of dask's own settings. The folder holds the work as long as it takes.
-    Raises ClusterError when no scheduler with workers answers, or one doesn't see the folder or has
-    another rfpipe.
+    Certificates are those of dask's own settings. Raises ClusterError when no scheduler with
+    workers answers, or one doesn't see the folder or has another rfpipe.
     """
-    import cloudpickle
     import distributed
 
     setting = f"resources.workers is {address}"
-    try:
-        check_port(address)
-    except ValueError as error:
-        raise ClusterError(f"{setting}; it {error}") from None
     if not address.startswith("tls:") and urlsplit(address).hostname not in _HERE:
         text = "%s: not encrypted, and dask unpickles what it gets: use tls:// (docs/parallel.md)"
         _log.warning(text, setting)
@@ -172,28 +146,23 @@ def connected(address: str, folder: Path) -> Iterator[tuple[HandOut, int]]:
                 f"({error}). Start both as docs/parallel.md says, with certificates for tls://, or "
                 "set it to threads"
             ) from error
+        unfit = client.run(_unfit, folder.absolute(), _our_code(), on_error="return")
+        for worker, reason in unfit.items():
+            if reason is not None:  # an exception where there is no rfpipe, or another one
+                raise ClusterError(f"{setting}: {worker} {reason}")
 
         def hand_out(work: Work[Any]) -> Callable[[int, int], _Promise]:
-            path = folder.absolute() / f".work.{uuid4().hex}"
-            write_atomically(path, cloudpickle.dumps(work))
-            stack.callback(path.unlink, missing_ok=True)
-            unfit = client.run(_unfit, path, _our_code(), on_error="return")
-            for worker, reason in unfit.items():
-                if reason is not None:  # an exception where there is no rfpipe, or another one
-                    raise ClusterError(f"{setting}: {worker} {reason}")
-
-            def ask(first: int, last: int) -> _Promise:
-                future = client.submit(_do, path, _our_code(), first, last, pure=False)
-                return _Promise(client, future, setting)
-
-            return ask
+            # by a task, which is done again where the worker that has the work dies
+            held = client.submit(_held, work, pure=False)
+            return lambda first, last: _Promise(
+                client.submit(_do, held, first, last, pure=False), setting
+            )
 
         yield hand_out, sum(client.nthreads().values())
 
 
 @dataclass(frozen=True)
 class _Promise:
-    client: Any
     future: Any  # of distributed
     setting: str
 
@@ -201,30 +170,21 @@ class _Promise:
         """Wait for the result, or raise the error of the work; ClusterError where it was lost."""
         from distributed import KilledWorker
 
-        seen = monotonic()
-        while True:
-            try:
-                return self.future.result(timeout=_LOOK_SECONDS)
-            except TimeoutError:
-                if self.future.done():  # meanwhile, or the error is the work's own
-                    return self.future.result()
-            except (KilledWorker, CancelledError) as error:
-                raise self._lost(f"{type(error).__name__}: {error}") from error
-            if self.client.status != "running":
-                raise self._lost("the scheduler is gone")
-            if self.client.nthreads():
-                seen = monotonic()
-            elif monotonic() - seen > _WITHOUT_WORKERS_SECONDS:
-                raise self._lost("all workers are gone")
-
-    def _lost(self, why: str) -> ClusterError:
-        return ClusterError(
-            f"{self.setting}: the work was lost ({why}). What is done is kept. See dask's logs, a "
-            "worker may have too little memory; start what is missing and run again"
-        )
+        try:
+            return self.future.result()
+        except (KilledWorker, CancelledError) as error:
+            raise ClusterError(
+                f"{self.setting}: the work was lost ({type(error).__name__}: {error}). What is "
+                "done is kept. See dask's logs, a worker may have too little memory; start what is "
+                "missing and run again"
+            ) from error
 
 
-def _do(path: Path, code: str, first: int, last: int) -> Any:
+def _held(work: Work[Result]) -> Work[Result]:
+    return work
+
+
+def _do(work: Work[Result], first: int, last: int) -> Result:
     """Do a piece of the work in a worker, with one thread: pieces are done side by side."""
     if "numba" in sys.modules:
         import numba
@@ -232,26 +192,16 @@ def _do(path: Path, code: str, first: int, last: int) -> Any:
         numba.set_num_threads(1)  # of this thread alone
     else:
         os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-    unfit = _unfit(path, code)
-    if unfit:
-        raise ClusterError(f"a worker {unfit}")
-    return _read(path)(first, last)
+    return work(first, last)
 
 
-def _unfit(path: Path, code: str) -> str | None:
+def _unfit(folder: Path, code: str) -> str | None:
     """Return why this process can't do the work, or None."""
-    if not path.is_file():
-        return f"does not see {path.parent}. Mount it there, under the same path"
+    if not folder.is_dir():
+        return f"does not see {folder}. Mount it there, under the same path"
     if code != _our_code():
         return "runs another version of rfpipe or what it rests on. Install the same and restart it"
     return None
-
-
-@lru_cache(maxsize=1)
-def _read(path: Path) -> Work[Any]:
-    """Read work; the stores that it opens stay open until this process gets other work."""
-    work: Work[Any] = pickle.loads(path.read_bytes())
-    return work
 
 
 @cache
