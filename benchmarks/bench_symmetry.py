@@ -24,8 +24,8 @@ from benchmarks.localise_errors import recorded
 from rfpipe.calibration.symmetry import (
     measure_symmetry,
     merged_pictures,
+    random_signs,
     symmetry_patterns,
-    worst_of,
 )
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes import planes_scene
@@ -96,10 +96,10 @@ RIGS: dict[str, tuple[Callable[[Array], Array], float]] = {
 
 def predicted(rig: rfpipe.OperatorRig, count: int, seed: int) -> float:
     """Return the error that `count` random patterns of single rays predict."""
-    groups = list(symmetry_patterns((SIDE, SIDE), count, _FLOODLIT, seed))[:3]
-    lit = np.concatenate([signs > 0 for _, signs in groups]).astype(np.float32)
+    signs = random_signs((SIDE, SIDE), count, seed)
+    lit = symmetry_patterns(signs, _FLOODLIT).astype(np.float32)
     frames = rig.capture(lit, [(0, index) for index in range(len(lit))])
-    return worst_of(measure_symmetry(*merged_pictures(frames, rig.sensor, groups))).predicted
+    return measure_symmetry(*merged_pictures(frames, rig.sensor, signs, _FLOODLIT))[0]
 
 
 def rows() -> Iterator[dict[str, Any]]:

@@ -11,10 +11,8 @@ from rfpipe.calibration.symmetry import (
     random_signs,
     symmetry_findings,
     symmetry_patterns,
-    worst_of,
 )
 from rfpipe.config import SceneSettings
-from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.scenes import scene_from_config
@@ -39,19 +37,19 @@ def shifted(share: float) -> np.ndarray:
 
 def taken(matrix: np.ndarray, noise: CameraModel | None = None, count: int = 12):
     rig = OperatorRig(matrix, SHAPE, SHAPE, noise=noise)
-    patterns = list(symmetry_patterns(SHAPE, count, 4))
-    lit = np.concatenate([signs > 0 for _, signs in patterns]).astype(np.float32)
+    signs = random_signs(SHAPE, count, 0)
+    lit = symmetry_patterns(signs, 4).astype(np.float32)
     frames = rig.capture(lit, [(0, index) for index in range(len(lit))])
-    return merged_pictures(frames, rig.sensor, patterns)
+    return merged_pictures(frames, rig.sensor, signs, 4)
 
 
 def checked(matrix: np.ndarray, noise: CameraModel | None = None, count: int = 12):
     return measure_symmetry(*taken(matrix, noise, count))
 
 
-def true_error(matrix: np.ndarray, side: int) -> float:
+def true_error(matrix: np.ndarray) -> float:
     """Relative RMS error of pictures that ``(T + T^T) / 2`` gives."""
-    patterns = (random_signs(SHAPE, side, 200, 99) > 0).reshape(200, -1).T
+    patterns = (random_signs(SHAPE, 200, 99) > 0).reshape(200, -1).T
     off = (matrix - matrix.T) @ patterns / 2
     return float(np.linalg.norm(off) / np.linalg.norm(matrix @ patterns))
 
@@ -59,17 +57,14 @@ def true_error(matrix: np.ndarray, side: int) -> float:
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
 def test_misalignment_is_predicted(share: float) -> None:
     matrix = shifted(share)
-    for scale in checked(matrix):
-        assert scale.predicted == pytest.approx(true_error(matrix, scale.side), rel=0.35)
+    assert checked(matrix)[0] == pytest.approx(true_error(matrix), rel=0.35)
 
 
 def test_flare_and_unequal_gains_are_predicted() -> None:
     gains = np.linspace(0.5, 1.5, RAYS)[:, None] * wedge()
     flare = 0.9 * wedge() + 0.1 * wedge().mean(axis=0)
     for matrix in (gains, flare):
-        found = checked(matrix, count=24)
-        expected = max(true_error(matrix, scale.side) for scale in found)
-        assert worst_of(found).predicted == pytest.approx(expected, rel=0.5)
+        assert checked(matrix, count=24)[0] == pytest.approx(true_error(matrix), rel=0.35)
 
 
 def test_a_symmetric_rig_is_good_and_half_a_pixel_is_not() -> None:
@@ -79,7 +74,6 @@ def test_a_symmetric_rig_is_good_and_half_a_pixel_is_not() -> None:
     poor = symmetry_findings(taken(shifted(0.5), camera), 0.02)
     assert poor.verdict.standing == "poor"
     assert "dual photography" in poor.verdict.text
-    assert poor["sides"][0] == 1
 
 
 def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
@@ -87,15 +81,3 @@ def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
     findings = symmetry_findings(taken(wedge(), dim), 0.005)
     assert findings.verdict.standing == "unknown"
     assert "noise can't tell" in findings.verdict.text
-
-
-def test_views_have_signs_of_their_own() -> None:
-    signs = random_signs((3, 8, 10), 4, 5, 0)
-    assert signs.shape == (5, 3, 8, 10)
-    assert set(np.unique(signs)) == {-1, 1}
-    assert (signs[:, :, :4, :4] == signs[:, :, :1, :1]).all()
-
-
-def test_one_pair_has_no_spread() -> None:
-    with pytest.raises(CaptureError, match="3 or more"):
-        checked(wedge(), count=2)

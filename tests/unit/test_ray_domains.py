@@ -77,9 +77,8 @@ def test_patterns_light_the_same_rays_however_views_are_arranged():
     np.testing.assert_array_equal(
         one_view_at_a_time(ARRANGED), one_view_at_a_time(STACKED).reshape(4, *ARRANGED)
     )
-    for side in (1, 2):
-        signs = random_signs(ARRANGED, side, 2, seed=1)
-        np.testing.assert_array_equal(signs.reshape(2, *STACKED), random_signs(STACKED, side, 2, 1))
+    signs = random_signs(ARRANGED, 2, seed=1)
+    np.testing.assert_array_equal(signs.reshape(2, *STACKED), random_signs(STACKED, 2, 1))
 
 
 def test_a_calibration_needs_a_map_for_each_of_arranged_views():

@@ -5,17 +5,15 @@ By random patterns that are shown for that, or by the pictures of an acquisition
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
 from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.verdicts import Findings
-from rfpipe.errors import CaptureError
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import MergeOptions, Sensor
 from rfpipe.provenance import generator
@@ -33,95 +31,50 @@ _WITNESSES = 24  # pictures that each new one is held against: chance has no say
 
 
 class Pictures(NamedTuple):
-    """Radiance and variance (count, N, C) under random patterns (count, N), lit where a sign is 1.
+    """Radiance and variance (count, N, C) under random signs (count, N), lit where one is 1."""
 
-    Patches of `side` x `side` rays share a sign.
-    """
-
-    side: int
     signs: Double
     radiance: Double
     variance: Double
 
 
-Taken = tuple[Double, Double, list[Pictures]]
-"""The floodlit image and its variance, (N, C), and pictures for each side of patches."""
+Taken = tuple[Double, Double, Pictures]
+"""The floodlit image and its variance, (N, C), and pictures under random signs."""
 
 
-class Scale(NamedTuple):
-    """Asymmetry for patterns of patches of one size.
-
-    Attributes
-    ----------
-    side : int
-        Rays a side of the patches.
-    predicted, predicted_error : float
-        Relative error that asymmetry brings to a picture relit under such patterns; standard error.
-    """
-
-    side: int
-    predicted: float
-    predicted_error: float
+def random_signs(shape: tuple[int, ...], count: int, seed: int) -> Double:
+    """Return patterns of random signs, (count, *shape), values -1 and 1."""
+    return np.asarray(generator(seed, 1).integers(0, 2, (count, *shape)) * 2.0 - 1, np.float64)
 
 
-def random_signs(shape: tuple[int, ...], side: int, count: int, seed: int) -> Double:
-    """Return patterns of patches of random sign, (count, *shape), values -1 and 1."""
-    views, height, width = RayDomain(shape).stack_shape
-    patches = (count, views, -(-height // side), -(-width // side))
-    coarse = generator(seed, side).integers(0, 2, patches) * 2.0 - 1
-    fine = coarse.repeat(side, axis=-2).repeat(side, axis=-1)
-    return np.asarray(fine[..., :height, :width]).reshape(count, *shape)
-
-
-def worst_of(scales: Iterable[Scale]) -> Scale:
-    """Return the scale of the largest predicted error."""
-    return max(scales, key=lambda scale: scale.predicted)
-
-
-def measure_symmetry(floodlit: Double, variance: Double, pictures: list[Pictures]) -> list[Scale]:
-    """Measure asymmetry from pictures under random patterns, from single rays on.
-
-    Raises
-    ------
-    CaptureError
-        When there are fewer than three patterns of a scale.
+def measure_symmetry(floodlit: Double, variance: Double, pictures: Pictures) -> tuple[float, float]:
+    """Return the relative error that asymmetry brings to a relit picture, and its standard error.
 
     Notes
     -----
     With signs s and pictures ``c(s) = T s = 2 T p - T 1``, each pair gives
     ``s2^T T s1 - s1^T T s2 = s2^T K s1`` with ``K = T - T^T``. With independent signs for each ray
-    in s2 its mean square is ``||K s1||^2``, whatever s1: of patches, or all ones. Symmetric
+    in s2 its mean square is ``||K s1||^2``, whatever s1: random, or all ones. Symmetric
     photography stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` is off by
     ``K p / 2``. The noise's own share of the mean squares is subtracted.
     """
-    if min(len(one.signs) for one in pictures) < 3:
-        raise CaptureError(
-            "fewer than three patterns of patches of a size make no two pairs; expected 3 or more"
-        )
-    signed = [(one, 2 * one.radiance - floodlit, 4 * one.variance + variance) for one in pictures]
-    fine, images, noise = signed[0]
-    ahead = np.einsum("in,nc->ic", fine.signs, floodlit) - images.sum(axis=1)
-    of_ones = _mean_square(ahead, noise.sum(axis=1) + variance.sum(axis=0), len(fine.signs))
-    scales = []
-    for coarse, coarse_images, coarse_noise in signed:
-        forward = np.einsum("jn,inc->ijc", fine.signs, coarse_images)
-        backward = np.einsum("in,jnc->ijc", coarse.signs, images)
-        spread = coarse_noise.sum(axis=1)[:, None] + noise.sum(axis=1)[None]
-        once = np.ones(forward.shape[:2], bool)
-        if coarse is fine:
-            once = np.triu(once, 1)
-        forward, backward, spread = forward[once], backward[once], spread[once]
-        of_signs = _mean_square(forward - backward, spread, len(coarse.signs))
-        light = np.square(coarse.radiance).sum(axis=1) - coarse.variance.sum(axis=1)
-        unit = max(16 * float(light.sum(axis=1).mean()), _LEAST)
-        square = (of_ones[0] + of_signs[0]) / unit
-        error = float(np.hypot(of_ones[1], of_signs[1])) / unit
-        # a square below zero is noise; far from zero half the relative error of the square, near
-        # it what the error alone would be the square of
-        predicted = float(np.sqrt(max(square, 0.0)))
-        predicted_error = min(np.sqrt(error), error / max(2 * predicted, _LEAST))
-        scales.append(Scale(coarse.side, predicted, predicted_error))
-    return scales
+    count = len(pictures.signs)
+    images = 2 * pictures.radiance - floodlit
+    noise = (4 * pictures.variance + variance).sum(axis=1)
+    ahead = np.einsum("in,nc->ic", pictures.signs, floodlit) - images.sum(axis=1)
+    of_ones = _mean_square(ahead, noise + variance.sum(axis=0), count)
+    forward = np.einsum("jn,inc->ijc", pictures.signs, images)
+    one, two = np.triu_indices(count, 1)
+    difference = forward[one, two] - forward[two, one]
+    of_signs = _mean_square(difference, noise[one] + noise[two], count)
+    light = np.square(pictures.radiance).sum(axis=1) - pictures.variance.sum(axis=1)
+    unit = max(16 * float(light.sum(axis=1).mean()), _LEAST)
+    square = (of_ones[0] + of_signs[0]) / unit
+    error = float(np.hypot(of_ones[1], of_signs[1])) / unit
+    # a square below zero is noise; far from zero half the relative error of the square, near
+    # it what the error alone would be the square of
+    predicted = float(np.sqrt(max(square, 0.0)))
+    return predicted, min(float(np.sqrt(error)), error / max(2 * predicted, _LEAST))
 
 
 def _mean_square(difference: Double, noise: Double, count: int) -> tuple[float, float]:
@@ -136,29 +89,19 @@ def _mean_square(difference: Double, noise: Double, count: int) -> tuple[float, 
     return float(squares.mean()), spread / float(np.sqrt(min(len(squares), count)))
 
 
-def symmetry_patterns(
-    shape: tuple[int, ...], count: int, references: int, seed: int = 0
-) -> Iterator[tuple[int, Double]]:
-    """Yield the side and the signs (n, *shape) of patterns: all off, all on, and random ones.
-
-    The sides of the former two are 0. Of random patterns, patches of 4 and 16 rays a side follow
-    single rays where two fit.
-    """
-    ones = np.ones((references, *shape))
-    yield from ((0, -ones), (0, ones))
-    for side in (1, 4, 16):
-        if side == 1 or side * 2 <= max(RayDomain(shape).image_shape):
-            yield side, random_signs(shape, side, count, seed)
+def symmetry_patterns(signs: Double, references: int) -> NDArray[np.bool_]:
+    """Return what is lit, (n, *shape): `references` times nothing, and all, then random rays."""
+    ones = np.ones((references, *signs.shape[1:]), bool)
+    return np.concatenate([~ones, ones, signs > 0])
 
 
 def merged_pictures(
-    brackets: Iterable[NDArray[Any]], sensor: Sensor, patterns: Iterable[tuple[int, Double]]
+    brackets: Iterable[NDArray[Any]], sensor: Sensor, signs: Double, references: int
 ) -> Taken:
     """Merge brackets (E, ...) under the patterns of `symmetry_patterns`, for `measure_symmetry`."""
     remaining = iter(brackets)
-    (_, off), (_, on), *random = patterns
-    black = np.mean([next(remaining) for _ in off], axis=0).astype(np.float32)
-    merge = sensor.merging(black, MergeOptions(len(off)))
+    black = np.mean([next(remaining) for _ in range(references)], axis=0).astype(np.float32)
+    merge = sensor.merging(black, MergeOptions(references))
 
     def merged(count: int) -> tuple[Double, Double]:
         found = [merge(next(remaining)[None]) for _ in range(count)]
@@ -167,44 +110,34 @@ def merged_pictures(
         radiance, variance = (np.stack(part).astype(np.float64) for part in images)
         return radiance.reshape(count, -1, channels), variance.reshape(count, -1, channels)
 
-    lit, noise = merged(len(on))
-    pictures = [
-        Pictures(side, signs.reshape(len(signs), -1), *merged(len(signs))) for side, signs in random
-    ]
-    return lit.mean(axis=0), noise.mean(axis=0) / len(on), pictures
+    lit, noise = merged(references)
+    pictures = Pictures(signs.reshape(len(signs), -1), *merged(len(signs)))
+    return lit.mean(axis=0), noise.mean(axis=0) / references, pictures
 
 
 def measure_rig(bench: Bench) -> Findings:
     """Show random patterns on the rays; judge their pictures."""
     arrays, settings = bench.found["rays"].arrays, bench.settings
     layout, resampling = ProjectorLayout.from_arrays(arrays), Resampling.from_arrays(arrays)
-    counts = settings.symmetry_patterns, settings.dark_frames
-    patterns = list(symmetry_patterns(layout.shape, *counts))
-    lit = [signs > 0 for _, group in patterns for signs in group]
+    signs = random_signs(layout.shape, settings.symmetry_patterns, 0)
+    lit = list(symmetry_patterns(signs, settings.dark_frames))
     brackets = bench.take(lit, linear=True, drawn=layout.picture)
-    taken = merged_pictures(brackets, ResampledSensor(bench.model, resampling), patterns)
+    sensor = ResampledSensor(bench.model, resampling)
+    taken = merged_pictures(brackets, sensor, signs, settings.dark_frames)
     return symmetry_findings(taken, settings.tolerance)
 
 
 def symmetry_findings(taken: Taken, tolerance: float) -> Findings:
     """Predict the error that asymmetry makes in relit pictures, which `tolerance` is for."""
-    scales = measure_symmetry(*taken)
-    worst = worst_of(scales)
-    error, margin = worst.predicted, CONFIDENCE * worst.predicted_error
+    error, standard_error = measure_symmetry(*taken)
     facts = {
         "tolerance": tolerance,
         "error": error,
-        "standard_error": worst.predicted_error,
-        "side_rays": worst.side,
-        "least_error": error - margin,
-        "most_error": error + margin,
+        "standard_error": standard_error,
+        "least_error": error - CONFIDENCE * standard_error,
+        "most_error": error + CONFIDENCE * standard_error,
     }
-    arrays = {
-        "sides": np.array([scale.side for scale in scales]),
-        "predicted": np.array([scale.predicted for scale in scales]),
-        "predicted_error": np.array([scale.predicted_error for scale in scales]),
-    }
-    return Findings.of("symmetry", facts, arrays)
+    return Findings.of("symmetry", facts, {})
 
 
 @dataclass(frozen=True)

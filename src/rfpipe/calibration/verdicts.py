@@ -158,10 +158,10 @@ symmetry poor least_error > tolerance: Not good enough for symmetric photography
 symmetry unknown most_error > tolerance: The noise can't tell: use more patterns, or longer
     exposures.
 symmetry note error > -1: Asymmetry alone makes errors of {error:.2%} +- {standard_error:.2%} in
-    pictures relit with patches of {side_rays} x {side_rays} rays, {tolerance:.1%} accepted.
-symmetry note least_error > tolerance: Errors that are largest at single rays are of devices whose
-    centres aren't aligned, or out of focus; at patches of many rays, of flare (clean and shade the
-    lens, cover what is bright beside the scene) or unequal vignetting (close the aperture).
+    relit pictures, {tolerance:.1%} accepted.
+symmetry note least_error > tolerance: Align the devices' centres, and focus both; clean and shade
+    the lens, and cover what is bright beside the scene, against flare; close the aperture against
+    vignetting.
 """
 
 

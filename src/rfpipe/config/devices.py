@@ -59,7 +59,7 @@ class CalibrationConfig(Settings):
         "measured.",
     )
     symmetry_patterns: int = setting(
-        12, "Random patterns of each size that symmetry is checked with.", ge=3, le=1000
+        12, "Random patterns that symmetry is checked with.", ge=3, le=1000
     )
 
     @model_validator(mode="after")

@@ -193,9 +193,9 @@ def _rays(done: All) -> Figure:
 
 def _symmetry(done: All) -> Figure:
     one = done["symmetry"]
-    figure, (axis,) = _plots(("patches, rays a side", "predicted error, %"))
+    figure, (axis,) = _plots(("", "predicted error of relit pictures, %"))
     axis.axhline(100 * one["tolerance"], **_FIT)
-    _errors(axis, one["sides"].astype(str), 100 * one["predicted"], 100 * one["predicted_error"])
+    _errors(axis, ["asymmetry"], [100 * one["error"]], 100 * one["standard_error"])
     axis.set_ylim(bottom=0)
     return figure
 
@@ -223,6 +223,6 @@ _CHARTS: dict[str, _Chart] = {
         "and how far the stripes rise above their noise."),
     "rays": _Chart(_rays, "Camera pixels a ray, light of other rays that leaks into each, and a "
         "ray's noise. Views one above the other."),
-    "symmetry": _Chart(_symmetry, "The predicted error of pictures relit with patches of each "
-        "size, and what is accepted; bars are two standard errors."),
+    "symmetry": _Chart(_symmetry, "The error that asymmetry makes in relit pictures, and what "
+        "is accepted; bars are two standard errors."),
 }  # fmt: skip

@@ -190,7 +190,7 @@ def symmetry_patterns(
     projector_shape: tuple[int, ...], count: int, first: int, last: int
 ) -> tuple[NDArray[np.float32], Keys]:
     """Return some of the `count` random patterns that tell whether a rig is coaxial, and keys."""
-    lit = random_signs(projector_shape, 1, count, seed=0)[first:last] > 0
+    lit = random_signs(projector_shape, count, seed=0)[first:last] > 0
     return lit.astype(np.float32), [(SYMMETRY_KEY, index) for index in range(first, last)]
 
 

@@ -18,7 +18,6 @@ from rfpipe.calibration.symmetry import (
     Pictures,
     measure_symmetry,
     random_signs,
-    worst_of,
 )
 from rfpipe.errors import CaptureError
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
@@ -104,13 +103,13 @@ def measured(folder: AcquisitionFolder, merger: Merger) -> dict[str, Any]:
         np.concatenate([getattr(one, name) for one in merged]) for name in ("radiance", "variance")
     )
     floodlit, variance = _flat(np.stack([merger.floodlit, merger.floodlit_variance]))
-    signs = random_signs(merger.floodlit.shape[:-1], 1, count, seed=0)
-    pictures = Pictures(1, signs.reshape(count, -1), *map(_flat, taken))
-    worst = worst_of(measure_symmetry(floodlit, variance, [pictures]))
+    signs = random_signs(merger.floodlit.shape[:-1], count, seed=0)
+    pictures = Pictures(signs.reshape(count, -1), *map(_flat, taken))
+    error, standard_error = measure_symmetry(floodlit, variance, pictures)
     # Light from pixels that aren't known is seen one way alone: at most so much, if indirect.
     unseen = _MASKED * float(np.mean(~np.isfinite(merger.floodlit_variance)))
-    error = float(np.sqrt(max(worst.predicted**2 - unseen, 0)))
-    return {SYMMETRY: {**asdict(Asymmetry(error, worst.predicted_error)), "frames": count}}
+    error = float(np.sqrt(max(error**2 - unseen, 0)))
+    return {SYMMETRY: {**asdict(Asymmetry(error, standard_error)), "frames": count}}
 
 
 def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -209,7 +209,7 @@ def watching_level(
         merger = read_merger(of_level.rig.sensor, folder)
     is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
     shape = of_level.rig.projector_shape
-    lit = random_signs(shape, 1, 1, seed=15)[0] > 0
+    lit = random_signs(shape, 1, seed=15)[0] > 0
     fine = np.asarray(lit if lit.any() else ~lit, np.float32)
     every = looks_every(looks, is_coaxial) if mode != "off" else 0
     mutual = None
