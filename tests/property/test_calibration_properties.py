@@ -10,7 +10,7 @@ from rfpipe.rigs.layout import ProjectorLayout
 
 
 def exact_map(homography: np.ndarray) -> SmoothMap:
-    return SmoothMap(homography, np.zeros((10, 2)), np.zeros(2), 1.0, 100, 0.0, 0.0)
+    return SmoothMap(homography, np.zeros((10, 2)), np.zeros(2), 1.0, 0.0, 0.0)
 
 
 @given(

@@ -93,7 +93,6 @@ def test_a_map_is_robust_knows_its_error_and_bends_with_the_lens() -> None:
     assert error < min(0.03, 3 * smooth.error)
     assert not smooth.distortion.any()
     assert smooth.rms == pytest.approx(0.2 * 2**0.5, rel=0.15)
-    assert 1400 < smooth.inliers < 1650
     from_centre = (points - 30) / 30
     bent = points + from_centre * np.square(from_centre).sum(axis=1, keepdims=True)
     true = apply_homography(HOMOGRAPHY, bent)

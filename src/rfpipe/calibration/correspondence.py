@@ -177,8 +177,6 @@ class SmoothMap:
         Coefficients of a polynomial of degree 3 in normalised camera coordinates, added to it.
     centre, scale : ndarray of float64, shape (2,); float
         Of these coordinates.
-    inliers : int
-        Points that belong to the map.
     rms : float
         Distance of a measured inlier from the map, in projector pixels.
     error : float
@@ -189,7 +187,6 @@ class SmoothMap:
     distortion: Double
     centre: Double
     scale: float
-    inliers: int
     rms: float
     error: float
 
@@ -267,7 +264,7 @@ def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> S
     rms = float(np.sqrt(np.square(rest[inlier]).sum(axis=1).mean()))
     # the mean over the fitted points of the fit's own variance is rms^2 parameters / (2 n)
     error = rms * float(np.sqrt(parameters / (2 * count)))
-    return SmoothMap(homography, distortion, centre, scale, count, rms, error)
+    return SmoothMap(homography, distortion, centre, scale, rms, error)
 
 
 def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> tuple[float, float]:

@@ -268,8 +268,6 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
         None if rays is None else Resampling.from_arrays(rays),
         camera_numbers(found),
         found["light"]["light"] if "light" in found else None,
-        found["dark"]["black"] if "dark" in found else None,
-        found["dark"]["hot"] if "dark" in found else None,
         {name: {**verdicts[name], **findings.facts} for name, findings in every.items()},
     )
     write_calibration(folder.path, calibration)

@@ -34,7 +34,6 @@ _DOUBT = 0.02
 # Mixing of a camera pixel, as the share of it that looks at other rays, at which its error by an
 # imperfect map equals that of pixels that look at one ray.
 
-_BLURRED = 0.25  # blur over a ray's side that is undone with little noise
 _RIDGE = 1e-4  # of the mean diagonal: what rays can't be told apart from is not amplified for ever
 _LEAST_SHARE = 1e-3  # of a camera pixel that rays must have for it to be looked at
 _CHUNK = 4096  # patches solved at once
@@ -120,7 +119,6 @@ def _judged(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
     """Return how rays are seen and mixed, by a blur of so many pixels or by their size."""
     seen, leak = fit.resampling.seen, float(np.percentile(fit.leak, 99))
     pixels = float(np.median(fit.pixels[seen.ravel()]))
-    of_ray = blur / float(np.sqrt(pixels))
     # a ray that few pixels see alone has up to twice a pixel's noise; four times is too much
     mixed = max(leak / (tolerance / 2), float(fit.noise.max()) / 4)
     return {
@@ -129,11 +127,9 @@ def _judged(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
         "unseen_share": float((~seen).mean()),
         "pixels_a_ray": pixels,
         "blur_pixels": blur,
-        "blur_of_ray": of_ray,
-        "larger_rays": max(1.5, of_ray / _BLURRED),
         "leak": leak,
         "largest_noise": float(fit.noise.max()),
-        "mixed_by_blur" if of_ray > _BLURRED else "mixed_by_pixels": mixed,
+        "mixed": mixed,
     }
 
 

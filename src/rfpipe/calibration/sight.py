@@ -116,12 +116,11 @@ def measure_sight(
         "saturated_share": share,
         "black_saturated_share": float(off_full[0].mean()),
     }
-    is_black, is_dark = facts["black_saturated_share"] <= 0.01, facts["brighter_level"] < 0.1
+    is_black = facts["black_saturated_share"] <= 0.01
     facts |= {
-        "overexposed_share": facts["saturated_share"] if is_black else None,
+        "overexposed_share": share if is_black else None,
         "brighter_level": facts["brighter_level"] if is_black and not is_few else None,
-        "is_unlit": int(is_black and is_few and is_dark),
-        "is_stripeless": int(is_black and is_few and not is_dark),
+        "is_stripeless": int(is_black and is_few),
     }
     arrays = {
         "white": rates.astype(np.float32),

@@ -85,11 +85,9 @@ scene poor overexposed_share > 0.01: {saturated_share:.1%} of the pixels that th
 scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.3g} s, white reaches
     {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted. Take
     longer exposures, as sensor.exposures: {proposed_exposures_s}, or open the aperture.
-scene poor is_unlit > 0: Too dark: at the longest exposure, {longest_s:.3g} s, the projector's white
-    shows nothing above the noise. Is the lamp on, the lens cap off, does the camera see what the
-    projector lights? Then take much longer exposures, or open the aperture.
-scene poor is_stripeless > 0: The camera sees light, but no stripes of the projector: focus both,
-    and turn the camera to what the projector lights.
+scene poor is_stripeless > 0: No stripes of the projector are seen, at {longest_s:.3g} s at most. Is
+    the lamp on, the lens cap off, does the camera see what the projector lights, are both in focus?
+    Then take much longer exposures, or open the aperture.
 scene note edges_left > 0: It leaves the camera's view at the {edges} edge.
 dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites
     ({hot_share:.3%}), which are left out.
@@ -142,13 +140,10 @@ rays good: {pixels_a_ray:.1f} camera pixels a ray, a leak of {leak:.2%}; the map
 rays poor unseen_share > 0.02: {unseen_rays:,} of {count:,} rays are not seen ({unseen_share:.0%});
     {limit:.0%} are allowed. Turn the camera or its zoom until all of the projector's picture is in
     its view, or light less of it.
-rays poor mixed_by_blur > 1: Blur: the picture is blurred by {blur_pixels:.2f} camera pixels
-    (standard deviation), {blur_of_ray:.0%} of a ray's side: {leak:.1%} of other rays' light leaks
-    into rays, and noise grows up to {largest_noise:.1f} times. Focus camera and projector, close
-    the aperture, or take rays {larger_rays:.1f} times as large.
-rays poor mixed_by_pixels > 1: Rays share camera pixels: {leak:.1%} of other rays' light leaks into
-    rays, and noise grows up to {largest_noise:.1f} times. There are {pixels_a_ray:.1f} camera
-    pixels a ray; 4 or more are wanted: use larger rays, or a longer lens.
+rays poor mixed > 1: Rays are mixed: {leak:.1%} of other rays' light leaks into rays, and noise
+    grows up to {largest_noise:.1f} times. The picture is blurred by {blur_pixels:.2f} camera pixels
+    (standard deviation): focus camera and projector, or close the aperture. There are
+    {pixels_a_ray:.1f} camera pixels a ray; 4 or more are wanted: use larger rays, or a longer lens.
 rays poor map_error_pixels > 0.1: The map from camera to projector is known to
     {map_error_pixels:.2f} projector pixels only, above {limit}: it is no smooth one, or blur drowns
     the stripes. Is the rig coaxial, and in focus?

@@ -96,11 +96,6 @@ class DarkFrames:
 def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor) -> DefectMap:
     """Find pixels that are hot, dead or stuck, by dark frames and a floodlit bracket (E, ...).
 
-    Raises
-    ------
-    CaptureError
-        When the shapes don't belong together.
-
     Notes
     -----
     Hot: the mean of the black frames, or (with two or more) their variance, is an outlier of any
@@ -109,12 +104,7 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     noise of any other and is none of these, whatever its neighbours see. Where the converter's
     steps hide that noise a constant count says nothing, and no pixel is called dead.
     """
-    if dark.least.ndim < 3 or dark.least.shape != floodlit_frames.shape:
-        raise CaptureError(
-            f"all-off frames {dark.least.shape} and floodlit frames {floodlit_frames.shape} don't "
-            "belong together; expected both to be (exposures, ...)"
-        )
-    hot = find_hot(dark, floodlit_frames)
+    hot = find_hot(dark)
     dead = _constant(dark, floodlit_frames)
     has_channels = len(sensor.frame_shape((2, 2), 3)) == 4
     if not has_channels:
@@ -129,13 +119,10 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
 
 
-def find_hot(dark: DarkFrames, floodlit_frames: NDArray[Any] | None = None) -> Mask:
-    """Find the photosites with an outlying black level or noise: bool, shape of a frame.
-
-    The rounding of float32 frames is relative to the floodlit ones; counts don't need them.
-    """
+def find_hot(dark: DarkFrames) -> Mask:
+    """Find the photosites with an outlying black level or noise: bool, shape of a frame."""
     # the mean of dark frames is no more certain than their rounding
-    floor = _rounding(dark.least.dtype, floodlit_frames) / np.sqrt(dark.count)
+    floor = float(1 / np.sqrt(12)) / np.sqrt(dark.count)
     count, black = dark.count, dark.mean
     variance = dark.variance if count > 1 else None
     hot = np.zeros(black.shape[1:], bool)
@@ -153,7 +140,7 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
     # a black level at the converter's lower end cuts the noise off
     constant &= ~((dark.least == 0) & (np.median(dark.least) == 0))
     stuck: Mask = np.asarray(constant.all(axis=0))
-    if dark.count < 2 or dark.least.dtype.kind != "u":
+    if dark.count < 2:
         return np.zeros_like(stuck)
     chance = log(constant[0].size)
     for variance in dark.variance:
@@ -163,14 +150,6 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
         once = erf(1 / (np.sqrt(8) * deviation)) if deviation else 1.0
         chance += (dark.count + 1) * log(once)
     return stuck if chance < -(SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
-
-
-def _rounding(dtype: np.dtype[Any], floodlit_frames: NDArray[Any] | None) -> float:
-    """Return a frame's rounding as standard deviation: of counts, or of float32 at full scale."""
-    if dtype.kind == "u" or floodlit_frames is None:
-        return float(1 / np.sqrt(12))
-    largest = float(np.abs(floodlit_frames).max(initial=0))
-    return float(np.finfo(np.float32).eps) * largest
 
 
 def _threshold(size: int) -> float:
@@ -192,36 +171,28 @@ def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
     spread = 2 / (9 * freedom)
     # the median of a chi-squared variable over its mean
     typical = max(float(np.median(variance)) / (1 - spread) ** 3, floor**2)
-    if typical == 0:
-        return np.asarray(variance > 0)
     score = (np.cbrt(variance / typical) - (1 - spread)) / np.sqrt(spread)
     outlying: Mask = score > _threshold(variance.size)
     return outlying
 
 
-def check_floodlit(
-    radiance: NDArray[Any], variance: NDArray[Any], significance: float = 5.0
-) -> None:
-    """Raise CaptureError where the floodlit image is below the black level, black or not finite.
+def check_floodlit(radiance: NDArray[Any], variance: NDArray[Any]) -> None:
+    """Raise CaptureError where the floodlit image is below the black level or black.
 
-    Light must exceed `significance` standard deviations of noise in the sum over the image or,
+    Light must exceed `SIGNIFICANCE` standard deviations of noise in the sum over the image or,
     beyond what the largest of as many noisy samples reaches, in a sample.
     """
     image = np.asarray(radiance, np.float64)
     spread = np.asarray(variance, np.float64)
-    if not (np.isfinite(image).all() and np.isfinite(spread).all()):
-        raise CaptureError("the floodlit image or its variance holds NaN or infinity")
     total, error = float(image.sum()), float(np.sqrt(spread.sum()))
-    if total < -significance * error:
+    if total < -SIGNIFICANCE * error:
         raise CaptureError(
             f"the floodlit image is darker than the all-off one: radiance {total:.3g} in all, "
             f"noise {error:.3g}. The black level is above the signal: check that the all-off "
             "frames were taken in the dark, with this camera and these exposures"
         )
-    # the largest of n Gaussian samples is near sqrt(2 log n)
-    threshold = significance + np.sqrt(2 * np.log(max(image.size, 2)))
-    lit = image > threshold * np.sqrt(spread)
-    if total <= significance * error and not lit.any():
+    lit = image > _threshold(image.size) * np.sqrt(spread)
+    if total <= SIGNIFICANCE * error and not lit.any():
         raise CaptureError(
             f"the floodlit image is all black: radiance {total:.3g} in all, noise {error:.3g}. "
             "Check that the projector is on, that the camera sees what it lights, and that the "
@@ -229,7 +200,7 @@ def check_floodlit(
         )
 
 
-def warn_if_dim(radiance: NDArray[Any], variance: NDArray[Any], significance: float = 5.0) -> None:
+def warn_if_dim(radiance: NDArray[Any], variance: NDArray[Any]) -> None:
     """Warn where a single picture of full light is hardly brighter than its noise.
 
     Patterns light a part of the projector, and indirect light is a part of theirs: what full light
@@ -238,7 +209,7 @@ def warn_if_dim(radiance: NDArray[Any], variance: NDArray[Any], significance: fl
     """
     light = float(np.mean(radiance, dtype=np.float64))
     noise = float(np.sqrt(np.mean(variance, dtype=np.float64)))
-    if light < significance * noise:
+    if light < SIGNIFICANCE * noise:
         _log.warning(
             "the floodlit image is almost dark: its mean radiance, %.3g, is %.2g times a "
             "picture's noise. Indirect light will be lost in it: take longer exposures, a "

@@ -52,8 +52,6 @@ class Calibration:
         Measured parameters of `CameraModel`, as far as they were found.
     projector_response : ndarray of float64, shape (256,), or None
         Light of each code as a fraction of that of code 255, ascending from 0 to 1.
-    black, hot : ndarray of float32, ndarray of bool, or None
-        Mean of the dark frames, shape of a bracket, counts; hot photosites, shape of a frame.
     facts : mapping
         Plain data: verdicts, measured numbers with their standard errors, settings.
     """
@@ -62,8 +60,6 @@ class Calibration:
     resampling: Resampling | None = None
     camera: Mapping[str, float] = field(default_factory=dict)
     projector_response: NDArray[np.float64] | None = None
-    black: NDArray[np.float32] | None = None
-    hot: NDArray[np.bool_] | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -73,10 +69,8 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     for part in (calibration.layout, calibration.resampling):
         if part is not None:
             arrays |= part.arrays()
-    for name in ("projector_response", "black", "hot"):
-        array = getattr(calibration, name)
-        if array is not None:
-            arrays[name] = array
+    if calibration.projector_response is not None:
+        arrays["projector_response"] = calibration.projector_response
     (folder / FACTS).unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
     digest = write_arrays(folder / ARRAYS, arrays, {})
@@ -112,8 +106,6 @@ def load_calibration(folder: str | Path) -> Calibration:
         Resampling.from_arrays(arrays) if "resampling_shape" in arrays else None,
         manifest["camera"],
         arrays.get("projector_response"),
-        arrays.get("black"),
-        arrays.get("hot"),
         manifest["facts"],
     )
 
