@@ -69,7 +69,6 @@ def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
     ("changes", "expected"),
     [
         ({"shape": (40, 30_000)}, r"refuses Width = 30000.*It takes 1 to 2048"),
-        ({"serial": "40001234"}, r"camera 40001234: 1 cameras answer: 1\..*camera\.serial"),
         ({"nodes": {"Sharpnes": 1}}, "refuses Sharpnes = 1: the camera has no such setting"),
         ({"nodes": {"TriggerActivation": "Maybe"}}, "It takes RisingEdge"),
         ({"gain_db": 3.0}, "has no gain in decibels"),

@@ -40,17 +40,6 @@ def settings(**changes: Any) -> RigConfig:
     return parse_rig_config(plain, "bench")
 
 
-COLOUR = {
-    "camera": {"options": {"pixel_format": "BayerRG12"}},
-    "sensor": {"exposures": [1 / 64, 1 / 8], "bayer": "RGGB"},
-    "bench": {
-        "scene": {
-            "kind": "wedge", "surfaces": ["white", "texture"], "shape": RAYS, "channels": 3
-        }
-    },
-}  # fmt: skip
-
-
 def bench(**changes: Any) -> DeviceRig:
     rig = rig_from_config(settings(**changes))
     assert isinstance(rig, DeviceRig)
@@ -101,21 +90,6 @@ def test_a_bracket_is_the_simulation_within_its_noise(rig: DeviceRig) -> None:
     assert abs(deviation.mean()) < 6 / np.sqrt(deviation.size / 9)  # eight black frames are shared
     assert np.square(deviation).mean() == pytest.approx(1, abs=0.1)
     assert np.abs(images.radiance - expected).mean() < 0.01 * expected.mean()
-
-
-def test_a_bracket_in_colour_is_the_simulation() -> None:
-    white = np.ones((1, *RAYS), np.float32)
-    config = settings(**COLOUR)
-    assert config.bench is not None
-    with bench(**COLOUR) as rig:
-        seen = merged(rig, white).radiance[0]
-        path = optical_path(config.bench, rig.projector.shape)
-        light = path.radiance(path.layout.picture(white))
-        simulated = rig.sensor.expose(light, 1, (0,))[None]
-        dark = rig.sensor.expose(np.zeros_like(light), 1, (1,)).astype(np.float32)
-        expected = rig.sensor.merge(simulated, dark).radiance[0]
-    assert seen.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=0.01)
-    assert np.abs(seen - expected).mean() < 0.03 * expected.mean()
 
 
 def test_the_camera_has_its_own_numbers() -> None:

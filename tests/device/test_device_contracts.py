@@ -48,13 +48,6 @@ class TestSimulatedCamera(CameraContract):
         return camera
 
 
-class TestRigOfDevices(RigContract):
-    repeatable = False
-
-    def make_rig(self) -> DeviceRig:
-        return DeviceRig(*devices(), ProjectorLayout.grid(PROJECTOR, RAYS))
-
-
 class TestResampledRig(RigContract):
     repeatable = False
 
@@ -96,7 +89,6 @@ def test_devices_that_do_not_fit_are_refused() -> None:
     ("frames", "what"),
     [
         (np.zeros((1, *CAMERA, 1), np.uint16), r"uint16 frames of shape \(1, 11, 14, 1\)"),
-        (np.zeros((2, 14, 11, 1), np.uint16), r"shape \(2, 14, 11, 1\)"),
         (np.zeros((2, *CAMERA, 1), np.uint8), "uint8"),
     ],
 )
@@ -126,8 +118,6 @@ class BrokenProjector(SimulatedProjector):
         super().show(picture)
         if self.fault == "keeps a view":
             self.light = picture
-        if self.fault == "bends light":
-            self.light = self.light**2.2
 
 
 class BrokenCamera(SimulatedCamera):
@@ -138,8 +128,6 @@ class BrokenCamera(SimulatedCamera):
         self._buffer = np.empty((2, *CAMERA, 1), np.uint16)
 
     def expose(self) -> np.ndarray:
-        if self.fault == "never closes":
-            self._closed = False
         frames = super().expose()
         if self.fault == "late by a frame":
             frames = frames // self._brackets
@@ -148,7 +136,6 @@ class BrokenCamera(SimulatedCamera):
             return self._buffer
         change = {
             "turns exposures round": frames[::-1],
-            "loses a frame": frames[:1],
             "too many bits": frames << np.uint16(4),
         }
         return change.get(self.fault, frames)
@@ -162,16 +149,13 @@ class BrokenCamera(SimulatedCamera):
     [
         (BrokenProjector, "clips", "rejects_what_cannot_be_shown"),
         (BrokenProjector, "one pixel off", "shows_pixel_by_pixel"),
-        (BrokenProjector, "bends light", "shows_pixel_by_pixel"),
         (BrokenProjector, "keeps a view", "takes_any_memory_layout_and_keeps_no_hold_of_it"),
         (BrokenProjector, "never closes", "describes_itself_and_closes"),
         (BrokenCamera, "turns exposures round", "exposures"),
-        (BrokenCamera, "loses a frame", "brackets"),
         (BrokenCamera, "late by a frame", "exposures"),
         (BrokenCamera, "too many bits", "brackets"),
         (BrokenCamera, "reuses its buffer", "brackets"),
         (BrokenCamera, "unstable description", "describes_itself_and_closes"),
-        (BrokenCamera, "never closes", "describes_itself_and_closes"),
     ],
 )
 def test_the_contract_finds_what_is_wrong(

@@ -96,20 +96,6 @@ def test_exposure_times_are_those_that_the_camera_has(
         camera_of(tmp_path, replace(SENSOR, exposures=(1.0, 1.1)))
 
 
-def test_pictures_do_not_fill_the_card(tmp_path: Path) -> None:
-    with camera_of(tmp_path, keep_pictures=False) as camera:
-        camera.expose()
-        assert not [name for name in _files(camera._handle._camera, "/") if "GPH_" in name]
-
-
-def _files(device: Any, folder: str) -> list[str]:
-    """Return all files below a folder."""
-    files, folders = device.folder_list_files(folder), device.folder_list_folders(folder)
-    below = (f"{folder.rstrip('/')}/{folders.get_name(i)}" for i in range(folders.count()))
-    found = [files.get_name(index) for index in range(files.count())]
-    return found + [name for one in below for name in _files(device, one)]
-
-
 def test_a_picture_that_is_not_raw_says_what_to_set(tmp_path: Path) -> None:
     (tmp_path / "raw.jpg").write_bytes(b"\xff\xd8" + bytes(5_000))
     with pytest.raises(CaptureError, match=r"can't be read as a raw file.*camera\.settings"):

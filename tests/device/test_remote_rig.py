@@ -44,13 +44,6 @@ class TestNoisyRemoteRig(Contract):
         return OperatorRig(transport(20, 21), (4, 5), (3, 7), noise=CameraModel(), seed=1)
 
 
-class TestRemoteRigOfViewsWithMosaic(Contract):
-    @staticmethod
-    def served_rig() -> Rig:
-        camera = CameraModel(bayer="GRBG")
-        return OperatorRig(transport(24, 24), (2, 3, 4), (2, 3, 4), noise=camera)
-
-
 class TestResampledRemoteRig(Contract):
     @staticmethod
     def served_rig() -> Rig:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs import OperatorRig, Rig, SimulatedRig
+from rfpipe.rigs import OperatorRig, Rig
 from rfpipe.testing import RigContract
 
 CAMERA = CameraModel()
@@ -22,11 +22,6 @@ def transport(rows: int, columns: int) -> np.ndarray:
     matrix = random.uniform(0, 0.2 / columns, (3, rows, columns))
     matrix += np.eye(rows, columns) * random.uniform(0.2, 1, (3, 1, columns))
     return matrix
-
-
-class TestNoisyRig(RigContract):
-    def make_rig(self) -> Rig:
-        return OperatorRig(transport(20, 21), (4, 5), (3, 7), noise=CAMERA, seed=1)
 
 
 class TestRigWithMosaicAndOptics(RigContract):
@@ -43,22 +38,6 @@ class TestRigOfViews(RigContract):
 class TestRigOfOneRay(RigContract):
     def make_rig(self) -> Rig:
         return OperatorRig(np.ones((1, 1)), (1, 1), (1, 1), noise=CAMERA)
-
-
-class Scene:
-    camera_shape = projector_shape = (5, 6)
-    channels = 3
-
-    def apply(self, patterns: np.ndarray) -> np.ndarray:
-        return np.repeat(patterns[..., None], 3, axis=-1)
-
-    def describe(self) -> dict[str, Any]:
-        return {"name": "white"}
-
-
-class TestSimulatedRig(RigContract):
-    def make_rig(self) -> Rig:
-        return SimulatedRig(Scene(), CAMERA, seed=2)
 
 
 class Broken(OperatorRig):
@@ -79,9 +58,6 @@ class Broken(OperatorRig):
             keys = [(0, 0)] * len(keys)
         if self._fault == "ambient light":
             patterns = np.maximum(patterns, 0.1 * (patterns.sum() > 0)).astype(np.float32)
-        if self._fault == "projector gamma":
-            whole = patterns.mean(axis=(1, 2), keepdims=True) == 1
-            patterns = np.where(whole, patterns, patterns / 2)
         frames = super().capture(patterns, keys)
         if self._fault == "flickering black level":
             frames[[key[1] == 4 for key in keys]] += np.uint16(40)
@@ -99,7 +75,6 @@ class Broken(OperatorRig):
         ("forgets its key", "same_bytes_however_captured"),
         ("one noise for all", "same_bytes_however_captured"),
         ("ambient light", "light_adds_up"),
-        ("projector gamma", "light_adds_up"),
         ("flickering black level", "light_adds_up"),
         ("loses a frame", "frames"),
         ("unstable description", "describes_itself"),

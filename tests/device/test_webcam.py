@@ -112,8 +112,6 @@ def test_a_warning_says_what_stays_on(tmp_path: Path, caplog: pytest.LogCaptureF
             "automatic exposure", "automatic white balance", "autofocus",
         )  # fmt: skip
     assert "is no measuring camera: 8 bits" in caplog.text
-    assert "it may still have automatic exposure, automatic white balance" in caplog.text
-    assert "the linearity step proves" in caplog.text
     assert "its exposure time is its own affair" in caplog.text
 
 
@@ -161,7 +159,6 @@ def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:
     ("changes", "kind", "expected"),
     [
         ({"device": "/nowhere/%04d.png"}, CaptureError, r"can't be opened.*group video"),
-        ({"device": 97, "backend": "v4l2"}, CaptureError, r"webcam 97: can't be opened"),
         ({"shape": (48, 64)}, CaptureError, r"frames of 24 x 30 pixels where camera\.shape asks"),
         ({"controls": {"GAIN": 3.0}}, CaptureError, r"refuses camera\.controls\.GAIN = 3"),
         ({"controls": {"CONTRST": 3.0}}, CaptureError, r"refuses camera\.controls\.CONTRST"),

@@ -1,7 +1,5 @@
 """The projector's window, read back from an X server, pixel for pixel."""
 
-import os
-import signal
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -52,17 +50,6 @@ class TestPartOfTheDisplayWithAMeasuredResponse(ProjectorContract):
 
 def white(projector: WindowProjector) -> np.ndarray:
     return np.ones(projector.shape, np.float32)
-
-
-@XVFB
-def test_a_window_that_was_killed_is_opened_again(
-    projector: WindowProjector, x_server: XServer
-) -> None:
-    os.kill(projector._window._process.pid, signal.SIGKILL)
-    projector._window._process.wait()
-    projector.show(white(projector))
-    assert (x_server.pixels == 255).all()
-    assert projector.statistics["reopened"] == 1
 
 
 @XVFB

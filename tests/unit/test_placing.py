@@ -36,7 +36,6 @@ def test_each_scene_is_placed_once_in_a_job(tmp_path: Path) -> None:
     [
         (f'{sys.executable} -c "raise SystemExit(3)"', "exit status 3"),
         ("no-such-gantry --to", "No such file"),
-        ("gantry 'to", "No closing quotation"),
     ],
 )
 def test_a_scene_that_isn_t_placed_isn_t_captured(command: str, says: str) -> None:

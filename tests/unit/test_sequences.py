@@ -1,6 +1,5 @@
 """Sequences of patterns in hardware: what is lost or mixed up is found, and taken again."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,24 +108,6 @@ def test_what_a_sequence_never_gives_is_taken_one_by_one(caplog: pytest.LogCaptu
         assert sequences.statistics["sequences"]["one_by_one"] > 0
     assert "does each picture trigger the camera" in caplog.text
     assert "taking them one by one" in caplog.text
-
-
-def test_only_what_is_missing_is_played_again() -> None:
-    plain, given = rig(), patterns("half")
-
-    sequences = SimulatedSequences(plain, faults=SequenceFaults(dropped=0.02, seed=5))
-    play, played = sequences.player.play, []
-
-    def counting(order: Sequence[int], exposure: int) -> Float:
-        played.append(len(order))
-        return play(order, exposure)
-
-    sequences.player.play = counting  # type: ignore[method-assign]
-    sequences.show_sequence(*given)
-    first, again = played[0], min(played)
-    assert sequences.statistics["sequences"]["lost"] > 0
-    assert first == 3 * 4 + 2 * COUNT
-    assert again < 2 * 4 + COUNT
 
 
 def test_long_lists_are_cut_and_short_ones_are_none() -> None:

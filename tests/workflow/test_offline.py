@@ -239,19 +239,12 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
     ("changes", "message"),
     [
         ({"capture": {"rig": "offline", "drift_minutes": 3}}, "drift_minutes should be null"),
-        ({"offline": {"picture_shape": [4, 4]}}, "both be set"),
         ({"scenes": {"a": {"kind": "captured"}, "b": {"kind": "captured"}}}, "rig offline"),
     ],
 )
 def test_settings_that_don_t_fit(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         parse_config({**SETTINGS, **changes}, "it")
-
-
-def test_another_rig_has_no_patterns_to_write(tmp_path: Path) -> None:
-    scenes = {"desk": {"kind": "plane", "surfaces": ["white"], "shape": [4, 4]}}
-    path = settings_file(tmp_path, scenes=scenes, capture={})
-    assert "set it to offline" in command("patterns", path, fails=True)
 
 
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:
