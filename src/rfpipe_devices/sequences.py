@@ -3,16 +3,14 @@
 Triggers are missed, frames come late, twice or in another order. So a list begins, is parted and
 ends with a *word*: white, black, black, white. Each pattern is followed, half a list later, by its
 complement: their pictures must add up to the white one. No scene and no geometry needs to be known
-for that, and two patterns that can be mistaken for each other without any sum being off look alike.
-At longer exposures, each frame must be what the one before promises. A frame that was lost or came
-late shifts those that follow, by as many as the words tell. What isn't told beyond doubt is played
-again, then taken one by one.
+for that. At longer exposures, each frame must be what the one before promises. All frames may come
+late by as many; what isn't told beyond doubt is played again, then taken one by one.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -32,7 +30,7 @@ WORD = (0, 1, 1, 0)
 """Places of white and black among the loaded pictures, which they begin."""
 
 MOST_LAG = 4
-"""Frames that may be lost, or be left over, before a list is taken for a failed one."""
+"""Frames by which all may come late."""
 
 ALIKE = 0.25
 """Difference of two pictures of one thing, as a share of that of white and black."""
@@ -126,30 +124,37 @@ class Sequencer:
         raw = self._player.play(playlist.order, number)
         self.statistics["played"] += 1
         frames = raw.astype(np.float32)
-        lags = playlist.lags(frames)
-        places: dict[int, int] = {}
-        if lags is not None:
+        lag = playlist.lag(frames)
+        certain: dict[int, NDArray[Any]] = {}
+        if lag is not None:
+            places = playlist.places(lag)
             shorter = lights[number - 1] if number else None
             saturated = SATURATION_FRACTION * getattr(self._sensor, "white_level", np.inf)
-            white, light = playlist.light(frames, lags, saturated, shorter)
+            white, light = playlist.light(frames, lag, saturated, shorter)
             if len(lights) == number:
                 lights.append(light)
             if shorter is None:
-                places = playlist.by_complements(frames, lags, white, light)
+                told = playlist.by_complements(frames, lag, white, light)
             else:
                 ratio = self._sensor.exposures[number] / self._sensor.exposures[number - 1]
-                earlier = {index: before[index].astype(np.float32) for index in shown}
-                places = playlist.by_promise(frames, lags, earlier, light, shorter, ratio)
-        if lost := len(shown) - len(places):
+                told = [
+                    index
+                    for index, place in places.items()
+                    if light.is_promised(
+                        frames[place], before[index].astype(np.float32), shorter, ratio
+                    )
+                ]
+            certain = {index: raw[places[index]] for index in told}
+        if lost := len(shown) - len(certain):
             self.statistics["lost"] += lost
             _log.warning(
                 "a sequence of %d frames at %g s gave %d: %d of its %d patterns aren't told beyond "
                 "doubt; playing these again%s",
                 len(playlist.order), self._sensor.exposures[number], len(raw), lost, len(shown),
-                "" if lags is not None else " (white and black pictures weren't found: does each "
+                "" if lag is not None else " (white and black pictures weren't found: does each "
                 "picture trigger the camera, and is white bright?)",
             )  # fmt: skip
-        return {index: raw[place] for index, place in places.items()}
+        return certain
 
 
 @dataclass(frozen=True)
@@ -177,21 +182,22 @@ class Playlist:
         step = len(WORD) + len(self.shown)
         return [0, step, 2 * step][: 2 + self.with_complements]
 
-    def lags(self, frames: Float) -> list[int] | None:
-        """Return by how many frames (n, ...) each word came late, or None where one is missing."""
+    def lag(self, frames: Float) -> int | None:
+        """Return by how many frames all of (n, ...) came late, or None where any was lost."""
         cells = np.stack([_cells(frame) for frame in frames]) if len(frames) else np.zeros((0, 1))
-        near = sorted(range(-MOST_LAG, MOST_LAG + 1), key=abs)
-        lags = [
-            next((lag for lag in near if _is_word(cells, begin + lag)), None)
-            for begin in self.words
-        ]
-        return None if None in lags else lags  # type: ignore[return-value]
+        lags, words = range(MOST_LAG + 1), self.words
+        return next((lag for lag in lags if all(_is_word(cells, at + lag) for at in words)), None)
+
+    def places(self, lag: int, part: int = 0) -> dict[int, int]:
+        """Return which frame is of each pattern (part 0) or complement (part 1)."""
+        first = self.words[part] + len(WORD) + lag
+        return {index: first + at for at, index in enumerate(self.shown)}
 
     def light(
-        self, frames: Float, lags: Sequence[int], saturated: float, shorter: Light | None
+        self, frames: Float, lag: int, saturated: float, shorter: Light | None
     ) -> tuple[Float, Light]:
         """Return the mean white frame, and black and noise by the words' frames."""
-        starts = [begin + lag for begin, lag in zip(self.words, lags, strict=True)]
+        starts = [begin + lag for begin in self.words]
         whites = [start + at for start in starts for at in (0, 3)]
         white = np.stack([frames[place] for place in whites if place < len(frames)])
         black = np.stack([frames[start + at] for start in starts for at in (1, 2)])
@@ -205,54 +211,14 @@ class Playlist:
             gain = max(0.0, noise - variance) / above if above > 0 else 0.0
         return mean, Light(dark, variance, gain, saturated)
 
-    def by_complements(
-        self, frames: Float, lags: Sequence[int], white: Float, light: Light
-    ) -> dict[int, int]:
-        """Return the frame of each pattern for which one alone has a complement."""
-        return self._one_each(
-            lags,
-            lambda position, here: any(
-                _is_complement(frames[here], frames[there], white, light)
-                for there in self._candidates(len(frames), lags, position, 1)
-            ),
-            len(frames),
-        )
-
-    def by_promise(
-        self,
-        frames: Float,
-        lags: Sequence[int],
-        before: dict[int, Float],
-        light: Light,
-        shorter: Light,
-        ratio: float,
-    ) -> dict[int, int]:
-        """Return the frame of each pattern that one alone at a shorter exposure promises."""
-        return self._one_each(
-            lags,
-            lambda position, here: light.is_promised(
-                frames[here], before[self.shown[position]], shorter, ratio
-            ),
-            len(frames),
-        )
-
-    def _one_each(
-        self, lags: Sequence[int], fits: Callable[[int, int], bool], count: int
-    ) -> dict[int, int]:
-        places = {}
-        for position, index in enumerate(self.shown):
-            candidates = self._candidates(count, lags, position, 0)
-            if len(fitting := [here for here in candidates if fits(position, here)]) == 1:
-                places[index] = fitting[0]
-        return places
-
-    def _candidates(
-        self, count: int, lags: Sequence[int], position: int, part: int
-    ) -> Iterable[int]:
-        """Return the frames that may be of a pattern (part 0) or its complement (part 1)."""
-        place = self.words[part] + len(WORD) + position
-        near = lags[part : part + 2]
-        return range(max(0, place + min(near)), min(count, place + max(near) + 1))
+    def by_complements(self, frames: Float, lag: int, white: Float, light: Light) -> list[int]:
+        """Return the patterns whose frame and their complement's add up to the white one."""
+        complements = self.places(lag, 1)
+        return [
+            index
+            for index, place in self.places(lag).items()
+            if _is_complement(frames[place], frames[complements[index]], white, light)
+        ]
 
 
 def _is_complement(picture: Float, other: Float, white: Float, light: Light) -> bool:
@@ -264,7 +230,7 @@ def _is_complement(picture: Float, other: Float, white: Float, light: Light) -> 
 
 
 def _is_word(cells: NDArray[np.float64], begin: int) -> bool:
-    if begin < 0 or begin + len(WORD) > len(cells) + 1:
+    if begin + len(WORD) > len(cells) + 1:
         return False
     # the very last frame doesn't come where all come late
     white, black, black_again, *rest = cells[begin : begin + len(WORD)]
