@@ -7,7 +7,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import Any, ClassVar, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,17 +47,8 @@ _log = logging.getLogger(__name__)
 class GenicamOptions(FrameOptions):
     """A camera of the GenICam standard."""
 
-    SAID_ELSEWHERE: ClassVar[frozenset[str]] = frozenset({"pixel_format"})  # by the sensor
-
     serial: str | None = Field(
         None, min_length=1, description="Serial number, or null for the only camera connected."
-    )
-    pixel_format: str = Field(
-        "Mono12",
-        pattern="^(Mono|BayerRG|BayerGR|BayerGB|BayerBG)(8|10|12|16)$",
-        description="Mono8, Mono10, Mono12 or Mono16, or one of a colour mosaic: BayerRG, "
-        "BayerGR, BayerGB or BayerBG with 8, 10, 12 or 16 bits. sensor.bits and sensor.bayer say "
-        "the same.",
     )
     gain_db: float = Field(
         0.0, ge=0, le=48, description="Gain in decibels, fixed, 0 to 48; 0 has the least noise."
@@ -73,24 +64,6 @@ class GenicamOptions(FrameOptions):
         description="Input at which a projector with sequences triggers the camera, as its manual "
         "names it, such as Line1; null where there is no such projector.",
     )
-
-    @property
-    def bits(self) -> int:
-        """Bits of the pixel format."""
-        return int(self.pixel_format.lstrip("MonBayerRG"))
-
-    @property
-    def bayer(self) -> str | None:
-        """Colour mosaic of the pixel format, None for grey."""
-        if self.pixel_format.startswith("Mono"):
-            return None
-        first = self.pixel_format[5:7]
-        return first + {"RG": "GB", "GR": "BG", "GB": "RG", "BG": "GR"}[first]
-
-    @property
-    def channels(self) -> int:
-        """Colour channels of merged images: 1, or 3 of a colour mosaic."""
-        return 1 if self.bayer is None else 3
 
 
 class RefusedError(CaptureError):

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from rfpipe.config import RigConfig, parse_rig_config
-from rfpipe.errors import ConfigError
 from rfpipe.photometry import MergeOptions
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.bench import optical_path
@@ -83,7 +82,7 @@ def test_a_bracket_is_the_simulation_within_its_noise(rig: DeviceRig) -> None:
     images = merged(rig, patterns)
     config = settings()
     assert config.bench is not None
-    path = optical_path(config.bench, rig.projector.shape)
+    path = optical_path(config.bench)
     expected = np.stack([path.radiance(path.layout.picture(pattern)) for pattern in patterns])
     deviation = (images.radiance - expected) / np.sqrt(images.variance)
     assert images.saturated == 0
@@ -101,11 +100,6 @@ def test_the_camera_has_its_own_numbers() -> None:
         per_count = 20_000 / (4095 - 200)
         assert frames.std() == pytest.approx(30 / per_count, rel=0.1)
         assert rig.sensor.describe()["black_level_counts"] == 64
-
-
-def test_a_picture_that_does_not_fit_the_display() -> None:
-    with pytest.raises(ConfigError, match=r"\(60, 71\) pixels at \(0, 0\) doesn't fit"):
-        bench(projector={"options": {"shape": [60, 71]}})
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,7 +127,6 @@ def test_a_linear_8_bit_camera_is_linear(tmp_path: Path) -> None:
     verdicts, facts, _ = calibrated(
         tmp_path,
         ["scene", "dark", "linearity"],
-        camera={"options": {"pixel_format": "Mono8"}},
         sensor={"bits": 8, "black_level_counts": 4},
     )
     assert verdicts["linearity"]["standing"] == "good"

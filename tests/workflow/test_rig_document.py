@@ -93,7 +93,7 @@ def check_numbers(bench: Path) -> None:
 
 def check_correspondence(bench: Path) -> None:
     config = load_rig_config(ROOT / "config/bench.yaml")
-    path = optical_path(config.bench, config.bench.display_shape)
+    path = optical_path(config.bench)
     height, width = config.bench.camera_shape
     y, x = np.mgrid[:height, :width] + 0.5
     true = path.projector_points(np.stack([x, y], axis=-1))

@@ -92,13 +92,10 @@ class BenchConfig(Settings):
     display_shape: tuple[Extent, Extent] = setting(
         (288, 320), "Height and width of the display in pixels, 1 to 4096 each."
     )
-    projector_corners: Corners | None = setting(
-        None,
-        "Corners of each view's rays on the projector in pixels, from the upper left one "
-        "clockwise; null: in the middle, as large as fits.",
-    )
     camera_corners: Corners | None = setting(
-        None, "The same on the camera; null: in the middle, turned and distorted a little."
+        None,
+        "Corners of each view's rays on the camera in pixels, from the upper left one clockwise; "
+        "null: in the middle, turned and distorted a little.",
     )
     camera_shape: tuple[Extent, Extent] = setting(
         (72, 80), "Height and width of the camera's frames in pixels, 1 to 4096 each."
@@ -124,9 +121,9 @@ class BenchConfig(Settings):
     def _scene_is_coaxial(self) -> Self:
         if not self.scene.is_coaxial:
             raise ValueError("scene should be a coaxial one: a bench has one domain of rays")
-        for name in ("projector_corners", "camera_corners"):
-            if (corners := getattr(self, name)) is not None:
-                _check_corners(name, corners, math.prod(self.scene.view_grid))
+        if self.camera_corners is not None:
+            views = math.prod(self.scene.view_grid)
+            _check_corners("camera_corners", self.camera_corners, views)
         return self
 
 
@@ -189,22 +186,6 @@ class RigConfig(Settings):
         return self
 
     @model_validator(mode="after")
-    def _sensor_is_that_of_the_camera(self) -> Self:
-        if self.kind == "simulated" or self.rig is not None:
-            return self
-        models = {"sensor": self.sensor, "bench.camera": self.bench and self.bench.camera}
-        for name, model in models.items():
-            for option in ("bits", "bayer"):
-                known = getattr(model, option, None)
-                expected = getattr(self.camera.options, option, ...)
-                if model is not None and expected not in (..., known):
-                    raise ValueError(
-                        f"{name}.{option} should be {expected or 'null'} with {self._delivers}, "
-                        f"not {known or 'null'}"
-                    )
-        return self
-
-    @model_validator(mode="after")
     def _bench_fits_the_devices(self) -> Self:
         if self.bench is None:
             return self
@@ -214,17 +195,23 @@ class RigConfig(Settings):
                 "projector.driver and camera.driver should be window and pylon with a bench, "
                 f"which drives them in software, not {drivers[0]} and {drivers[1]}"
             )
-        options = self.camera.options
-        channels = getattr(options, "channels", self.bench.scene.channels)
+        sensor, true = self.sensor, self.bench.camera or self.sensor
+        assert sensor is not None  # of a rig of devices
+        assert true is not None
+        if (true.bits, true.bayer) != (sensor.bits, sensor.bayer):
+            raise ValueError("bench.camera.bits and bench.camera.bayer should be the sensor's")
+        channels = 1 if sensor.bayer is None else 3
         if self.bench.scene.channels != channels:
             raise ValueError(
-                f"bench.scene.channels should be {channels} with {self._delivers}, not "
-                f"{self.bench.scene.channels}"
+                f"bench.scene.channels should be {channels} with sensor.bayer "
+                f"{sensor.bayer or 'null'}, not {self.bench.scene.channels}"
             )
         for name, device, none in (
             ("projector.options.display", self.projector.options, None),
-            ("camera.options.shape", options, None),
-            ("camera.options.offset", options, (0, 0)),
+            ("projector.options.shape", self.projector.options, None),
+            ("projector.options.offset", self.projector.options, (0, 0)),
+            ("camera.options.shape", self.camera.options, None),
+            ("camera.options.offset", self.camera.options, (0, 0)),
         ):
             if getattr(device, name.rpartition(".")[2], none) != none:
                 raise ValueError(
@@ -232,11 +219,3 @@ class RigConfig(Settings):
                     "display_shape and camera_shape say what is shown and taken"
                 )
         return self
-
-    @property
-    def _delivers(self) -> str:
-        """Say what decides which counts the camera delivers."""
-        chosen = getattr(self.camera.options, "pixel_format", None)
-        if chosen is None:
-            return f"camera.driver {self.camera.driver}"
-        return f"camera.options.pixel_format {chosen}"

@@ -57,11 +57,6 @@ class DeviceDriver(Settings):
         given = options.model_dump() if isinstance(options, FreeOptions) else options or {}
         return cls.options_model(driver).model_validate(given)
 
-    def arguments(self) -> dict[str, Any]:
-        """Return the options by which a driver is made, those apart that say what is known."""
-        said: frozenset[str] = getattr(type(self.options), "SAID_ELSEWHERE", frozenset())
-        return {name: value for name, value in self.options if name not in said}
-
     def make(self, **known: Any) -> Any:
         """Return the device or rig.
 
@@ -76,7 +71,7 @@ class DeviceDriver(Settings):
         from inspect import signature
 
         cls = plugins.find(self.group, self.driver)
-        options = self.arguments()
+        options = dict(self.options)
         parameters = signature(cls).parameters
         for name, value in known.items():
             if name in parameters and options.get(name) is None:

@@ -304,36 +304,33 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
     ------
     CaptureError
         When the camera's library is missing.
-    ConfigError
-        When the projector's picture doesn't fit the display.
     InputError
         When the scene doesn't fit the picture.
     """
     bench = config.bench
     assert bench is not None
-    window = config.projector.arguments()
-    window["response"] = calibration_of(config).projector_response
     true = sensor_from_config(bench.camera or config.sensor)
     assert isinstance(true, CameraModel)
     codes = np.linspace(0, 1, 256) ** bench.projector_gamma
     light = bench.projector_black + (1 - bench.projector_black) * codes
     scenery = Scenery(
-        optical_path(bench, _picture_shape(bench, window)),
+        optical_path(bench),
         light.astype(np.float32),
         true,
         config.seed,
         bench.display_delay_seconds,
         bench.knock,
     )
-    projector = BenchProjector(scenery, **window)
+    response = calibration_of(config).projector_response
+    projector = BenchProjector(scenery, response=response, **dict(config.projector.options))
     camera_of = plugins.find(plugins.CAMERAS, config.camera.bench or "")
-    camera: Camera = camera_of(scenery, sensor_of(config), **config.camera.arguments())
+    camera: Camera = camera_of(scenery, sensor_of(config), **dict(config.camera.options))
     if getattr(camera, "can_be_triggered", False):
         projector.trigger = getattr(camera, "trigger", None)
     return projector, camera
 
 
-def optical_path(bench: BenchConfig, projector_shape: tuple[int, int]) -> OpticalPath:
+def optical_path(bench: BenchConfig) -> OpticalPath:
     """Return the light's way on a bench."""
     scene = scene_from_config(bench.scene)
     shape = scene.projector_shape
@@ -341,25 +338,13 @@ def optical_path(bench: BenchConfig, projector_shape: tuple[int, int]) -> Optica
     return OpticalPath(
         scene,
         shape,
-        projector_shape,
+        bench.display_shape,
         bench.camera_shape,
-        bench.projector_corners or centred_corners(shape, projector_shape, views),
+        centred_corners(shape, bench.display_shape, views),
         bench.camera_corners or tilted_corners(shape, bench.camera_shape, views),
         _direct_light(bench.scene),
         bench.ambient,
     )
-
-
-def _picture_shape(bench: BenchConfig, window: dict[str, Any]) -> tuple[int, int]:
-    """Return the extent of the projector's picture on the bench's display."""
-    (height, width), (top, left) = bench.display_shape, window["offset"]
-    rows, columns = window["shape"] or (height - top, width - left)
-    if min(rows, columns) < 1 or top + rows > height or left + columns > width:
-        raise ConfigError(
-            f"projector.options: a picture of {(rows, columns)} pixels at {(top, left)} doesn't "
-            f"fit on the bench's display of {(height, width)}; change bench.display_shape"
-        )
-    return rows, columns
 
 
 def _direct_light(config: SceneSettings) -> Float:
