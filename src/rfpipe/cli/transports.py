@@ -226,22 +226,15 @@ def _write_rays(
 
 def movie(
     path: TransportPath,
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="To write: .mp4 or .webm.")],
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="To write: .mp4.")],
     along: Annotated[
         str,
         typer.Option(
             "--path",
-            help="How the light moves: across (a bar from left to right), down, circle (a disc), "
-            "views (of a light field), or places '10,12 40,55 20,60', each row,column, between "
-            "which a disc goes.",
+            help="How the light moves: across (a bar from left to right), down, circle (a disc) or "
+            "views (of a light field).",
         ),
     ] = "across",
-    size: Annotated[
-        float | None, typer.Option(help="Rays across the bar or disc; an eighth of the image.")
-    ] = None,
-    colour: Annotated[
-        str | None, typer.Option(help="Weights of the light's channels, as 1,0.8,0.5; white.")
-    ] = None,
     seconds: Annotated[float, typer.Option(help="How long the movie is.")] = 6.0,
     fps: Annotated[float, typer.Option(help="Pictures a second.")] = 25.0,
     scale: Annotated[
@@ -252,19 +245,20 @@ def movie(
     dual: Dual = False,
     level: Level = None,
 ) -> None:
-    """Write a movie of a light that moves over the scene, in mp4 (H.264) or webm (VP9).
+    """Write a movie of a light that moves over the scene, in mp4 (H.264).
 
     Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
     """
     from rfpipe.blocks import RayDomain
-    from rfpipe.export import Scale, light_path, relit_movie
+    from rfpipe.export import Scale, relit_movie
 
     light = opened(path, dual, level, view)
     shorter = min(RayDomain(light.camera_shape).image_shape)
     shown = Scale(-(-_SMALLEST_MOVIE // shorter)) if scale is None else Scale.parse(scale)
     count = round(seconds * fps) if 0 < seconds * fps < 1e6 else 0
-    lights = light_path(along, light.projector_shape, count, size, _colour(colour, light.channels))
-    used = relit_movie(light, output, lights, fps=fps, scale=shown, white=white, progress=True)
+    used = relit_movie(
+        light, output, along, count, fps=fps, scale=shown, white=white, progress=True
+    )
     typer.echo(f"{output}: {count} pictures, white is {used:.4g}")
 
 
@@ -300,18 +294,6 @@ def _rays(places: Sequence[str] | None, shape: tuple[int, ...]) -> NDArray[np.in
         return None
     found = np.concatenate([rays_at(place, shape) for place in places])
     return found[np.sort(np.unique(found, return_index=True)[1])]
-
-
-def _colour(text: str | None, channels: int) -> tuple[float, ...]:
-    if text is None:
-        return ()
-    try:
-        weights = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        weights = ()
-    if len(weights) != channels:
-        raise InputError(f"colour {text!r}: expected {channels} weights with commas between")
-    return weights
 
 
 def picture_of_rays(

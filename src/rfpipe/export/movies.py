@@ -1,48 +1,142 @@
-"""Pictures in a row as a movie, by PyAV."""
+"""Relit pictures, and movies of them by PyAV: a light that moves over the projector's rays."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
+from math import cos, pi, sin
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, StoreError, installing
+from rfpipe.export.scales import Scale
+from rfpipe.pictures.images import srgb
 from rfpipe.store.files import storage_errors, whole_file
+from rfpipe.transport.base import Light
 
-MOVIE_FILES: dict[str, tuple[str, dict[str, str]]] = {
-    ".mp4": ("libx264", {"crf": "16", "preset": "medium"}),
-    ".webm": ("libvpx-vp9", {"crf": "22", "b": "0", "row-mt": "1", "cpu-used": "4"}),
+Float = NDArray[np.float32]
+
+PATHS = {
+    "across": "a vertical bar from left to right",
+    "down": "a horizontal bar from top to bottom",
+    "circle": "a disc around the middle",
+    "views": "one view after the other, of a light field",
 }
-"""Encoder and its options, near to lossless, by the end of a file's name."""
+"""How a light may move."""
 
+_SIZE = 1 / 8  # of the shorter side
+_CIRCLE = 0.3  # radius, of height and width
+_WHITE = 99.9  # per cent of a frame's samples that are not cut off
+_NEAR_LOSSLESS = {"crf": "16", "preset": "medium"}
 _BT709, _LIMITED_RANGE, _SRGB_CURVE = 1, 1, 13  # as H.273 numbers them
 
 
-def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Write a movie, complete or not at all.
+def moving_light(path: str, shape: tuple[int, ...], time: float) -> Float:
+    """Return the weights ``(*shape)`` of a light on one of `PATHS`, at a time from 0 to 1.
+
+    Views are lit alike, but by ``views``. InputError if the path is none.
+    """
+    domain = RayDomain(shape)
+    if path == "views" and domain.is_stack:
+        weights = np.zeros(domain.stack_shape, np.float32)
+        weights[min(int(time * domain.views), domain.views - 1)] = 1
+        return weights.reshape(shape)
+    height, width = domain.image_shape
+    size = max(min(height, width) * _SIZE, 1.0)
+    rows, columns = np.ogrid[0:height, 0:width]
+    if path in ("across", "down"):
+        place = columns if path == "across" else rows
+        middle = -size / 2 + time * (place.size - 1 + size)  # from outside to outside
+        distance = np.abs(place - middle)
+    elif path == "circle":
+        row = (height - 1) / 2 - _CIRCLE * height * cos(2 * pi * time)
+        column = (width - 1) / 2 + _CIRCLE * width * sin(2 * pi * time)
+        distance = np.hypot(rows - row, columns - column)
+    else:
+        raise InputError(f"path {path!r}: expected {', '.join(PATHS)} (for several views alone)")
+    weights = np.clip(size / 2 + 0.5 - distance, 0, 1).astype(np.float32)  # an edge a ray wide
+    return np.broadcast_to(weights, shape)
+
+
+def relit_pictures(
+    light: Light, patterns: Iterable[Float], scale: Scale | None = None
+) -> Iterator[Float]:
+    """Yield the pictures ``(H, W, C)`` under patterns, radiance; views one above the other.
+
+    Patterns are as `Light.relight` takes them.
+    """
+    shape = RayDomain(light.camera_shape).picture_shape
+    for pattern in patterns:
+        yield (scale or Scale()).apply(light.relight(pattern).reshape(*shape, light.channels))
+
+
+def relit_movie(
+    light: Light,
+    file: Path,
+    path: str = "across",
+    count: int = 150,
+    *,
+    fps: float = 25,
+    scale: Scale | None = None,
+    white: float | None = None,
+    progress: bool = False,
+) -> float:
+    """Write the movie of a light that moves; return the radiance shown as white.
 
     Parameters
     ----------
-    path : path
-        Ends in ``.mp4`` (H.264) or ``.webm`` (VP9).
-    pictures : iterable of ndarray of uint8, shape (H, W, 3)
-        sRGB, all of one size. An odd side is filled up by repeating its last pixels, since both
-        encoders keep colour for squares of four.
+    file : path
+        Ends in ``.mp4``.
+    path : str
+        One of `PATHS`.
+    count : int
+        Number of pictures.
     fps : float
-        Pictures a second, above 0.
+        Pictures a second.
+    white : float, optional
+        Radiance shown as white; by default all but the brightest thousandth of the samples of the
+        brightest picture are shown as they are, for which all is relit twice.
+    progress : bool
+        Whether to show on stderr how far it is, if that is a terminal.
 
     Raises
     ------
     InputError
-        If the name ends otherwise, or fps is out of range.
+        If a number is out of range, or the path or the name's end is another one.
     StoreError
         If the file can't be written, or PyAV isn't installed.
     """
-    if path.suffix.lower() not in MOVIE_FILES:
-        raise InputError(f"{path}: expected a name that ends in {' or '.join(MOVIE_FILES)}")
+    from tqdm import tqdm
+
+    if count < 1 or (white is not None and not 0 < white < float("inf")):
+        raise InputError(f"{count} pictures, white is {white}; expected more than 0")
+
+    def relit(scale: Scale | None, what: str) -> Iterator[Float]:
+        times = np.linspace(0, 1, count).tolist()
+        patterns = (moving_light(path, light.projector_shape, time) for time in times)
+        pictures = relit_pictures(light, patterns, scale)
+        bar = tqdm(pictures, what, count, unit="picture", disable=None if progress else True)
+        return iter(bar)
+
+    if white is None:
+        brightest = (float(np.percentile(image, _WHITE)) for image in relit(None, "white"))
+        white = max(brightest) or 1.0
+    shown = (np.rint(255 * srgb(image, white)) for image in relit(scale, str(file)))
+    write_movie(file, (picture.astype(np.uint8) for picture in shown), fps)
+    return white
+
+
+def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
+    """Write sRGB pictures ``(H, W, 3)`` of one size as a movie (H.264), complete or not at all.
+
+    An odd side is filled up by repeating its last pixels, since the encoder keeps colour for
+    squares of four. Errors as `relit_movie`.
+    """
+    if path.suffix.lower() != ".mp4":
+        raise InputError(f"{path}: expected a name that ends in .mp4")
     if not 0 < fps <= 1000:
         raise InputError(f"fps is {fps}; expected more than 0, at most 1000")
     try:
@@ -54,25 +148,20 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -
         ) from error
     with storage_errors(path, "writing", resumes=False), whole_file(path) as partial:
         try:
-            _encode(partial, MOVIE_FILES[path.suffix.lower()], pictures, fps)
+            _encode(partial, pictures, fps)
         except av.error.FFmpegError as error:
             if isinstance(error, OSError):
                 raise
             raise StoreError(f"{path}: the movie can't be encoded: {error}") from error
 
 
-def _encode(
-    path: Path,
-    encoder: tuple[str, dict[str, str]],
-    pictures: Iterable[NDArray[np.uint8]],
-    fps: float,
-) -> None:
+def _encode(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
-    name, options = encoder
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(name, Fraction(fps).limit_denominator(1001), options)
+        rate = Fraction(fps).limit_denominator(1001)
+        stream = container.add_stream("libx264", rate, _NEAR_LOSSLESS)
         assert isinstance(stream, av.VideoStream)
         stream.pix_fmt = "yuv420p"
         about = stream.codec_context
