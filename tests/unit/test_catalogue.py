@@ -17,7 +17,7 @@ from rfpipe.report.catalogue import CATALOGUE, write_catalogue
 from rfpipe.store.files import hidden_sibling
 
 HEADER = "name,kind,surfaces,shape,channels,about.title\n"
-STATES = ("done", "failed", "running", "stopped", "unknown", "waiting")
+STATES = ("done", "failed", "running", "stopped", "waiting")
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "run.yaml").write_text(run)
     results = folder / "results"
     acquire_item(load_config(folder / "run.yaml"), "done", "hadamard", results)
-    for name in ("failed", "running", "stopped", "unknown"):
+    for name in ("failed", "running", "stopped"):
         (results / name / "hadamard/L00").mkdir(parents=True)
     log = results / "failed/hadamard/acquire.log"
     log.write_text(
@@ -42,7 +42,6 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (results / "stopped/hadamard/L00/capture.json").write_text("{}")
     (results / "report/view").mkdir(parents=True)
     (results / "report/view/done_hadamard.html").write_text("a viewer")
-    hidden_sibling(results / "unknown/hadamard", "lock").write_text("77 node3\n")
     with hidden_sibling(results / "running/hadamard", "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         lock.write("78 node4\n")
@@ -76,9 +75,7 @@ def test_the_page_tells_states_sorts_and_filters(chromium: Any, listed: Path) ->
     assert "the lamp <went> out; mend it" in states[1]
     assert "level 0 is captured" in states[3]
     assert "on node4: nothing captured yet" in states[2]
-    assert "begun on node3" in states[4]
-    assert "last sign of life 20" in states[4]
-    assert cells(page, 5) == ["59", "", "", "", "", ""]
+    assert cells(page, 5) == ["59", "", "", "", ""]
     assert float(cells(page, 7)[0]) > 0  # MB
     assert page.evaluate("document.querySelector('img').naturalWidth") == 8
     link = page.evaluate("document.querySelector('tbody a').href")

@@ -270,8 +270,8 @@ def test_leftovers_of_a_kill_are_cleared(tmp_path: Path) -> None:
     (tmp_path / ".s.new" / "zarr.json").write_text("half")
     filled(path, counts())
     intact = tree(path)
-    (path / "c.6.0.0.0.1234.partial").write_bytes(b"half a chunk")
-    (path / ".journal.jsonl.partial").write_bytes(b"half a journal")
+    (path / ".c.6.0.0.0.1234.partial").write_bytes(b"half a chunk")
+    (path / ".partial-journal.jsonl").write_bytes(b"half a journal")
     with create(path) as store:
         assert store.complete
     assert tree(path) == intact

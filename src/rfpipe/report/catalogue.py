@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 CATALOGUE = Path("catalogue") / "index.html"
 """In the folder of results."""
 
-State = Literal["failed", "running", "unknown", "stopped", "waiting", "done"]
-_STATES: tuple[State, ...] = ("failed", "running", "unknown", "stopped", "waiting", "done")
+State = Literal["failed", "running", "stopped", "waiting", "done"]
+_STATES: tuple[State, ...] = ("failed", "running", "stopped", "waiting", "done")
 
 _ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
 _STOPPED = "stopped; what is done is kept"
@@ -112,8 +112,7 @@ class Standing(NamedTuple):
 
     Attributes
     ----------
-    state : {"failed", "running", "unknown", "stopped", "waiting", "done"}
-        Unknown where another machine's process began it, and can't be asked from here.
+    state : {"failed", "running", "stopped", "waiting", "done"}
     why : str
         Of one that failed, the message; of one that runs or was stopped, where and how far it came.
     """
@@ -127,16 +126,11 @@ def state_of(folder: Path) -> Standing:
     if not folder.exists():
         return Standing("waiting")
     holder = StoreLock.holder(folder)
-    if holder is not None and holder.is_known:
-        on = f"on {holder.where}: " if holder.where else ""
-        return Standing("running", on + _reached(folder))
+    if holder is not None:
+        return Standing("running", f"process {holder}: {_reached(folder)}")
     if (folder / "transport.json").exists():
         return Standing("done")
-    ended = _ended(folder)
-    if holder is None or ended.state != "stopped":
-        return ended
-    lost = f"begun on {holder.where}, whose locks don't reach here or which died"
-    return Standing("unknown", f"{lost}; {_reached(folder)}{_last_sign(folder)}")
+    return _ended(folder)
 
 
 def _modified(path: Path) -> int:
@@ -156,15 +150,6 @@ def _reached(folder: Path) -> str:
     """Say to what level captures are complete."""
     done = sorted(folder.glob("L[0-9][0-9]/capture.json"))
     return f"level {int(done[-1].parent.name[1:])} is captured" if done else "nothing captured yet"
-
-
-def _last_sign(folder: Path) -> str:
-    """Say when an acquisition last wrote anything."""
-    signs = [*folder.glob("*.log"), *folder.glob("L[0-9][0-9]/*"), *folder.glob("L[0-9][0-9]")]
-    last = max(map(_modified, signs), default=0)
-    if not last:
-        return ""
-    return f", last sign of life {datetime.fromtimestamp(last // 10**9, UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _ended(folder: Path) -> Standing:

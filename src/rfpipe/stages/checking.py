@@ -227,11 +227,9 @@ def _check_below(folder: Path, checked: Checked) -> None:
         _check_alone(folder, checked)
         return
     is_acquisition = (folder / "transport.json").is_file() or (folder / "L00").is_dir()
-    if is_acquisition:
-        holder = StoreLock.holder(folder)
-        if holder is not None and holder.is_known:
-            checked.notes.append(f"{folder}: is being acquired at this moment; not checked")
-            return
+    if is_acquisition and StoreLock.holder(folder) is not None:
+        checked.notes.append(f"{folder}: is being acquired at this moment; not checked")
+        return
     for path in sorted(folder.glob("*.json")):
         is_about = path.name == RUN or path.with_suffix(".zarr").exists()
         if is_about or b'"checksum"' in path.read_bytes():

@@ -19,6 +19,7 @@ from rfpipe.errors import InputError, StoreError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+_LOCKLESS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 def digest_of(*parts: bytes | NDArray[Any]) -> str:
@@ -80,6 +81,8 @@ def storage_errors(
                 f"expected a place that this user may write to; change the permissions of "
                 f"{path.parent} or choose another results folder"
             )
+        elif error.errno in _LOCKLESS:
+            advice = "mount its file system with locks (NFS 4, Lustre with -o flock)"
         else:
             advice = "check the folder and its file system, then run again"
         raise StoreError(f"{path}: {action} failed: {reason}; {advice}") from error
@@ -87,18 +90,8 @@ def storage_errors(
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a small file so that it is whole or unchanged, also after a power cut."""
-    partial = hidden_sibling(path, "partial")
-    with storage_errors(path, "writing", len(content)):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
-        except OSError:
-            partial.unlink(missing_ok=True)
-            raise
+    with storage_errors(path, "writing", len(content)), whole_file(path) as partial:
+        partial.write_bytes(content)
 
 
 @contextmanager

@@ -350,7 +350,7 @@ class FrameStore:
 
     def _repair(self) -> None:
         """Forget what a kill, a power cut or a meddler left unusable; needs the lock."""
-        for partial in self.path.glob("*.partial"):
+        for partial in self.path.glob(".*partial*"):
             partial.unlink()
         damaged = self._array.damaged(0, self.shape[0], self._digests)
         for item in damaged:

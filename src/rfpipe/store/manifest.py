@@ -8,6 +8,7 @@ from typing import Any
 
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.store.files import canonical_json, digest_of, storage_errors, write_atomically
+from rfpipe.store.places import content_of
 
 _CHECKSUM = "checksum"
 
@@ -42,22 +43,19 @@ def read_manifest(path: Path) -> dict[str, Any]:
     IntegrityError
         When it is truncated or altered.
     """
-    if not path.is_file():
-        raise StoreError(f"{path}: no such manifest; run the stage that writes it")
     with storage_errors(path, "reading"):
-        content = path.read_bytes()
-    advice = "remove it and run the stage that writes it again"
+        content = content_of(path)
+    if content is None:
+        raise StoreError(f"{path}: no such manifest; run the stage that writes it")
     try:
-        data = json.loads(content)
-    except ValueError as error:
-        raise IntegrityError(f"{path}: damaged manifest ({error}); {advice}") from error
-    if not isinstance(data, dict):
-        raise IntegrityError(f"{path}: damaged manifest (expected a JSON object); {advice}")
-    checksum = data.pop(_CHECKSUM, None)
-    try:
-        whole = checksum == digest_of(canonical_json(data, str(path)))
-    except InputError:  # NaN, which was never written
-        whole = False
-    if not whole:
-        raise IntegrityError(f"{path}: altered manifest (its checksum doesn't match); {advice}")
+        data: dict[str, Any] = json.loads(content)
+        checksum = data.pop(_CHECKSUM, None)
+        is_whole = checksum == digest_of(canonical_json(data, str(path)))
+    except (ValueError, AttributeError, TypeError, InputError):  # NaN, too, was never written
+        is_whole = False
+    if not is_whole:
+        raise IntegrityError(
+            f"{path}: damaged or altered manifest (its checksum doesn't match); remove it and run "
+            "the stage that writes it again"
+        )
     return data
