@@ -179,6 +179,16 @@ def dual_truth(scene: Any, light: Float) -> Float:
     return stacked.reshape(*scene.projector_shape, scene.channels)
 
 
+def with_errors(levels: Sequence[Any], truth: Any, columns: int = 5) -> list[list[Any]]:
+    """Return rows of panels and of their errors below, the truth last without one."""
+    panels, rows = [*levels, truth], []
+    for first in range(0, len(panels), columns):
+        own = panels[first : first + columns]
+        errors = [None if panel is truth else panel.less(truth) for panel in own]
+        rows += [own, errors] if any(errors) else [own]
+    return rows
+
+
 def level_pictures(result: Any, light: Float) -> list[Float]:
     """Return what each level of a dual acquisition adds to the dual picture."""
     from rfpipe.blocks import RayDomain

@@ -18,8 +18,9 @@ from figures.common import (
     seen,
     size_of,
     white,
+    with_errors,
 )
-from rfpipe.report.drawing import Error, Panel, draw, with_errors
+from rfpipe.report.drawing import Error, Panel, draw
 
 _LETTERS = ("EG", "SR")
 _BRIGHTER = 0.6  # of the radiance that is white elsewhere: the letters glow within dark sweets

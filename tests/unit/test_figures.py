@@ -9,12 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from figures.__main__ import run
-from figures.common import Size, error, turned
+from figures.common import Size, error
 from figures.growth import line_fit
 from figures.index import ORDER, cost_table, write_index
 from figures.sweets import letters
-
-from rfpipe_mitsuba.views import View
 
 ROW = {
     "table": "3.1", "figure": "Fig. 3.4, box", "scene": "two blocks", "camera_rays": 64,
@@ -47,13 +45,6 @@ def test_costs_stand_beside_brute_force_and_the_thesis() -> None:
     (field,) = cost_table("3.1", [arc], fits(10 * LEVELS)).to_dict("records")
     assert field["brute_force"] == 125
     assert field["extrapolated_line"] == pytest.approx(80 * (20 + 5 * np.log2(162_900 / 25)))
-
-
-def test_a_view_turned_keeps_its_distance_and_goes_right_and_up() -> None:
-    origin = np.array(turned(View(origin=(0, 0, 4), target=(0, 0, 0)), 30, 20)["origin"])
-    assert np.linalg.norm(origin) == pytest.approx(4)
-    assert origin[0] > 0
-    assert origin[1] == pytest.approx(4 * np.sin(np.radians(20)))
 
 
 @pytest.mark.parametrize("side", [8, 48])

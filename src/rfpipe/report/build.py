@@ -57,20 +57,11 @@ def build_report(
 
 def make_sections(inputs: Inputs) -> list[Section]:
     """Return the sections that there is something to show in."""
-    if inputs.has_truth:
-        shown = [
-            pictures.methods_section(inputs),
-            errors_.errors_section(inputs),
-            pictures.matrices_section(inputs),
-            pictures.levels_section(inputs),
-        ]
-    else:
-        shown = [pictures.captured_section(inputs)]
     candidates = [
         glance.glance_section(inputs),
         verification.verification_section(inputs),
         errors_.speed_section(inputs),
-        *shown,
+        errors_.errors_section(inputs) if inputs.has_truth else pictures.captured_section(inputs),
         verification.verdicts_section(inputs),
         errors_.estimates_section(inputs),
         leaves.leaves_section(inputs),
@@ -94,15 +85,9 @@ def _lead(inputs: Inputs) -> str:
     """Say in a sentence what the report is about."""
     settings = [inputs.config.scenes[scene] for scene in inputs.scenes]
     sizes = " and ".join(dict.fromkeys(ray_size(scene) for scene in settings))
-    camera = inputs.config.camera
-    simulated = f"through a simulated {camera.bits}-bit camera with noise" if camera else ""
-    taken = {
-        "remote": "by a rig behind an acquisition server",
-        "offline": "from pictures that were taken elsewhere and imported",
-    }.get(inputs.config.capture.rig, simulated or "from exact radiance")
     compared = ", and compared with ground truth" if inputs.has_truth else ""
     count = "one scene" if len(settings) == 1 else f"{len(settings)} scenes"
     return (
         f"The light transport between a projector and a camera, {count} of {sizes} rays, acquired "
-        f"{taken} with {inputs.listed(inputs.methods)}{compared}."
+        f"with {inputs.listed(inputs.methods)}{compared}."
     )

@@ -139,16 +139,6 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
     return figure
 
 
-def with_errors(levels: Sequence[Panel], truth: Panel, columns: int = 5) -> list[list[Drawn]]:
-    """Return rows of panels and of their errors below, the truth last without one."""
-    panels, rows = [*levels, truth], []
-    for first in range(0, len(panels), columns):
-        own = panels[first : first + columns]
-        errors: list[Drawn] = [None if panel is truth else panel.less(truth) for panel in own]
-        rows += [list[Drawn](own), errors] if any(errors) else [list[Drawn](own)]
-    return rows
-
-
 def panel_ratio(panels: Iterable[Panel | Error | Map]) -> float:
     """Return height over width of panels, as the tallest of their images needs, within reason."""
     images = (panel.image if isinstance(panel, Panel) else panel.values for panel in panels)

@@ -28,12 +28,10 @@ def errors_section(inputs: Inputs) -> Section:
     """The errors of each run under each relighting pattern."""
     about = (
         "Relative RMS error against the scene's exact light transport, in total and on the pixels "
-        "that the pattern leaves dark, which show indirect light alone. Noise leaves none dark."
+        "that the pattern leaves dark, which show indirect light alone. Noise leaves none dark; no "
+        "pixel is known to be unlit that a camera sees from aside; those of a light field may "
+        "get light from other views."
     )
-    if not all(run.is_coaxial for run in inputs.runs):
-        about += " Nor is any pixel known to be unlit that a camera sees from aside."
-    if inputs.of_stacks:
-        about += " Unlit pixels of a light field may get light from other views."
     names = list(dict.fromkeys(inputs.errors["pattern"]))
     kinds = {"rms_total": "", "rms_unlit": ", unlit"}
     table = inputs.errors.pivot(index=["scene", "method"], columns="pattern", values=list(kinds))
@@ -131,18 +129,6 @@ def estimates_section(inputs: Inputs) -> Section | None:
                     ("estimated over true", "ratio", fixed(2)),
                 ],
                 csv="estimates.csv",
-            ),
-            table_of(
-                "Estimates level by level",
-                "Patterns shown up to each level and the error estimated after it.",
-                steps,
-                inputs.labels,
-                [
-                    ("level", "level", number),
-                    ("patterns", "patterns", number),
-                    ("estimated error, %", "estimated_error", percent),
-                ],
-                csv="estimate_history.csv",
             ),
         ],
         [_ABOUT],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import UNLIT_GAIN, draw, new_figure, shared_legend, unlit_gain
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.page import Block, Column, Gallery, Illustration, Section, table_of
+from rfpipe.report.page import Column, Gallery, Illustration, Section, table_of
 from rfpipe.report.text import fixed, number, percent, words
 from rfpipe.stages.evaluate import relative_rms
 
@@ -62,26 +62,7 @@ def glance_section(inputs: Inputs) -> Section:
         "What it took", caption, numbers, inputs.labels, columns, csv="results.csv", is_folded=False
     )
     pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
-    text = [f"{shown}.", _in_a_sentence(inputs, numbers)]
-    return Section("glance", "At a glance", [pictures, table], text)
-
-
-def _in_a_sentence(inputs: Inputs, numbers: pd.DataFrame) -> str:
-    """Sum each method up."""
-    sentences = []
-    for method, own in numbers.groupby("method", sort=False):
-        error = f" for a mean error of {_range(own['mean_error'], percent)} %"
-        known = error if own["mean_error"].notna().any() else ""
-        patterns = _range(own["patterns"], number)
-        sentences.append(f"{inputs.title(str(method))}: {patterns} patterns{known}")
-    rays = _range(numbers["rays"], number)
-    return ". ".join([*sentences, f"Brute force, one pattern a projector pixel: {rays}."])
-
-
-def _range(values: Any, shown: Any) -> str:
-    """Return the least and the largest of some numbers; one of them where they look the same."""
-    low, high = shown(values.min()), shown(values.max())
-    return low if low == high else f"{low} to {high}"
+    return Section("glance", "At a glance", [pictures, table], [f"{shown}."])
 
 
 def results(inputs: Inputs) -> pd.DataFrame:
@@ -168,33 +149,16 @@ def scene_picture(inputs: Inputs, run: Run) -> Illustration:
     return Illustration(run.scene, caption, f"scene_{run.scene}", draw([[*light, *errors]]), kept)
 
 
-def times_section(inputs: Inputs) -> Section:
-    """Seconds of each stage, and of an HDR image."""
-    blocks: list[Block] = []
+def times_section(inputs: Inputs) -> Section | None:
+    """Seconds of each stage."""
+    if inputs.times.empty:
+        return None
     stages: Any = inputs.times.pivot_table(
         index=["scene", "method"], columns="stage", values="seconds", aggfunc="sum", sort=False
     ).fillna(0.0)
-    if len(stages):
-        about = "Wall-clock seconds of each stage's jobs, their start included, over all levels."
-        blocks.append(Illustration("Time by stage", about, "processing_time", _stacked(stages)))
-    columns = ["scene", "method", "patterns", "capture_jobs_s", "processing_s"]
-    costs = results(inputs)[columns]
-    costs = costs.assign(processing_s_per_image=costs["processing_s"] / costs["patterns"])
-    is_simulated = inputs.config.capture.rig == "simulated"
-    table = table_of(
-        "Processing time",
-        "Processing is everything but the capture" + ", which is simulated." * is_simulated,
-        costs.merge(stages, how="left", on=["scene", "method"]),
-        inputs.labels,
-        [
-            ("HDR images", "patterns", number),
-            ("capture, s", "capture_jobs_s", fixed(1)),
-            ("processing, s", "processing_s", fixed(1)),
-            ("ms an image", "processing_s_per_image", fixed(1, 1000)),
-        ],
-        csv="processing.csv",
-    )
-    return Section("time", "Where the processing time goes", [*blocks, table])
+    about = "Wall-clock seconds of each stage's jobs, their start included, over all levels."
+    figure = Illustration("Time by stage", about, "processing_time", _stacked(stages))
+    return Section("time", "Where the processing time goes", [figure])
 
 
 def _stacked(stages: pd.DataFrame) -> Figure:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Iterable, Iterator
@@ -17,14 +16,11 @@ from rfpipe.config import Config, SceneSettings
 from rfpipe.report.drawing import Panel
 from rfpipe.report.page import Column
 from rfpipe.report.text import words
-from rfpipe.stages.relight import right_half
 from rfpipe.stages.verification import MANIFEST as VERIFIED
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_ASSEMBLE = ("assemble", "transport")  # as a rule, and as the loop over the stages names it
 
 
 @dataclass(frozen=True)
@@ -76,16 +72,6 @@ class Run:
         """Whether the scene's light transport is known, to be compared with."""
         return "truth" in self.images.names
 
-    @property
-    def has_leaf_levels(self) -> bool:
-        """Whether the level of the leaf is known that holds each entry along a line."""
-        return "line_levels" in self.images.names
-
-    @property
-    def knows_levels(self) -> bool:
-        """Whether its transport is known as of earlier levels than the last."""
-        return self.images.shape("levels_relit")[0] > 1
-
     @cached_property
     def white(self) -> float:
         """Radiance shown as white: the maximum of the floodlit image, the true one if known."""
@@ -97,18 +83,6 @@ class Run:
     ) -> Panel:
         """Return a picture (H, W, C) of the scene with the run's exposure."""
         return Panel(radiance, title, below, self.white, gain)
-
-    @property
-    def has_indirect_light(self) -> bool:
-        """Whether the left half of an image gets any light when the right one is lit.
-
-        Of a light field that says nothing: light comes to a view's left half from other views.
-        Nor does it of a camera that sees the scene from aside.
-        """
-        if self.settings.is_light_field or not self.is_coaxial:
-            return False
-        dark = right_half(self.settings.shape) == 0
-        return bool(dark.any() and self.read("half_truth")[dark].max() > 0)
 
     def own(self, table: pd.DataFrame) -> pd.DataFrame:
         """Return the rows of a table with ``scene`` and ``method`` that are this run's."""
@@ -164,11 +138,6 @@ class Inputs:
     def methods(self) -> list[str]:
         """The methods of the runs."""
         return list(dict.fromkeys(run.method for run in self.runs))
-
-    @property
-    def of_stacks(self) -> list[Run]:
-        """The runs of light fields whose light moves from view to view."""
-        return [run for run in self.runs if "views_relit" in run.images.names]
 
     def of_scene(self, scene: str) -> list[Run]:
         """Return the runs of a scene."""
@@ -232,7 +201,7 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         runs,
         pd.read_csv(errors),
         pd.read_csv(speed_error),
-        pd.DataFrame(times, columns=["scene", "method", "level", "stage", "seconds"]),
+        pd.DataFrame(times, columns=["scene", "method", "stage", "seconds"]),
         results,
     )
 
@@ -249,25 +218,12 @@ def _opened(manifest: Path) -> tuple[dict[str, Any], ArrayBundle | None]:
 
 
 def job_times(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield the times that the jobs of an acquisition left, as many as there are.
-
-    Yields
-    ------
-    dict
-        ``level`` (-1 for the transport's assembly), ``stage``, ``seconds``.
-    """
-    files = [*folder.glob("*.benchmark.tsv"), *folder.glob("L[0-9][0-9]/*.benchmark.tsv")]
-    for path in sorted(files):
-        level, stage = path.parent.name, path.name.removesuffix(".benchmark.tsv")
-        with path.open(encoding="utf-8") as file:
-            times = [float(row["s"]) for row in csv.DictReader(file, delimiter="\t")]
-        if not times:
-            continue
-        seconds = sum(times) / len(times)
-        if path.parent != folder:
-            yield {"level": int(level[1:]), "stage": stage, "seconds": seconds}
-        elif stage in _ASSEMBLE:
-            yield {"level": -1, "stage": "assemble", "seconds": seconds}
+    """Yield ``stage`` and ``seconds`` of the jobs of an acquisition, as many as left them."""
+    for path in sorted([*folder.glob("*.benchmark.tsv"), *folder.glob("L*/*.benchmark.tsv")]):
+        stage = path.name.removesuffix(".benchmark.tsv").replace("transport", "assemble")
+        lines = path.read_text(encoding="ascii").splitlines()[1:]
+        if lines and (path.parent != folder or stage == "assemble"):
+            yield {"stage": stage, "seconds": float(lines[0].split("\t")[0])}
 
 
 def rig_of(results: Path, run: Run) -> dict[str, Any]:

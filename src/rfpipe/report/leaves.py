@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import ABREAST, new_figure, shared_legend
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.page import Block, Illustration, Section, Table, table_of
+from rfpipe.report.page import Block, Column, Illustration, Section, table_of
 from rfpipe.report.text import number
 
 if TYPE_CHECKING:
@@ -36,7 +36,18 @@ def leaves_section(inputs: Inputs) -> Section | None:
             for row in run.facts["levels"]
         ]
     )
-    blocks: list[Block] = [_table(inputs, levels)]
+    kinds = {"rank1": "rank-1 or stored", "rank_k": "rank-k"}
+    counted = ("patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided")
+    columns: list[Column] = [(kinds.get(kind, kind), kind, number) for kind in counted]
+    table = table_of(
+        "Levels",
+        "Patterns and nodes of each level.",
+        levels,
+        inputs.labels,
+        [("level", "level", str), *columns],
+        csv="levels.csv",
+    )
+    blocks: list[Block] = [table]
     drawn = [run for run in runs if _is_hierarchy(run.own(levels))]
     if drawn:
         caption = (
@@ -76,22 +87,3 @@ def _figure(inputs: Inputs, runs: list[Run], table: pd.DataFrame) -> Figure:
         axis.set_title(f"{run.scene}\n{inputs.title(run.method)}", fontsize=8.5, pad=4)
     shared_legend(figure)
     return figure
-
-
-def _table(inputs: Inputs, levels: pd.DataFrame) -> Table:
-    """Return the sums over scenes; the CSV file has each run's own levels."""
-    # the second level of a light field has whole views
-    fields = levels["scene"].isin([run.scene for run in inputs.of_stacks])
-    kinds = ["patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided"]
-    sums = levels.groupby([fields, "method", "level"], sort=False)[kinds].sum().reset_index()
-    suffix = sums["scene"].map({True: ", light fields", False: ""})
-    names = {"rank1": "rank-1 or stored", "rank_k": "rank-k"}
-    return table_of(
-        "Levels",
-        "Patterns and nodes of each level, added over the scenes of a method.",
-        sums.assign(method=sums["method"].map(inputs.title) + suffix),
-        [("method", "method", str)],
-        [("level", "level", str), *((names.get(kind, kind), kind, number) for kind in kinds)],
-        csv="levels.csv",
-        numbers=levels,
-    )

@@ -35,8 +35,6 @@ class Illustration:
     figure : Figure
     light : mapping of str to ndarray, shape (H, W, C)
         Pictures that are kept as linear radiance, too.
-    is_folded : bool
-        Whether a reader has to open it.
     """
 
     name: str
@@ -44,7 +42,6 @@ class Illustration:
     slug: str
     figure: Figure
     light: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    is_folded: bool = False
 
 
 @dataclass(frozen=True)

@@ -41,23 +41,6 @@ def verification_section(inputs: Inputs) -> Section | None:
         ),
         *(Gallery(_pictures(inputs, run)) for run in runs),
         table_of(
-            "Verification, picture by picture",
-            "The error is the difference without the noise's share.",
-            [
-                {"scene": run.scene, "method": run.method, **picture}
-                for run in runs
-                for picture in run.verified["pictures"]
-            ],
-            [*inputs.labels, ("picture", "name", words)],
-            [
-                ("error, %", "error", percent),
-                ("its standard error, %", "standard_error", percent),
-                ("noise floor, %", "noise", percent),
-                ("difference with noise, %", "difference", percent),
-            ],
-            csv="verification_pictures.csv",
-        ),
-        table_of(
             "The rig during the capture",
             "Largest change of the floodlit image; of a repeated random pattern beyond brightness "
             "and noise; largest residual of reciprocity on a rig taken for coaxial (about 1 if it "
