@@ -31,9 +31,6 @@ BLACK_LEVEL_KEY = 1_000_000
 FLOODLIT_KEY = 1_000_001
 """The same of the all-on brackets that an acquisition begins with."""
 
-DRIFT_KEY = 1_000_002
-"""The same of the all-on brackets that are repeated during a level: (this, level, i)."""
-
 WARM_UP_KEY = 1_000_003
 """The same of those that are shown while the lamp warms up, and not kept."""
 

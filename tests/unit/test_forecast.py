@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +25,17 @@ def only(**changes: Any) -> Any:
     return row
 
 
-def test_it_counts_patterns_references_looks_and_the_warm_up() -> None:
+def test_it_counts_patterns_references_and_the_warm_up() -> None:
     capture = {
         "seconds_per_pattern": 3.0,
         "black_frames": 2,
         "floodlit_frames": 5,
         "warm_up_minutes": 4,
-        "drift_minutes": 0.5,
     }
     row = only(methods={"brute_force": {}}, capture=capture)
     assert (row.scene, row.method, row.rays) == ("wall", "brute_force", 35)
     assert row.patterns == row.most == 35
-    looks = math.ceil(35 / 10) + 1
-    assert row.seconds == 240 + 3 * (35 + 7 + looks)
+    assert row.seconds == 240 + 3 * (35 + 7)
     dropped = only(methods={"brute_force": {}}, capture={**capture, "keep_raw": False})
     assert row.disk - dropped.disk == 35 * (4 * 35 * 3 * 2 + 4096)  # their brackets
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 
-from rfpipe.config.capture import CaptureConfig
 from rfpipe.errors import CaptureError
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.watch import look_count, look_positions
 from rfpipe.store import FrameStore
-from rfpipe.units import DRIFT_KEY, WARM_UP_KEY
+from rfpipe.units import LOOK_KEY, WARM_UP_KEY
 
 EVERY = 3
+WATCHING = {"mode": "warn", "looks": EVERY, "mutual_error": 1.0}
 
 
 class DimmingRig:
@@ -35,7 +35,7 @@ class DimmingRig:
         return getattr(self._rig, name)
 
     def brightness(self, key: tuple[int, ...]) -> float:
-        if key[0] == DRIFT_KEY:
+        if key[0] == LOOK_KEY:
             return 1 - self._loss * min(key[2] * EVERY, RAYS) / RAYS
         return 1 - self._loss * (key[1] + 0.5) / RAYS if key[0] == 1 else 1.0
 
@@ -88,9 +88,9 @@ def test_what_the_lamp_lost_is_measured_and_told(
 ) -> None:
     mine = begun(tmp_path)
     with caplog.at_level(logging.INFO):
-        mine.capture(1, drift_patterns=EVERY)
+        mine.capture(1, watching=WATCHING)
     mine.merge(1)
-    drift = mine.folder.read_manifest(1, "merge")["drift"]
+    drift = mine.folder.read_manifest(1, "merge")["moves"]
     expected = [1 - 0.2 * position / RAYS for position in look_positions(RAYS, EVERY)]
     noise = np.array(drift["deviation"])
     assert 1e-4 < noise.max() < 0.02
@@ -99,15 +99,15 @@ def test_what_the_lamp_lost_is_measured_and_told(
     assert "merge.divide_out_drift" in caplog.text
     steady = begun(tmp_path / "steady", loss=0.0)
     with caplog.at_level(logging.INFO):
-        steady.capture(1, drift_patterns=EVERY)
+        steady.capture(1, watching=WATCHING)
         steady.merge(1)
-    assert steady.folder.read_manifest(1, "merge")["drift"]["local"] == [0.0] * 8
+    assert steady.folder.read_manifest(1, "merge")["moves"]["change"] == [0.0] * 8
 
 
 def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> None:
     steady, dimming = begun(tmp_path / "steady", loss=0.0), begun(tmp_path / "dimming")
     for mine in (steady, dimming):
-        mine.capture(1, drift_patterns=EVERY)
+        mine.capture(1, watching=WATCHING)
         mine.merge(1)
     expected, left = images(steady), images(dimming)
     dimming.merge(1, divide_out_drift=True)
@@ -118,22 +118,22 @@ def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> No
     assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
 
 
-@pytest.mark.parametrize("stops_at", [(1, 4), (DRIFT_KEY, 1, 2), (DRIFT_KEY, 1, 7)])
+@pytest.mark.parametrize("stops_at", [(1, 4), (LOOK_KEY, 1, 2), (LOOK_KEY, 1, 7)])
 def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     tmp_path: Path, stops_at: tuple[int, ...]
 ) -> None:
     whole, stopped = begun(tmp_path / "whole"), begun(tmp_path / "stopped")
     stopped.rig.stops_at = stops_at
     with pytest.raises(CaptureError, match="broken"):
-        stopped.capture(1, drift_patterns=EVERY, batch_patterns=2)
+        stopped.capture(1, watching=WATCHING, batch_patterns=2)
     stopped.rig.stops_at = None
     for mine in (whole, stopped):
-        mine.capture(1, drift_patterns=EVERY)
+        mine.capture(1, watching=WATCHING)
         mine.merge(1, divide_out_drift=True)
     assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # nothing is taken twice
     manifests = [mine.folder.read_manifest(1, "merge") for mine in (whole, stopped)]
     assert manifests[0]["digest"] == manifests[1]["digest"]
-    assert manifests[0]["drift"] == manifests[1]["drift"]
+    assert manifests[0]["moves"] == manifests[1]["moves"]
 
 
 def test_a_level_begun_without_a_watch_goes_on_without(
@@ -144,26 +144,23 @@ def test_a_level_begun_without_a_watch_goes_on_without(
     with pytest.raises(CaptureError, match="broken"):
         mine.capture(1, batch_patterns=2)
     mine.rig.stops_at = None
-    mine.capture(1, drift_patterns=EVERY)
-    assert "drift" not in mine.folder.read_manifest(1, "capture")
+    mine.capture(1, watching=WATCHING)
+    assert "moves" not in mine.folder.read_manifest(1, "capture")
     mine.merge(1, divide_out_drift=True)
-    assert "drift" not in mine.folder.read_manifest(1, "merge")
+    assert "moves" not in mine.folder.read_manifest(1, "merge")
 
 
 def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Path) -> None:
     mine = begun(tmp_path)
-    mine.capture(1, drift_patterns=EVERY)
+    mine.capture(1, watching=WATCHING)
     taken = len(mine.rig.keys)
     for every in (0, 10 * EVERY):
-        mine.capture(1, drift_patterns=every)
-        assert mine.folder.read_manifest(1, "capture")["drift"]["every"] == EVERY
+        mine.capture(1, watching={**WATCHING, "looks": every})
+        assert mine.folder.read_manifest(1, "capture")["moves"]["every"] == EVERY
     assert len(mine.rig.keys) == taken
 
 
 def test_looks_stand_before_their_patterns_and_after_the_last() -> None:
-    assert CaptureConfig().drift_patterns == 0
-    assert CaptureConfig(drift_minutes=10, seconds_per_pattern=2.0).drift_patterns == 300
-    assert CaptureConfig(drift_minutes=0.001, seconds_per_pattern=60.0).drift_patterns == 1
     for patterns, every in ((1, 1), (7, 3), (9, 3), (5, 100)):
         at = look_positions(patterns, every)
         assert len(at) == look_count(patterns, every)

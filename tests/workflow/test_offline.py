@@ -238,7 +238,6 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"capture": {"rig": "offline", "drift_minutes": 3}}, "drift_minutes should be null"),
         ({"scenes": {"a": {"kind": "captured"}, "b": {"kind": "captured"}}}, "rig offline"),
     ],
 )

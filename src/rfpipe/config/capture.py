@@ -65,9 +65,6 @@ class CaptureConfig(Settings):
     warm_up_minutes: float = setting(
         0.0, "Minutes of white before a capture whose lamp may be cold.", ge=0, le=240
     )
-    drift_minutes: float | None = setting(
-        None, "Minutes between two looks at the floodlit image; null: none.", gt=0, le=1440
-    )
     when_patterns_change: Literal["recapture", "refuse"] = setting(
         "recapture", "What to do with pictures whose patterns other settings have changed."
     )
@@ -81,16 +78,6 @@ class CaptureConfig(Settings):
     def looks(self) -> int | None:
         """Patterns from one look at the rig to the next, 0 for none; None: by the method."""
         return None if self.rig == "remote" else 0
-
-    @property
-    def drift_patterns(self) -> int:
-        """Patterns from one look at the floodlit image to the next, 0 for no looks.
-
-        Counted, not timed: a resumed capture has the looks of one that ran through.
-        """
-        if self.drift_minutes is None:
-            return 0
-        return max(1, round(60 * self.drift_minutes / self.seconds_per_pattern))
 
 
 class OfflineConfig(Settings):
@@ -139,7 +126,7 @@ class MergeConfig(Settings):
         True, "Whether dead and hot pixels are left out, with an infinite variance."
     )
     divide_out_drift: bool = setting(
-        False, "Whether images are divided by the light that capture.drift_minutes has measured."
+        False, "Whether images are divided by the light that looks at the rig measured."
     )
 
 

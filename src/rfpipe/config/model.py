@@ -313,8 +313,6 @@ class Config(Settings):
         if self.capture.rig != "offline":
             return self
         by_hand = "with capture.rig offline, whose pictures are taken by hand, level by level"
-        if self.capture.drift_minutes is not None:
-            raise ValueError(f"capture.drift_minutes should be null {by_hand}")
         if self.verification.pictures:
             raise ValueError(f"verification.pictures should be 0 or null {by_hand}")
         if self.offline.camera_corners is not None and self.camera is None:

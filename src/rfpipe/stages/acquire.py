@@ -191,11 +191,10 @@ def acquire(
     if verification:
         names, schedule = schedule_of(transport, verification)
         write_schedule(folder, "", schedule, names=names)
-        # a look at the lamp before the first and after the last
-        capturing |= {"symmetry_frames": 0, "drift_patterns": verification, "watching": None}
+        capturing |= {"symmetry_frames": 0, "watching": None}
         with folder.doing(VERIFICATION, "capture"):
             capture.run(rig, folder, VERIFICATION, **capturing)
-        merge.run(folder, VERIFICATION, **merging, divide_out_drift=True)
+        merge.run(folder, VERIFICATION, **merging)
         verified = compared(folder, transport)
     captured, merged = (
         [folder.read_manifest(level, stage) for level in folder.levels()]

@@ -54,7 +54,6 @@ def run(
     batch_patterns: int = 16,
     when_patterns_change: Literal["recapture", "refuse"] = "recapture",
     warm_up_minutes: float = 0.0,
-    drift_patterns: int = 0,
     watching: Mapping[str, Any] | None = None,
     progress: bool = True,
     resources: Resources | None = None,
@@ -73,8 +72,6 @@ def run(
         What to do when pictures of other patterns, or of another rig, stand there.
     warm_up_minutes : float
         For how long the lamp warms up when no bracket was taken for as long.
-    drift_patterns : int
-        Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
     watching : mapping, optional
         Of `rfpipe.stages.watch.watching_level`: "mode", "looks" and "mutual_error".
 
@@ -117,8 +114,7 @@ def run(
     beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
     for name, part in before.items():
         beside[name] = {**part.capture(batch, progress=progress), **facts[name]}
-    looks_every = drift_patterns if level else 0
-    with watching_level(of_level, level, looks_every, **(watching or {})) as watch:
+    with watching_level(of_level, level, **(watching or {})) as watch:
         captured = of_level.capture(batch, watch, progress=progress)
         beside |= watch.entries()
     manifest = {

@@ -19,7 +19,7 @@ from rfpipe.stages.jobs.ends import RUN, run_again
 from rfpipe.stages.merge import SUMS
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.verification import MANIFEST as VERIFICATION
-from rfpipe.stages.watch import DRIFT, MOVES
+from rfpipe.stages.watch import MOVES
 from rfpipe.store import (
     FrameStore,
     StoreLock,
@@ -35,7 +35,7 @@ from rfpipe.transport.storage import ZIP_NAME, transports_in
 
 _TAGS = "tagmanifest-sha256.txt"
 # Stores of a level that the manifest of another name is about.
-_OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, DRIFT, MOVES, SENSOR), "capture") | dict.fromkeys(
+_OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, MOVES, SENSOR), "capture") | dict.fromkeys(
     (SUMS, REFERENCES), "merge"
 )
 _LEFT_OUT = (".snakemake", ".git", ".venv", "bench")

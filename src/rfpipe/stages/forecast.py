@@ -82,7 +82,6 @@ def forecast(settings: Config) -> pd.DataFrame:
 
     from rfpipe.photometry import ExactSensor, sensor_from_config
     from rfpipe.stages.plan import Plan, plan_of
-    from rfpipe.stages.watch import look_count, looks_every
 
     rows = []
     for scene, name in settings.acquisitions:
@@ -94,28 +93,21 @@ def forecast(settings: Config) -> pd.DataFrame:
         references += plan.asks_symmetry * SYMMETRY_FRAMES
         pictures = of_scene.verification_pictures
         references += pictures + 2 if pictures else 0
-        every = [capture.drift_patterns]
-        if capture.watch != "off":
-            every.append(looks_every(capture.looks, plan.method.needs_coaxial_rig))
         rays = plan.camera, plan.projector
         expected = plan.method.expected_patterns(*rays, plan.options)
         most = plan.method.most_patterns(*rays, plan.options)
-        besides, besides_most = (
-            references + sum(look_count(patterns, each) for each in every if each)
-            for patterns in (expected, most)
-        )
         warm_up, each = 60 * capture.warm_up_minutes, capture.seconds_per_pattern
-        brackets = besides + capture.keep_raw * expected
+        brackets = references + capture.keep_raw * expected
         camera = plan.camera.shape, plan.channels
         rows.append(
             {
                 "scene": scene, "method": name,
                 "rays": plan.projector.size, "levels": plan.n_levels,
-                "patterns": expected, "seconds": warm_up + each * (expected + besides),
+                "patterns": expected, "seconds": warm_up + each * (expected + references),
                 "disk": disk_bytes(sensor, *camera, brackets, expected),
                 "memory": plan.method.memory_bytes(*rays, plan.channels, plan.options)
                 + settings.scenes[scene].simulation_bytes,
-                "most": most, "most_seconds": warm_up + each * (most + besides_most),
+                "most": most, "most_seconds": warm_up + each * (most + references),
             }
         )  # fmt: skip
     return pd.DataFrame(rows)

@@ -28,7 +28,7 @@ from rfpipe.stages.merger import (
     read_merger,
     runs,
 )
-from rfpipe.stages.watch import DRIFT, MOVES, measure_looks
+from rfpipe.stages.watch import MOVES, measure_looks
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE_UNIT
 
@@ -62,8 +62,8 @@ def run(
     code : str
         Digest of the code behind the stage.
     divide_out_drift : bool
-        Whether images are divided by the light's brightness at their time, where a drift watch
-        measured it.
+        Whether images are divided by the light's brightness at their time, where looks at the
+        rig measured it.
     keep_raw : bool
         Whether the brackets stay when they are merged. Where they don't, merged images that other
         code made are kept.
@@ -92,10 +92,10 @@ def run(
         },
         "captured": captured["digest"],
         "references": references[REFERENCE if level == 0 else REFERENCES]["digest"],
-        **{name: captured[name]["digest"] for name in (MOVES, SYMMETRY) if name in captured},
+        **({SYMMETRY: captured[SYMMETRY]["digest"]} if SYMMETRY in captured else {}),
     }
-    if DRIFT in captured:
-        made_of[DRIFT] = [captured[DRIFT]["digest"], divide_out_drift]
+    if MOVES in captured:
+        made_of[MOVES] = [captured[MOVES]["digest"], divide_out_drift]
     made_from = fingerprint([made_of, code])
     if folder.standing(level, "merge", made_from) is None:
         facts = _kept(folder, level, made_of, made_from)

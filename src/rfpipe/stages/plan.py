@@ -158,7 +158,7 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
     code = {"code": code_of(config, scene, name)}
     of_scene = config.of_scene(scene)
     capture = of_scene.capture
-    same = ("batch_patterns", "drift_patterns", "warm_up_minutes", "when_patterns_change")
+    same = ("batch_patterns", "warm_up_minutes", "when_patterns_change")
     mutual_error = NOTICED * capture.asymmetry
     captured = {
         **{setting: getattr(capture, setting) for setting in same},

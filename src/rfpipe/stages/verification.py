@@ -25,7 +25,7 @@ from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.schedule import read_schedule, write_schedule
-from rfpipe.stages.watch import DRIFT, MOVES, MUTUAL
+from rfpipe.stages.watch import MOVES, MUTUAL
 from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
@@ -172,7 +172,7 @@ def run(
     was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
     options = {
         **settings["capture"],
-        "symmetry_frames": 0, "drift_patterns": pictures, "batch_patterns": 1,
+        "symmetry_frames": 0, "batch_patterns": 1,
         "watching": {"mode": "warn" if was_watched else "off", "looks": pictures},
     }  # fmt: skip
     capture(folder, VERIFICATION, **options, resources=resources.here)
@@ -222,7 +222,8 @@ def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
     names = folder.read_manifest(VERIFICATION, "schedule")["names"]
     with folder.frames(VERIFICATION, "merge") as frames:
         images = frames.read(0, len(weights))
-    gain = np.mean(folder.read_manifest(VERIFICATION, "merge")[DRIFT]["gain"], axis=0)
+    looks = folder.read_manifest(VERIFICATION, "merge").get(MOVES)
+    gain = np.mean(looks["gain"], axis=0) if looks else np.ones(transport.channels)
     relit = transport.relight_batch(weights)
     return compare(names, weights, (images[:, 0], images[:, 1]), relit, gain)
 
@@ -248,11 +249,10 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
 def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
     """Sum up what the manifests of all levels tell of the rig; None where nothing looked."""
     levels = list(_levels(folder))
-    drift = [np.abs(np.asarray(merged[DRIFT]["gain"]) - 1).max() for _, merged, _ in levels
-             if DRIFT in merged]  # fmt: skip
     looks = [(name, merged[MOVES]) for name, merged, _ in levels if MOVES in merged]
     mutual = [(name, captured[MUTUAL]) for name, _, captured in levels if MUTUAL in captured]
-    moved = [max([0.0, *look["change"]]) for _, look in looks]
+    drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for _, look in looks]
+    moved = [max(look["change"]) for _, look in looks]
     alarms = [f"{name}: the rig or the scene moved" for name, look in looks if look["moved"]]
     alarms += [
         f"{name}, pattern {of['first']}: not aligned"
@@ -263,7 +263,7 @@ def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
     for _, _, captured in levels:
         devices.update(captured.get("devices", {}))
     return {
-        "drift": max(map(float, drift), default=None),
+        "drift": max(drift, default=None),
         "moved": max(moved, default=None),
         "reciprocity": max((of["error"] for _, of in mutual), default=None),
         "reciprocity_deviations": max((of["deviations"] for _, of in mutual), default=None),

@@ -1,8 +1,8 @@
 """What watches a capture, by brackets between the patterns of a level and by the patterns' own.
 
-Drift: the floodlit image, again and again, tells what the lamp does. Moves: a fine random pattern
-tells whether the rig moved: half a pixel changes every ray of it by half. Reciprocity: the pictures
-of a coaxial rig themselves tell whether it still is one.
+Looks: a fine random pattern, again and again, tells what the lamp does and whether the rig moved:
+half a pixel changes every ray of it by half. Reciprocity: the pictures of a coaxial rig themselves
+tell whether it still is one.
 """
 
 from __future__ import annotations
@@ -25,10 +25,7 @@ from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, restore_header
-from rfpipe.units import DRIFT_KEY, LOOK_KEY
-
-DRIFT = "drift"
-"""The repeated floodlit brackets of a level: their store and their key in manifests."""
+from rfpipe.units import LOOK_KEY
 
 MOVES = "moves"
 """The repeated random pattern of a level: its store and its key in manifests."""
@@ -54,12 +51,15 @@ Double = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 
-def looks_every(looks: int | None, is_coaxial: bool) -> int:
+def looks_every(looks: int | None, level: int, is_coaxial: bool) -> int:
     """Return the patterns from one look at the rig to the next, 0 for none.
 
-    By default `LOOK_PATTERNS`, but none where the patterns of a coaxial rig tell by themselves.
+    By default `LOOK_PATTERNS`, but none between the patterns of a coaxial rig, which tell by
+    themselves.
     """
-    return (0 if is_coaxial else LOOK_PATTERNS) if looks is None else looks
+    if looks is not None:
+        return looks
+    return 0 if is_coaxial and 0 < level < VERIFICATION else LOOK_PATTERNS
 
 
 def look_count(patterns: int, every: int) -> int:
@@ -107,11 +107,9 @@ def change(merger: Merger, known: Merged, bracket: NDArray[Any]) -> Change:
     return Change(gain, np.sqrt(noise.sum(axis=0)) / over, float(rest))
 
 
-def _known(folder: AcquisitionFolder, merger: Merger, name: str) -> Merged | None:
-    """Return what looks are compared with: the floodlit image, or the first look of its kind."""
-    if name == DRIFT:
-        return Merged(merger.floodlit[None], merger.floodlit_variance[None], 0)
-    for store in sorted(folder.path.glob(f"L[0-9]*/{name}.zarr")):
+def _first_look(folder: AcquisitionFolder, merger: Merger) -> Merged | None:
+    """Return the acquisition's first look, which others are compared with, or None."""
+    for store in sorted(folder.path.glob(f"L[0-9]*/{MOVES}.zarr")):
         try:
             with FrameStore.open(store) as frames:
                 return merger.merge(frames.read(0, 1), 0)
@@ -123,55 +121,43 @@ def _known(folder: AcquisitionFolder, merger: Merger, name: str) -> Merged | Non
 def measure_looks(
     folder: AcquisitionFolder, merger: Merger, level: int, *, divide_out: bool
 ) -> tuple[Double | None, dict[str, Any]]:
-    """Measure and log what the looks at a level tell.
+    """Measure what the looks at a level tell, and log a change of the light.
 
     Returns brightness at each pattern to divide by, float64 (patterns, C), None not to divide; and
     facts for the manifest.
     """
     captured = folder.read_manifest(level, "capture")
-    gains, facts = None, {}
-    for name in (each for each in (DRIFT, MOVES) if each in captured):
-        known, every = _known(folder, merger, name), captured[name]["every"]
-        with folder.frames(level, "capture", name) as frames:
-            taken = (frames.read(n, n + 1) for n in range(frames.shape[0]))
-            looks = [change(merger, known, bracket) for bracket in taken if known]
-        rest = [float(f"{look.rest:.4g}") for look in looks]
-        if name == MOVES:
-            moved = max(rest, default=0.0) > _MOVED
-            facts[MOVES] = {"every": every, "change": rest, "moved": moved}
-            continue
-        gain, deviation = np.stack([x.gain for x in looks]), np.stack([x.deviation for x in looks])
-        _log_drift(level, gain, deviation, max(rest), divide_out)
-        facts[DRIFT] = {
-            "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
-            "local": rest, "divided_out": divide_out,
-        }  # fmt: skip
-        if divide_out:
-            at = np.arange(captured["patterns"]) + 0.5
-            looked = look_positions(captured["patterns"], every)
-            gains = np.stack([np.interp(at, looked, of_channel) for of_channel in gain.T], axis=1)
-    return gains, facts
+    known = _first_look(folder, merger) if MOVES in captured else None
+    if known is None:
+        return None, {}
+    every = captured[MOVES]["every"]
+    with folder.frames(level, "capture", MOVES) as frames:
+        taken = (frames.read(n, n + 1) for n in range(frames.shape[0]))
+        looks = [change(merger, known, bracket) for bracket in taken]
+    gain = np.stack([look.gain for look in looks])
+    deviation = np.stack([look.deviation for look in looks])
+    rest = [float(f"{look.rest:.4g}") for look in looks]
+    facts = {
+        "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
+        "change": rest, "moved": max(rest) > _MOVED, "divided_out": divide_out,
+    }  # fmt: skip
+    span, noise = np.ptp(gain, axis=0), deviation.max(axis=0)
+    if (span > _SIGNIFICANCE * np.sqrt(2) * noise).any():
+        advice = "it is divided out" if divide_out else "merge.divide_out_drift would divide it out"
+        _log.warning(
+            "%s: the light changed by %.2g %% (noise %.2g %%) in %d looks; %s",
+            name_of(level), 100 * span.max(), 100 * noise.max(), len(gain), advice,
+        )  # fmt: skip
+    if not divide_out:
+        return None, {MOVES: facts}
+    at, looked = np.arange(captured["patterns"]) + 0.5, look_positions(captured["patterns"], every)
+    gains = np.stack([np.interp(at, looked, of_channel) for of_channel in gain.T], axis=1)
+    return gains, {MOVES: facts}
 
 
-def _log_drift(level: int, gain: Double, deviation: Double, rest: float, divided: bool) -> None:
-    span = gain.max(axis=0) - gain.min(axis=0)
-    is_change = span > _SIGNIFICANCE * np.sqrt(2) * deviation.max(axis=0)
-    largest, noise = float(np.where(is_change, span, 0).max()), float(deviation.max())
-    if not largest and not rest:
-        return
-    advice = "it is divided out" if divided else "merge.divide_out_drift would divide it out"
-    _log.warning(
-        "%s: the light changed by %.2g %% (noise %.2g %%) in %d looks; %s. Parts of the image "
-        "changed by %.2g %% more, which stays: check for stray light and for what moved",
-        name_of(level), 100 * largest, 100 * noise, len(gain), advice, 100 * rest,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Looks:
+class _Looks(NamedTuple):
     """Brackets of one pattern, taken again and again between those of a level."""
 
-    name: str
     brackets: Brackets
     frames: Any
     every: int
@@ -181,7 +167,6 @@ class _Looks:
 def watching_level(
     of_level: Brackets,
     level: int,
-    drift_patterns: int = 0,
     mode: str = "off",
     looks: int | None = None,
     mutual_error: float = 0.0,
@@ -195,8 +180,6 @@ def watching_level(
     ----------
     of_level : Brackets
         Of the level's patterns, settled.
-    drift_patterns : int
-        Patterns from one look at the lamp to the next, 0 for none.
     mode : {"off", "warn", "refuse"}
         What to do when the rig moved, or a coaxial one isn't aligned: refuse ends the capture.
     looks : int or None
@@ -208,55 +191,44 @@ def watching_level(
     if folder.exists(0, "merge"):
         merger = read_merger(of_level.rig.sensor, folder)
     is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
-    shape = of_level.rig.projector_shape
-    lit = random_signs(shape, 1, seed=15)[0] > 0
-    fine = np.asarray(lit if lit.any() else ~lit, np.float32)
-    every = looks_every(looks, is_coaxial) if mode != "off" else 0
     mutual = None
     if mode != "off" and is_coaxial and 0 < level < VERIFICATION and merger and of_level.count:
         mutual = _Mutual(of_level, level, merger, mutual_error)
+    every = looks_every(looks, level, is_coaxial) if mode != "off" else 0
     with ExitStack() as stack:
-        begun = [
-            _begin(stack, of_level, level, DRIFT, DRIFT_KEY, np.ones_like(fine), drift_patterns),
-            _begin(stack, of_level, level, MOVES, LOOK_KEY, fine, every),
-        ]
-        watcher = Watcher(
-            of_level, level, merger, [each for each in begun if each], mutual, mode == "refuse"
-        )
+        begun = _begin(stack, of_level, level, every)
+        watcher = Watcher(of_level, level, merger, begun, mutual, mode == "refuse")
         if mutual:
             for index, bracket in _captured(of_level):
                 watcher.after(index, bracket)
         yield watcher
 
 
-def _begin(
-    stack: ExitStack, of_level: Brackets, level: int,
-    name: str, key: int, pattern: NDArray[np.float32], every: int,
-) -> _Looks | None:  # fmt: skip
-    path, patterns = of_level.folder.store(level, name), of_level.count
-    title = {DRIFT: "drift watch", MOVES: "look at the rig"}[name]
-    if of_level.count_missing() < patterns:  # it was begun
+def _begin(stack: ExitStack, of_level: Brackets, level: int, every: int) -> _Looks | None:
+    path, patterns = of_level.folder.store(level, MOVES), of_level.count
+    if of_level.count_missing() < patterns:  # it was begun, with looks or without
+        every = 0
         if path.exists():
             restore_header(path)
             with FrameStore.open(path) as old:
-                is_of_this = old.attributes.get("made_beside") == of_level.made_for
-                every = int(old.attributes["every"]) if is_of_this else 0
-        else:
-            every = 0
+                if old.attributes.get("made_beside") == of_level.made_for:
+                    every = int(old.attributes["every"])
     if not every or not patterns:
         return None
+    lit = random_signs(of_level.rig.projector_shape, 1, seed=15)[0] > 0
+    pattern = np.asarray(lit if lit.any() else ~lit, np.float32)
 
     def repeated(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        keys: Keys = [(key, level, index) for index in range(first, last)]
+        keys: Keys = [(LOOK_KEY, level, index) for index in range(first, last)]
         return np.repeat(pattern[None], last - first, axis=0), keys
 
     about = {"every": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
     brackets = Brackets(
-        of_level.rig, of_level.folder, path, f"{name_of(level)}, {title}",
+        of_level.rig, of_level.folder, path, f"{name_of(level)}, looks at the rig",
         look_count(patterns, every), about, repeated,
     )  # fmt: skip
     brackets.settle()
-    return _Looks(name, brackets, stack.enter_context(brackets.recording()), every)
+    return _Looks(brackets, stack.enter_context(brackets.recording()), every)
 
 
 def _captured(of_level: Brackets) -> Iterator[tuple[int, NDArray[Any]]]:
@@ -278,30 +250,30 @@ class Watcher:
     of_level: Brackets
     level: int
     merger: Merger | None
-    looks: Sequence[_Looks]
+    looks: _Looks | None
     mutual: _Mutual | None
     refuse: bool
 
     def due(self, first: int, last: int) -> Sequence[int]:
         """Return the positions between two patterns at which a look is due."""
-        steps = [look.every for look in self.looks]
-        return sorted({at for n in steps for at in range((first // n + 1) * n, last, n)})
+        every = self.looks.every if self.looks else last
+        return range((first // every + 1) * every, last, every)
 
     def before(self, position: int) -> None:
-        """Take the looks that are due before the pattern at `position`, or after the last one.
+        """Take the look that is due before the pattern at `position`, or after the last one.
 
-        Raises CaptureError where one shows that the rig moved, and that is to end the capture.
+        Raises CaptureError where it shows that the rig moved, and that is to end the capture.
         """
-        for look in self.looks:
-            at_end = position == self.of_level.count
-            index = look.brackets.count - 1 if at_end else position // look.every
-            if look.frames.done[index]:
-                continue
-            bracket = look.brackets.take(look.frames, index, index + 1)
-            known = None
-            if self.merger and look.name == MOVES:
-                known = _known(self.of_level.folder, self.merger, MOVES)
-            rest = change(self.merger, known, bracket).rest if self.merger and known else 0.0
+        if not self.looks:
+            return
+        brackets, frames, every = self.looks
+        index = brackets.count - 1 if position == self.of_level.count else position // every
+        if frames.done[index]:
+            return
+        bracket = brackets.take(frames, index, index + 1)
+        known = _first_look(self.of_level.folder, self.merger) if self.merger else None
+        if self.merger and known:
+            rest = change(self.merger, known, bracket).rest
             if rest > _MOVED:
                 self._say(
                     f"before pattern {position}: the rig or the scene moved: the same pattern "
@@ -324,16 +296,16 @@ class Watcher:
 
     def entries(self) -> dict[str, Any]:
         """Return what the level's manifest says of all of it."""
-        looks = {
-            look.name: {**look.brackets.entry(look.frames), "every": look.every}
-            for look in self.looks
-        }
+        looks = self.looks
+        told: dict[str, Any] = {}
+        if looks:
+            told[MOVES] = {**looks.brackets.entry(looks.frames), "every": looks.every}
         mutual = self.mutual
         if mutual and not mutual.in_order:  # the facts are the same however the capture went
             mutual = mutual.anew()
             for captured in _captured(self.of_level):
                 list(mutual.alarms(*captured))
-        return {**looks, **({MUTUAL: mutual.facts} if mutual else {})}
+        return {**told, **({MUTUAL: mutual.facts} if mutual else {})}
 
     def _say(self, what: str, advice: str) -> None:
         text = f"{name_of(self.level)}, {what}"
