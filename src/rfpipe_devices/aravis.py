@@ -15,7 +15,6 @@ from pydantic import Field
 
 from rfpipe.photometry.camera import CameraModel
 from rfpipe_devices.aravis_library import (
-    STATUSES,
     AravisError,
     AravisNodes,
     call,
@@ -79,7 +78,7 @@ class AravisCamera(GenicamCamera):
         try:
             status = call("arv_buffer_get_status", buffer)
             if status != 0:
-                return None, STATUSES.get(status, f"status {status}")
+                return None, f"the frame has ArvBufferStatus {status}"
             return counts_of(buffer, self.sensor.bits, self._payload), ""
         finally:
             release(buffer)
@@ -94,8 +93,8 @@ class AravisCamera(GenicamCamera):
     def _set_up(self) -> tuple[int, int]:
         shape = super()._set_up()
         self._payload = shape[0] * shape[1] * (1 if self.sensor.bits == 8 else 2)
-        if self.nodes.has("PayloadSize"):  # what a camera adds to the picture has room, too
-            self._payload = max(self._payload, self.nodes.integer("PayloadSize"))
+        # what a camera adds to the picture has room, too
+        self._payload = max(self._payload, int(self.nodes.number("PayloadSize") or 0))
         return shape
 
     def _start(self, room: int = 0) -> None:

@@ -22,13 +22,6 @@ from rfpipe_devices.genicam import RefusedError, Value
 
 _LIBRARY, _GOBJECT = "libaravis-0.8.so.0", "libgobject-2.0.so.0"
 
-STATUSES = {
-    0: "success", 1: "cleared", 2: "no frame in time", 3: "packets are missing",
-    4: "a packet is not of this frame", 5: "the frame is larger than announced",
-    6: "being filled", 7: "aborted", 8: "payload not supported",
-}  # fmt: skip
-"""What a buffer's status means."""
-
 _POINTER = ctypes.POINTER
 _ERROR = _POINTER(c_void_p)
 _FEATURE = c_void_p, c_char_p
@@ -173,14 +166,6 @@ class AravisNodes:
     """The settings of an open ArvDevice, by its address; `Nodes` of `GenicamCamera`."""
 
     device: int
-
-    def has(self, name: str) -> bool:
-        """Tell whether the camera has a setting or a number of this name."""
-        return self._kind(name) is not None
-
-    def integer(self, name: str) -> int:
-        """Return a whole number."""
-        return int(tried("arv_device_get_integer_feature_value", self.device, name.encode()))
 
     def number(self, name: str) -> float | None:
         kind = self._kind(name)

@@ -7,7 +7,6 @@ packets of 64 bytes.
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -63,10 +62,8 @@ _ENHANCED_RLE = 2
 
 _STOP, _START = b"\0", b"\2"
 _ON_THE_FLY = b"\3"
-_ERRORS = {1: "controller and mirrors don't fit", 2: "reset", 3: "forced swap", 6: "abort",
-           7: "sequencer"}  # fmt: skip
-
-_log = logging.getLogger(__name__)
+_ERRORS = 0b11001110
+"""Bits of the hardware's status; the lowest says that it is initialised."""
 
 
 class Command(IntEnum):
@@ -229,11 +226,10 @@ class Dlpc900Projector(Closing):
 
     def _check_status(self) -> None:
         status = self._tell(Command.HARDWARE_STATUS, b"", read=True)[0]
-        wrong = [name for bit, name in _ERRORS.items() if status >> bit & 1]
-        if wrong or not status & 1:
+        if status & 1 == 0 or status & _ERRORS:
             raise CaptureError(
-                f"projector: reports an error ({', '.join(wrong) or 'not initialised'}). Show "
-                "sequences more slowly, or switch it off and on"
+                f"projector: reports an error (hardware status {status:#04x}). Show sequences more "
+                "slowly, or switch it off and on"
             )
 
     def _tell(self, command: int, data: bytes, *, read: bool = False) -> bytes:

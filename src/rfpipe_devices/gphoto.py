@@ -270,9 +270,6 @@ class PhotoCamera(BracketCamera):
             white_level_counts=None if raw.white == 2**bits - 1 else raw.white,
         )
         self._times = {time_.seconds: time_ for time_ in chosen}
-        _log.info(
-            "%s: %s, black level %.0f, white level %d", self._name, raw.bayer, raw.black, raw.white
-        )
 
     def _release(self, handle: Photo) -> None:
         handle.close()

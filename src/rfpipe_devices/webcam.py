@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -230,14 +229,12 @@ class Webcam(BracketCamera):
         for exposure, time in zip(wanted, times, strict=True):
             if abs(time / exposure - 1) > 0.01:
                 _log.warning("%s: takes %g s for an exposure of %g s", self._name, time, exposure)
-        if any(longer <= shorter for shorter, longer in pairwise(times)):
-            self.close()
-            raise InputError(
-                f"{self._name}: takes {', '.join(f'{time:g}' for time in times)} s for the times "
-                "of sensor.exposures; change them to such as it can tell apart"
-            )
         self._has_times, self._set_to = True, None
-        self.sensor = replace(self.sensor, exposures=tuple(times))
+        try:
+            self.sensor = replace(self.sensor, exposures=tuple(times))
+        except InputError as error:  # of two times it can't tell apart
+            self.close()
+            raise InputError(f"{self._name}: as it takes sensor.exposures, {error}") from error
 
     def _release(self, handle: Any) -> None:
         handle.release()

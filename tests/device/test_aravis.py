@@ -57,7 +57,7 @@ def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
         nodes = camera.nodes
         assert nodes.write("GainAuto", "Off") == "Off"
         for name, value in (("GainRaw", 0), ("OffsetY", 8), ("OffsetX", 16)):
-            assert nodes.integer(name) == value
+            assert nodes.number(name) == value
         for name, expected in (("TriggerMode", b"On"), ("TriggerSource", b"Software")):
             asked = "arv_device_get_string_feature_value", nodes.device, name.encode()
             assert aravis_library.tried(*asked) == expected

@@ -79,7 +79,7 @@ def test_what_cannot_be_shown_is_explained() -> None:
         with pytest.raises(CaptureError, match="not for 5e-05 s"):
             shown.play([0], 50e-6)
         for fault, message in (
-            ({"status": 1 | 1 << 6}, r"reports an error \(abort\)"),
+            ({"status": 1 | 1 << 6}, r"reports an error \(hardware status 0x41\)"),
             ({"status": 1, "refused": {0x1A24}}, "refuses command 0x1a24"),
             ({"refused": set(), "is_silent": True}, "no answer to command"),
             ({"is_gone": True}, "USB device is lost"),

@@ -139,14 +139,11 @@ class DeviceRig(Closing):
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
         """Counts of the devices so far, such as failed frames."""
-        counters = {
-            "projector": self.projector,
-            "camera": self.camera,
-            "brackets": self._watch,
-            "sequences": self._sequencer,
+        of = {"projector": self.projector, "camera": self.camera, "sequences": self._sequencer}
+        of["brackets"] = self._watch
+        return {
+            name: dict(one.statistics) for name, one in of.items() if hasattr(one, "statistics")
         }
-        counts = {name: getattr(one, "statistics", None) for name, one in counters.items()}
-        return {name: dict(count) for name, count in counts.items() if count is not None}
 
     def close(self) -> None:
         """Give both devices back; closing twice is no error."""

@@ -74,12 +74,6 @@ class OperatorRig:
         self._threads = threads
         self._frame_shape = self.sensor.frame_shape(self.camera_shape, self.channels)
 
-    def __repr__(self) -> str:
-        return (
-            f"{type(self).__name__}(camera {self.camera_shape}, projector {self.projector_shape}, "
-            f"{self.channels} channel{'s' if self.channels > 1 else ''}, {self.sensor!r})"
-        )
-
     def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)

@@ -68,11 +68,6 @@ class Window:
         pygame.mouse.set_visible(False)
         pygame.display.set_allow_screensaver(False)
         self._surface = self._window.get_surface()
-        if self._surface.get_bitsize() != 32:
-            raise WindowError(
-                f"the display has {self._surface.get_bitsize()} bits a pixel; set it to 24-bit "
-                "colour"
-            )
         red, green, blue, _ = self._surface.get_shifts()
         self._grey = np.uint32(1 << red | 1 << green | 1 << blue)
         self._was_hidden = False
