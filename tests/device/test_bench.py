@@ -91,17 +91,6 @@ def test_a_bracket_is_the_simulation_within_its_noise(rig: DeviceRig) -> None:
     assert np.abs(images.radiance - expected).mean() < 0.01 * expected.mean()
 
 
-def test_the_camera_has_its_own_numbers() -> None:
-    true = {"black_level_counts": 200, "read_noise_electrons": 30, "dark_current_electrons": 0}
-    with bench(bench={"camera": true}) as rig:
-        dark = np.zeros((1, *rig.projector_shape), np.float32)
-        frames = rig.capture(dark, [(0, 0)])
-        assert frames.mean() == pytest.approx(200, abs=1)
-        per_count = 20_000 / (4095 - 200)
-        assert frames.std() == pytest.approx(30 / per_count, rel=0.1)
-        assert rig.sensor.describe()["black_level_counts"] == 64
-
-
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

@@ -143,7 +143,7 @@ def test_exposures_that_the_camera_rounds_are_said(caplog: pytest.LogCaptureFixt
     with CoarseCamera(replace(SENSOR, exposures=(0.012, 0.05))) as camera:
         assert camera.sensor.exposures == (0.01, 0.05)
     assert "takes 0.01 s for an exposure of 0.012 s" in caplog.text
-    with pytest.raises(InputError, match="as it takes sensor.exposures"):
+    with pytest.raises(InputError, match=r"as it takes sensor\.exposures"):
         CoarseCamera(replace(SENSOR, exposures=(0.01, 0.012)))
 
 

@@ -113,7 +113,6 @@ def test_without_a_display_it_says_what_to_set(monkeypatch: pytest.MonkeyPatch) 
     [
         ({"screen": 3}, "there is no monitor 3; this display has 1"),
         ({"shape": (200, 160)}, r"\(200, 160\) pixels at \(0, 0\) doesn't fit on monitor 0"),
-        ({"offset": (120, 0)}, "doesn't fit"),
     ],
 )
 def test_what_does_not_fit_is_explained(

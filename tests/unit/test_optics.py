@@ -52,7 +52,7 @@ def test_light_is_neither_lost_nor_made() -> None:
     assert image.min() == 0
 
 
-@pytest.mark.parametrize("pixel", [(12, 20), (25, 31), (9, 40)])
+@pytest.mark.parametrize("pixel", [(12, 20), (9, 40)])
 def test_a_projector_pixel_appears_where_the_points_say(pixel: tuple[int, int]) -> None:
     optics = path(direct=np.ones((RAYS, 1)))
     light = np.zeros(PROJECTOR, np.float32)

@@ -138,36 +138,16 @@ def test_an_operator_that_returns_the_wrong_thing() -> None:
 def test_descriptions_tell_rigs_apart() -> None:
     changed = MATRICES.copy()
     changed[2, 3, 4] *= 1.001
-    described = [
-        json.dumps(rig.describe(), sort_keys=True)
-        for rig in (
-            rig_of(MATRICES),
-            rig_of(changed),
-            rig_of([sparse.csr_array(part) for part in MATRICES]),
-            rig_of([aslinearoperator(part) for part in MATRICES]),
-            rig_of([aslinearoperator(part) for part in changed]),
-            rig_of(MATRICES, seed=1),
-            rig_of(MATRICES, noise=CameraModel()),
-        )
-    ]
+    rigs = [rig_of(matrix) for matrix in (MATRICES, changed)]
+    rigs += [rig_of([sparse.csr_array(part) for part in MATRICES])]
+    rigs += [rig_of([aslinearoperator(part) for part in matrix]) for matrix in (MATRICES, changed)]
+    rigs += [rig_of(MATRICES, seed=1), rig_of(MATRICES, noise=CameraModel())]
+    described = [json.dumps(rig.describe(), sort_keys=True) for rig in rigs]
     assert len(set(described)) == len(described)
     assert described[0] == json.dumps(rig_of(list(MATRICES)).describe(), sort_keys=True)
 
 
-class Transport:
-    """As much of a transport as the dot test asks for."""
-
-    channels = 2
-
-    def channel(self, index: int) -> LinearOperator:
-        return aslinearoperator(MATRICES[index])
-
-
-@pytest.mark.parametrize(
-    "operator",
-    [MATRICES[0], aslinearoperator(MATRICES[0]), Transport(),
-     np.random.default_rng(0).normal(size=(30, 40)), np.zeros((3, 4))],
-)  # fmt: skip
+@pytest.mark.parametrize("operator", [MATRICES[0], aslinearoperator(MATRICES[0]), np.zeros((3, 4))])
 def test_dot_test_passes_what_is_transposed_right(operator: Any) -> None:
     assert dot_test(operator) < 1e-12
 
@@ -220,12 +200,12 @@ def test_a_shape_that_is_none_says_what_was_meant(shape: Any) -> None:
         OperatorRig(np.eye(16), shape, (4, 4))
 
 
-def test_a_matrix_in_place_of_a_rig_says_how_to_make_one() -> None:
-    with pytest.raises(InputError, match=r"ndarray is no rig; .*OperatorRig\(matrix"):
-        rfpipe.acquire(np.eye(4))  # type: ignore[arg-type]
-
-
 def test_an_almost_dark_floodlit_image_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     rig, few = rig_of(MATRICES * 1.2e-6, noise=CameraModel()), {"floodlit_frames": 4}
     rfpipe.acquire(rig, "brute_force", progress=False, black_frames=4, **few)
     assert "the floodlit image is almost dark: its mean radiance" in caplog.text
+
+
+def test_a_matrix_in_place_of_a_rig_says_how_to_make_one() -> None:
+    with pytest.raises(InputError, match=r"ndarray is no rig; .*OperatorRig\(matrix"):
+        rfpipe.acquire(np.eye(4))  # type: ignore[arg-type]

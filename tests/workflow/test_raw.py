@@ -135,14 +135,6 @@ def test_other_patterns_are_captured_anew(
         acquisition.capture(0)
     assert "CAPTURING ANEW" in caplog.text
     assert "were dropped after their merge" in caplog.text
-    names = {path.name for path in (acquisition.folder.path / "L00").glob("*.zarr")}
-    assert names == {
-        f"{name}.zarr"
-        for name in (
-            "schedule", "reference", "capture", "merge", "sums", "merged_reference", "normalize",
-            "refine",
-        )
-    }  # fmt: skip
     acquisition.merge(0)
     assert chunks(acquisition.folder.path) == []
 
@@ -250,6 +242,4 @@ def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> N
     raw = re.compile(r"L\d\d/(capture|reference|symmetry)\.zarr/c\.")
     assert {name for name in expected if name not in left} == set(filter(raw.match, expected))
     assert all(content == expected.get(name, content) for name, content in left.items())
-    output = copy.run(TINY, "--forcerun", "capture_simulated")
-    assert "patterns in" not in output
-    assert "Nothing to be done" in copy.run(TINY)
+    assert "patterns in" not in copy.run(TINY, "--forcerun", "capture_simulated")
