@@ -41,19 +41,6 @@ def fit(
     transfer: Annotated[
         Literal["linear", "srgb"], typer.Option(help="What integers in pictures stand for.")
     ] = "linear",
-    reduce: Annotated[
-        int, typer.Option(min=1, help="Take the mean of so many by so many camera pixels as a ray.")
-    ] = 1,
-    coaxial: Annotated[
-        bool, typer.Option("--coaxial", help="Camera and projector share their rays.")
-    ] = False,
-    model: Annotated[
-        Literal["best", "linear", "near_far"],
-        typer.Option(
-            help="linear: regularised least squares; near_far: direct and smooth indirect light, "
-            "of coaxial rigs; best: what predicts left-out pictures better."
-        ),
-    ] = "best",
 ) -> None:
     """Find the light transport behind pictures of patterns that were chosen elsewhere.
 
@@ -62,17 +49,12 @@ def fit(
     few, from what is most probable. How far it is off is estimated from pictures that are left
     out. The transport opens in Python by rfpipe.open_transport, and relights by 'rfpipe relight'.
     """
-    import logging
-
     from rfpipe.config import parse_config, read_yaml
     from rfpipe.errors import InputError
     from rfpipe.fitting import fit_transport, read_series
-    from rfpipe.fitting.folder import FolderOptions
     from rfpipe.photometry import CameraModel, sensor_from_config
     from rfpipe.transport import save_transport
 
-    logging.basicConfig(format="%(message)s")
-    logging.getLogger("rfpipe").setLevel(logging.INFO)
     camera = None
     if settings is not None:
         # a file of a camera alone has no scenes, which those of a run need
@@ -83,20 +65,16 @@ def fit(
         if not isinstance(sensor, CameraModel):
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor
-    series = read_series(folder, FolderOptions(lights, camera, black, transfer, reduce))
-    found = fit_transport(series, coaxial=coaxial, model=model)
-    save_transport(found.transport, output, scene=folder.name, method=f"fit, {found.model}")
+    series = read_series(folder, lights=lights, camera=camera, black=black, transfer=transfer)
+    found = fit_transport(series)
+    save_transport(found.transport, output, scene=folder.name, method="fit")
     count, rays = series.patterns.shape
     typer.echo(
         f"{output}: {count} pictures of {rays} projector rays "
-        f"({'complete' if found.complete else f'{series.rank} independent'}), by {found.model}"
+        f"({'complete' if found.complete else f'{series.rank} independent'})"
     )
-    for name, error in found.errors.items():
-        typer.echo(f"left-out pictures ({found.held_out}) are off by {error:.2%} by {name}")
-    if found.noise is not None:
-        typer.echo(f"relit pictures are off by {found.noise:.2%} for the pictures' noise")
-    if found.error is None:
-        typer.echo(
-            "no error is known: each pattern is needed, and nothing is known of noise. Take some "
-            "patterns twice, or give --settings, or a few more patterns"
-        )
+    typer.echo(
+        "no error is known: each pattern is needed. A few more patterns would tell"
+        if found.error is None
+        else f"left-out pictures ({found.held_out}) are off by {found.error:.2%}"
+    )

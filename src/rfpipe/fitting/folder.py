@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
 from rfpipe.pictures import Header, Picture, picture_files, read_header, read_picture
+from rfpipe.weights import Curve, picture_weights
 
 if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
 
-
 Float = NDArray[np.float32]
 
 _OTHERS = (".bmp", ".hdr", ".jpeg", ".jpg", ".pfm")
-_ARRAYS = ("patterns.npy", "patterns.npz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +74,6 @@ class Series:
         return int(self.radiance.shape[1])
 
     @property
-    def is_binary(self) -> bool:
-        """Whether patterns are full light and none."""
-        return bool(((self.patterns == 0) | (self.patterns == 1)).all())
-
-    @property
     def rank(self) -> int:
         """Number of independent patterns."""
         gram = self.patterns.astype(np.float64) @ self.patterns.T.astype(np.float64)
@@ -98,92 +92,73 @@ class Series:
         return replace(self, **parts)
 
 
-@dataclass(frozen=True)
-class FolderOptions:
-    """What files don't say of themselves.
-
-    Parameters
-    ----------
-    lights : (int, int), optional
-        Pictures of one light at a time, in so many rows and columns, which go before patterns.
-    camera : CameraModel, optional
-        Numbers of the camera, whose brackets are merged, with their variance. None takes pictures
-        as light: linear, one exposure of each pattern.
-    black : Path, optional
-        A picture without light, or a folder of some, to be subtracted.
-    transfer : {"linear", "srgb"}
-        What integers in pictures mean, and those in pictures of patterns.
-    reduce : int
-        Camera pixels, along either side, whose mean is taken for a ray.
-    """
-
-    lights: tuple[int, int] | None = None
-    camera: CameraModel | None = None
-    black: Path | None = None
-    transfer: Literal["linear", "srgb"] = "linear"
-    reduce: int = 1
-
-
-def read_series(folder: Path, options: FolderOptions | None = None) -> Series:
+def read_series(
+    folder: Path,
+    *,
+    lights: tuple[int, int] | None = None,
+    camera: CameraModel | None = None,
+    black: Path | None = None,
+    transfer: Curve = "linear",
+) -> Series:
     """Read pictures and their patterns.
 
     Parameters
     ----------
     folder : Path
         Pictures lie in its folder ``pictures``, or in itself; patterns as pictures in its folder
-        ``patterns``, or in ``patterns.npy`` or ``.npz``, (pictures, H, W) of weights. Both are
-        taken in the order of the numbers in their names. Without patterns, ``options.lights``
-        says that each picture has one light.
-    options : FolderOptions, optional
-
-    Returns
-    -------
-    Series
-        All-off pictures among them, or `options.black`, are subtracted from the others.
+        ``patterns``, or in ``patterns.npy``, (pictures, H, W) of weights. Both are taken in the
+        order of the numbers in their names.
+    lights : (int, int), optional
+        Pictures of one light at a time, in so many rows and columns, which go before patterns.
+    camera : CameraModel, optional
+        Numbers of the camera, whose brackets are merged, with their variance. None takes pictures
+        as light: one exposure of each pattern.
+    black : Path, optional
+        A picture without light, or a folder of some, to be subtracted as all-off pictures are.
+    transfer : {"linear", "srgb"}
+        What integers in pictures mean, and those in pictures of patterns.
 
     Raises
     ------
     InputError
         When a picture can't be read, or number, size or channels don't fit together.
     """
-    options = options or FolderOptions()
-    own = folder / "pictures"
-    brackets = _brackets(own if own.is_dir() else folder, options)
-    patterns, shape = _patterns(folder, options, len(brackets))
-    headers = [read_header(path) for files in brackets for path in files]
-    for header, path in zip(headers, (path for files in brackets for path in files), strict=True):
-        kinds = [(each.size, each.channels, each.kind) for each in (header, headers[0])]
-        if kinds[0] != kinds[1]:
-            raise InputError(
-                f"{path}: is {kinds[0]} (size, channels, kind); {brackets[0][0].name} is "
-                f"{kinds[1]}. All should be alike"
-            )
-    size = tuple(extent // options.reduce for extent in headers[0].size)
-    if not all(size):
+    own, step = folder / "pictures", len(camera.exposures) if camera else 1
+    brackets = _brackets(own if own.is_dir() else folder, step)
+    weights = _weights(folder, lights, transfer)
+    if weights.ndim != 3 or len(weights) != len(brackets):
         raise InputError(
-            f"{brackets[0][0]}: is {headers[0].size} pixels; a mean over {options.reduce} leaves "
-            "none"
+            f"{folder}: holds {len(brackets)} pictures of {len(weights)} patterns, an array "
+            f"{weights.shape}; expected one each, (pictures, H, W)"
         )
-    lit = np.asarray(patterns.any(axis=1))
+    paths = [path for files in brackets for path in files]
+    headers = [read_header(path) for path in paths]
+    for path, header in zip(paths, headers, strict=True):
+        if replace(header, exposure_s=None) != replace(headers[0], exposure_s=None):
+            raise InputError(
+                f"{path}: is {header}; {paths[0].name} is {headers[0]}. All should be alike"
+            )
+    patterns = weights.reshape(len(weights), -1).astype(np.float32)
+    lit = patterns.any(axis=1)
     dark = [files for files, is_lit in zip(brackets, lit, strict=True) if not is_lit]
-    dark += _brackets(options.black, options) if options.black else []
+    dark += _brackets(black, step) if black else []
     brackets = [files for files, is_lit in zip(brackets, lit, strict=True) if is_lit]
-    if options.camera:
-        radiance, variance = _merged(options.camera, options.reduce, brackets, headers, dark)
+    if camera:
+        radiance, variance = _merged(camera, brackets, headers[0], dark)
     else:
-        seconds = [header.exposure_s for header in headers]
-        radiance = np.stack([_light(path, options, seconds) for [path] in brackets])
+        seconds = [header.exposure_s or 0 for header in headers]
+        differ = min(seconds) > 0 and max(seconds) > 1.01 * min(seconds)
+        radiance = np.stack([_light(path, transfer, differ) for [path] in brackets])
         if dark:
-            black = [_light(path, options, seconds) for [path] in dark]
-            radiance -= np.mean(black, axis=0, dtype=np.float64).astype(np.float32)
-        variance = np.full_like(radiance, _of_repeats(patterns[lit], radiance))
-    return Series((size[0], size[1]), shape, patterns[lit], radiance, variance)
+            darkness = [_light(path, transfer, differ) for [path] in dark]
+            radiance -= np.mean(darkness, axis=0, dtype=np.float64).astype(np.float32)
+        variance = np.zeros_like(radiance)
+    return Series(headers[0].size, weights.shape[1:], patterns[lit], radiance, variance)
 
 
-def _brackets(place: Path, options: FolderOptions) -> list[list[Path]]:
-    """Return the pictures of a folder, or a single one, bracket by bracket."""
+def _brackets(place: Path, step: int) -> list[list[Path]]:
+    """Return the pictures of a folder, or a single one, so many in a bracket."""
     files = [place] if place.is_file() else picture_files(place, _OTHERS)
-    step = len(options.camera.exposures) if options.camera else 1
     if len(files) % step:
         raise InputError(
             f"{place}: holds {len(files)} pictures, no multiple of the {step} exposures of the "
@@ -192,123 +167,65 @@ def _brackets(place: Path, options: FolderOptions) -> list[list[Path]]:
     return [files[first : first + step] for first in range(0, len(files), step)]
 
 
-def _patterns(folder: Path, options: FolderOptions, count: int) -> tuple[Float, tuple[int, int]]:
-    """Return patterns (K, N), and the shape of their rays."""
-    if options.lights:
-        down, across = options.lights
-        if down * across != count:
-            raise InputError(
-                f"{folder}: holds {count} pictures; {down} x {across} lights, one at a time, make "
-                f"{down * across}"
-            )
-        return np.eye(count, dtype=np.float32), (down, across)
-    weights = _weights(folder, options)
-    if weights.ndim != 3 or len(weights) != count:
-        raise InputError(
-            f"{folder}: holds {count} pictures of {len(weights)} patterns, an array "
-            f"{weights.shape}; expected one each, (pictures, H, W)"
-        )
-    if not ((weights >= 0) & (weights < np.inf)).all():
-        raise InputError(
-            f"{folder}: patterns should be finite and not negative; light of both signs, such as "
-            "Hadamard's, is shown as two patterns, or on half a light"
-        )
-    shape = weights.shape[1:]
-    return weights.reshape(count, -1).astype(np.float32), (shape[0], shape[1])
-
-
-def _weights(folder: Path, options: FolderOptions) -> NDArray[Any]:
-    """Read patterns as (K, H, W)."""
-    for path in (folder / name for name in _ARRAYS if (folder / name).is_file()):
-        held = np.load(path, allow_pickle=False)
-        if not isinstance(held, np.ndarray):
-            if len(held.files) != 1:
-                raise InputError(f"{path}: holds {', '.join(held.files)}; expected one array")
-            held = held[held.files[0]]
-        return np.asarray(held[:, None] if held.ndim == 2 else held)
-    own = folder / "patterns"
+def _weights(folder: Path, lights: tuple[int, int] | None, transfer: Curve) -> NDArray[Any]:
+    """Return patterns as (K, H, W)."""
+    if lights:
+        return np.eye(prod(lights), dtype=np.float32).reshape(-1, *lights)
+    own, array = folder / "patterns", folder / "patterns.npy"
+    if array.is_file():
+        return np.asarray(np.load(array, allow_pickle=False))
     if not own.is_dir():
         raise InputError(
             f"{folder}: has no patterns; expected a folder {own.name} of pictures, or "
-            f"{' or '.join(_ARRAYS)}, or --lights for one light at a time"
+            f"{array.name}, or --lights for one light at a time"
         )
-    pictures = []
-    for path in picture_files(own, _OTHERS):
-        picture = read_picture(path)
-        if picture.header.channels == 3 and np.ptp(picture.pixels, axis=-1).any():
-            raise InputError(f"{path}: is coloured; patterns are of white light")
-        pictures.append(_linear(picture, options)[..., 0])
-    if len({picture.shape for picture in pictures}) > 1:
+    pictures = [_linear(read_picture(path), transfer) for path in picture_files(own, _OTHERS)]
+    if len({picture.shape[:2] for picture in pictures}) > 1:
         raise InputError(f"{own}: holds pictures of several sizes; patterns have one")
-    return np.stack(pictures)
+    if any(np.ptp(picture, axis=-1).any() for picture in pictures):
+        raise InputError(f"{own}: holds coloured pictures; patterns are of white light")
+    return np.stack([picture[..., 0] for picture in pictures])
 
 
-def _light(path: Path, options: FolderOptions, seconds: list[float | None]) -> Float:
-    """Return a picture as light, (C, M), over its exposure time where these differ."""
+def _light(path: Path, transfer: Curve, over_time: bool) -> Float:
+    """Return a picture as light, (C, M), over its exposure time where asked."""
     picture = read_picture(path)
-    light = _reduced(_linear(picture, options), options.reduce)
-    known, own = [second for second in seconds if second is not None], picture.header.exposure_s
-    if own and len(known) == len(seconds) and max(known) > 1.01 * min(known):
-        light = light / np.float32(own)
-    return light
+    light = _planar(_linear(picture, transfer))
+    return light / np.float32(picture.header.exposure_s) if over_time else light
 
 
-def _linear(picture: Picture, options: FolderOptions) -> Float:
+def _linear(picture: Picture, transfer: Curve) -> Float:
     """Return a picture's values as linear light; integers go from 0 to 1."""
     if picture.header.kind == "light":
         return np.asarray(picture.pixels, np.float32)
-    value = picture.pixels / np.float32(2**picture.bits - 1)
-    if options.transfer == "srgb":
-        value = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return value.astype(np.float32)
+    return picture_weights(picture.pixels.astype(f"uint{picture.bits}"), transfer)
 
 
-def _reduced(image: Float, by: int) -> Float:
-    """Return means over squares of pixels, (C, M), of (H, W, C)."""
-    rows, columns = image.shape[0] // by, image.shape[1] // by
-    cut = image[: rows * by, : columns * by].reshape(rows, by, columns, by, -1)
-    mean = cut.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
-    return np.ascontiguousarray(mean.reshape(rows * columns, -1).T)
+def _planar(image: Float) -> Float:
+    """Return (C, M) of (H, W, C)."""
+    return np.ascontiguousarray(image.reshape(-1, image.shape[-1]).T)
 
 
 def _merged(
-    camera: CameraModel,
-    reduce: int,
-    brackets: list[list[Path]],
-    headers: list[Header],
-    dark: list[list[Path]],
+    camera: CameraModel, brackets: list[list[Path]], header: Header, dark: list[list[Path]]
 ) -> tuple[Float, Float]:
     """Return merged brackets and their variance, (K, C, M) each."""
     from rfpipe.photometry import MergeOptions
 
-    channels = headers[0].channels if camera.bayer is None else 3
-    shape = camera.frame_shape(headers[0].size, channels)
+    if header.kind != "counts":
+        raise InputError(f"{brackets[0][0]}: holds light; the settings' camera counts")
+    shape = camera.frame_shape(header.size, header.channels if camera.bayer is None else 3)
 
     def frames(files: list[Path]) -> NDArray[Any]:
-        found = [read_picture(path) for path in files]
-        if found[0].header.kind != "counts":
-            raise InputError(f"{files[0]}: holds light; the settings' camera counts")
-        return np.stack([picture.pixels for picture in found]).reshape(shape)
+        return np.stack([read_picture(path).pixels for path in files]).reshape(shape)
 
     black: Any = np.full(shape, camera.black_level_counts, np.float32)
     if dark:
         black = np.mean([frames(files) for files in dark], axis=0, dtype=np.float64)
     merge = camera.merging(black.astype(np.float32), MergeOptions(black_count=max(1, len(dark))))
-    radiance, variance = [], []
-    for files in brackets:
-        merged = merge(frames(files)[None])
-        radiance.append(_reduced(merged.radiance[0], reduce))
-        variance.append(_reduced(merged.variance[0], reduce) / np.float32(reduce**2))
-    return np.stack(radiance), np.stack(variance)
-
-
-def _of_repeats(patterns: Float, radiance: Float) -> float:
-    """Return the variance of pictures that are there more than once, 0 where none are."""
-    _, which, count = np.unique(patterns, axis=0, return_inverse=True, return_counts=True)
-    which = which.reshape(-1)
-    total, free = 0.0, 0
-    for index in np.flatnonzero(count > 1):
-        some = radiance[which == index].astype(np.float64)
-        total += float(np.square(some - some.mean(axis=0)).sum())
-        free += (len(some) - 1) * some[0].size
-    return total / free if free else 0.0
+    merged = [merge(frames(files)[None]) for files in brackets]
+    radiance, variance = (
+        np.stack([_planar(getattr(each, name)[0]) for each in merged])
+        for name in ("radiance", "variance")
+    )
+    return radiance, variance

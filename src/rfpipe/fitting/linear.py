@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.folder import Float, Series
+from rfpipe.fitting.folder import Series
+from rfpipe.methods.states import level_row
+from rfpipe.provenance import generator
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
@@ -33,50 +35,68 @@ _TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
-    """The solution.
+class Fit:
+    """A transport behind pictures.
 
     Attributes
     ----------
-    left : ndarray of float32, shape (C, K, M)
-        Weights of each camera ray.
-    right : ndarray of float32, shape (K, N)
-        Functions of the projector's rays.
-    scale : float
-        Distance in rays over which entries are taken to be alike; 0 for none.
-    noise : ndarray of float64, shape (C, K, M)
-        Variance of `left` that the pictures' variance makes.
+    transport : Transport
+        From all pictures. Its ``history`` has the error, where there is one.
+    complete : bool
+        Whether the patterns tell of each projector ray by itself.
+    error : float or None
+        Mean error of pictures that were left out of a first fit, relative to their norms, less the
+        noise that they are known to have. None where each pattern is needed.
+    held_out : int
+        Pictures that were left out.
     """
 
-    left: Float
-    right: Float
-    scale: float
-    noise: Float
-
-    def transport(self, series: Series, rows: list[dict[str, Any]]) -> Transport:
-        """Return it as a transport, as whichever of two kinds is smaller."""
-        channels, terms, rays = self.left.shape
-        lights = self.right.shape[1]
-        shapes = series.camera_shape, series.projector_shape
-        if terms * (rays + lights) >= rays * lights:
-            matrix = np.stack([left.T @ self.right for left in self.left])
-            return DenseTransport(*shapes, channels, rows, {"matrix": matrix})
-        arrays = {
-            "left": self.left,
-            "right": np.broadcast_to(self.right, (channels, terms, lights)).copy(),
-            "strengths": np.ones((channels, terms), np.float32),
-        }
-        return LowRankTransport(*shapes, channels, rows, arrays)
-
-    def noise_of(self, patterns: Float) -> Double:
-        """Return the variance of relit pictures (P, C, M) that the pictures' variance makes."""
-        shares = np.square(patterns.astype(np.float64) @ self.right.T.astype(np.float64))
-        spread: Double = np.einsum("pk,ckm->pcm", shares, self.noise, dtype=np.float64)
-        return spread
+    transport: Transport
+    complete: bool
+    error: float | None
+    held_out: int
 
 
-def solve_linear(series: Series) -> Linear:
-    """Find the transport's rows."""
+def fit_transport(series: Series) -> Fit:
+    """Find the light transport behind pictures, by regularised least squares."""
+    complete, held, error = series.is_complete, _held_out(series), None
+    rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
+    # of patterns that are just complete, one that is left out isn't told of by the others
+    if held.size and not (complete and not rest.is_complete):
+        error = _error(solve_linear(rest, []), series.some(held))
+    row = level_row(0, len(series.patterns), rank_k=0)
+    if error is not None:
+        row["estimated_error"] = error
+    transport = solve_linear(series, [row])
+    return Fit(transport, complete, error, 0 if error is None else len(held))
+
+
+def _held_out(series: Series) -> NDArray[np.int64]:
+    """Choose an eighth of the pictures to leave out, 16 at most; of fewer than 8, half.
+
+    Neither white nor black ones, whose light others know.
+    """
+    free = np.flatnonzero(~(series.patterns.min(axis=1) > 0) & series.patterns.any(axis=1))
+    count = min(len(free) // (8 if len(free) >= 8 else 2), 16)
+    return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
+
+
+def _error(found: Transport, held: Series) -> float:
+    """Return the mean error of pictures that aren't black, less their own noise."""
+    shape = (len(held.patterns), found.channels, held.patterns.shape[1])
+    lit = np.broadcast_to(held.patterns[:, None], shape)
+    relit = found.forward(lit, range(found.channels))
+    wrong = np.square(relit - held.radiance, dtype=np.float64).sum(axis=(1, 2))
+    wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
+    light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
+    there = light > 0
+    if not there.any():
+        return 0.0
+    return float(np.sqrt(np.maximum(wrong[there], 0) / light[there]).mean())
+
+
+def solve_linear(series: Series, rows: list[dict[str, Any]]) -> Transport:
+    """Return the transport with the most probable rows; `rows` is its table of levels."""
     weights = np.ones(len(series.patterns))
     variance = series.variance.mean(axis=(1, 2), dtype=np.float64)
     is_known = bool(variance.any())
@@ -85,7 +105,7 @@ def solve_linear(series: Series) -> Linear:
         weights = 1 / np.sqrt(np.maximum(variance / variance.mean(), 1e-3))
     gain = _gains(series)
     if not is_known and series.is_complete:
-        return _Basis.of(series, weights, 0.0).solved(series, weights, gain, _ROUNDING)
+        return _Basis.of(series, weights, 0.0).solved(series, weights, gain, _ROUNDING, rows)
     rays = series.radiance.shape[2]  # some of them, evenly spread, choose the prior
     looked = np.unique(np.linspace(0, rays - 1, min(rays, 512)).astype(np.int64))
     observed = series.radiance[:, :, looked].astype(np.float64) * weights[:, None, None]
@@ -100,7 +120,7 @@ def solve_linear(series: Series) -> Linear:
         index = int(np.argmax(scores <= (1 if is_known else 1.02) * scores.min()))
         found.append((float(scores[index]), basis, float(_RIDGES[index])))
     _, basis, ridge = min(found, key=lambda each: each[0])
-    return basis.solved(series, weights, gain, ridge)
+    return basis.solved(series, weights, gain, ridge, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +138,6 @@ class _Basis:
     values: Double
     vectors: Double
     right: Double
-    scale: float
 
     @classmethod
     def of(cls, series: Series, weights: Double, scale: float) -> _Basis:
@@ -129,7 +148,7 @@ class _Basis:
         largest = max(float(values[-1]), np.finfo(np.float64).tiny)
         used = values > _ROUNDING * largest
         values, vectors = values[used][::-1], vectors[:, used][:, ::-1]
-        return cls(values / largest, vectors, (vectors.T @ spread) / largest, scale)
+        return cls(values / largest, vectors, (vectors.T @ spread) / largest)
 
     def scores(self, observed: Double, gain: Double, noise: Double) -> Double:
         """Return how bad each ridge is for pictures (K, C, m) of noise (C, m).
@@ -161,18 +180,32 @@ class _Basis:
                 found[index] = float((missed / free / np.maximum(light, _TINY)).mean())
         return found
 
-    def solved(self, series: Series, weights: Double, gain: Double, ridge: float) -> Linear:
-        """Return the rows at a ridge."""
-        rays = series.radiance.shape[2]
-        left = np.empty((series.channels, len(self.values), rays), np.float32)
-        noise = np.empty_like(left)
-        for channel in range(series.channels):
+    def solved(
+        self,
+        series: Series,
+        weights: Double,
+        gain: Double,
+        ridge: float,
+        rows: list[dict[str, Any]],
+    ) -> Transport:
+        """Return the solution at a ridge, as whichever of two kinds of transport is smaller."""
+        channels, rays, lights = series.channels, series.radiance.shape[2], self.right.shape[1]
+        terms, right = len(self.values), self.right.astype(np.float32)
+        left = np.empty((channels, terms, rays), np.float32)
+        for channel in range(channels):
             own = 1 / (self.values[:, None] + ridge * gain[channel])
             observed = series.radiance[:, channel].astype(np.float64) * weights[:, None]
             left[channel] = own * (self.vectors.T @ observed)
-            spread = series.variance[:, channel] * np.square(weights)[:, None]
-            noise[channel] = np.square(own) * (np.square(self.vectors).T @ spread)
-        return Linear(left, self.right.astype(np.float32), self.scale, noise)
+        shapes = series.camera_shape, series.projector_shape
+        if terms * (rays + lights) >= rays * lights:
+            matrix = np.stack([each.T @ right for each in left])
+            return DenseTransport(*shapes, channels, rows, {"matrix": matrix})
+        arrays = {
+            "left": left,
+            "right": np.broadcast_to(right, (channels, terms, lights)).copy(),
+            "strengths": np.ones((channels, terms), np.float32),
+        }
+        return LowRankTransport(*shapes, channels, rows, arrays)
 
 
 def _gains(series: Series) -> Double:
