@@ -139,7 +139,7 @@ def read_series(
                 f"{path}: is {header}; {paths[0].name} is {headers[0]}. All should be alike"
             )
     patterns = weights.reshape(len(weights), -1).astype(np.float32)
-    lit = patterns.any(axis=1)
+    lit = np.asarray(patterns.any(axis=1))
     dark = [files for files, is_lit in zip(brackets, lit, strict=True) if not is_lit]
     dark += _brackets(black, step) if black else []
     brackets = [files for files, is_lit in zip(brackets, lit, strict=True) if is_lit]
