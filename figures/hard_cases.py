@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from figures.common import TOLERANCE, Items, Size, Table, error
+from figures.hard_scenes import hard_cases
 from rfpipe import CameraModel, acquire
 from rfpipe.errors import RfpipeError
 from rfpipe.rigs import SimulatedRig
-from rfpipe.scenes.hard import hard_cases
 from rfpipe.scenes.relighting import relighting_patterns
 
 _DARK = ("photon_starved",)  # cases that the camera isn't exposed for: hard for being dark

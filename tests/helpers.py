@@ -36,11 +36,9 @@ def acquire_matrix(
     tolerance: float = 1e-3,
     sigma: float = 0.0,
     seed: int = 0,
-    subtract_stored: bool = True,
 ) -> MethodRun:
     """Acquire a matrix (M, N) or (C, M, N) level by level, with those options that a method has."""
-    asked = {"tolerance": tolerance, "subtract_stored": subtract_stored}
-    own = {name: asked[name] for name in method.Options.model_fields if name in asked}
+    own = {"tolerance": tolerance} if "tolerance" in method.Options.model_fields else {}
     shapes = camera_shape, projector_shape
     return run_method(method, matrix, *shapes, sigma=sigma, seed=seed, **own)
 

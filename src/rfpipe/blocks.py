@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import prod
 from operator import index
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 
 Index = NDArray[np.int64]
-
-Split = Literal["views_first", "all_axes"]
-"""How a block tree splits the axes of a ray domain, see `BlockTree`."""
 
 
 def ray_shape(shape: tuple[int, ...], name: str = "the ray domain") -> tuple[int, ...]:
@@ -127,19 +124,17 @@ def _halves(position: Index, length: int) -> list[Index]:
     return second_half
 
 
-def _choices(domain: RayDomain, split: Split) -> Iterator[tuple[Index, int]]:
+def _choices(domain: RayDomain) -> Iterator[tuple[Index, int]]:
     """Give, split by split, which child each ray belongs to, and the bits that this number takes.
 
     The numbers broadcast to the domain's shape. Of axes that split together the first has the
     highest bit: a Morton code.
     """
-    halved = list(zip(np.ogrid[tuple(map(slice, domain.shape))], domain.shape, strict=True))
-    if split == "views_first":
-        halved = halved[-2:]
-        if domain.is_stack:
-            view = np.arange(domain.views).reshape(*domain.views_shape, 1, 1)
-            yield view, (domain.views - 1).bit_length()
-    axes = [_halves(position, length) for position, length in halved]
+    if domain.is_stack:
+        view = np.arange(domain.views).reshape(*domain.views_shape, 1, 1)
+        yield view, (domain.views - 1).bit_length()
+    row, column = np.ogrid[tuple(map(slice, domain.shape))][-2:]
+    axes = [_halves(row, domain.shape[-2]), _halves(column, domain.shape[-1])]
     for level in range(max(map(len, axes))):
         bits = [second_half[level] for second_half in axes if level < len(second_half)]
         child = np.zeros((1,) * len(domain.shape), np.int64)
@@ -149,21 +144,16 @@ def _choices(domain: RayDomain, split: Split) -> Iterator[tuple[Index, int]]:
 
 
 class BlockTree:
-    """Tree of blocks over a ray domain: a quadtree of each image, unless all axes split at once.
+    """Tree of blocks over a ray domain: several views split into single ones, these as quadtrees.
 
     A block's axis of odd length splits into a longer first and a shorter second half, a length of
-    one does not split. Thus a block has one to four children, one to ``2^d`` where all d axes split
-    at once, and the last level's blocks are single rays. Rays are renumbered in *tree order*, in
-    which every block of every level is one contiguous run: block ``b`` of ``level`` is
-    ``starts[level][b]:starts[level][b + 1]``.
+    one does not split. Thus a block has one to four children, and the last level's blocks are
+    single rays. Rays are renumbered in *tree order*, in which every block of every level is one
+    contiguous run: block ``b`` of ``level`` is ``starts[level][b]:starts[level][b + 1]``.
 
     Parameters
     ----------
     domain : RayDomain
-    split : {"views_first", "all_axes"}
-        One after the other: several views first split into single ones, all at once, whose height
-        and width then split together. Or all axes together, those of the views too: 16 children a
-        block of ``(rows, columns, H, W)``.
 
     Attributes
     ----------
@@ -176,21 +166,13 @@ class BlockTree:
     child_starts : list of ndarray of int64
         For each level but the last: the children of block ``b`` are the next level's blocks
         ``child_starts[level][b]:child_starts[level][b + 1]``.
-
-    Raises
-    ------
-    InputError
-        If `split` is none of those.
     """
 
-    def __init__(self, domain: RayDomain, split: Split = "views_first") -> None:
-        if split not in get_args(Split):
-            raise InputError(f"split is {split!r}; expected one of {', '.join(get_args(Split))}")
+    def __init__(self, domain: RayDomain) -> None:
         self.domain = domain
-        self.split: Split = split
         code = np.zeros(domain.shape, np.int64)
         ends = [0]  # bits of the code that tell a level's blocks apart
-        for child, bits in _choices(domain, split):
+        for child, bits in _choices(domain):
             code = code << bits | child
             ends.append(ends[-1] + bits)
         flat = code.ravel()
@@ -215,7 +197,7 @@ class BlockTree:
 
     def splits_views(self, level: int) -> bool:
         """Whether the children of a level's blocks are whole views."""
-        return level == 0 and self.split == "views_first" and self.domain.views > 1
+        return level == 0 and self.domain.views > 1
 
     def n_blocks(self, level: int) -> int:
         """Count the blocks of a level."""

@@ -41,10 +41,10 @@ def walk_through(conflicts: bool) -> np.ndarray:
     return matrix
 
 
-def shown(conflicts: bool, subtract_stored: bool = True) -> list[list[list[int]]]:
+def shown(conflicts: bool) -> list[list[list[int]]]:
     """Return each level's pattern of each projector ray, -1 where it is dark."""
     matrix = walk_through(conflicts)
-    run = acquire_matrix(Dual(), matrix, CAMERA, PROJECTOR, subtract_stored=subtract_stored)
+    run = acquire_matrix(Dual(), matrix, CAMERA, PROJECTOR)
     return [schedule.pattern_of_ray.tolist() for schedule in run.schedules]
 
 

@@ -30,11 +30,10 @@ def levels() -> list[np.ndarray]:
     return [np.array(level) for level in shown(conflicts=True)]
 
 
-@pytest.mark.parametrize("subtract_stored", [True, False])
 @pytest.mark.parametrize("case", ["without_conflicts", "with_conflicts"])
-def test_patterns_are_the_golden_ones(case: str, subtract_stored: bool) -> None:
+def test_patterns_are_the_golden_ones(case: str) -> None:
     golden = json.loads(GOLDEN.read_text(encoding="utf-8"))[case]
-    assert shown(case == "with_conflicts", subtract_stored) == golden
+    assert shown(case == "with_conflicts") == golden
 
 
 def test_thirteen_patterns_without_conflicts() -> None:

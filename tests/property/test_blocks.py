@@ -1,15 +1,14 @@
-"""Block trees over ray domains of any number of axes, split either way."""
+"""Block trees over ray domains of any number of axes."""
 
 from collections.abc import Iterator
 from itertools import product
 from math import prod
-from typing import get_args
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rfpipe.blocks import BlockTree, RayDomain, Split
+from rfpipe.blocks import BlockTree, RayDomain
 
 Box = tuple[range, ...]
 
@@ -23,7 +22,7 @@ primes = st.tuples(*2 * [st.sampled_from([2, 3, 5, 7, 13, 29, 31])])
 prime_grids = st.tuples(*4 * [st.sampled_from([2, 3, 5, 7])])
 five_axes = st.tuples(*5 * [st.integers(1, 3)])
 shapes = st.one_of(images, stacks, grids, lines, primes, prime_grids, five_axes)
-trees = st.builds(BlockTree, st.builds(RayDomain, shapes), st.sampled_from(get_args(Split)))
+trees = st.builds(BlockTree, st.builds(RayDomain, shapes))
 
 
 def halves(extent: range) -> list[range]:
@@ -33,13 +32,12 @@ def halves(extent: range) -> list[range]:
     return [extent[:middle], extent[middle:]]
 
 
-def subdivided(shape: tuple[int, ...], split: Split) -> Iterator[list[Box]]:
+def subdivided(shape: tuple[int, ...]) -> Iterator[list[Box]]:
     """The boxes of each level, in order, as the words of `BlockTree` have it."""
     boxes: list[Box] = [tuple(map(range, shape))]
     yield boxes
-    whole = 0  # axes that do not split
-    if split == "views_first" and len(shape) > 2:
-        whole = len(shape) - 2
+    whole = len(shape) - 2  # axes that do not split
+    if whole:
         views = product(*([extent[i : i + 1] for i in extent] for extent in boxes[0][:-2]))
         boxes = [(*view, *boxes[0][-2:]) for view in views]
         yield boxes
@@ -53,7 +51,7 @@ def subdivided(shape: tuple[int, ...], split: Split) -> Iterator[list[Box]]:
 @given(trees)
 def test_a_tree_is_what_halving_makes(tree: BlockTree) -> None:
     shape = tree.domain.shape
-    levels = list(subdivided(shape, tree.split))
+    levels = list(subdivided(shape))
     assert tree.n_levels == len(levels)
     for level, boxes in enumerate(levels):
         expected = np.empty(shape, np.int32)

@@ -46,23 +46,3 @@ def test_quadtree_of_eight_by_eight() -> None:
         tree.labels(1), np.kron(np.array([[0, 1], [2, 3]]), np.ones((4, 4), np.int32))
     )
     np.testing.assert_array_equal(tree.child_starts[1], [0, 4, 8, 12, 16])
-
-
-def test_all_axes_split_together_into_sixteen_children() -> None:
-    tree = BlockTree(RayDomain((4, 4, 4, 4)), "all_axes")
-    assert [tree.n_blocks(level) for level in range(tree.n_levels)] == [1, 16, 256]
-    for children in tree.child_starts:
-        assert (np.diff(children) == 16).all()
-    halves = np.array([0, 0, 1, 1])
-    expected = sum(
-        np.reshape(halves << 3 - axis, [-1 if axis == i else 1 for i in range(4)])
-        for axis in range(4)
-    )
-    np.testing.assert_array_equal(tree.labels(1), expected)
-
-
-def test_a_split_that_no_tree_knows() -> None:
-    with pytest.raises(
-        InputError, match="split is 'octree'; expected one of views_first, all_axes"
-    ):
-        BlockTree(RayDomain((2, 2)), "octree")  # type: ignore[arg-type]

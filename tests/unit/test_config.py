@@ -15,7 +15,6 @@ from rfpipe.config.files import is_rig
 from rfpipe.config.schema import generated, schema_of
 from rfpipe.errors import ConfigError
 from rfpipe.scenes import REFERENCE_SCENES
-from rfpipe.scenes.rooms import OccluderOptions
 
 FOLDER = Path(__file__).parents[2] / "config"
 RUN = load_config(FOLDER / "config.yaml")
@@ -240,11 +239,6 @@ def test_every_mistake_is_reported_once() -> None:
         "mine.yaml: sede",
         "mine.yaml: seed",
     ]
-
-
-def test_occluder_needs_two_directions() -> None:
-    with pytest.raises(ValueError, match="parallel"):
-        OccluderOptions(centre=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(-2, 0, 0))
 
 
 @pytest.mark.parametrize(

@@ -78,4 +78,4 @@ def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> No
 
 def test_the_page_has_a_place_for_every_script() -> None:
     names = {path.stem for path in Path("figures").glob("*.py")}
-    assert names - set(ORDER) == {"__init__", "__main__", "common", "index", "relit"}
+    assert names - set(ORDER) == {"__init__", "__main__", "common", "hard_scenes", "index", "relit"}

@@ -32,7 +32,7 @@ class TestHadamard(MethodContract):
 
 
 class TestDual(MethodContract):
-    options = {"tolerance": 1e-4, "subtract_stored": True}  # noqa: RUF012
+    options = {"tolerance": 1e-4}  # noqa: RUF012
 
     def make_method(self) -> Method:
         return Dual()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from figures.hard_scenes import hard_cases
 from tests.helpers import acquire_matrix, dense, picture_error
 
 from rfpipe import OperatorRig, acquire
@@ -14,7 +15,7 @@ from rfpipe.errors import CaptureError
 from rfpipe.methods.adaptive.estimate import HELD_OUT
 from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
 from rfpipe.provenance import generator
-from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
+from rfpipe.scenes import Scene, reference_scene, scene_patterns
 from rfpipe.stages.acquire import AcquisitionResult
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing import MethodContract

@@ -1,17 +1,13 @@
 """Views arranged in rows and columns, (rows, columns, H, W), from patterns to pictures."""
 
-from typing import get_args
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.helpers import acquire_matrix, dense
+from tests.helpers import dense
 
 from rfpipe import OperatorRig, acquire
-from rfpipe.blocks import BlockTree, Split
 from rfpipe.calibration.rays import coverage
 from rfpipe.calibration.symmetry import random_signs
-from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.scenes import ONE_VIEW, relighting_patterns, room_scene
@@ -45,15 +41,6 @@ def test_a_method_finds_the_same_however_views_are_arranged(method, matrix, tmp_
     np.testing.assert_array_equal(dense(opened), dense(stacked.transport))
     image = opened.T.relight(np.ones(ARRANGED, np.float32))
     assert image.shape == (*ARRANGED, 1)
-
-
-@pytest.mark.parametrize("split", get_args(Split))
-def test_symmetric_photography_works_on_either_tree(split, matrix, monkeypatch):
-    monkeypatch.setattr(BlockTree.__init__, "__defaults__", (split,))
-    found = acquire_matrix(Symmetric(), matrix, ARRANGED, ARRANGED, tolerance=1e-4)
-    tree = found.states[0].tree
-    assert (tree.split, tree.n_blocks(1)) == (split, 16 if split == "all_axes" else 4)
-    assert np.linalg.norm(dense(found.transport)[0] - matrix) < 0.02 * np.linalg.norm(matrix)
 
 
 def test_pictures_of_arranged_views_are_those_of_a_stack(matrix):

@@ -4,9 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from figures.hard_scenes import hard_cases
 
 from rfpipe.config import SceneSettings
-from rfpipe.scenes import CoaxialScene, apply_in_batches, hard_cases, scene_from_config
+from rfpipe.scenes import CoaxialScene, apply_in_batches, scene_from_config
 from rfpipe.testing import SceneContract
 
 

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from figures.hard_scenes import hard_cases
 
-from rfpipe.scenes import hard_cases, reference_scene
-from rfpipe.scenes.hard import with_flare, with_misalignment, with_unequal_gains
+from rfpipe.scenes import reference_scene
 
 CASES = hard_cases()
 
@@ -63,17 +63,3 @@ def test_dark_channel_reflects_nothing():
     assert scene.channels == 3
     assert not scene.apply(np.ones((1, 256)))[..., 2].any()
     assert (scene.apply(np.ones((1, 256)))[..., :2] > 0).all()
-
-
-def test_perturbations_of_a_matrix():
-    dense = np.arange(36.0).reshape(6, 6)
-    flared = with_flare(dense, 0.1)
-    assert flared.sum(0) == pytest.approx(dense.sum(0))  # light is only spread
-    assert flared - 0.9 * dense == pytest.approx(np.tile(0.1 * dense.mean(0), (6, 1)))
-    shifted = with_misalignment(dense, (2, 3), 0.5)
-    assert shifted[[0, 3]] == pytest.approx(dense[[0, 3]])
-    assert shifted[1] == pytest.approx((dense[0] + dense[1]) / 2)
-    assert shifted[4] == pytest.approx((dense[3] + dense[4]) / 2)
-    gains = with_unequal_gains(dense, [1, 2, 1, 1, 1, 0.5])
-    assert gains[1] == pytest.approx(2 * dense[1])
-    assert gains[5] == pytest.approx(0.5 * dense[5])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from figures.hard_scenes import hard_cases
 from numpy.typing import NDArray
 from tests.helpers import MatrixImages, dense, picture_error, scene_matrices
 
@@ -18,7 +19,6 @@ from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT
 from rfpipe.methods.adaptive.patterns import held_out_strip
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.provenance import generator
-from rfpipe.scenes import hard_cases
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.plan import Plan

@@ -41,11 +41,6 @@ class DualOptions(TargetOptions):
         description="Response below which a block isn't subdivided, a fraction of the floodlit "
         "maximum, between 0 and 1.",
     )
-    subtract_stored: bool = Field(
-        True,
-        description="Whether light stored at coarser levels is taken off finer images [3.2]; "
-        "the pseudocode [C.1] counts some twice.",
-    )
 
 
 @dataclass(frozen=True)
@@ -79,9 +74,8 @@ class Dual(Descent[DualState]):
     """Dual photography as a `Method`.
 
     The light that reaches a pixel from a block stored for it is still in the images of finer
-    levels. It is taken off them, since energy is to be stored once [§3.2]. Without
-    ``subtract_stored``, as in the pseudocode [C.1], it counts again where the pixel reads such an
-    image for another of its blocks.
+    levels. It is taken off them, since energy is to be stored once [§3.2]; in the pseudocode [C.1]
+    it counts again where the pixel reads such an image for another of its blocks.
     """
 
     name = "dual"
@@ -135,7 +129,7 @@ class Dual(Descent[DualState]):
         outcome = np.empty(total, np.uint8)
         maximum, rms = state.floodlit_maximum, state.floodlit_rms
         together = _TOGETHER * np.sqrt(state.camera.size / max(total, 1))
-        known = _transport(state, state.stored) if state.options.subtract_stored else None
+        known = _transport(state, state.stored)
         for first, last in batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))
             if level == 0:
@@ -148,9 +142,8 @@ class Dual(Descent[DualState]):
             # an unknown pixel has no response; its infinite noise must stay a number, times 0, too
             largest = np.finfo(np.float32).max
             noise = np.sqrt(np.minimum(variance[measured] + rounding * rounding, largest))
-            if known is not None:
-                predicted = known.relight_batch(schedule.batch(first, last))
-                response -= predicted.reshape(planar)[measured]
+            predicted = known.relight_batch(schedule.batch(first, last))
+            response -= predicted.reshape(planar)[measured]
             values[:, here] = np.maximum(response, 0.0).T
             outcome[here] = _judge(
                 response,
@@ -186,9 +179,7 @@ class Dual(Descent[DualState]):
             pair_sets[-1] = fold(
                 state.tree, state.level - 1, together, state.channels, state.camera.size
             )
-        symmetric = state.options.subtract_stored and looks_symmetric(
-            state.tree, state.camera, pair_sets
-        )
+        symmetric = looks_symmetric(state.tree, state.camera, pair_sets)
         return _transport(state, pair_sets, symmetric)
 
 

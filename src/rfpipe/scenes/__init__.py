@@ -2,7 +2,6 @@
 
 from rfpipe.scenes.base import CoaxialScene, Scene, apply_in_batches, scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
-from rfpipe.scenes.hard import hard_cases
 from rfpipe.scenes.light_field import room_scene
 from rfpipe.scenes.matrix import MatrixScene
 from rfpipe.scenes.radiosity import RadiosityScene
@@ -31,7 +30,6 @@ __all__ = [
     "RadiosityScene",
     "Scene",
     "apply_in_batches",
-    "hard_cases",
     "planes_scene",
     "reference_scene",
     "relighting_patterns",

@@ -49,11 +49,8 @@ class Scene(ABC):
         self.channels = channels
 
     @classmethod
-    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
-        """Return the scene of some `Options`.
-
-        `many_patterns`: thousands are to come, so that a slower preparation pays.
-        """
+    def make(cls, options: Any) -> Scene:
+        """Return the scene of some `Options`."""
         made: Scene = cls(options)  # type: ignore[call-arg]
         return made
 
@@ -91,13 +88,12 @@ class CoaxialScene(Scene):
         super().__init__(shape, shape, channels)
 
 
-def scene_from_config(settings: SceneSettings, *, many_patterns: bool = False) -> Scene:
+def scene_from_config(settings: SceneSettings) -> Scene:
     """Build the scene of settings such as ``SceneSettings.of("wedge", shape=(62, 70))``.
 
-    `many_patterns` is as of `Scene.make`. Raises InputError for a captured scene, of which no light
-    transport is known.
+    Raises InputError for a captured scene, of which no light transport is known.
     """
-    made: Scene = settings.subject.make(settings, many_patterns=many_patterns)
+    made: Scene = settings.subject.make(settings)
     return made
 
 

@@ -166,11 +166,6 @@ class Compressed:
     right: Sparse
 
     @property
-    def nbytes(self) -> int:
-        """Bytes of the stored factors and entries."""
-        return sum(8 * part.nnz for part in (self.near, self.left, self.right))
-
-    @property
     def T(self) -> Compressed:  # noqa: N802 - as NumPy has it
         """The transpose."""
         return Compressed(self.near.T, self.right, self.left)

@@ -120,13 +120,3 @@ def facing_pairs(points: Points, occluders: Sequence[Occluder] = ()) -> Iterator
                 (*(each for each in others if isinstance(each, Hider)), *occluders),
                 points.least_squared_distance,
             )
-
-
-def dense_form_factors(points: Points, occluders: Sequence[Occluder] = ()) -> Double:
-    """G with every entry, float64 (N, N), of few points."""
-    geometry = np.zeros((len(points.areas), len(points.areas)))
-    for pair in facing_pairs(points, occluders):
-        first, second = pair.indices
-        geometry[np.ix_(first, second)] = block = pair.block()
-        geometry[np.ix_(second, first)] = block.T
-    return geometry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import prod
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,10 +41,6 @@ class MatrixOptions(AnyRig):
         None,
         description="Radiance of the brightest camera ray under floodlight, above 0, to which "
         "the matrix is scaled; null: as it stands.",
-    )
-    negative: Literal["refuse", "zero"] = Field(
-        "refuse",
-        description="Negative entries: refuse, or zero to take them for dark.",
     )
 
 
@@ -90,7 +86,7 @@ class MatrixScene(Scene):
             self._scale = np.float32(brightest / largest)
 
     @classmethod
-    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
+    def make(cls, options: Any) -> Scene:
         """Read the file; raise InputError where it doesn't hold what the options say."""
         camera, projector = options.camera_ray_shape, options.ray_shape
         matrix = read_matrix(options.file, camera, projector, options.dataset, options.order)
@@ -99,8 +95,6 @@ class MatrixScene(Scene):
                 f"{options.file}: holds {len(matrix)} channels; the scene's channels is "
                 f"{options.channels}. Set it to {len(matrix)}"
             )
-        if options.negative == "zero":
-            matrix = [_lifted(channel) for channel in matrix]
         return cls(matrix, camera, projector, options.brightest)
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
@@ -121,13 +115,6 @@ class MatrixScene(Scene):
         }
 
 
-def _lifted(matrix: Any) -> Any:
-    """Return a matrix whose negative entries are zero; an operator has none that it tells."""
-    if isinstance(matrix, np.ndarray):
-        return np.maximum(matrix, 0)
-    return matrix.maximum(0) if hasattr(matrix, "maximum") else matrix
-
-
 class CapturedOptions(AnyRig):
     """What is to be known of a real scene's rig."""
 
@@ -140,7 +127,7 @@ class Captured(Scene):
     Options: ClassVar[type[SceneSettings]] = CapturedOptions
 
     @classmethod
-    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
+    def make(cls, options: Any) -> Scene:  # noqa: ARG003
         """Raise InputError: there is nothing to simulate."""
         raise InputError(
             "a scene of kind captured can't be simulated; take plane, wedge or another"

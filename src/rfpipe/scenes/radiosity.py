@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe.scenes.formfactors import Index, dense_form_factors, facing_pairs
+from rfpipe.scenes.formfactors import Index, facing_pairs
 from rfpipe.scenes.sight import Points
 from rfpipe.scenes.surfaces import Occluder
 
@@ -39,7 +39,8 @@ DENSE_LIMIT = 2**25
 """Entries of G, each unordered pair of points counted once, above which it is compressed: a quarter
 of a gigabyte of float64."""
 
-DENSE_POINTS = 8192  # above which a dense matrix is refused: it would take over half a gigabyte
+DENSE_RAYS = 8192  # above which a dense matrix is refused: it would take over half a gigabyte
+_COLUMNS_AT_A_TIME = 256  # of a dense matrix
 
 
 class FormFactors:
@@ -53,20 +54,14 @@ class FormFactors:
     ) -> None:
         pairs = tuple(facing_pairs(points, occluders))
         self.blocks: list[tuple[tuple[Index, Index], Double | Compressed]] = []
-        self.is_compressed = sum(pair.size for pair in pairs) > DENSE_LIMIT
-        if compress is not None:
-            self.is_compressed = compress
-        if self.is_compressed:
+        if compress is None:
+            compress = sum(pair.size for pair in pairs) > DENSE_LIMIT
+        if compress:
             from rfpipe.scenes.clusters import compressed  # brings in scipy
 
             self.blocks = [(pair.indices, compressed(pair)) for pair in pairs]
         else:
             self.blocks = [(pair.indices, pair.block()) for pair in pairs]
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that the stored operator takes."""
-        return sum(block.nbytes for _, block in self.blocks)
 
     def apply(self, columns: Double) -> Double:
         """Multiply G with columns (N, K), float64 in and out."""
@@ -190,23 +185,21 @@ class RadiosityScene(Scene):
         rays = math.prod(self.camera_shape)
         return apply_in_batches(self._radiance, patterns, self.projector_shape, self.channels, rays)
 
-    def _radiance(self, weights: Double) -> Double:
-        """Radiance (M, B, C) of patterns (N, B)."""
+    def _radiance(self, weights: Double, channels: slice = slice(None)) -> Double:
+        """Radiance (M, B, C) of patterns (N, B), of some channels."""
+        albedo = self._values[:, None, channels]
         if self.rays is None:
-            light = self._radiosity(weights)
-            light *= self.scale
-            return light
-        light = self._radiosity(np.asarray(self.rays.spread @ weights))
-        light *= self.scale
+            return self._radiosity(weights, albedo)
+        light = self._radiosity(np.asarray(self.rays.spread @ weights), albedo)
         seen = np.asarray(self.rays.seen @ light.reshape(len(light), -1))
         seen = seen.reshape(-1, *light.shape[1:])
-        for channel, direct in enumerate(self.rays.direct):
-            seen[..., channel] += direct @ weights
+        for place, direct in enumerate(self.rays.direct[channels]):
+            seen[..., place] += direct @ weights
         return seen
 
-    def _radiosity(self, flux: Double) -> Double:
-        """Light that leaves the points under flux (n, B) on them: float64 (n, B, C)."""
-        albedo, areas = self._values[:, None, :], self.points.areas[:, None, None]
+    def _radiosity(self, flux: Double, albedo: Double) -> Double:
+        """Light that leaves points of albedo (n, 1, C) under flux (n, B): float64 (n, B, C)."""
+        areas = self.points.areas[:, None, None]
         reflected = flux[..., None] * albedo  # leaves a point, per unit of its area
         total = reflected / areas
         for _ in range(1, self.bounces):
@@ -215,6 +208,7 @@ class RadiosityScene(Scene):
             received *= albedo
             total += received
             reflected = received * areas
+        total *= self.scale
         return total
 
     @cached_property
@@ -235,37 +229,20 @@ class RadiosityScene(Scene):
     def dense(self, channel: int = 0) -> Double:
         """The whole matrix (M, N) of one channel; exactly symmetric, of a coaxial scene.
 
-        Raises InputError above `DENSE_POINTS` rays or points.
+        Raises InputError above `DENSE_RAYS` rays.
         """
-        count = max(math.prod(self.camera_shape), len(self._values))
-        if count > DENSE_POINTS:
+        count = max(math.prod(self.camera_shape), math.prod(self.projector_shape))
+        if count > DENSE_RAYS:
             raise InputError(
-                f"a dense matrix of {count} rays or points would take {8e-9 * count**2:.1f} GB; "
-                f"dense() is for at most {DENSE_POINTS}, apply() for any number"
+                f"a dense matrix of {count} rays would take {8e-9 * count**2:.1f} GB; dense() is "
+                f"for at most {DENSE_RAYS}, apply() for any number"
             )
-        if not 0 <= channel < self.channels:
-            raise InputError(f"channel {channel}: expected 0 to {self.channels - 1}")
-        matrix, rays = self.scale * self._between_points(channel), self.rays
-        if rays is None:
-            return matrix
-        matrix = np.asarray(rays.spread.T @ np.asarray(rays.seen @ matrix).T).T
-        if rays.lit is None:
-            return (matrix + matrix.T) / 2  # products round
-        return matrix + rays.direct[channel].toarray() if rays.direct else matrix
-
-    def _between_points(self, channel: int) -> Double:
-        """The matrix M (n, n) of one channel, exact and exactly symmetric."""
-        albedo, areas = self._values[:, channel], self.points.areas
-        matrix = np.diag(albedo / areas)
-        if self.bounces > 1:
-            points, patch = self._patches or (self.points, np.arange(len(areas)))
-            geometry = dense_form_factors(points, self.occluders)[np.ix_(patch, patch)]
-            bounce = np.outer(albedo, albedo) * geometry
-            matrix += bounce
-            for _ in range(2, self.bounces):
-                bounce = (albedo[:, None] * geometry * areas) @ bounce
-                matrix += (bounce + bounce.T) / 2  # products round: symmetric by rounding alone
-        return matrix
+        rays = np.eye(math.prod(self.projector_shape))
+        columns = np.array_split(rays, 1 + len(rays) // _COLUMNS_AT_A_TIME, axis=1)
+        own = slice(channel, channel + 1)
+        matrix = np.concatenate([self._radiance(each, own)[..., 0] for each in columns], axis=1)
+        coaxial = self.rays is None or self.rays.lit is None
+        return (matrix + matrix.T) / 2 if coaxial else matrix  # products round
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""

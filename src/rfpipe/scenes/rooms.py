@@ -125,31 +125,6 @@ def reference_scene(
     return planes_scene(geometry, surfaces, shape, channels=channels, bounces=bounces, seed=seed)
 
 
-class OccluderOptions(Settings):
-    """A black parallelogram that blocks light between surface points, and the camera's view."""
-
-    centre: Vector = Field(
-        description="Centre (x, y, z) in scene units; the scene's surfaces are at z of about 1 "
-        "to 3."
-    )
-    edge_u: Vector = Field(
-        description="Vector from the centre to the middle of one edge, in scene units."
-    )
-    edge_v: Vector = Field(
-        description="Vector from the centre to the middle of a neighbouring edge, in scene units; "
-        "not parallel to edge_u."
-    )
-
-    @model_validator(mode="after")
-    def _spans_a_parallelogram(self) -> Self:
-        self.occluder()
-        return self
-
-    def occluder(self) -> Occluder:
-        """Return it; raise InputError where the edges are parallel."""
-        return Occluder(self.centre, self.edge_u, self.edge_v)
-
-
 class ProjectorOptions(Settings):
     """A projector that stands elsewhere than the camera; its pixels are as wide as the camera's."""
 
@@ -224,9 +199,6 @@ class SurfacesOptions(Diffuse):
         description="The projector aside of the camera, such as {position: [1.72, 0, 0.54]}; "
         "null: a coaxial rig.",
     )
-    occluders: tuple[OccluderOptions, ...] = Field(
-        (), description="Parallelograms that block light between surfaces."
-    )
 
     @property
     def ray_shape(self) -> tuple[int, ...]:
@@ -267,15 +239,13 @@ class _Surfaces(Scene):
     Options: ClassVar[type[SceneSettings]] = SurfacesOptions
 
     @classmethod
-    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:
+    def make(cls, options: Any) -> Scene:
         """Put up the surfaces."""
         placed = options.projector
         return planes_scene(
             options.kind,
             **options.arguments(),
             projector=placed and placed.pinhole(options.shape),
-            occluders=[each.occluder() for each in options.occluders],
-            compress=many_patterns or None,
         )
 
 
@@ -317,7 +287,6 @@ class Room(Scene):
     Options: ClassVar[type[SceneSettings]] = RoomOptions
 
     @classmethod
-    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:
+    def make(cls, options: Any) -> Scene:
         """Furnish the room."""
-        arguments = options.arguments("views", "span_degrees")
-        return room_scene(**arguments, compress=many_patterns or None)
+        return room_scene(**options.arguments("views", "span_degrees"))

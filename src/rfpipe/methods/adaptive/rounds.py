@@ -298,9 +298,10 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def _inner_start(self, state: AdaptiveState) -> Any:
         """Return the hierarchy's state before the floodlit image."""
-        names = {"noise_significance", "subtract_stored"} & set(self.hierarchy.Options.model_fields)
-        same = {n: getattr(state.options, n) for n in names if hasattr(state.options, n)}
-        options = options_of(self.hierarchy, tolerance=state.tolerance, **same)
+        significance = state.options.noise_significance
+        options = options_of(
+            self.hierarchy, tolerance=state.tolerance, noise_significance=significance
+        )
         return self.hierarchy.start(state.camera, state.projector, state.channels, options)
 
     def _estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rfpipe.provenance import generator
 from rfpipe.scenes.matrix import MatrixScene
@@ -23,26 +23,6 @@ _SEED = 0
 
 # A plate in the plane x = 0, edge-on to the rig and so unseen, between the planes of a wedge.
 PLATE = Occluder(centre=(0, 0, 2.6), edge_u=(0, 0.5, 0), edge_v=(0, 0, 0.25))
-
-
-def with_flare(matrix: Double, fraction: float) -> Double:
-    """Let the camera's lens spread a fraction of each image's light evenly, of rows alone."""
-    return np.asarray((1 - fraction) * matrix + fraction * matrix.mean(axis=0))
-
-
-def with_misalignment(matrix: Double, shape: tuple[int, int], pixels: float) -> Double:
-    """Shift the camera to the right by 0 to 1 pixels, by linear interpolation of the rows.
-
-    Beyond the edge of the image, of height and width `shape`, the last column goes on.
-    """
-    images = matrix.reshape(*shape, -1)
-    shifted = np.concatenate([images[:, :1], images[:, :-1]], axis=1)
-    return ((1 - pixels) * images + pixels * shifted).reshape(matrix.shape)
-
-
-def with_unequal_gains(matrix: Double, gains: ArrayLike) -> Double:
-    """Give each camera ray a gain of its own."""
-    return np.asarray(gains)[:, None] * matrix
 
 
 def hard_cases() -> dict[str, Callable[[], MatrixScene]]:
@@ -73,12 +53,10 @@ def hard_cases() -> dict[str, Callable[[], MatrixScene]]:
         "random_dense": _random_dense,
         "caustics": _caustics,
         "dark_channel": _dark_channel,
-        # a twentieth of the light spread over the image by the camera's lens
-        "asymmetric_flare": lambda: with_flare(_wedge(), 0.05),
-        "asymmetric_alignment": lambda: with_misalignment(_wedge(), _SHAPE, 0.5),
-        "asymmetric_gains": lambda: with_unequal_gains(
-            _wedge(), generator(_SEED, 4).uniform(0.9, 1.1, 256)
-        ),
+        "asymmetric_flare": _flare,
+        "asymmetric_alignment": _misalignment,
+        # each camera ray has a gain of its own
+        "asymmetric_gains": lambda: generator(_SEED, 4).uniform(0.9, 1.1, (256, 1)) * _wedge(),
     }
     return {name: case(make) for name, make in matrices.items()} | {
         "no_interreflection": reference("I", _SHAPE),
@@ -92,6 +70,19 @@ def hard_cases() -> dict[str, Callable[[], MatrixScene]]:
 def _wedge(bounces: int = 3) -> Double:
     """Grey matrix of two textured planes."""
     return reference_scene("IV", _SHAPE, channels=1, bounces=bounces).dense()
+
+
+def _flare() -> Double:
+    """Let the camera's lens spread a twentieth of each image's light evenly, of rows alone."""
+    matrix = _wedge()
+    return np.asarray(0.95 * matrix + 0.05 * matrix.mean(axis=0))
+
+
+def _misalignment() -> Double:
+    """Shift the camera to the right by half a pixel, by linear interpolation of the rows."""
+    images = _wedge().reshape(*_SHAPE, -1)
+    shifted = np.concatenate([images[:, :1], images[:, :-1]], axis=1)
+    return np.asarray(0.5 * images + 0.5 * shifted).reshape(256, 256)
 
 
 def _bright_direct() -> Double:
