@@ -191,20 +191,12 @@ def with_errors(levels: Sequence[Any], truth: Any, columns: int = 5) -> list[lis
 
 def level_pictures(result: Any, light: Float) -> list[Float]:
     """Return what each level of a dual acquisition adds to the dual picture."""
-    from rfpipe.blocks import RayDomain
-
     transport = result.transport
     by_level = {pairs.level: pairs for pairs in transport.pair_sets}
     pictures = []
     for level in range(transport.last_level + 1):
-        alone = transport.from_pair_sets(
-            RayDomain(transport.camera_shape),
-            transport.tree.domain,
-            transport.channels,
-            transport.level_rows,
-            [by_level[level]] if level in by_level else [],
-            transport.symmetric,
-        )
+        held = [by_level[level]] if level in by_level else []
+        alone = transport.holding(transport.level_rows, held)
         pictures.append(alone.T.relight(light))
     return pictures
 

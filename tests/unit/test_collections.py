@@ -48,16 +48,10 @@ def test_a_collection_is_one_field(run: tuple[Config, Path]) -> None:
     for name, picture in field.relight(pattern):
         alone = rfpipe.open_transport(results / name / "hadamard/transport.zarr")
         np.testing.assert_array_equal(picture, alone.relight(pattern))
-    lamps = {"a": pattern, "b": np.ones((6, 8), np.float32)}
-    both = field.light_from(lamps)
-    apart = [field[name].T.relight(light) for name, light in lamps.items()]
-    np.testing.assert_allclose(both, sum(apart), rtol=1e-6)
     with pytest.raises(StoreError, match="by brute_force, hadamard; say which"):
         rfpipe.open_collection(results)
     with pytest.raises(StoreError, match="no transports by dual"):
         rfpipe.open_collection(results, method="dual")
-    with pytest.raises(InputError, match="'c' is no position"):
-        field.light_from({"c": pattern})
 
 
 def test_positions_are_counted_and_one_scene_is_no_collection(

@@ -24,9 +24,7 @@ def transport_of(
     camera: RayDomain = CAMERA,
     channels: int = 1,
 ) -> MultilevelTransport:
-    return MultilevelTransport.from_pair_sets(
-        camera, RayDomain(projector), channels, [], list(pair_sets)
-    )
+    return MultilevelTransport(camera.shape, projector, channels, [], list(pair_sets))
 
 
 @pytest.fixture

@@ -107,7 +107,7 @@ def test_equal_matrices_make_equal_files(tmp_path: Path) -> None:
         ("matrix.npz", {"number_format": "uint8"}, "kept as float32"),
         ("kept.zarr", {"rows": [0]}, "a store holds the whole transport"),
         ("matrix.npz", {"limit_bytes": 1000}, r"3 x 15 x 24 = 1,080 entries.*choose rows or col"),
-        ("matrix.mat", {"columns": [24]}, "columns: there is no ray 24"),
+        ("matrix.mat", {"columns": [24]}, "columns: index 24 is out of bounds"),
     ],
 )
 def test_refused(tmp_path: Path, name: str, options, message: str) -> None:

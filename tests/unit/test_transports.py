@@ -53,8 +53,7 @@ def pairs() -> Made:
         sets.append(PairSet(level, block.astype(np.int32), pixel.astype(np.int32), values))
         own, sizes = tree.labels(level).ravel(), np.diff(tree.starts[level])
         matrix += (values.reshape(3, -1, M) / sizes[:, None])[:, own].swapaxes(1, 2)
-    domains = RayDomain(CAMERA), RayDomain(PROJECTOR)
-    return MultilevelTransport.from_pair_sets(*domains, 3, ROWS, sets), matrix
+    return MultilevelTransport(CAMERA, PROJECTOR, 3, ROWS, sets), matrix
 
 
 def terms() -> Made:

@@ -20,7 +20,7 @@ from rfpipe.methods.states import MethodState, grown, kept, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.multilevel import MultilevelTransport
-from rfpipe.transport.pairs import PairSet, fold, looks_symmetric, no_pairs
+from rfpipe.transport.pairs import PairSet, by_level, fold, looks_symmetric, no_pairs
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
@@ -187,9 +187,9 @@ def _transport(
     state: DualState, pair_sets: Sequence[PairSet], symmetric: bool = False
 ) -> MultilevelTransport:
     """Return the transport of some of the responses."""
-    return MultilevelTransport.from_pair_sets(
-        state.camera, state.projector, state.channels, list(state.rows), pair_sets, symmetric
-    )
+    shapes, rows = (state.camera.shape, state.projector.shape), list(state.rows)
+    sets = by_level(pair_sets)
+    return MultilevelTransport(*shapes, state.channels, rows, sets, symmetric=symmetric)
 
 
 def _asked(state: DualState) -> tuple[Blocks, Blocks]:

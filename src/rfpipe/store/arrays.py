@@ -93,8 +93,8 @@ class ArrayBundle:
         dtype: np.dtype[Any] = np.dtype(self._entry(name)["dtype"])
         return dtype
 
-    def read(self, name: str) -> NDArray[Any]:
-        """Read a whole array and check it against its digest.
+    def read(self, name: str, *, exactly: bool = False) -> NDArray[Any]:
+        """Read a whole array and check it against its digest; see `ChunkedArray` for `exactly`.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class ArrayBundle:
         array: NDArray[Any] | None = None
         cause: Exception | None = None
         try:
-            array = ChunkedArray(place).read()
+            array = ChunkedArray(place, exactly=exactly).read()
         except (IntegrityError, *DAMAGE) as error:
             cause = error
         if array is None or _array_entry(array) != entry:

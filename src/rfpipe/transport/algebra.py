@@ -179,23 +179,16 @@ class MatrixAlgebra(ABC):
 
 def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
     """Return the numbers of some rays of a domain; InputError, by `name`, if there are none."""
-    count = prod(shape)
+    every = np.arange(prod(shape))
     given = rays if rays is None or isinstance(rays, slice) else np.asarray(rays)
-    if given is None or isinstance(given, slice):
-        found = np.arange(count)[given or slice(None)]
-    elif given.dtype == np.bool_ and given.size != count:
-        raise InputError(f"{name}: a mask of {given.shape}; expected {shape}")
-    elif given.dtype == np.bool_:
-        found = np.flatnonzero(given)
-    elif given.dtype.kind in "iu" or not given.size:
-        found = given.reshape(-1).astype(np.int64)
-    else:
-        raise InputError(f"{name}: {given.dtype} values; expected numbers of rays, or a mask")
+    if isinstance(given, np.ndarray) and given.size:
+        given = given.ravel()
+    try:
+        found: Index = every if given is None else every[given]
+    except IndexError as error:
+        raise InputError(f"{name}: {error}; expected numbers or a mask of rays {shape}") from error
     if not len(found):
-        raise InputError(f"{name}: no rays are chosen of {count:,}")
-    wrong = found[(found < 0) | (found >= count)]
-    if len(wrong):
-        raise InputError(f"{name}: there is no ray {wrong[0]}; they count from 0 to {count - 1:,}")
+        raise InputError(f"{name}: no rays are chosen of {len(every):,}")
     return found
 
 

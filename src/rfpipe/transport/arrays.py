@@ -78,7 +78,7 @@ class ArrayTransport(Transport):
 
     @classmethod
     def _opened(cls, bundle: ArrayBundle, keep: bool) -> Arrays:  # noqa: ARG003
-        return LazyArrays(bundle.names, bundle.read, bundle.take)
+        return LazyArrays(bundle.names, bundle.read)
 
 
 class DenseTransport(ArrayTransport):
@@ -165,17 +165,11 @@ class LevelTransport(Transport):
 
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
-    """Named arrays that are read when first used; `take` returns some items, see `items_of`."""
+    """Named arrays that are read when first used."""
 
-    def __init__(
-        self,
-        names: Sequence[str],
-        read: Callable[[str], NDArray[Any]],
-        take: Callable[[str, NDArray[np.int64]], NDArray[Any]] | None = None,
-    ) -> None:
+    def __init__(self, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> None:
         self._names = tuple(names)
         self._read = cache(read)
-        self.take = take
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._names:
@@ -187,13 +181,6 @@ class LazyArrays(Mapping[str, NDArray[Any]]):
 
     def __len__(self) -> int:
         return len(self._names)
-
-
-def items_of(held: Arrays, name: str, items: NDArray[np.int64]) -> NDArray[Any]:
-    """Return items of an array along its last axis, and read little else of it."""
-    if isinstance(held, LazyArrays) and held.take is not None:
-        return held.take(name, items)
-    return np.ascontiguousarray(held[name][..., items])
 
 
 class SetsOnDemand(Sequence[S], Generic[K, S]):

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
-from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.store.arrays import ArrayBundle, write_arrays
 from rfpipe.transport.algebra import MatrixAlgebra, Rays
@@ -35,10 +31,6 @@ HISTORY_COLUMNS = ("level", "patterns", "estimated_error")
 estimated, relative to the norm of a relit image."""
 
 _BATCH = 64
-# Rays of both sides up to which a notebook shows a picture, which takes a second or so.
-_SHOWN_RAYS = 2**20
-_SHOWN_WIDTH = 280  # pixels of a notebook's page
-_WHITE = 99.5  # per cent of a picture's samples that are not cut off
 
 
 class Light(MatrixAlgebra):
@@ -135,23 +127,6 @@ class Light(MatrixAlgebra):
         from rfpipe.transport.matrix_out import write_matrix
 
         write_matrix(self, Path(path), rows, columns, limit_bytes)
-
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: the transport in words, its picture under full light."""
-        from rfpipe.pictures.images import png_bytes
-
-        text = f"<pre>{escape(repr(self))}</pre>"
-        if prod(self.projector_shape) + prod(self.camera_shape) > _SHOWN_RAYS:
-            return text
-        domain = RayDomain(self.camera_shape)
-        image = self.relight(np.ones(self.projector_shape, np.float32))
-        white = float(np.percentile(image, _WHITE)) or float(image.max()) or 1.0
-        view = image.reshape(*domain.stack_shape, -1)[domain.views // 2]
-        said = f"under full light{f', view {domain.views // 2}' if domain.is_stack else ''}"
-        return (
-            f"{text}<img src='data:image/png;base64,{b64encode(png_bytes(view, white)).decode()}' "
-            f"alt='{said}' title='{said}' style='width:{_SHOWN_WIDTH}px;image-rendering:pixelated'>"
-        )
 
 
 class Transport(Light):

@@ -57,42 +57,6 @@ class Collection(Mapping[str, Transport]):
         for name, transport in self.items():
             yield name, transport.relight(np.asarray(pattern))
 
-    def light_from(self, lights: Mapping[str, ArrayLike]) -> NDArray[np.float32]:
-        """Return the picture that the projector would see, lit from several positions at once.
-
-        By reciprocity a camera's position is that of a lamp [2.12]. Together they are a large lamp,
-        which casts soft shadows [Fig. 3.9].
-
-        Parameters
-        ----------
-        lights : mapping of str to array_like
-            By position what stands before the lamp there: ``(*camera_shape)`` or
-            ``(*camera_shape, C)``; ones for a lamp of its own, a picture for a slide.
-
-        Returns
-        -------
-        ndarray of float32, shape (*projector_shape, C)
-
-        Raises
-        ------
-        InputError
-            When there is no light, no such position, or their pictures differ in shape.
-        """
-        total: NDArray[np.float32] | None = None
-        for name, light in lights.items():
-            if name not in self:
-                raise InputError(f"{name!r} is no position; there are {', '.join([*self][:8])} ...")
-            picture = self[name].T.relight(np.asarray(light))
-            if total is not None and picture.shape != total.shape:
-                raise InputError(
-                    f"{name}: its picture has the shape {picture.shape}, those before "
-                    f"{total.shape}; they can't be added"
-                )
-            total = picture if total is None else total + picture
-        if total is None:
-            raise InputError("no lights are given; expected pictures by the names of positions")
-        return total
-
 
 def open_collection(
     path: str | Path, method: str | None = None, memory_budget: int = MEMORY_BUDGET

@@ -6,11 +6,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.transport.arrays import ArrayTransport, LazyArrays, items_of
+from rfpipe.transport.arrays import ArrayTransport
 from rfpipe.transport.base import Float
-from rfpipe.transport.hierarchical.leaves import ragged_ranges
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -53,27 +51,6 @@ class FootprintTransport(ArrayTransport):
         sent = functions["left"].T @ (light.T * held["camera_factor"][channel][:, None])
         smooth = functions["right"] @ (cores.T @ sent)
         return (direct.T @ light.T + smooth * held["projector_factor"][channel][:, None]).T
-
-    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> FootprintTransport:
-        """Return what some rays see and take, see `Light.between_some`.
-
-        The footprints are kept by the camera's rays: those of a part of the projector's are read
-        with all others.
-        """
-        held = self._held
-        wanted = {"footprints": seen, "left": seen, "right": lit}
-
-        def read(name: str) -> NDArray[Any]:
-            matrix, _, part = name.partition("_")
-            if matrix not in wanted:
-                return held[name]
-            rows, starts = wanted[matrix], held[f"{matrix}_starts"].astype(np.int64)
-            lengths = np.diff(starts) * rows
-            if part == "starts":
-                return np.append(0, np.cumsum(lengths))
-            return items_of(held, name, ragged_ranges(starts[:-1], lengths))
-
-        return self.holding(self.level_rows, LazyArrays([*held], read))
 
     def direct(self) -> FootprintTransport:
         """Return the footprints alone."""

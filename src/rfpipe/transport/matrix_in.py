@@ -19,8 +19,6 @@ RayOrder = Literal["rows", "columns"]
 
 Shape = tuple[int, ...]
 
-# Sparse matrices are groups of these; as MATLAB writes them, with an attribute for the rows.
-_COMPRESSED, _BY_MATLAB = {"data", "indices", "indptr"}, {"data", "ir", "jc"}
 # How HDF5 begins, where MATLAB may have put a block of its own before it.
 _SIGNATURE, _BLOCK = b"\x89HDF\r\n\x1a\n", 512
 
@@ -38,9 +36,7 @@ def read_matrix(
     ----------
     path : path
         ``.npy``; ``.npz`` of arrays, or of a matrix that `scipy.sparse.save_npz` wrote; ``.mat`` of
-        any version; ``.h5`` or ``.hdf5``; or a zarr folder. Sparse matrices in HDF5 and zarr are
-        groups of ``data``, ``indices`` and ``indptr`` (rows compressed, or columns where an
-        attribute ``format`` says csc), or as MATLAB writes them.
+        any version, sparse up to v7; ``.h5`` or ``.hdf5``; or a zarr folder.
     camera_shape, projector_shape : tuple of int
         The ray domains, of M and of N rays.
     dataset : str, optional
@@ -132,39 +128,19 @@ def _zarr(path: Path, name: str | None) -> Any:
         return _of_group(path, zarr.open(path, mode="r"), name)
 
 
-def _of_group(path: Path, item: Any, name: str | None) -> Any:
-    """Return the array, or sparse matrix, that a group of HDF5 or zarr holds or is."""
-    held = set(item) if hasattr(item, "keys") else None
-    if held is not None and (name is not None or not (held >= _COMPRESSED or held >= _BY_MATLAB)):
-        names = [key for key in held if not key.startswith("#")]
-        item = item[name if name and name in item else _chosen(path, names, name)]
+def _of_group(path: Path, group: Any, name: str | None) -> Any:
+    """Return an array of a group of HDF5 or zarr, or the array that stands in its place."""
+    item = group
+    if hasattr(group, "keys"):
+        names = [key for key in group if not key.startswith("#")]
+        item = group[name if name and name in group else _chosen(path, names, name)]
     if hasattr(item, "keys"):
-        return _sparse(path, item)
+        raise InputError(
+            f"{path}: {name or item.name} is a group, no array; name a dataset. A sparse matrix is "
+            "read from a .mat of version 7, or from what scipy.sparse.save_npz writes"
+        )
     # MATLAB counts its axes the other way round
     return item[...].transpose() if "MATLAB_class" in item.attrs else item[...]
-
-
-def _sparse(path: Path, group: Any) -> Any:
-    """Return the sparse matrix that a group holds."""
-    from scipy.sparse import csc_array, csr_array
-
-    keys, about = set(group), dict(group.attrs)
-    parts = {key: np.asarray(group[key][()]) for key in keys & (_COMPRESSED | _BY_MATLAB)}
-    if set(parts) == _BY_MATLAB:
-        index, ends = (parts[key].astype(np.int64) for key in ("ir", "jc"))
-        return csc_array(
-            (parts["data"], index, ends), shape=(int(about["MATLAB_sparse"]), len(ends) - 1)
-        )
-    if set(parts) != _COMPRESSED:
-        raise InputError(
-            f"{path}: the group {group.name} holds {', '.join(group)}; a sparse matrix is data, "
-            "indices and indptr. Name the dataset"
-        )
-    shape = about.get("shape", group["shape"][()] if "shape" in keys else None)
-    stated = about.get("format", "csr")
-    kind: Any = csc_array if stated in ("csc", b"csc") else csr_array
-    whole = None if shape is None else tuple(int(extent) for extent in shape)
-    return kind((parts["data"], parts["indices"], parts["indptr"]), shape=whole)
 
 
 def _chosen(path: Path, names: Iterable[str], name: str | None) -> str:

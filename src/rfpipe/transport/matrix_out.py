@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StoreError, installing
-from rfpipe.store.files import free_bytes, storage_errors, whole_file
+from rfpipe.store.files import storage_errors, whole_file
 from rfpipe.transport.algebra import (
     AT_A_TIME,
     Float,
@@ -110,12 +110,6 @@ def write_matrix(
             f"{path}: a matrix of {entries} = {prod(contents.shape):,} entries takes "
             f"{gibibytes(nbytes)}, the limit is {gibibytes(limit_bytes)}; choose rows or columns, "
             "lower the scale (at half of it the matrix is 16 times smaller), or raise the limit"
-        )
-    free = free_bytes(path.absolute().parent)
-    if nbytes > free:
-        raise StoreError(
-            f"{path}: up to {nbytes:,} bytes needed, {free:,} bytes free on its file system; make "
-            "room, or choose rows or columns"
         )
     with storage_errors(path, "writing", nbytes, resumes=False), whole_file(path) as partial:
         write(partial, contents)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.arrays import LevelTransport, SetsOnDemand, by_prefix, rounded
 from rfpipe.transport.base import Float
@@ -49,20 +48,6 @@ class MultilevelTransport(LevelTransport):
         super().__init__(*args, **named)
         self.symmetric = symmetric
         self._spreads: dict[int, Spread] = {}
-
-    @classmethod
-    def from_pair_sets(
-        cls,
-        camera: RayDomain,
-        projector: RayDomain,
-        channels: int,
-        level_rows: list[dict[str, Any]],
-        pair_sets: Sequence[PairSet],
-        symmetric: bool = False,
-    ) -> MultilevelTransport:
-        """Build a transport from pair sets, at most one a level."""
-        shapes = camera.shape, projector.shape
-        return cls(*shapes, channels, level_rows, by_level(pair_sets), symmetric=symmetric)
 
     def evenly(self) -> MultilevelTransport:
         """Return the transport whose responses are spread evenly over their blocks."""

@@ -59,11 +59,6 @@ def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> Patter
         operator: PatternOperator = matrix
         return operator
     if isinstance(matrix, np.ndarray) and matrix.ndim == 3:
-        if matrix.shape[:2] == (rows, columns) and matrix.shape[1:] != (rows, columns):
-            raise InputError(
-                f"the transport has the shape {matrix.shape}, its channels last; expected "
-                f"{(matrix.shape[2], rows, columns)}: give numpy.moveaxis(matrix, -1, 0)"
-            )
         matrix = list(matrix)
     given = list(matrix) if isinstance(matrix, list | tuple) else [matrix]
     if not given:
@@ -158,28 +153,24 @@ def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
     if matrix.shape != (rows, columns):
         raise InputError(
             f"{name} has the shape {matrix.shape}; camera_shape and projector_shape want "
-            f"({rows} camera rays, {columns} projector rays)"
+            f"({rows} camera rays, {columns} projector rays), channels first"
         )
     if isinstance(matrix, LinearOperator):
         return _linear(matrix)
     if not is_sparse and matrix.dtype.kind not in "fiub":
         raise InputError(f"{name} has dtype {matrix.dtype}; expected real numbers")
+    held: Any
     if is_sparse:
-        stored = sparse.csr_array(matrix, dtype=np.float64)
-        stored.sum_duplicates()
-        entries = stored.data
+        held = sparse.csr_array(matrix, dtype=np.float64)
+        held.sum_duplicates()
     else:
-        dense = np.asarray(matrix, np.float64)
-        entries = dense.ravel()
-    is_right = (entries >= 0) & (entries < np.inf)  # NaN is neither
-    if not is_right.all():
-        wrong = int(np.argmin(is_right))
-        row, column = divmod(wrong, columns)
-        if is_sparse:
-            row = int(np.searchsorted(stored.indptr, wrong, "right")) - 1
-            column = int(stored.indices[wrong])
+        held = np.asarray(matrix, np.float64)
+    entries = held.data if is_sparse else held
+    if not np.all((entries >= 0) & (entries < np.inf)):  # NaN is neither
+        found = sparse.coo_array(held)
+        at = np.argmin((found.data >= 0) & (found.data < np.inf))
         raise InputError(
-            f"{name} is {entries[wrong]} at row {row}, column {column}; light transport is finite "
-            "and not negative"
+            f"{name} is {found.data[at]} at row {found.row[at]}, column {found.col[at]}; light "
+            "transport is finite and not negative"
         )
-    return _sparse(stored) if is_sparse else _dense(dense)
+    return _sparse(held) if is_sparse else _dense(held)

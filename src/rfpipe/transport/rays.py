@@ -124,8 +124,8 @@ def squares(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_arr
 def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTransport:
     """Return a transport between some of its rays: of a view, of a part of a picture.
 
-    What passes between the others isn't read where the method keeps it apart: by ``symmetric``,
-    and, for the camera's rays, by ``footprints``. Others are read whole, for the same pictures.
+    What passes between the others isn't read of leaves, as ``symmetric`` finds them. All else is
+    read whole, for the same pictures.
 
     Parameters
     ----------

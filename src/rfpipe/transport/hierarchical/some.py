@@ -80,7 +80,8 @@ class StoredLeaves(SetsOnDemand[str, LeafSet]):
     def _some(self, key: str, rays: Rays) -> LeafSet:
         """Read the blocks of a set, and the values of the leaves that pass light."""
         names, level = self._sets[key], _level(key)
-        blocks = [self._bundle.read(names[part]) for part in _BLOCKS]
+        # of a zip behind an address, what is read ahead would depend on the order of the threads
+        blocks = [self._bundle.read(names[part], exactly=True) for part in _BLOCKS]
         chosen = np.flatnonzero(rays.pass_light(level, *blocks))
         sizes = leaf_sizes(rays.tree, level, *blocks)
         values = ragged_ranges((np.cumsum(sizes) - sizes)[chosen], sizes[chosen])
