@@ -82,24 +82,11 @@ def test_a_projector_beside_the_view_leaves_rays_unseen(tmp_path: Path) -> None:
     assert "NOT GOOD" in page
 
 
-def test_saturated_exposures_are_said_to_be(tmp_path: Path) -> None:
-    only = ["scene", "dark", "linearity"]
-    verdicts, facts, page = calibrated(tmp_path, only, sensor={"exposures": [0.5, 1.0, 2.0]})
-    assert "saturated even at the shortest exposure, 0.5 s" in verdicts["scene"]["verdict"]
-    assert facts["scene"]["proposed_exposures_s"][0] < 0.1
-    assert "saturated" in page
-
-
-@pytest.mark.parametrize("shortest", [2e-6, 2e-5])
-def test_exposures_far_too_short_are_too_dark(tmp_path: Path, shortest: float) -> None:
-    exposures = [shortest, 4 * shortest, 16 * shortest]
-    only = ["scene", "dark", "linearity", "light"]
-    verdicts, _, page = calibrated(tmp_path, only, sensor={"exposures": exposures})
+def test_exposures_far_too_short_are_too_dark(tmp_path: Path) -> None:
+    exposures = [2e-5, 8e-5, 32e-5]
+    verdicts, _, _ = calibrated(tmp_path, ["scene"], sensor={"exposures": exposures})
     assert verdicts["scene"]["standing"] == "poor"
     assert "longer exposures" in verdicts["scene"]["verdict"]
-    assert "warm up" not in page
-    assert verdicts["light"]["standing"] in ("poor", "failed")
-    assert "exposures" in verdicts["light"]["verdict"]
 
 
 @pytest.mark.parametrize("light", [{"ambient": 0.3}, {"projector_black": 0.05}])
@@ -121,16 +108,6 @@ def test_blur_is_told_whatever_flare_and_vignetting(tmp_path: Path) -> None:
     verdicts, facts, _ = calibrated(tmp_path, UP_TO_RAYS, **bench)
     assert "The picture is blurred by" in verdicts["rays"]["verdict"]
     assert facts["rays"]["blur_pixels"] == pytest.approx(1.0, abs=0.1)
-
-
-def test_a_linear_8_bit_camera_is_linear(tmp_path: Path) -> None:
-    verdicts, facts, _ = calibrated(
-        tmp_path,
-        ["scene", "dark", "linearity"],
-        sensor={"bits": 8, "black_level_counts": 4},
-    )
-    assert verdicts["linearity"]["standing"] == "good"
-    assert facts["linearity"]["response_gamma"] == 1
 
 
 def test_a_calibration_that_is_not_good_is_not_served(

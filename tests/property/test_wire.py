@@ -88,12 +88,6 @@ def test_a_message_is_an_archive_that_numpy_reads_and_the_same_each_time() -> No
         assert json.loads(archive["facts.json"]) == {"a": [1]}
 
 
-def test_big_endian_and_strided_arrays() -> None:
-    array = np.arange(12, dtype=">u2").reshape(3, 4)[:, ::2]
-    _, arrays = unpack(pack({}, {"a": array}), 100)
-    np.testing.assert_array_equal(arrays["a"], array)
-
-
 @pytest.mark.parametrize(
     ("shown", "most"),
     [

@@ -69,27 +69,6 @@ def test_a_request_sent_again_is_not_exposed_again(http: httpx.Client, rig: Slow
     assert "used with other patterns" in answer.json()["detail"]
 
 
-def test_a_request_sent_again_while_it_is_exposed_waits_for_that_exposure(
-    server: Running, rig: SlowRig
-) -> None:
-    rig.seconds = 0.3
-    with server.http() as http:
-        headers, body = headers_of(lease_of(http)), encode_patterns(ON, [(1, 5)])
-        answers = []
-
-        def post() -> None:
-            with server.http() as own:
-                answers.append(own.post("/v1/captures", content=body, headers=headers))
-
-        threads = [threading.Thread(target=post) for _ in range(3)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert [answer.status_code for answer in answers] == [200] * 3
-        assert rig.shown == [(1, 5)]
-
-
 def test_one_client_at_a_time_holds_the_rig(http: httpx.Client) -> None:
     lease = lease_of(http)
     answer = http.post("/v1/lease", json={"client": "another"})
@@ -291,28 +270,6 @@ def test_the_exposure_in_hand_ends_before_the_server_does(rig: SlowRig) -> None:
     assert answers[0].status_code == 503
     assert "being stopped" in answers[0].json()["detail"]
     assert (len(rig.shown), rig.closed) == (1, 1)
-
-
-def test_a_rig_is_opened_and_used_in_one_thread() -> None:
-    threads = []
-
-    class Watching(SlowRig):
-        def __init__(self) -> None:
-            threads.append(threading.get_ident())
-            super().__init__()
-
-        def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
-            threads.append(threading.get_ident())
-            return super().capture(patterns, keys)
-
-        def close(self) -> None:
-            threads.append(threading.get_ident())
-
-    with running(Watching) as server, server.client() as client:
-        client.capture(ON, [(1, 0)])
-    assert len(threads) == 3
-    assert len(set(threads)) == 1
-    assert threads[0] != threading.get_ident()
 
 
 def test_a_port_that_is_taken_is_named(server: Running) -> None:

@@ -10,7 +10,7 @@ import pytest
 from tests.server.harness import TOKEN, ResampledRig, Running, running
 
 from rfpipe import acquire
-from rfpipe.errors import CaptureError, ConfigError
+from rfpipe.errors import CaptureError
 from rfpipe.stages import assemble, captures, merge, normalize, refine, schedule
 from rfpipe.stages.capture import read_sensor
 from rfpipe.stages.folder import AcquisitionFolder
@@ -111,11 +111,3 @@ def test_another_rig_than_at_the_beginning(tmp_path: Path) -> None:
         acquisition.url = server.url
         with pytest.raises(CaptureError, match=r"not that of the patterns .*seed 0 -> 5"):
             acquisition.capture(1)
-
-
-def test_without_a_token_nothing_begins(tmp_path: Path, server: Running, monkeypatch: Any) -> None:
-    monkeypatch.delenv("RFPIPE_TOKEN", raising=False)
-    acquisition = Acquisition(tmp_path, server.url)
-    acquisition.schedule(0)
-    with pytest.raises(ConfigError, match="RFPIPE_TOKEN is not set"):
-        acquisition.capture(0, token_file=None)

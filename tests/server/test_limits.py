@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import resource
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -118,34 +116,6 @@ def test_no_requests_take_a_gigabyte(process: tuple[subprocess.Popen[bytes], str
             assert set(pool.map(post, [99] * 6, [sent["gaps"]] * 6)) == {200}
     print(f"{peak_bytes(server):,} bytes at most")
     assert peak_bytes(server) < 10**9
-
-
-@contextmanager
-def more_files() -> Iterator[None]:
-    """Allow as many open files as this process may have."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, hard), hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-@pytest.mark.parametrize("asked", [b"", b"GET /v1/health HTTP/1.1\r\nHost: rig\r\n\r\n", b"GET /v"])
-def test_700_connections_without_a_token_do_not_keep_the_owner_out(asked: bytes) -> None:
-    """Of whoever says nothing, asks for what needs no token, or begins to ask."""
-    rig = SlowRig()
-    # as long as they need not be waited for, however busy this machine is
-    with more_files(), ExitStack() as stack, running(rig, head_seconds=120) as server:
-        for _ in range(700):
-            idle = stack.enter_context(socket.create_connection(("127.0.0.1", server.port)))
-            idle.sendall(asked)
-        began = time.monotonic()
-        with server.client(patience_seconds=60) as client:
-            for index in range(5):
-                client.capture(np.ones((1, 3, 7), np.float32), [(1, index)])
-        assert time.monotonic() - began < 60
-    assert len(rig.shown) == 5
 
 
 def test_who_has_not_shown_the_token_is_not_kept_waiting_for_more() -> None:

@@ -12,7 +12,6 @@ from tests.benches import flat_frames, uneven
 
 from rfpipe.calibration.black import measure_dark
 from rfpipe.calibration.responses import (
-    fit_noise,
     measure_light,
     measure_linearity,
     measure_transfer,
@@ -110,14 +109,6 @@ def test_dark_frames_that_are_cut_off_hot_or_lit_are_said_to_be() -> None:
     every_third = slice(None, None, 3)
     assert "are hot" in dark_of(CAMERA, bend=hot(500, every_third, every_third)).verdict.text
     assert dark_of(replace(CAMERA, exposures=(0.25,)))["current_counts_per_s"] == 0
-
-
-def test_a_perfect_curve_gives_its_numbers_back() -> None:
-    signal, ones = np.geomspace(5, 3000, 40), np.ones(40)
-    fit = fit_noise(signal, 1.2 + 1 / 12 + signal / 5, 1e5 * ones, ones)
-    assert fit.gain == pytest.approx(5, rel=1e-6)
-    assert fit.read == pytest.approx(1.2, rel=1e-5)
-    assert fit.misfit == 0
 
 
 @pytest.mark.parametrize(

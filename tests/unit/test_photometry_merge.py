@@ -66,14 +66,6 @@ def test_weights_from_the_pooled_estimate_are_unbiased_and_those_from_each_count
     assert pooled.var(dtype=np.float64) == pytest.approx(best, rel=0.02)
 
 
-def test_all_exposures_count() -> None:
-    """At equal exposures in all but name, three have a third of one's variance."""
-    one = replace(CAMERA, exposures=(0.01,))
-    three = replace(CAMERA, exposures=(0.01, 0.010001, 0.010002))
-    ratio = take(one, flat(0.1)).variance.mean() / take(three, flat(0.1)).variance.mean()
-    assert ratio == pytest.approx(3, rel=0.01)
-
-
 def test_noise_of_the_black_level_is_in_the_variance() -> None:
     for count in (1, 4):
         merged = take(CAMERA, flat(0.0), count)
@@ -234,13 +226,3 @@ def test_demosaic_states_the_variance_of_its_interpolation() -> None:
     noise = random.normal(0, np.sqrt(variance), (3000, 6, 7)).astype(np.float32)
     colour, stated = demosaic(noise, np.broadcast_to(variance, noise.shape), "GBRG")
     np.testing.assert_allclose(colour.var(axis=0), stated[0], rtol=0.15)
-
-
-def test_mosaic_camera_merges_before_it_interpolates() -> None:
-    camera = replace(CAMERA, bayer="RGGB")
-    image = np.broadcast_to(np.array([0.2, 0.05, 0.4], np.float32), (60, 80, 3))
-    merged = take(camera, image)
-    assert merged.radiance.shape == (1, 60, 80, 3)
-    deviation = np.sqrt(merged.variance[0].mean(axis=(0, 1)))
-    np.testing.assert_allclose(merged.radiance[0].mean(axis=(0, 1)), image[0, 0], rtol=2e-3)
-    np.testing.assert_allclose(merged.radiance[0].std(axis=(0, 1)), deviation, rtol=0.1)

@@ -131,19 +131,6 @@ def test_a_ray_without_a_good_pixel_is_unknown() -> None:
         assert np.flatnonzero(image == 0).tolist() == [1, 7]
 
 
-def test_hot_pixels_are_kept_from_rays() -> None:
-    resampling = random_resampling()
-    sensor = ResampledSensor(CAMERA, resampling)
-    light = np.full((*CAMERA_SHAPE, 1), 0.5, np.float32)
-    dark = frames_of(CAMERA, np.zeros_like(light), 4)
-    frames = frames_of(CAMERA, light, 4)
-    dark[:, :, 4, 4], frames[:, :, 4, 4] = 3000, 3001
-    merger = Merger.from_references(sensor, [dark], [frames])
-    assert merger.defects is not None
-    assert merger.defects.mask.sum() == 1
-    assert merger.floodlit == pytest.approx(np.full((*SHAPE, 1), 0.5), rel=0.05)
-
-
 @pytest.mark.parametrize(
     "sensor",
     [

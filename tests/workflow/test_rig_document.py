@@ -10,18 +10,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rfpipe import open_transport
-from rfpipe.calibration.correspondence import fit_map
 from rfpipe.config import load_rig_config
-from rfpipe.rigs.bench import optical_path
-from rfpipe.rigs.layout import pixel_middles
 from rfpipe.scenes import relighting_patterns, scene_from_config
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.relight import images_of
-from rfpipe.store import open_arrays
 
 pytestmark = pytest.mark.slow
 
@@ -68,7 +63,6 @@ def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
     run_commands(tmp_path)
     check_pictures(tmp_path)
     check_numbers(tmp_path)
-    check_correspondence(tmp_path)
 
 
 def check_pictures(bench: Path) -> None:
@@ -89,18 +83,3 @@ def check_numbers(bench: Path) -> None:
     for name in ("read_noise_electrons", "full_well_electrons", "dark_current_electrons"):
         assert found["camera"][name] == pytest.approx(getattr(true, name), rel=0.1), name
     assert found["camera"]["black_level_counts"] == pytest.approx(true.black_level_counts, abs=0.1)
-
-
-def check_correspondence(bench: Path) -> None:
-    config = load_rig_config(ROOT / "config/bench.yaml")
-    path = optical_path(config.bench)
-    height, width = config.bench.camera_shape
-    y, x = np.mgrid[:height, :width] + 0.5
-    true = path.projector_points(np.stack([x, y], axis=-1))
-    seen = np.isfinite(true).all(axis=-1)
-    found = open_arrays(bench / "calibration/steps/correspondence.zarr")
-    valid, there = found.read("valid"), np.stack([found.read("x"), found.read("y")], axis=-1)
-    assert valid[seen].mean() > 0.9
-    smooth = fit_map(pixel_middles((height, width))[valid], there[valid])
-    error = np.hypot(*(smooth(np.stack([x, y], axis=-1)[seen]) - true[seen]).T)
-    assert error.mean() < 0.1  # projector pixels; a camera pixel is four of them wide
