@@ -85,7 +85,7 @@ def test_normalization_is_finite_bounded_and_adds_up_where_it_covers(
     images: np.ndarray, floodlit: np.ndarray, variance: np.ndarray, mode: str
 ) -> None:
     total = images.sum(axis=0, dtype=np.float64)
-    normalization = level_gain(floodlit, total, variance, mode, True, 3.0)
+    normalization = level_gain(floodlit, total, variance, mode, True, 3.0, 0 * variance)
     corrected, spread = apply(images, np.abs(images), normalization)
     assert np.isfinite(corrected).all()
     assert np.isfinite(spread).all()

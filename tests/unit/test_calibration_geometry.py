@@ -75,7 +75,7 @@ def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) ->
 def test_darkness_and_noise_are_said() -> None:
     bench = wedge_bench(rays=(8, 8), display=(32, 32), camera=(24, 24))
     bench.path.radiance = lambda light: np.zeros((24, 24, 1), np.float32)  # type: ignore[method-assign]
-    found = correspondence_of(bench, period_pixels=8, phase_steps=4)
+    found = correspondence_of(bench, period_pixels=8)
     assert found["valid"].sum() == 0
     assert "Only 0 camera pixels" in found.verdict.text
     bench = wedge_bench(sensor=replace(CAMERA, electrons_per_radiance=300.0))

@@ -151,7 +151,7 @@ def test_eight_bits_hide_the_read_noise_but_not_the_noise_of_darkness() -> None:
 def test_few_pictures_are_said_to_be_few() -> None:
     verdict = transfer_of(CAMERA, uneven((12, 12)), levels=2).verdict
     assert verdict.standing == "unknown"
-    assert "Take more pictures" in verdict.text
+    assert "Take more levels" in verdict.text
 
 
 def test_light_that_flickers_adds_no_noise_and_speckle_does() -> None:

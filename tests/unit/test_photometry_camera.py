@@ -95,9 +95,9 @@ def test_frames_under_a_mosaic_have_no_channels() -> None:
     camera = CameraModel(bayer="RGGB")
     assert camera.frame_shape((2, 4, 5), 3) == (4, 2, 4, 5)
     assert camera.expose(flat(0.1, (2, 4, 5, 3)), 0, (0, 0)).shape == (4, 2, 4, 5)
-    with pytest.raises(InputError, match="needs 3 channels, not 1"):
+    with pytest.raises(InputError, match="not 1 of"):
         camera.frame_shape((4, 5), 1)
-    with pytest.raises(InputError, match="at least 2 x 2 pixels"):
+    with pytest.raises(InputError, match=r"not 3 of \(1, 5\)"):
         camera.frame_shape((1, 5), 3)
 
 

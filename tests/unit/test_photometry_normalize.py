@@ -23,7 +23,7 @@ def dimmed(patterns: int = 5) -> tuple[np.ndarray, np.ndarray]:
 def gain(
     images: np.ndarray, floodlit: np.ndarray, mode: Mode, complete: bool = True
 ) -> Normalization:
-    return level_gain(floodlit, images.sum(axis=0), NONE, mode, complete, 3.0)
+    return level_gain(floodlit, images.sum(axis=0), NONE, mode, complete, 3.0, NONE)
 
 
 def test_total_energy_distributes_the_floodlit_colour_by_each_images_energy() -> None:
@@ -62,7 +62,7 @@ def test_bounded_and_untouched_where_the_sum_is_zero_or_within_noise(
     images, floodlit = dimmed()
     images[:, 2, 3] = total / len(images)
     variance = np.full(SHAPE, 0.0 if total < 0.01 else 0.2**2)
-    normalization = level_gain(floodlit, images.sum(axis=0), variance, mode, True, 3.0)
+    normalization = level_gain(floodlit, images.sum(axis=0), variance, mode, True, 3.0, NONE)
     assert np.isfinite(normalization.gain).all()
     assert not normalization.covered[2, 3].any()
     assert np.delete(normalization.covered.reshape(-1, 3), 23, axis=0).any()
@@ -93,7 +93,7 @@ def test_a_channel_without_light_stays_without() -> None:
     images[..., 2] = np.random.default_rng(1).normal(0, 1e-3, images.shape[:-1])
     floodlit[..., 2] = np.random.default_rng(2).normal(0, 1e-3, SHAPE[:-1])
     normalization = level_gain(
-        floodlit, images.sum(axis=0), np.full(SHAPE, 5e-6), "total_energy", True, 3.0
+        floodlit, images.sum(axis=0), np.full(SHAPE, 5e-6), "total_energy", True, 3.0, NONE
     )
     corrected, spread = apply(images, np.full_like(images, 1e-6), normalization)
     np.testing.assert_allclose(corrected.sum(axis=0), np.maximum(floodlit, 0), rtol=1e-4, atol=1e-6)
@@ -133,7 +133,8 @@ def test_fig_b_1_the_sum_of_single_pixels_is_pale_and_normalization_mends_it() -
     total = images.sum(axis=0)
     floodlit, _ = demosaic(mosaic(light.sum(axis=0), "RGGB"), np.ones(total.shape[:2]), "RGGB")
     np.testing.assert_allclose(total, floodlit, rtol=1e-5)
-    normalization = level_gain(floodlit, total, np.zeros(total.shape), "total_energy", True, 3.0)
+    exact = np.zeros(total.shape)
+    normalization = level_gain(floodlit, total, exact, "total_energy", True, 3.0, exact)
     corrected, _ = apply(images, np.ones_like(images), normalization)
     assert colour_error(corrected, light) < 0.2 * colour_error(images, light)
 

@@ -29,7 +29,6 @@ def test_the_default_file_holds_the_defaults() -> None:
          "projector.options.display is 'HDMI-1'"),
         ({"projector": {"options": {"settle_second": 1}}}, "did you mean settle_seconds?"),
         ({"bench": {"camera": {"bits": 8}}}, "bench.camera.bits and bench.camera.bayer should be"),
-        ({"calibrate": {"repeats": 3}}, "repeats is 3; it should be a multiple of 2"),
         ({"calibrate": {"period_pixels": 10}}, "period_pixels is 10; it should be a multiple of 4"),
         ({"calibrate": {"views": [1, 2], "corners": [[[0, 0], [1, 0], [1, 1], [0, 1]]]}},
          "corners should have four corners for each of 2 views, not for 1"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -24,12 +24,6 @@ Double = NDArray[np.float64]
 
 Progress = Callable[[str, int], AbstractContextManager[Any]]
 """Makes what counts pictures of a title, such as `rfpipe.stages.jobs.job.Progress`."""
-
-
-_NUMBERS = {
-    "linearity": ("response_gamma",),
-    "transfer": ("full_well_electrons", "read_noise_electrons", "dark_current_electrons"),
-}
 
 
 class DeviceError(Exception):
@@ -57,13 +51,11 @@ def camera_model(camera: Camera) -> CameraModel:
 
 def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
     """Return the parameters of `CameraModel` that were measured."""
-    numbers: dict[str, Any] = {
-        name: found[step][name]
-        for step, names in _NUMBERS.items()
-        for name in (names if step in found else ())
-    }
-    if "dark" in found:
-        numbers["black_level_counts"] = max(0, round(found["dark"]["black_level_counts"]))
+    names = {field.name for field in fields(CameraModel)}
+    facts = [one.facts for one in found.values()]
+    numbers = {name: one[name] for one in facts for name in one if name in names}
+    if "black_level_counts" in numbers:
+        numbers["black_level_counts"] = max(0, round(numbers["black_level_counts"]))
     return numbers
 
 

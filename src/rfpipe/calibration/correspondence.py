@@ -26,6 +26,7 @@ _CELLS = 4
 # Cells of the Gray code a period: half a cell and one misread neighbour are still less than the
 # half period up to which the phase is unwrapped rightly.
 
+_STEPS = 6  # sinusoids a period: harmonics up to the fourth don't bend the phase
 _COARSER = 2  # period of the second sinusoids over that of the first; both tell the blur
 _WEAK = 3.0  # standard deviations below which a bit is not told from its inverse
 _INLIER = 4.0  # robust deviations up to which a point belongs to the map
@@ -35,13 +36,11 @@ _INLIER = 4.0  # robust deviations up to which a point belongs to the map
 class AxisCode:
     """The pictures that tell one coordinate of the projector: Gray code, and sinusoids.
 
-    A coordinate counts pixels from the picture's edge: a pixel's middle lies at a half. With n
-    sinusoids, 3 or more, harmonics up to n - 2 don't bend the phase.
+    A coordinate counts pixels from the picture's edge: a pixel's middle lies at a half.
     """
 
     extent: int
     period: int = 16
-    steps: int = 6
 
     @property
     def bits(self) -> int:
@@ -57,8 +56,8 @@ class AxisCode:
             code = ((cell ^ (cell >> 1)) >> bit & 1).astype(np.float32)
             lines += [code, 1 - code]
         for period in (self.period, _COARSER * self.period):
-            for step in range(self.steps):
-                phase = 2 * np.pi * ((pixel + 0.5) / period - step / self.steps)
+            for step in range(_STEPS):
+                phase = 2 * np.pi * ((pixel + 0.5) / period - step / _STEPS)
                 lines.append((0.5 + 0.5 * np.cos(phase)).astype(np.float32))
         return lines
 
@@ -81,9 +80,9 @@ class AxisCode:
         binary = np.logical_xor.accumulate(bright > inverse, axis=0)
         cell = np.tensordot(1 << np.arange(self.bits)[::-1], binary, 1)
         coarse = (cell + 0.5) * (self.period // _CELLS)
-        amplitude, phase = self._wave(images[split : split + self.steps])
-        smooth, _ = self._wave(images[split + self.steps :])
-        noise = np.sqrt(variance[split:].mean(axis=0) * 2 / self.steps)
+        amplitude, phase = self._wave(images[split : split + _STEPS])
+        smooth, _ = self._wave(images[split + _STEPS :])
+        noise = np.sqrt(variance[split:].mean(axis=0) * 2 / _STEPS)
         fine = self.period * phase / (2 * np.pi)
         coordinate = fine + self.period * np.round((coarse - fine) / self.period)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -102,8 +101,8 @@ class AxisCode:
 
     def _wave(self, images: Double) -> tuple[Double, Double]:
         """Return amplitude and phase of sinusoids shifted step by step, (steps, ...)."""
-        turn = np.exp(2j * np.pi * np.arange(self.steps) / self.steps)
-        wave = np.tensordot(turn, images, 1) * 2 / self.steps
+        turn = np.exp(2j * np.pi * np.arange(_STEPS) / _STEPS)
+        wave = np.tensordot(turn, images, 1) * 2 / _STEPS
         return np.abs(wave), np.angle(wave)
 
 
@@ -119,9 +118,7 @@ def measure_correspondence(bench: Bench) -> Findings:
         ``error`` and ``modulation``, those of the worse axis; ``contrast`` (2, Hc, Wc); ``valid``.
     """
     shape, settings = bench.projector.shape, bench.settings
-    codes = [
-        AxisCode(extent, settings.period_pixels, settings.phase_steps) for extent in shape[::-1]
-    ]
+    codes = [AxisCode(extent, settings.period_pixels) for extent in shape[::-1]]
     lines = [code.lines() for code in codes]
     images = bench.radiance(
         [

@@ -63,10 +63,10 @@ STEPS: dict[str, Step] = {
         Step("dark", "Black level and dark frames", (), ("dark_frames",), measure_dark),
         Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), measure_linearity),
         Step("light", "Response of the projector", _LIT[:2], ("codes", "tolerance"), measure_light),
-        Step("transfer", "Photon-transfer curve", _LIT, ("levels", "repeats"), measure_transfer),
+        Step("transfer", "Photon-transfer curve", _LIT, ("levels",), measure_transfer),
         Step(
             "correspondence", "Correspondence of projector and camera",
-            ("scene", *_LIT, "transfer"), ("period_pixels", "phase_steps"), measure_correspondence,
+            ("scene", *_LIT, "transfer"), ("period_pixels",), measure_correspondence,
         ),
         Step(
             "rays", "Rays of camera and projector", ("correspondence",),

@@ -215,7 +215,7 @@ def measure_transfer(bench: Bench) -> Findings:
         # two counts wide at least, a quarter above whole ones: rounding meets all fractions in it
         edges.append(np.floor(max(edges[-1] * _RATIO, edges[-1] + 2)) + 0.25)
     sums = np.zeros((4, len(edges) - 1))
-    levels = np.geomspace(1 / 256, 1, settings.levels).repeat(settings.repeats)
+    levels = np.geomspace(1 / 256, 1, settings.levels).repeat(2)
     frames = bench.take([bench.flat(level) for level in levels], linear=True)
     for pair in zip(frames, frames, strict=False):
         one, two = (bracket[:, good] for bracket in pair)

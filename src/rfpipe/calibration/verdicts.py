@@ -121,7 +121,7 @@ transfer good: Known well enough for the merge: {numbers}.
 transfer poor misfit > 0.1: The variance misses that of photons by {misfit:.0%}; {numbers}. Is the
     camera linear, its gamma and noise reduction off, the light steady?
 transfer unknown known_within > 0.1: Too few pairs to know the noise within {limit:.0%}: {numbers}.
-    Take more pictures a level, or more levels.
+    Take more levels (calibrate.levels).
 correspondence good: {valid_share:.0%} of the camera's pixels are decoded, with a noise of
     {median_error_pixels:.3f} projector pixels.
 correspondence poor valid_pixels < 100: Only {valid_pixels} camera pixels see the projector's

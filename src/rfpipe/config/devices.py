@@ -38,9 +38,6 @@ class CalibrationConfig(Settings):
     levels: Count = setting(
         8, "Flat pictures of the photon-transfer curve, from dark to bright, 2 to 1000."
     )
-    repeats: Count = setting(
-        2, "Brackets of each of them, taken in pairs, 2 to 1000.", multiple_of=2
-    )
     codes: int = setting(33, "Codes at which the projector's light is measured.", ge=5, le=256)
     period_pixels: int = setting(
         16,
@@ -49,7 +46,6 @@ class CalibrationConfig(Settings):
         le=1024,
         multiple_of=4,
     )
-    phase_steps: int = setting(6, "Pictures of stripes an axis, beside the Gray code.", ge=3, le=64)
     views: tuple[ViewCount, ViewCount] | None = setting(
         None, "Rows and columns of an array of views, 1 to 16 each; null: a single one."
     )

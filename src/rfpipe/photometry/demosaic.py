@@ -29,12 +29,10 @@ _WEIGHTS = ((1, 0.5, 0.25), (1, 0.25, 0), (1, 0.5, 0.25))
 
 def check_mosaic(camera_shape: tuple[int, ...], channels: int) -> None:
     """Raise InputError unless images of this shape can be sampled through a colour mosaic."""
-    if channels != 3:
-        raise InputError(f"a Bayer mosaic needs 3 channels, not {channels}; set bayer to null")
-    if min(camera_shape[-2:]) < 2:
+    if channels != 3 or min(camera_shape[-2:]) < 2:
         raise InputError(
-            f"a Bayer mosaic needs images of at least 2 x 2 pixels, not {camera_shape[-2:]}; "
-            "set bayer to null"
+            f"a Bayer mosaic needs 3 channels of at least 2 x 2 pixels, not {channels} of "
+            f"{camera_shape[-2:]}; set bayer to null"
         )
 
 

@@ -40,7 +40,7 @@ def level_gain(
     mode: Mode,
     complete: bool,
     significance: float,
-    floodlit_variance: NDArray[Any] | None = None,
+    floodlit_variance: NDArray[Any],
 ) -> Normalization:
     """Return the factors that make a level's images add up to the floodlit image.
 
@@ -58,9 +58,8 @@ def level_gain(
         up to the floodlit image, and nothing is done anywhere.
     significance : float
         Standard deviations by which a total must exceed its noise to be scaled, at least 0.
-    floodlit_variance : ndarray of float, same shape, optional
-        Variance of `floodlit`; huge where it is saturated, infinite where it is unknown. None
-        takes it for exact.
+    floodlit_variance : ndarray of float, same shape
+        Variance of `floodlit`; huge where it is saturated, infinite where it is unknown.
 
     Returns
     -------
@@ -69,8 +68,6 @@ def level_gain(
         within noise or not positive, or where the total holds less than ``1 / MAXIMUM_GAIN`` of the
         floodlit image.
     """
-    if floodlit_variance is None:
-        floodlit_variance = np.zeros(np.shape(floodlit))
     floodlit, floodlit_variance, total, total_variance = (
         np.asarray(array, np.float64)
         for array in (floodlit, floodlit_variance, total, total_variance)
