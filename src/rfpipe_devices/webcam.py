@@ -57,10 +57,6 @@ class WebcamOptions(Settings):
         description="Frames dropped before each one that counts, as they were on their way while "
         "picture or exposure time changed, 0 to 100.",
     )
-    controls: dict[str, float] = Field(
-        default_factory=dict,
-        description="Further settings, as OpenCV names its CAP_PROP_..., such as {GAIN: 0}.",
-    )
 
 
 class Webcam(BracketCamera):
@@ -107,7 +103,6 @@ class Webcam(BracketCamera):
             "backend": self._options.backend,
             "channels": self.channels,
             "skip_frames": self._options.skip_frames,
-            "controls": dict(sorted(self._options.controls.items())),
             "adapts": list(self.adapts),
         }
 
@@ -184,9 +179,6 @@ class Webcam(BracketCamera):
         ):
             if not self._set(name, off):
                 adapts.append(what)
-        for name, value in options.controls.items():
-            if not hasattr(self._cv2, f"CAP_PROP_{name}") or not self._set(name, value):
-                raise CaptureError(f"{self._name}: refuses camera.controls.{name} = {value:g}")
         stream = _letters(int(self._handle.get(self._cv2.CAP_PROP_FOURCC)))
         if stream in ("MJPG", "JPEG", "H264", "HEVC"):
             adapts.append(f"compression ({stream})")

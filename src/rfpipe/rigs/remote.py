@@ -55,8 +55,6 @@ class RemoteRig(Closing):
     patience_seconds : float
         How long to wait for a server that doesn't answer, for another client to end, or for a rig
         that fails, at least 0.
-    client : str, optional
-        A name for the server's log; this machine and process by default.
 
     Raises
     ------
@@ -66,11 +64,8 @@ class RemoteRig(Closing):
         When the URL is none of ``http`` or ``https``.
     """
 
-    def __init__(
-        self, url: str, token: str, patience_seconds: float = 600.0, client: str | None = None
-    ) -> None:
+    def __init__(self, url: str, token: str, patience_seconds: float = 600.0) -> None:
         self.url = url
-        self._client = client or f"{socket.gethostname()}:{getpid()}"
         self._connection = _Connection(url, token, patience_seconds)
         self._heart: _HeartBeat | None = None
         try:
@@ -169,7 +164,8 @@ class RemoteRig(Closing):
             _log.warning(_LAPSED, self.url)
             self._give_back()
         if self._heart is None:
-            answer = self._connection.send("POST", "/v1/lease", json={"client": self._client})
+            client = f"{socket.gethostname()}:{getpid()}"  # for the server's log
+            answer = self._connection.send("POST", "/v1/lease", json={"client": client})
             self._heart = _HeartBeat(
                 self._connection, LeaseAnswer.model_validate_json(answer.content)
             )
