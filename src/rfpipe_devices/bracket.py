@@ -49,12 +49,6 @@ class BracketCamera(Closing, ABC):
     A frame that fails or doesn't come in time is taken again; a camera that is lost is looked for,
     set up and asked again. What arrives late is dropped, never taken for the next exposure.
 
-    Parameters
-    ----------
-    sensor : CameraModel
-    options
-        Those of the driver's model `Options`, by name.
-
     Attributes
     ----------
     Options : type

@@ -100,19 +100,8 @@ class Dlpc900Projector(Closing):
     output frames each picture of a sequence: wire it to the input that the camera's settings name.
     Written from the maker's guide DLPU018J and tried on an emulator of it only: never on metal.
 
-    Parameters
-    ----------
-    device : str
-    serial : str, optional
-    settle_seconds : float
-        As `Dlpc900Options` has them.
-    transport : optional
-        In the place of the USB device: with ``write``, ``read`` and ``close`` of hidapi's `device`.
-
-    Raises
-    ------
-    CaptureError
-        When no such device answers.
+    Options as `Dlpc900Options` has them. `transport` stands in the place of the USB device, with
+    ``write``, ``read`` and ``close`` of hidapi's `device`. CaptureError where no device answers.
     """
 
     Options = Dlpc900Options

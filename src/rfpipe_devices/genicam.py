@@ -343,13 +343,7 @@ class GenicamCamera(BracketCamera):
 
 
 def chosen(connected: Iterable[str], serial: str | None) -> int:
-    """Return the index of a camera by the serial numbers of those that answer.
-
-    Raises
-    ------
-    CaptureError
-        When it is none, or any of several.
-    """
+    """Return the index of a camera by the serial numbers of those that answer, or CaptureError."""
     serials = list(connected)
     if serial is not None and serial in serials:
         return serials.index(serial)

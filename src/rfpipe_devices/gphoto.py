@@ -93,12 +93,8 @@ class PhotoCamera(BracketCamera):
     the sensor's; exposure times are the nearest that the camera has. Options as `PhotoOptions` has
     them.
 
-    Raises
-    ------
-    CaptureError
-        When gphoto2 or rawpy is missing, no camera answers, or it refuses a setting: says which.
-    InputError
-        When two exposures have one nearest time.
+    CaptureError where gphoto2 or rawpy is missing, no camera answers, or it refuses a setting;
+    InputError where two exposures have one nearest time.
     """
 
     kind = "gphoto2"

@@ -98,13 +98,8 @@ class PylonCamera(GenicamCamera):
 class PylonBenchCamera(PylonCamera):
     """The driver's emulated camera on the bench in software, its pictures read from files.
 
-    Parameters
-    ----------
-    scenery : Scenery
-    sensor : CameraModel
-        The camera as the rig has it; its exposures are set, its noise is not used.
-    options
-        As the driver has them; what says which camera it is, and the frames' shape, is the bench's.
+    The exposures of `sensor` are set, its noise is not used; what says which camera it is, and the
+    frames' shape, is the bench's.
     """
 
     kind = "bench"

@@ -66,13 +66,8 @@ class Webcam(BracketCamera):
     camera of metal. Options as `WebcamOptions` has them; `adapts` names what bends or adapts counts
     and could not be switched off.
 
-    Raises
-    ------
-    CaptureError
-        When OpenCV is missing, or the device doesn't open or give a frame.
-    InputError
-        When the sensor has other than 8 bits or a mosaic, or several exposures that the camera
-        can't be told.
+    CaptureError where OpenCV is missing, or the device doesn't open or give a frame; InputError
+    where the sensor has other than 8 bits or a mosaic, or exposures that the camera can't be told.
     """
 
     kind = "webcam"

@@ -62,23 +62,14 @@ class OpticalPath:
     Parameters
     ----------
     scene : PatternOperator
-        Light transport over the rays, from a ray domain to itself.
-    shape : tuple of int
-        The ray domain, see `RayDomain`, of N rays.
-    projector_shape, camera_shape : (int, int)
-        Height and width in pixels.
+        Light transport from a ray domain of N rays, `shape`, to itself.
     projector_corners, camera_corners : sequence of Quadrilateral
-        Of each view's rays on the projector and on the camera.
+        Of each view's rays on the projector and on the camera, of `projector_shape` and
+        `camera_shape` pixels.
     direct : ndarray, shape (N, C), optional
-        Radiance of each ray that the light of its own projector pixels alone gives: the part of
-        the scene's diagonal to show at the projector's resolution.
+        Radiance of each ray that the light of its own projector pixels alone gives.
     ambient : float
         Radiance of other light in every camera pixel.
-
-    Raises
-    ------
-    InputError
-        When corners don't span a quadrilateral, or a ray has no projector pixel.
     """
 
     def __init__(
@@ -181,13 +172,10 @@ class Scenery:
 
     Parameters
     ----------
-    path : OpticalPath
     light_of_code : ndarray of float32, shape (256,)
         The projector's true response.
     camera : CameraModel
         Its noise, bits and mosaic; the exposures are those that the driver sets.
-    seed : int
-        Seed of the noise.
     delay_seconds : float
         From a picture's drawing to its light.
     knock : (int, int, int), optional
@@ -298,15 +286,7 @@ class BenchProjector(WindowProjector):
 
 
 def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
-    """Return the projector and the camera of a rig's bench.
-
-    Raises
-    ------
-    CaptureError
-        When the camera's library is missing.
-    InputError
-        When the scene doesn't fit the picture.
-    """
+    """Return the projector and the camera of a rig's bench; CaptureError without its library."""
     bench = config.bench
     assert bench is not None
     true = sensor_from_config(bench.camera or config.sensor)

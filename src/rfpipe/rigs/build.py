@@ -156,14 +156,8 @@ class DeviceRig(Closing):
 def rig_from_config(config: RigConfig) -> Rig:
     """Return the rig of a settings file; close it, if it has devices, when done.
 
-    Raises
-    ------
-    CaptureError
-        When a device doesn't answer: says which, and what to set.
-    StoreError
-        When the calibration can't be read.
-    InputError
-        When calibration and devices don't fit together.
+    CaptureError where a device doesn't answer, StoreError where the calibration can't be read,
+    InputError where it doesn't fit the devices.
     """
     if config.rig is not None:
         rig: Rig = config.rig.make(sensor=config.sensor and sensor_of(config))

@@ -81,12 +81,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 def load_calibration(folder: str | Path) -> Calibration:
     """Read a calibration, such as `rfpipe calibrate` wrote.
 
-    Raises
-    ------
-    StoreError
-        When there is none, or not yet a complete one.
-    IntegrityError
-        When it is damaged.
+    StoreError where there is no complete one, IntegrityError where it is damaged.
     """
     folder = Path(folder)
     if not (folder / FACTS).is_file():
@@ -162,18 +157,8 @@ def faults_of(verdicts: Mapping[str, Mapping[str, str]]) -> list[str]:
 def check_verdicts(facts: Mapping[str, Any], folder: str | None, *, force: bool) -> None:
     """Refuse a rig whose calibration is not good, or warn of it where that is forced.
 
-    Parameters
-    ----------
-    facts : mapping
-        Those of a `Calibration`; empty where the rig has none.
-    folder : str or None
-        Where it lies; None for a rig without one.
-    force : bool
-
-    Raises
-    ------
-    ConfigError
-        When a step is not good, and it isn't forced: names each, and what to do.
+    `facts` are those of a `Calibration`, and `folder` is where it lies, None for a rig without one.
+    ConfigError names each step that is not good, and what to do.
     """
     if folder is None:
         _log.warning(

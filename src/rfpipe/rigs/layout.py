@@ -48,10 +48,7 @@ def apply_homography(matrix: NDArray[Any], points: NDArray[Any]) -> Double:
 def homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
     """Return the matrix (3, 3) from a view's plane of rays, of a domain `shape`, to a picture.
 
-    Raises
-    ------
-    InputError
-        When the corners don't span a quadrilateral.
+    InputError where the corners span no quadrilateral.
     """
     plane = _rectangle((0, 0), RayDomain(shape).image_shape[::-1])
     rows = []
@@ -72,19 +69,8 @@ def centred_corners(
 ) -> list[Quadrilateral]:
     """Return the corners of views side by side in the middle, each ray a square of whole pixels.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        The ray domain.
-    picture_shape : (int, int)
-        Height and width in pixels.
-    views : (int, int)
-        Rows and columns of views.
-
-    Raises
-    ------
-    InputError
-        When a ray doesn't get a pixel.
+    `views` are rows and columns of views, each of a ray domain `shape`. InputError where a ray
+    doesn't get a pixel.
     """
     image = RayDomain(shape).image_shape
     height, width = (extent * count for extent, count in zip(image, views, strict=True))
@@ -136,17 +122,8 @@ def _places(
 class ProjectorLayout:
     """Which ray each projector pixel belongs to: a pattern over the rays becomes a picture.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        The ray domain, see `RayDomain`, of N rays.
-    ray_of_pixel : ndarray of int32, shape (Hp, Wp)
-        Index of the ray, in row-major order, that each pixel shows; `DARK` where it shows none.
-
-    Raises
-    ------
-    InputError
-        When the domain isn't one, or an index is out of range.
+    `ray_of_pixel` (Hp, Wp) is the index of the ray, in row-major order of the domain `shape`, that
+    each pixel shows; `DARK` where it shows none. InputError where one is out of range.
     """
 
     shape: tuple[int, ...]

@@ -38,28 +38,14 @@ _NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random
 class OfflineRig:
     """A projector and a camera at the other end of a folder of pictures.
 
-    Parameters
-    ----------
-    sensor : Sensor
-        That of the camera.
-    camera_shape, projector_shape : tuple of int
-        The ray domains.
-    channels : int
-    layout : ProjectorLayout, optional
-        Where the rays lie on the projector. None: each of its pixels is a ray.
-    resampling : Resampling, optional
-        How the camera's pictures become images on its rays. None: its pixels are its rays.
+    `layout` says where the rays lie on the projector, `resampling` how the camera's pictures become
+    images on its rays; without them each pixel is a ray. InputError where the parts don't fit.
 
     Attributes
     ----------
     bracket : callable or None
         ``bracket(key, pattern)`` returns the frames of a pattern, or None where it wasn't taken;
         CaptureError where those of this key are of another pattern.
-
-    Raises
-    ------
-    InputError
-        When the parts don't fit together.
     """
 
     seconds_per_pattern = 0.0
@@ -258,15 +244,7 @@ def write_sheet(
 
 
 def read_sheet(folder: Path) -> Sheet:
-    """Read a sheet.
-
-    Raises
-    ------
-    InputError
-        When there is none in the folder.
-    IntegrityError
-        When its manifest is damaged.
-    """
+    """Read a sheet; InputError where there is none, IntegrityError where it is damaged."""
     if not (folder / MANIFEST).is_file():
         raise InputError(
             f"{folder}: holds no {MANIFEST}; give the folder that 'rfpipe patterns' wrote, with "

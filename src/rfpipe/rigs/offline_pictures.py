@@ -66,22 +66,9 @@ class Checked:
 def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool = False) -> Checked:
     """Check pictures against what was to be shown, and put them in order.
 
-    Parameters
-    ----------
-    rig : OfflineRig
-    sheet : Sheet
-    folder : Path
-        Of the pictures, whose names sort in the order of taking, a bracket's together.
-    anyway : bool
-        Whether pictures that are too bright or too dark are taken, too.
-
-    Raises
-    ------
-    InputError
-        When a picture can't be read.
-    CaptureError
-        When their number, size, channels, bits, exposure times or order is wrong, or the floodlit
-        one is saturated or dark: names the picture, and says what to do.
+    Their names sort in the order of taking, a bracket's together. With `anyway` pictures that are
+    too bright or too dark are taken, too. InputError where one can't be read; CaptureError names a
+    wrong one, and says what to do.
     """
     files = picture_files(folder)
     step = len(sheet.exposures_s)

@@ -114,11 +114,8 @@ class WindowProjector(Closing):
     options
         As `WindowOptions` has them, by name, the same where they aren't given.
 
-    Attributes
-    ----------
-    statistics : dict of str to int
-        ``shown``: pictures; ``reopened``: times that the window was lost and opened again;
-        ``disturbed``: pictures of which `undisturbed` was told that they didn't stand.
+    `statistics` counts pictures ``shown``, times that the window was ``reopened``, and pictures of
+    which `undisturbed` told that they were ``disturbed``.
 
     Raises
     ------
