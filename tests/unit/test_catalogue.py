@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from rfpipe.cli import app
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue
+from rfpipe.report.text import size
 from rfpipe.store.files import hidden_sibling
 
 HEADER = "name,kind,surfaces,shape,channels,about.title\n"
@@ -113,7 +114,7 @@ def test_the_rays_of_a_projector_that_stands_aside_are_told(tmp_path: Path) -> N
     (tmp_path / "scenes.csv").write_text(rows)
     results = tmp_path / "results"
     write_catalogue(load_config(run), results)
-    assert "4 x 4, lit by 2 x 2" in (results / CATALOGUE).read_text()
+    assert f"{size(2, 2)} to {size(4, 4)}" in (results / CATALOGUE).read_text()
 
 
 def test_a_small_picture_is_made_again_only_when_its_scene_is(listed: Path) -> None:

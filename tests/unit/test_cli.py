@@ -219,16 +219,6 @@ def test_validate_recognises_a_rig(name: str) -> None:
     assert "rfpipe calibrate and serve" in run("plan", CONFIG.with_name(name))
 
 
-def test_info_names_the_transports_below_a_folder(
-    transport: Path, tmp_path: Path, failure: Callable[..., str]
-) -> None:
-    lines = run("info", tmp_path).splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith(f"{transport}: 4 x 6 rays seen")
-    (tmp_path / "empty").mkdir()
-    assert "no transport lies" in failure("info", tmp_path / "empty")
-
-
 @pytest.mark.parametrize(("scale", "shape"), [(3, (12, 18)), ("1/2", (2, 3))])
 def test_relit_pictures_at_scale(
     transport: Path, tmp_path: Path, scale: object, shape: tuple[int, int]

@@ -184,9 +184,6 @@ def test_a_packed_folder_opens_as_a_run_does(packed: Path) -> None:
         rfpipe.open_transport(packed)
     named = str(caught.value).splitlines()[1].strip()
     assert rfpipe.open_transport(named).camera_shape == (6, 8)
-    lines = CliRunner().invoke(app, ["info", str(packed)]).output.splitlines()
-    assert len(lines) == 4
-    assert f"{packed}/a/hadamard/transport.zarr: 6 x 8 rays seen" in "".join(lines)
 
 
 def test_a_collection_is_published_with_its_catalogue(

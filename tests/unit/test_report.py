@@ -108,7 +108,7 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     assert entry["verification"]["mean_error"] == pytest.approx(found.mean_error)
     assert "verified_grey_brute_force_steep" in stems(tmp_path)
     (row,) = pd.read_csv(tmp_path / "report/tables/verification_rig.csv").to_dict("records")
-    assert (row["troubled"], row["reconnected"]) == (2, 1)
+    assert (row["camera failed"], row["camera reconnected"]) == (2, 1)
 
 
 @pytest.mark.slow

@@ -297,7 +297,7 @@ def test_a_large_transport_is_read_from_a_folder(
     chromium: Any, tmp_path: Path, ranges: bool
 ) -> None:
     transport = transport_of("symmetric")
-    compared = Compared(transport.relight(np.ones(SHAPE)), "the truth", is_truth=True)
+    compared = Compared(transport.relight(np.ones(SHAPE)), "the truth")
     older = tmp_path / "big" / "levels" / "level_99.bin"
     older.parent.mkdir(parents=True)
     older.write_bytes(b"of an older one")

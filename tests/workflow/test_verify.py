@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import shutil
 import subprocess
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -269,18 +267,13 @@ def test_a_run_damaged_in_many_ways_at_once_is_mended_by_the_commands_named(
     for store in ("L03/capture.zarr", "L02/merge.zarr", "L01/refine.zarr"):
         damage(run / store)
     misplace(run, "transport.zarr")
-    said = subprocess.run(
-        [sys.executable, "-m", "rfpipe.cli", "verify", str(copy.folder), "--json"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert said.returncode == 1, said.stderr
-    findings = json.loads(said.stdout)["findings"]
-    harmed = {Path(finding["path"]).relative_to(run).as_posix() for finding in findings}
+    findings = check(copy.folder).findings
+    harmed = {Path(finding.path).relative_to(run).as_posix() for finding in findings}
     assert harmed == {
         "L02/capture.zarr", "L01/normalize.json", "L00/schedule.json", "L03/capture.zarr",
         "L02/merge.zarr", "L01/refine.zarr", "transport.zarr",
     }  # fmt: skip
-    commands = [finding["mend"].partition(" && ") for finding in findings]
+    commands = [command_for(finding).partition(" && ") for finding in findings]
     for removal, _, _ in commands:
         subprocess.run(removal, shell=True, check=True)
     (again,) = {again for _, _, again in commands}

@@ -35,20 +35,12 @@ if TYPE_CHECKING:
 _WHITE_PERCENTILE = 99.9  # a glint may be cut off
 
 
-def _names(incomplete: str) -> list[str]:
-    """Complete the name of a pattern; a file is completed by the shell."""
-    from rfpipe.scenes.relighting import RELIGHTING_PATTERNS
-
-    return [name for name in ("white", *RELIGHTING_PATTERNS) if name.startswith(incomplete)]
-
-
 def relight(
     path: TransportPath,
     pattern: Annotated[
         list[str],
         typer.Option(
             metavar="NAME|FILE",
-            autocompletion=_names,
             help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; a picture "
             "of the projector's size, one channel (white light) or RGB, its values taken as linear "
             "weights, whole numbers as fractions of their largest; a .npy file of weights, (count, "

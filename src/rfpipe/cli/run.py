@@ -6,7 +6,8 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from argparse import ArgumentParser
+from collections.abc import Iterator
 from contextlib import chdir, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,7 +26,6 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opt
 """How `run` is registered: all that follows its name is for Snakemake."""
 
 _REPORT = Path("results") / "report" / "index.html"
-_CONFIGS, _DIRECTORY = ("--configfile", "--configfiles"), ("--directory", "-d")
 _SHOWN = 30  # rows of a forecast
 _MOST_NAMED = 8  # folders of scenes that are no more
 
@@ -36,13 +36,17 @@ def run(context: typer.Context) -> None:
     The settings are checked first, so that what is wrong is said with its file and line. At the
     end the report's path is printed.
     """
-    if not Path("Snakefile").is_file() and not {"-s", "--snakefile"} & set(context.args):
+    parser = ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
+    parser.add_argument("--directory", "-d", type=Path, default=Path())
+    parser.add_argument("--snakefile", "-s", default="Snakefile")
+    given, _ = parser.parse_known_args(context.args)
+    files, folder = given.configfile, given.directory
+    if not Path(given.snakefile).is_file():
         raise InputError("Snakefile: isn't here; run this in rfpipe's folder, or give --snakefile")
     from rfpipe.config import load_config, read_yaml
     from rfpipe.stages.jobs.ends import snakemake_program
 
-    files = list(_values(context.args, _CONFIGS))
-    folder = Path(next(reversed([*_values(context.args, _DIRECTORY)]), ""))
     for file in files:
         read_yaml(file)
     if len(files) == 1:
@@ -83,21 +87,6 @@ def _to_its_end(command: list[str]) -> int:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _values(arguments: Sequence[str], names: Sequence[str]) -> Iterator[str]:
-    """Yield the values of an option, however it is written; of one that takes several, all."""
-    taking = False
-    for argument in arguments:
-        name, equals, value = argument.partition("=")
-        if name in names and equals:
-            yield value
-            taking = False
-        elif argument.startswith("-"):
-            taking = argument in names
-        elif taking:
-            yield argument
-            taking = names is _CONFIGS
 
 
 def plan(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rfpipe.errors import InputError, StoreError
+from rfpipe.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,27 +50,8 @@ _SMALLEST_MOVIE = 360  # pixels of its shorter side, unless told otherwise
 _MATRICES = (".npz", ".h5", ".hdf5", ".mat")
 
 
-def info(
-    path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="TRANSPORT|FOLDER",
-            help="A transport.zarr that a run left in results/; or a folder, to name those below.",
-        ),
-    ],
-) -> None:
-    """Show a transport's shape, channels, bytes and levels; of a folder, name those below it."""
-    from rfpipe.store.places import METADATA, locate
-    from rfpipe.transport.storage import transports_in
-
-    if path.is_dir() and path.suffix != ".zarr" and not (path / METADATA).exists():
-        place = locate(path)
-        below = transports_in(place)
-        if not below:
-            raise InputError(f"{path}: no transport lies in this folder or below it")
-        for name in below:
-            typer.echo(_line(place / name))
-        return
+def info(path: TransportPath) -> None:
+    """Show a transport's shape, channels, bytes and levels; of a folder of several, their names."""
     transport = open_checked(path)
     rows, columns = map(math.prod, (transport.camera_shape, transport.projector_shape))
     dense = rows * columns * transport.channels * 4  # float32
@@ -105,19 +86,6 @@ def open_checked(path: Path | Place) -> Transport:
 def times(shape: tuple[int, ...]) -> str:
     """Show a shape, as in ``62 x 70``."""
     return " x ".join(map(str, shape))
-
-
-def _line(path: Path | Place) -> str:
-    try:
-        transport = open_checked(path)
-    except StoreError as error:
-        return f"{path}: damaged ({str(error).partition('. ')[0]}); rfpipe verify says more"
-    patterns = sum(int(row["patterns"]) for row in transport.level_rows)
-    return (
-        f"{path}: {times(transport.camera_shape)} rays seen, {times(transport.projector_shape)} "
-        f"lit, {transport.channels} channels, {patterns:,} patterns, "
-        f"{transport.nbytes / 1e6:.3g} MB"
-    )
 
 
 def export(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -32,9 +31,6 @@ def verify(
             "manifests, and no picture that can still be read.",
         ),
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the findings as JSON, for other programs.")
-    ] = False,
 ) -> None:
     """Check every store, chunk, manifest and table, and name the command that mends each finding.
 
@@ -45,16 +41,14 @@ def verify(
     """
     from tqdm import tqdm
 
+    from rfpipe.report.page import check_page
     from rfpipe.stages.checking import check, command_for
 
     quiet = not sys.stderr.isatty()
     with tqdm(unit="B", unit_scale=True, leave=False, disable=quiet) as bar:
         checked = check(folder, bar.update)
     commands = [command_for(finding) for finding in checked.findings]
-    if as_json:
-        typer.echo(json.dumps(_plain(folder, checked, commands), indent=2))
-    else:
-        _print(folder, checked, commands)
+    _print(folder, checked, commands)
     removals = checked.removals()
     if mend and removals:
         from rfpipe.store.files import remove_tree
@@ -63,22 +57,16 @@ def verify(
             remove_tree(path)
         again = dict.fromkeys(command.rpartition(" && ")[2] for command in commands if command)
         said = f"removed {len(removals)} files and folders; now run: {' && '.join(again)}"
-        typer.echo(said, err=as_json)
+        typer.echo(said)
         return
     pages = [
         place / "index.html" for place in (folder, folder / "report", folder / "results/report")
     ]
-    faults = [fault for page in pages if page.is_file() for fault in _page_faults(page)]
+    faults = [fault for page in pages if page.is_file() for fault in check_page(page)]
     for fault in faults:
-        typer.echo(fault, err=as_json)
+        typer.echo(fault)
     if checked.findings or faults:
         raise typer.Exit(1)
-
-
-def _page_faults(page: Path) -> list[str]:
-    from rfpipe.report import check_page
-
-    return check_page(page)
 
 
 def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
@@ -105,23 +93,3 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
             "All at once: rfpipe verify FOLDER --mend removes what these commands remove, and says "
             "what to run."
         )
-
-
-def _plain(folder: Path, checked: Checked, commands: list[str]) -> dict[str, Any]:
-    counts = {name: getattr(checked, name) for name in ("stores", "manifests", "files", "bytes")}
-    findings = [
-        {
-            "path": str(finding.path),
-            "what": finding.what,
-            "mend": command or None,
-            "cost": finding.mend.cost or None,
-        }
-        for finding, command in zip(checked.findings, commands, strict=True)
-    ]
-    return {
-        "folder": str(folder),
-        "whole": not findings,
-        **counts,
-        "notes": checked.notes,
-        "findings": findings,
-    }

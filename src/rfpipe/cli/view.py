@@ -8,14 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rfpipe.cli.transports import TransportPath, picture_of_rays
-from rfpipe.errors import InputError
 
 if TYPE_CHECKING:
     from rfpipe.transport import Transport
     from rfpipe.viewer import Compared
-
-_PICTURES = (".exr", ".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr")
-_EIGHT_BITS = (".png", ".jpg", ".jpeg")
 
 
 def view(
@@ -28,13 +24,9 @@ def view(
         Path | None,
         typer.Option(
             metavar="PATH",
-            help="Another transport of the same rays, or a picture of the camera's size (.exr in "
-            "the transport's radiance; of 8-bit pictures white is the page's), to wipe to.",
+            help="Another transport of the same rays, or a picture of the camera's size, an .exr "
+            "of radiance, to wipe to.",
         ),
-    ] = None,
-    truth: Annotated[
-        Path | None,
-        typer.Option(metavar="PATH", help="As --compare; the differences are called errors."),
     ] = None,
     title: Annotated[str | None, typer.Option(help="Heading of the page.")] = None,
     largest: Annotated[
@@ -55,14 +47,10 @@ def view(
     from rfpipe.viewer import write_view
     from rfpipe.viewer.stored import view_of
 
-    if compare is not None and truth is not None:
-        raise InputError("--compare and --truth: give one of them, a page has one comparison")
     store = find_transport(path)
     shown, kept = view_of(store, title)
-    beside = compare or truth
-    if beside is not None:
-        compared = _compared(beside, shown.transport, is_truth=truth is not None)
-        shown, kept = view_of(store, title, compared)
+    if compare is not None:
+        shown, kept = view_of(store, title, _compared(compare, shown.transport))
     names = [str(kept[name]) for name in ("scene", "method") if kept.get(name)]
     page = output or Path(f"{'_'.join(names) or Path(str(store)).stem}.html")
     written = write_view(shown, page, round(largest * 1e6))
@@ -76,25 +64,16 @@ def view(
         )
 
 
-def _compared(path: Path, transport: Transport, *, is_truth: bool) -> Compared:
+def _compared(path: Path, transport: Transport) -> Compared:
     """Read what to compare with: a transport, or a picture."""
     from rfpipe.transport.storage import find_transport
     from rfpipe.viewer import Compared
     from rfpipe.viewer.stored import view_of
 
-    if path.suffix.lower() not in _PICTURES:
-        other, _ = view_of(find_transport(path))
-        return Compared(other.transport, "truth" if is_truth else other.title, is_truth)
-    picture = picture_of_rays(str(path), path, transport.camera_shape)
-    if path.suffix.lower() in _EIGHT_BITS:
-        import numpy as np
-
-        from rfpipe.viewer.build import white_of
-
-        low, high = picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4
-        linear = np.where(picture <= 0.04045, low, high) * white_of(transport)
-        picture = linear.astype(np.float32)
-    return Compared(picture, path.name, is_truth)
+    if path.suffix == ".exr":
+        return Compared(picture_of_rays(str(path), path, transport.camera_shape), path.name)
+    other, _ = view_of(find_transport(path))
+    return Compared(other.transport, other.title)
 
 
 def _listed(levels: list[int]) -> str:

@@ -13,13 +13,15 @@ import numpy as np
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import RfpipeError
 from rfpipe.report.inputs import job_times, read_json
+from rfpipe.report.page import rendered
+from rfpipe.report.text import ray_size
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import StoreLock
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import estimates
 
 if TYPE_CHECKING:
-    from rfpipe.config import Config, SceneSettings
+    from rfpipe.config import Config
 
 CATALOGUE = Path("catalogue") / "index.html"
 """In the folder of results."""
@@ -50,14 +52,10 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     dict
         Acquisitions by state.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     rows = [_row(settings, results, *names) for names in settings.acquisitions]
     counts = Counter(row["state"] for row in rows)
-    loader = PackageLoader("rfpipe.report", ".")
-    options: Any = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
-    environment = Environment(loader=loader, autoescape=True, **options)
-    page = environment.get_template("catalogue.html.j2").render(
+    page = rendered(
+        "catalogue.html.j2",
         title=Path(settings.collection).stem if settings.collection else settings.title,
         rows=rows,
         about=list(dict.fromkeys(key for row in rows for key in row["about"])),
@@ -91,7 +89,7 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
         "why": why,
         "order": _STATES.index(state),
         "kind": about.kind,
-        "rays": _rays(about),
+        "rays": ray_size(about),
         "rig": about.rig or "",
         "about": about.about,
         "picture": picture.name if write_thumbnail(folder, picture) else None,
@@ -99,12 +97,6 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
         "log": f"../{log.relative_to(results).as_posix()}" if log else None,
         **_numbers(folder if state == "done" else None),
     }
-
-
-def _rays(scene: SceneSettings) -> str:
-    """Say how many rays the camera has, and the projector where it has others."""
-    camera, lit = (" x ".join(map(str, it)) for it in (scene.camera_ray_shape, scene.ray_shape))
-    return camera if camera == lit else f"{camera}, lit by {lit}"
 
 
 class Standing(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rfpipe.pictures.images import srgb
 
@@ -25,7 +25,6 @@ _ERROR = "relit \N{MINUS SIGN} truth,\n% of white"
 _WIDTH, _TEXT = 2.2, 0.4  # inches of a panel, and of what stands above and below it
 _RATIOS = (0.25, 1.4)
 _LEAST_LIMIT = 1e-3  # per cent of white, of pictures without any error
-_MARGIN = 1.3  # of a logarithmic axis, beyond what it shows
 _STYLE: Any = {
     "font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
     "axes.linewidth": 0.6,
@@ -165,12 +164,7 @@ def new_figure(
         return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def scene_curves(
-    scenes: Sequence[str],
-    draw_scene: Callable[[Axes, str], None],
-    patterns: ArrayLike,
-    errors: ArrayLike,
-) -> Figure:
+def scene_curves(scenes: Sequence[str], draw_scene: Callable[[Axes, str], None]) -> Figure:
     """Draw errors against patterns, both logarithmic, a panel a scene.
 
     Parameters
@@ -178,12 +172,11 @@ def scene_curves(
     scenes : sequence of str
     draw_scene : callable
         Draws the curves of a scene, errors in per cent.
-    patterns, errors : array_like of float
-        All that is drawn, errors as fractions, for the limits of the axes.
     """
     columns = min(ABREAST, len(scenes))
     rows = -(-len(scenes) // columns)
-    figure, axes = new_figure(rows, columns, (2.5 * columns + 0.5, 2.4 * rows + 0.4))
+    size = (2.5 * columns + 0.5, 2.4 * rows + 0.4)
+    figure, axes = new_figure(rows, columns, size, sharex=True, sharey=True)
     for axis in axes.flat[len(scenes) :]:
         axis.set_axis_off()
     for axis, scene in zip(axes.flat, scenes, strict=False):
@@ -193,8 +186,6 @@ def scene_curves(
         for direction in (axis.xaxis, axis.yaxis):
             _plain_numbers(direction)
         draw_scene(axis, scene)
-        axis.set_xlim(*_limits(patterns))
-        axis.set_ylim(*_limits(100 * np.asarray(errors)))
         axis.label_outer()
     shared_legend(figure)
     return figure
@@ -206,13 +197,6 @@ def _plain_numbers(axis: Any) -> None:
     axis.set_major_locator(LogLocator(10, (1, 3)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def _limits(values: ArrayLike) -> tuple[float, float]:
-    """Return limits of a logarithmic axis that shows all values above 0."""
-    seen = np.asarray(values, float)
-    seen = seen[np.isfinite(seen) & (seen > 0)]
-    return (seen.min() / _MARGIN, seen.max() * _MARGIN) if seen.size else (_MARGIN, 10.0)
 
 
 def shared_legend(figure: Figure) -> None:

@@ -74,8 +74,7 @@ def speed_section(inputs: Inputs) -> Section | None:
         "acquisition had stopped after each level, against the patterns shown by then. Methods "
         "that fit all their pictures together have their last level alone."
     )
-    patterns = [*table["patterns"], *rays.values()]
-    figure = scene_curves(scenes, draw_scene, patterns, table["error"])
+    figure = scene_curves(scenes, draw_scene)
     shown = table_of(
         "Error after each level",
         "As in the plot.",
@@ -189,5 +188,4 @@ def estimates_figure(
             axis.axhline(100 * run["true_error"], linestyle="--", linewidth=1.1, color=colour)
         axis.axhline(100 * target, linestyle=":", linewidth=0.9, color=_GREY)
 
-    errors = [*steps["estimated_error"], *compared["true_error"], target]
-    return scene_curves(list(dict.fromkeys(steps["scene"])), draw_scene, steps["patterns"], errors)
+    return scene_curves(list(dict.fromkeys(steps["scene"])), draw_scene)

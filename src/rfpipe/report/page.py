@@ -142,17 +142,25 @@ def write_page(
     views : mapping of str to sequence of (str, str), optional
         The viewer's pages by scene: method, and path from this page.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    loader = PackageLoader("rfpipe.report", ".")
-    options: Any = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True}
-    parts = [(one, [_placed(page.parent, block) for block in one.blocks]) for one in sections]
-    text = (
-        Environment(loader=loader, **options)
-        .get_template("page.html.j2")
-        .render(title=title, lead=lead, sections=parts, swatches=swatches, views=views or {})
+    text = rendered(
+        "page.html.j2",
+        title=title,
+        lead=lead,
+        sections=[(one, [_placed(page.parent, block) for block in one.blocks]) for one in sections],
+        swatches=swatches,
+        views=views or {},
     )
     write_atomically(page, text.encode())
+
+
+def rendered(template: str, **parts: Any) -> str:
+    """Return a template of this package, filled in."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    options: Any = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    loader = PackageLoader("rfpipe.report", ".")
+    environment = Environment(loader=loader, autoescape=True, **options)
+    return environment.get_template(template).render(parts)
 
 
 def _placed(folder: Path, block: Block) -> dict[str, Any]:

@@ -11,10 +11,6 @@ from rfpipe.report.page import Block, Gallery, Illustration, Section, Table, tab
 from rfpipe.report.text import fixed, number, percent, words
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
-# What devices count of a capture without faults.
-_USUAL = (" frames", " shown", " played", " doubted", " one_by_one")
-_AGAIN = ("reconnected", "reopened")
-
 
 def verification_section(inputs: Inputs) -> Section | None:
     """What each transport is wrong by on pictures that were captured for this alone."""
@@ -44,7 +40,8 @@ def verification_section(inputs: Inputs) -> Section | None:
             "The rig during the capture",
             "Largest change of the floodlit image; of a repeated random pattern beyond brightness "
             "and noise; largest residual of reciprocity on a rig taken for coaxial (about 1 if it "
-            "is) and the error that it means at least; what devices counted. A dash: not measured.",
+            "is) and the error that it means at least. A dash: not measured. The file has what "
+            "devices counted.",
             [_of_the_rig(run) for run in runs],
             inputs.labels,
             [
@@ -54,8 +51,6 @@ def verification_section(inputs: Inputs) -> Section | None:
                 ("reciprocity, error, %", "reciprocity", percent),
                 ("saturated samples", "saturated", number),
                 ("saturated, %", "saturated_share", percent),
-                ("frames failed, lost or late", "troubled", number),
-                ("devices reconnected, reopened", "reconnected", number),
             ],
             csv="verification_rig.csv",
             is_folded=False,
@@ -83,19 +78,14 @@ def _text(inputs: Inputs, run: Run) -> list[str]:
 
 
 def _of_the_rig(run: Run) -> dict[str, Any]:
-    facts, devices = run.verified, run.verified["devices"]
-    again = {name for name in devices if name.endswith(_AGAIN)}
-    # what was doubted and found right, or shown in another way, isn't lost
-    troubled = {name for name in devices if not name.endswith(_USUAL)} - again
+    facts = run.verified
     names = ("drift", "moved", "reciprocity", "reciprocity_deviations", "saturated")
     return {
         "scene": run.scene,
         "method": run.method,
         **{name: facts[name] for name in names},
         "saturated_share": facts["saturated"] / max(facts["samples"], 1),
-        "troubled": sum(devices[name] for name in troubled) if devices else None,
-        "reconnected": sum(devices[name] for name in again) if devices else None,
-        **devices,
+        **facts["devices"],
     }
 
 

@@ -46,13 +46,10 @@ class Compared:
         transport's radiance, under whatever light it was taken.
     name : str
         What it is called.
-    is_truth : bool
-        Whether a difference from it is an error.
     """
 
     light: Transport | NDArray[Any]
     name: str
-    is_truth: bool = False
 
 
 @dataclass(frozen=True)
@@ -263,7 +260,6 @@ def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> s
         lead=view.lead,
         about=view.about,
         compared=compared.name if compared else "nothing",
-        difference="Error" if compared and compared.is_truth else "Difference",
         has_views=RayDomain(view.transport.projector_shape).views > 1,
         connects="data:" if "files" not in manifest else "'self' data:",
         preview=Markup(_preview_of(view.transport, manifest["white"])),
