@@ -170,27 +170,6 @@ def test_of_a_thousand_mistakes_some_are_told(tmp_path: Path) -> None:
     assert "and 970 more" in told[-1]
 
 
-def test_yaml_has_defaults_and_groups(tmp_path: Path) -> None:
-    rows = """
-defaults: {kind: plane, surfaces: [white], camera: {bits: 14}}
-scenes:
-  - {name: a, camera.exposures: [0.5]}
-  - name: b
-    kind: wedge
-    surfaces: [white, texture]
-    methods: {dual: {tolerance: 0.01}}
-"""
-    run = load_config(settings(tmp_path, rows, "scenes.yaml"))
-    camera = run.of_scene("a").camera
-    assert camera is not None
-    assert (camera.bits, camera.exposures) == (14, (0.5,))
-    assert run.scenes["b"].kind == "wedge"
-    assert list(run.methods_of("b")) == ["dual"]
-    told = refusal(tmp_path, rows.replace("bits", "bit"), "scenes.yaml")
-    start = "scenes.yaml: scene 1: scenes.a.settings.camera.bit is unknown"
-    assert told[0].startswith(start)
-
-
 def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
     rows = (
         "name,kind,surfaces,about.title,about.from,about.Inv.-Nr. (alt)\n"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import time
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
@@ -27,7 +26,6 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opt
 
 _REPORT = Path("results") / "report" / "index.html"
 _SHOWN = 30  # rows of a forecast
-_MOST_NAMED = 8  # folders of scenes that are no more
 
 
 def run(context: typer.Context) -> None:
@@ -172,10 +170,6 @@ def catalogue(
     folder: Annotated[
         Path, typer.Option(help="The run's results, finished or not, or while it runs.")
     ] = Path("results"),
-    every: Annotated[
-        float,
-        typer.Option(min=0, help="Write it again every so many seconds, until Ctrl-C; 0: once."),
-    ] = 0.0,
 ) -> None:
     """Write results/catalogue/index.html: what became of each acquisition, with a small picture.
 
@@ -183,19 +177,8 @@ def catalogue(
     writes it at any time. Sort and filter it in any browser.
     """
     from rfpipe.config import load_config
-    from rfpipe.report.catalogue import CATALOGUE, left_over, write_catalogue
+    from rfpipe.report.catalogue import CATALOGUE, write_catalogue
 
-    settings = load_config(config)
-    while True:
-        counts = write_catalogue(settings, folder)
-        said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-        typer.echo(f"{folder / CATALOGUE}: {said}")
-        if left := left_over(settings, folder):
-            names = ", ".join(left[:_MOST_NAMED]) + " ..." * (len(left) > _MOST_NAMED)
-            typer.echo(
-                f"no scenes of {config} any more, though {folder} has their folders: {names}. What "
-                "they hold is kept, verified and published, until you remove it"
-            )
-        if not every:
-            return
-        time.sleep(every)
+    counts = write_catalogue(load_config(config), folder)
+    said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    typer.echo(f"{folder / CATALOGUE}: {said}")

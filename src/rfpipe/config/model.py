@@ -67,7 +67,7 @@ class Config(Settings):
         description="The scenes by name: lower-case letters, digits and _.",
     )
     collection: Text | None = setting(
-        None, "A CSV or YAML file whose rows are scenes, too (docs/collections.md); or null."
+        None, "A CSV file whose rows are scenes, too (docs/collections.md); or null."
     )
     rigs: dict[SectionName, dict[str, Any]] = setting(
         {}, "Settings that the scenes before one rig share, as in {studio: {camera: {bits: 14}}}."

@@ -59,10 +59,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key_node, _ in node.value:
-            if not isinstance(key_node, yaml.ScalarNode):
-                kind = "list" if isinstance(key_node, yaml.SequenceNode) else "group"
-                raise _wrong(f"a key is a {kind}; expected a name", key_node.start_mark)
-            key = key_node.value
+            key = str(key_node.value)
             if key in seen:
                 raise _wrong(f"the key {key!r} stands twice; remove one", key_node.start_mark)
             seen.add(key)
@@ -99,11 +96,10 @@ class Collection:
 
 
 def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
-    """Read the scenes of a table.
+    """Read the scenes of a CSV file.
 
-    A CSV file has commas, semicolons or tabs, in UTF-8 or UTF-16, and a header that names settings;
-    a YAML file is a list of scenes or ``{defaults: ..., scenes: [...]}``. A scene that sets options
-    of some methods and chooses none has the run's.
+    It has commas, semicolons or tabs, in UTF-8 or UTF-16, and a header that names settings. A scene
+    that sets options of some methods and chooses none has the run's.
 
     Raises
     ------
@@ -112,15 +108,14 @@ def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
         folder, and every cell that isn't YAML though it begins with a bracket.
     """
     found, problems = Collection(file), []
-    is_yaml = file.suffix.lower() in (".yaml", ".yml")
-    for place, row in _yaml_rows(file) if is_yaml else _csv_rows(file):
-        name = str(row.pop("name", None) or "")
+    for place, row in _csv_rows(file):
+        name = row.pop("name", "")
         if wrong := _unfit(name, found.places):
             problems.append(f"{place}: {wrong}")
             continue
         found.places[name] = place
         try:
-            values = row if is_yaml else {key: _value(row[key], key) for key in row}
+            values = {key: _value(row[key], key) for key in row}
             found.scenes[name] = _scene(values, methods)
         except yaml.YAMLError as error:
             problems.append(f"{place}: {' '.join(str(error).split())}")
@@ -143,7 +138,7 @@ def check_files(settings: Config, collection: Collection) -> None:
         raise ConfigError("\n".join(missing))
 
 
-def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the filled cells of each row of a CSV file by column, and the row's line."""
     try:
         content = file.read_bytes()
@@ -180,23 +175,6 @@ def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         yield f"line {line}", row
 
 
-def _yaml_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield each scene of a YAML file, its settings over the defaults."""
-    data = read_yaml(file)
-    defaults, scenes = {}, data
-    if isinstance(data, Mapping) and set(data) <= {"defaults", "scenes"}:
-        defaults, scenes = data.get("defaults", {}), data.get("scenes", [])
-    if not isinstance(scenes, list) or not all(
-        isinstance(it, Mapping) for it in (*scenes, defaults)
-    ):
-        raise ConfigError(
-            f"{file}: expected a list of scenes, such as '- name: bowl' and so on, or groups "
-            "'defaults' and 'scenes'"
-        )
-    for number, scene in enumerate(scenes, start=1):
-        yield f"scene {number}", merged(_nested(defaults), _nested(scene))
-
-
 def _scene(row: Mapping[str, Any], methods: Mapping[str, object]) -> dict[str, Any]:
     """Return a scene's settings as the model takes them; those of the run are its ``settings``."""
     scene = _nested(row)
@@ -214,9 +192,7 @@ def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in sorted(row.items()):  # methods before options of some
         parts = name.split(".", 1) if name.startswith("about.") else name.split(".")
-        is_group = isinstance(value, Mapping) and parts[0] != "about"
-        nested: Any = _nested(value) if is_group else value
-        found = merged(found, reduce(lambda inner, part: {part: inner}, reversed(parts), nested))
+        found = merged(found, reduce(lambda inner, part: {part: inner}, reversed(parts), value))
     return found
 
 

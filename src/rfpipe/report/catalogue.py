@@ -52,6 +52,7 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     dict
         Acquisitions by state.
     """
+    begun = {folder.parents[1].name for folder in results.glob("*/*/L00")}
     rows = [_row(settings, results, *names) for names in settings.acquisitions]
     counts = Counter(row["state"] for row in rows)
     page = rendered(
@@ -63,18 +64,12 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
             name: any(row[name] not in (None, "") for row in rows)
             for name in ("error", "estimate", "verified", "rig")
         },
-        left=left_over(settings, results),
+        left=sorted(begun - {*settings.scenes}),
         states=[(state, counts[state]) for state in _STATES if counts[state]],
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )
     write_atomically(results / CATALOGUE, page.encode())
     return {state: counts[state] for state in _STATES}
-
-
-def left_over(settings: Config, results: Path) -> list[str]:
-    """Return the folders of scenes that the settings don't have any more."""
-    begun = {folder.parents[1].name for folder in results.glob("*/*/L00")}
-    return sorted(begun - {*settings.scenes})
 
 
 def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, Any]:
