@@ -12,11 +12,25 @@ import numpy as np
 
 from rfpipe.photometry import CameraModel
 from rfpipe_devices.aravis import AravisCamera
-from rfpipe_devices.aravis_library import call, release
+from rfpipe_devices.aravis_library import call, load_aravis, release
 
 _FILL = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
 )
+
+
+def enable_fake() -> None:
+    """Have Aravis find its fake camera of the process, whose serial number is 1."""
+    library = load_aravis()[0]
+    for name, result, *arguments in (
+        ("enable_interface", None, ctypes.c_char_p),
+        ("fake_device_get_fake_camera", ctypes.c_void_p, ctypes.c_void_p),
+        ("fake_camera_set_trigger_frequency", None, ctypes.c_void_p, ctypes.c_double),
+        ("fake_camera_set_fill_pattern", None, *(ctypes.c_void_p,) * 4),
+    ):
+        function = getattr(library, f"arv_{name}")
+        function.restype, function.argtypes = result, arguments
+    library.arv_enable_interface(b"Fake")
 
 
 class FilledCamera(AravisCamera):
@@ -25,7 +39,8 @@ class FilledCamera(AravisCamera):
     def __init__(self, picture: np.ndarray, sensor: CameraModel, **options: Any) -> None:
         self._frame_bytes = picture.astype(np.uint8 if sensor.bits == 8 else "<u2").tobytes()
         self._fill = _FILL(self._copy)  # kept, as the library calls it
-        super().__init__(sensor, **{"shape": picture.shape, **options, "serial": "1", "fake": True})
+        enable_fake()
+        super().__init__(sensor, **{"shape": picture.shape, **options, "serial": "1"})
 
     def _start(self, room: int = 0) -> None:
         fake = call("arv_fake_device_get_fake_camera", self._handle)
@@ -48,7 +63,9 @@ def gige_camera(serial: str) -> Iterator[None]:
     """
     with (Path(tempfile.gettempdir()) / "rfpipe-gige-vision.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        camera = call("arv_gv_fake_camera_new", b"127.0.0.1", serial.encode())
+        make = load_aravis()[0].arv_gv_fake_camera_new
+        make.restype, make.argtypes = ctypes.c_void_p, (ctypes.c_char_p, ctypes.c_char_p)
+        camera = make(b"127.0.0.1", serial.encode())
         try:
             yield
         finally:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from rfpipe.photometry.camera import CameraModel
 from rfpipe_devices.aravis_library import (
@@ -24,30 +23,19 @@ from rfpipe_devices.aravis_library import (
     release,
     tried,
 )
-from rfpipe_devices.genicam import GenicamCamera, GenicamOptions, RefusedError, chosen
+from rfpipe_devices.genicam import GenicamCamera, RefusedError, chosen
 
 Counts = NDArray[np.uint16]
-
-
-class AravisOptions(GenicamOptions):
-    """A GenICam camera, through Aravis."""
-
-    fake: bool = Field(
-        False,
-        description="Whether to take Aravis' own fake camera, to rehearse without one: true or "
-        "false.",
-    )
 
 
 class AravisCamera(GenicamCamera):
     """A GenICam camera of any maker; never tried on a camera of metal.
 
-    Options as `AravisOptions` has them. CaptureError where Aravis is missing, no camera answers, or
-    it refuses a setting: says which.
+    Options as `GenicamOptions` has them. CaptureError where Aravis is missing, no camera answers,
+    or it refuses a setting: says which.
     """
 
     kind = "aravis"
-    Options = AravisOptions
     faults = AravisError, RefusedError
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
@@ -84,7 +72,7 @@ class AravisCamera(GenicamCamera):
             release(buffer)
 
     def _connect(self) -> None:
-        cameras = connected(fake=self._options.fake)
+        cameras = connected()
         identity, self._serial, self._model = cameras[
             chosen((serial for _, serial, _ in cameras), self._serial)
         ]

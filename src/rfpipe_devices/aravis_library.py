@@ -26,11 +26,10 @@ _POINTER = ctypes.POINTER
 _ERROR = _POINTER(c_void_p)
 _FEATURE = c_void_p, c_char_p
 _SIGNATURES: dict[tuple[Any, tuple[Any, ...]], tuple[str, ...]] = {
-    (None, (c_char_p,)): ("enable_interface", "disable_interface"),
     (None, ()): ("update_device_list",),
-    (c_uint, ()): ("get_n_interfaces", "get_n_devices"),
+    (c_uint, ()): ("get_n_devices",),
     (c_char_p, (c_uint,)): (
-        "get_interface_id", "get_device_id", "get_device_serial_nbr", "get_device_model",
+        "get_device_id", "get_device_serial_nbr", "get_device_model",
         "get_device_vendor",
     ),
     (c_void_p, (c_char_p, _ERROR)): ("open_device",),
@@ -58,11 +57,6 @@ _SIGNATURES: dict[tuple[Any, tuple[Any, ...]], tuple[str, ...]] = {
         "gc_feature_node_get_actual_access_mode", "buffer_get_status", "buffer_get_image_width",
         "buffer_get_image_height",
     ),
-    # the fake camera's
-    (c_void_p, (c_void_p,)): ("fake_device_get_fake_camera", "gv_fake_camera_get_fake_camera"),
-    (None, (c_void_p, c_double)): ("fake_camera_set_trigger_frequency",),
-    (None, (c_void_p,) * 4): ("fake_camera_set_fill_pattern",),
-    (c_void_p, (c_char_p, c_char_p)): ("gv_fake_camera_new",),
 }  # fmt: skip
 """Names of functions, ``arv_`` left out, by what they return and take."""
 
@@ -128,12 +122,8 @@ def release(held: int | None) -> None:
         load_aravis()[1].g_object_unref(held)
 
 
-def connected(*, fake: bool = False) -> list[tuple[bytes, str, str]]:
-    """Return id, serial number and model of the cameras that answer now, or of the fake one."""
-    for index in range(call("arv_get_n_interfaces")):
-        interface = call("arv_get_interface_id", index)
-        wanted = (interface == b"Fake") is fake
-        call("arv_enable_interface" if wanted else "arv_disable_interface", interface)
+def connected() -> list[tuple[bytes, str, str]]:
+    """Return id, serial number and model of the cameras that answer now."""
     call("arv_update_device_list")
     return [
         (

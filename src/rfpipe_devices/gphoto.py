@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -27,7 +26,6 @@ from rfpipe_devices.gphoto_library import (
     load_gphoto2,
     nearest_times,
     shutter_times,
-    use_virtual,
 )
 
 Counts = NDArray[np.uint16]
@@ -73,11 +71,6 @@ class PhotoOptions(FrameOptions):
     timeout_seconds: float = Field(
         30.0, gt=0, le=600, description=FrameOptions.model_fields["timeout_seconds"].description
     )
-    virtual: Text | None = Field(
-        None,
-        description="Folder of a raw file, named as if it were a .jpg, that libgphoto2's virtual "
-        "camera takes, to rehearse without a camera; or null.",
-    )
 
     @model_validator(mode="after")
     def _keeps_the_mosaic(self) -> Self:
@@ -108,8 +101,6 @@ class PhotoCamera(BracketCamera):
         self._model = ""
         self._times: dict[float, ShutterTime] = {}
         self._shown = ""
-        if self._options.virtual is not None:
-            use_virtual(Path(self._options.virtual))
         self.shape = self._open()
 
     def describe(self) -> dict[str, Any]:

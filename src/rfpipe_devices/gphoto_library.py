@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from rfpipe.errors import CaptureError, InputError
@@ -21,25 +19,6 @@ Setting = bool | int | float | str
 def load_gphoto2() -> Any:
     """Return the module ``gphoto2``, or raise CaptureError."""
     return load_library("gphoto2", "gphoto2")
-
-
-def use_virtual(folder: Path) -> None:
-    """Have libgphoto2 see its virtual camera alone, which takes the first picture in a folder.
-
-    CaptureError where the installed gphoto2 has none, or the folder has no picture for it.
-    """
-    ports = Path(load_gphoto2().__file__).parent / "libgphoto2" / "vusb"
-    if not ports.is_dir():
-        raise CaptureError(
-            "the installed gphoto2 comes without libgphoto2's virtual camera; its wheels have it: "
-            "pip install --force-reinstall --only-binary gphoto2 gphoto2"
-        )
-    if not any(path.suffix.lower() == ".jpg" for path in folder.rglob("*")):
-        raise CaptureError(
-            f"camera.virtual is {folder}, which has no picture to take; put a raw file in it whose "
-            "name ends in .jpg, as the virtual camera asks for"
-        )
-    os.environ["IOLIBS"], os.environ["VCAMERADIR"] = str(ports), str(folder)
 
 
 def connected() -> list[tuple[str, str]]:

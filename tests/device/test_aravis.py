@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cameras import FilledCamera, gige_camera
+from tests.cameras import FilledCamera, enable_fake, gige_camera
 from tests.waiting import wait_until
 
 from rfpipe.errors import CaptureError
@@ -74,8 +74,9 @@ def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
     ],
 )
 def test_what_the_camera_refuses_is_explained(changes: dict[str, Any], expected: str) -> None:
+    enable_fake()
     with pytest.raises(CaptureError, match=expected):
-        AravisCamera(SENSOR, **{"shape": SHAPE, "fake": True, **QUICK, **changes})
+        AravisCamera(SENSOR, **{"shape": SHAPE, "serial": "1", **QUICK, **changes})
 
 
 def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,21 +30,21 @@ def put(folder: Path, counts: np.ndarray = COUNTS, seconds: float = 0.0, **level
 
 
 @pytest.fixture(autouse=True)
-def _raw_file(tmp_path: Path) -> None:
+def _raw_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have libgphoto2 see its virtual camera alone, which takes the first picture in a folder."""
+    ports = Path(gphoto_library.load_gphoto2().__file__).parent / "libgphoto2" / "vusb"
+    monkeypatch.setenv("IOLIBS", str(ports))
+    monkeypatch.setenv("VCAMERADIR", str(tmp_path))
     put(tmp_path)
 
 
-def camera_of(folder: Path, sensor: CameraModel = SENSOR, **options: Any) -> PhotoCamera:
-    return PhotoCamera(sensor, virtual=str(folder), **{**QUICK, **options})
+def camera_of(sensor: CameraModel = SENSOR, **options: Any) -> PhotoCamera:
+    return PhotoCamera(sensor, **{**QUICK, **options})
 
 
 class TestPhotoCamera(CameraContract):
-    @pytest.fixture(autouse=True)
-    def _folder(self, tmp_path: Path) -> None:
-        self.folder = tmp_path
-
     def make_camera(self) -> PhotoCamera:
-        return camera_of(self.folder)
+        return camera_of()
 
 
 def test_counts_are_those_of_the_raw_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,7 +54,7 @@ def test_counts_are_those_of_the_raw_file(tmp_path: Path, monkeypatch: pytest.Mo
         released.append(photo.get("shutterspeed"))
         release(photo)
 
-    with camera_of(tmp_path) as camera:
+    with camera_of() as camera:
         monkeypatch.setattr(Photo, "release", look)
         assert (camera.expose() == COUNTS).all()
         assert camera.channels == 3
@@ -65,7 +65,7 @@ def test_what_the_sensor_cannot_count_is_saturated(tmp_path: Path) -> None:
     bright = COUNTS.copy()
     bright[4:10, 4:10] = WHITE + 200  # noise above the white level, within 14 bits
     put(tmp_path, bright)
-    with camera_of(tmp_path) as camera:
+    with camera_of() as camera:
         frames = camera.expose()
         assert frames.max() == WHITE
         merged = camera.sensor.merge(frames[None], np.full(frames.shape, BLACK, np.float32))
@@ -74,7 +74,7 @@ def test_what_the_sensor_cannot_count_is_saturated(tmp_path: Path) -> None:
 
 
 def test_a_part_of_the_sensor(tmp_path: Path) -> None:
-    with camera_of(tmp_path, shape=(20, 30), offset=(4, 8)) as camera:
+    with camera_of(shape=(20, 30), offset=(4, 8)) as camera:
         assert camera.shape == (20, 30)
         assert (camera.expose() == COUNTS[4:24, 8:38]).all()
     with pytest.raises(ValueError, match="even numbers"):
@@ -86,20 +86,20 @@ def test_exposure_times_are_those_that_the_camera_has(
 ) -> None:
     caplog.set_level(logging.INFO)
     sensor = replace(SENSOR, exposures=(1 / 64, 0.1, 1.0))
-    with camera_of(tmp_path, sensor) as camera:
+    with camera_of(sensor) as camera:
         assert camera.describe()["shutter"] == ["0.0200s", "0.1000s", "1.0000s"]
         assert camera.sensor.exposures == pytest.approx((2 ** (-17 / 3), 2 ** (-10 / 3), 1))
     assert "takes 0.0200s (0.0196863 s) for an exposure of 0.015625 s" in caplog.text
-    with camera_of(tmp_path, sensor, nominal_times=True) as camera:
+    with camera_of(sensor, nominal_times=True) as camera:
         assert camera.sensor.exposures == (0.02, 0.1, 1.0)
     with pytest.raises(InputError, match=r"two times for which the camera's nearest is 1\.0000s"):
-        camera_of(tmp_path, replace(SENSOR, exposures=(1.0, 1.1)))
+        camera_of(replace(SENSOR, exposures=(1.0, 1.1)))
 
 
 def test_a_picture_that_is_not_raw_says_what_to_set(tmp_path: Path) -> None:
     (tmp_path / "raw.jpg").write_bytes(b"\xff\xd8" + bytes(5_000))
     with pytest.raises(CaptureError, match=r"can't be read as a raw file.*camera\.settings"):
-        camera_of(tmp_path)
+        camera_of()
 
 
 def test_a_picture_of_another_exposure_is_taken_again(
@@ -107,7 +107,7 @@ def test_a_picture_of_another_exposure_is_taken_again(
 ) -> None:
     put(tmp_path, seconds=0.01)
     wrong = iter([0.05, 0.01])
-    with camera_of(tmp_path, replace(SENSOR, exposures=(0.01,))) as camera:
+    with camera_of(replace(SENSOR, exposures=(0.01,))) as camera:
         monkeypatch.setattr(
             camera, "_before_trigger", lambda _: put(tmp_path, seconds=next(wrong, 0.01))
         )
@@ -124,20 +124,20 @@ def test_a_lost_camera_is_found_again(tmp_path: Path, monkeypatch: pytest.Monkey
             raise gphoto_library.load_gphoto2().GPhoto2Error(-7)
         release(photo)
 
-    with camera_of(tmp_path) as camera:
+    with camera_of() as camera:
         monkeypatch.setattr(Photo, "release", gone)
         assert (camera.expose() == COUNTS).all()
         assert camera.statistics == {"frames": 2, "failed": 0, "timed_out": 0, "reconnected": 1}
 
 
 def test_settings_are_made_or_refused(tmp_path: Path) -> None:
-    with camera_of(tmp_path, settings={"f-number": "f/8"}) as camera:
+    with camera_of(settings={"f-number": "f/8"}) as camera:
         assert camera._handle.get("f-number") == "f/8"
         assert camera._handle.get("autofocus") == "Off"
     with pytest.raises(CaptureError, match=r"f-number can't be f/7; it is one of f/2\.8"):
-        camera_of(tmp_path, settings={"f-number": "f/7"})
+        camera_of(settings={"f-number": "f/7"})
     with pytest.raises(CaptureError, match="has no setting whitebalance"):
-        camera_of(tmp_path, settings={"whitebalance": "Daylight"})
+        camera_of(settings={"whitebalance": "Daylight"})
 
 
 def test_a_mode_other_than_manual_is_refused(
@@ -148,4 +148,4 @@ def test_a_mode_other_than_manual_is_refused(
         Photo, "get", lambda photo, name: "A" if name == "expprogram" else get(photo, name)
     )
     with pytest.raises(CaptureError, match="its mode is A; turn the dial to M"):
-        camera_of(tmp_path)
+        camera_of()
