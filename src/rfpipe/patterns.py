@@ -92,15 +92,8 @@ class Schedule:
         return lit
 
     def pattern_of_block(self, tree: BlockTree) -> NDArray[np.int32]:
-        """Return the pattern that lights each block of the level, -1 for none; undoes `of_blocks`.
-
-        Raises
-        ------
-        InputError
-            If the schedule holds explicit weights, which light no whole blocks.
-        """
-        if self.pattern_of_ray is None:
-            raise InputError("a schedule of explicit weights has no pattern for a block")
+        """Return the pattern that lights each block of the level, -1 for none."""
+        assert self.pattern_of_ray is not None
         first_ray = tree.order[tree.starts[self.level][:-1]]
         return self.pattern_of_ray.ravel()[first_ray]
 

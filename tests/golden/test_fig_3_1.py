@@ -45,10 +45,6 @@ def test_twenty_one_patterns_with_the_conflicts_drawn(levels: list[np.ndarray]) 
     assert [int(level.max()) + 1 for level in levels] == [1, 4, 8, 8]
 
 
-def test_first_frame_lights_all_pixels(levels: list[np.ndarray]) -> None:
-    assert (levels[0] == 0).all()
-
-
 def test_level_two_lights_one_quadrant_after_the_other(levels: list[np.ndarray]) -> None:
     quadrants = [patterns_in(levels[1], corner, 4) for corner in ((0, 0), (0, 4), (4, 0), (4, 4))]
     assert sorted(quadrants, key=min) == [{0}, {1}, {2}, {3}]
@@ -69,13 +65,6 @@ def test_level_four_keeps_the_children_of_conflicting_blocks_apart(
     levels: list[np.ndarray], one: tuple[int, int], other: tuple[int, int]
 ) -> None:
     assert patterns_in(levels[3], one, 2).isdisjoint(patterns_in(levels[3], other, 2))
-
-
-def test_every_block_of_a_level_is_lit_in_one_frame(levels: list[np.ndarray]) -> None:
-    for level, size in zip(levels, (8, 4, 2, 1), strict=True):
-        for row in range(0, 8, size):
-            for column in range(0, 8, size):
-                assert len(patterns_in(level, (row, column), size)) == 1
 
 
 def test_block_9_is_lit_until_it_measures_nothing(levels: list[np.ndarray]) -> None:

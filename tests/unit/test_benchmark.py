@@ -3,7 +3,6 @@
 import csv
 import math
 
-import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.methods import __main__ as benchmark
@@ -20,7 +19,7 @@ from benchmarks.methods.cases import (
 )
 from benchmarks.methods.measure import measure
 from benchmarks.methods.page import failures, summary_of, tightest
-from benchmarks.methods.scenes import KINDS, stage_of
+from benchmarks.methods.scenes import KINDS
 
 from rfpipe.errors import InputError
 
@@ -132,17 +131,6 @@ def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_p
     assert (failed["status"], failed["why"]) == ("failed", "ZeroDivisionError: by the way")
 
 
-@pytest.mark.slow
-def test_less_light_is_more_noise(tmp_path):
-    case = Case("wedge_iv", "8", 1, 16, "full", 1, "brute_force", "", 0)
-    full = measure(case, tmp_path)
-    dim = measure(Case(**{**vars(case), "light": "sixteenth"}), tmp_path)
-    assert dim["photo_unlit"] > 2 * full["photo_unlit"]  # the bracket takes direct light as before
-    assert dim["unlit_mean"] > 1.5 * full["unlit_mean"]
-    assert dim["light_s"] == pytest.approx(full["light_s"] / 16)
-    assert dim["key"] != full["key"]
-
-
 def acquisition(method, value, error, **others):
     option = method_of(method).trades or ""
     return dict.fromkeys(COLUMNS, math.nan) | {
@@ -192,15 +180,3 @@ def test_seeds_are_averaged_and_held_out_ones_kept_apart():
     assert summary.loc["open", "ratio"] == pytest.approx(1)  # half and twice
     assert summary.loc["held out", "error_mean"] == pytest.approx(0.5)
     assert list(summary["runs"]) == [2, 1]
-
-
-@pytest.mark.needs("llvm")
-def test_a_box_has_a_crease_around_its_back(tmp_path):
-    stage = stage_of("red_wall_box", "16", 1, 16, 1, tmp_path)
-    strip = stage.patterns["crease"]
-    assert strip[8].astype(bool).tolist() == strip[:, 8].astype(bool).tolist()
-    assert strip[8].sum() == 4  # two pixels on either side
-    assert strip[8, 8] == 0
-    assert all(strip[corner] for corner in ((1, 1), (1, 14), (14, 1), (14, 14)))
-    assert stage.coaxial
-    assert float(stage.scene.apply(np.ones((1, 256))).max()) == pytest.approx(1.9)

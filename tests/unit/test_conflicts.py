@@ -28,13 +28,6 @@ def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(conflicts, "_MOST_EDGES", request.param)
 
 
-def test_repeats_and_self_conflicts_drop_out() -> None:
-    graph = graph_of(4, (0, 1), (1, 0), (0, 1), (2, 2))
-    expected = np.zeros((4, 4), np.int32)
-    expected[0, 1] = expected[1, 0] = 1
-    np.testing.assert_array_equal(graph.toarray(), expected)
-
-
 @pytest.mark.usefixtures("either_way")
 def test_a_complete_graph_takes_as_many_colours_as_blocks() -> None:
     edges = [(i, j) for i in range(7) for j in range(i)]
@@ -47,13 +40,6 @@ def test_a_complete_graph_takes_as_many_colours_as_blocks() -> None:
 def test_blocks_without_conflicts_share_one_colour(n_blocks: int, colours: list[int]) -> None:
     assert colour_seen(seen_in_pairs(n_blocks)).tolist() == colours
     assert colour_apart(graph_of(n_blocks)).tolist() == colours
-
-
-@pytest.mark.usefixtures("either_way")
-def test_an_even_ring_takes_two_colours_and_an_odd_one_three() -> None:
-    for length, expected in ((8, 2), (9, 3)):
-        ring = [(block, (block + 1) % length) for block in range(length)]
-        assert colour_seen(seen_in_pairs(length, *ring)).max() + 1 == expected
 
 
 @pytest.mark.usefixtures("either_way")

@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from figures.hard_scenes import hard_cases
 
 from rfpipe.config import SceneSettings
 from rfpipe.scenes import CoaxialScene, apply_in_batches, scene_from_config
@@ -45,11 +44,6 @@ class TestSphereLitFromAside(SceneContract):
         return of_kind("sphere_on_plane", surfaces=surfaces, shape=(7, 8), projector=lamp)
 
 
-class TestHardCase(SceneContract):
-    def make_scene(self):
-        return hard_cases()["dark_channel"]()
-
-
 class Dim(CoaxialScene):
     """Half of everything; what is wrong with it stands in the classes below."""
 
@@ -86,11 +80,6 @@ class Leaking(Dim):
         return weights[..., None] + 1e-3
 
 
-class Double(Dim):
-    def apply(self, patterns):
-        return super().apply(patterns).astype(np.float64)
-
-
 class Shifted(Dim):
     def radiance(self, weights):
         return np.roll(weights, 1, axis=0)[..., None]
@@ -99,12 +88,6 @@ class Shifted(Dim):
 class Together(Dim):
     def apply(self, patterns):
         return super().apply(patterns) * np.float32(1 + 1e-7 * len(patterns))
-
-
-class Inverted(Dim):
-    @property
-    def albedo(self):
-        return np.full((4, 5, 1), -1, np.float32)
 
 
 class Changing(Dim):
@@ -121,10 +104,8 @@ class Changing(Dim):
         (Black, "light", "no light"),
         (Curved, "linearity", "picture of a sum"),
         (Leaking, "linearity", "light in darkness"),
-        (Double, "light", "float64"),
         (Shifted, "dense", "T from its transpose"),
         (Together, "same_bytes_beside_any_patterns", "by themselves"),
-        (Inverted, "light", "albedo is negative"),
         (Changing, "description", "made again"),
     ],
 )

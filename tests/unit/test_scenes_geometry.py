@@ -90,17 +90,11 @@ def test_the_sphere_rests_on_its_floor_and_its_visible_cap_is_covered():
     assert points.areas.max() < 10 * points.mean_area  # rays along the limb, too
 
 
-def test_shapes_surfaces_and_places_that_cannot_be():
-    for shape in ((0, 4), (4,), (2, 3, 4)):
-        with pytest.raises(InputError, match="height and width"):
-            surface_points(shape, GEOMETRIES["plane"])
+def test_surfaces_and_places_that_cannot_be():
     with pytest.raises(InputError, match=r"pixel \(0, 0\) .* floor"):
         surface_points((4, 4), (Plane("floor", (0, 1, 0), (0, -1, 0)),))
     with pytest.raises(InputError, match="another point to look at"):
         Pinhole((4, 5), (1, 0, 1), (1, 5, 1))
-    for edges in (((1, 0, 0), (2, 0, 0)), ((0, 0, 0), (0, 1, 0))):
-        with pytest.raises(InputError, match="span a parallelogram"):
-            Occluder((0, 0, 1), *edges)
 
 
 @pytest.mark.parametrize(
@@ -185,14 +179,7 @@ def test_relighting_patterns_are_those_of_the_design_and_follow_from_their_seed(
     rows, columns = np.nonzero(patterns["spot"])
     assert (np.ptp(rows) + 1, np.ptp(columns) + 1, len(rows)) == (3, 4, 12)
     assert columns.max() < 35
-    other = relighting_patterns((62, 70), seed=2)
-    assert [
-        np.array_equal(patterns[name], other[name]) for name in ("noise", "binary", "spot")
-    ] == [
-        False,
-        False,
-        True,
-    ]
+    assert not np.array_equal(patterns["noise"], relighting_patterns((62, 70), seed=2)["noise"])
     for shape in ((1, 1), (1, 37), (37, 1), (2, 2)):
         assert all(picture.any() for picture in relighting_patterns(shape).values())
     for shape in ((4,), (0, 3), (1, 0, 3, 4)):
@@ -227,11 +214,7 @@ def test_the_crease_strip_follows_every_crease_and_no_outline():
         surfaces = ("white",) * len(names_of(geometry))
         scene = planes_scene(geometry, surfaces, (62, 70), channels=1, bounces=1)
         lit = scene_patterns(scene)[CREASE] > 0
-        points = scene.points
         # the sphere hides where it touches the floor: all round it there is but its outline
-        planes = [each for each in points.surfaces if isinstance(each, Plane)]
-        assert set(points.surface[lit.ravel()]) == set(range(len(planes)))
+        planes = [each for each in scene.points.surfaces if isinstance(each, Plane)]
+        assert set(scene.points.surface[lit.ravel()]) == set(range(len(planes)))
         assert 0.01 < lit.mean() < 0.06
-        heights = np.stack([plane.heights(points.positions) for plane in planes])
-        over_other_plane = np.sort(heights, axis=0)[1].reshape(lit.shape)
-        assert over_other_plane[lit].max() < 2 * np.sqrt(points.mean_area)

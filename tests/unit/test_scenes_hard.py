@@ -41,25 +41,3 @@ def test_direct_light_is_1e5_times_the_indirect():
 def test_ranks():
     ranks = {"zero_transport": 0, "diffuse_cavity": 1, "mirror": 256, "random_dense": 256}
     assert {name: np.linalg.matrix_rank(matrix(name), rtol=1e-4) for name in ranks} == ranks
-
-
-def test_permutations_are_involutions():
-    for name in ("mirror", "random_permutation"):
-        dense = matrix(name)
-        assert ((dense > 0).sum(1) == 1).all()
-        assert dense @ dense == pytest.approx(0.81 * np.eye(256))
-    assert np.flatnonzero(matrix("mirror")[0]).tolist() == [15]
-
-
-def test_caustics_are_few_and_strong():
-    dense, plain = matrix("caustics"), reference_scene("IV", (16, 16), channels=1).dense()
-    changed = ~np.isclose(dense, plain)
-    assert changed.sum() == 32
-    assert (dense[changed] > 4 * plain.diagonal().mean()).all()
-
-
-def test_dark_channel_reflects_nothing():
-    scene = CASES["dark_channel"]()
-    assert scene.channels == 3
-    assert not scene.apply(np.ones((1, 256)))[..., 2].any()
-    assert (scene.apply(np.ones((1, 256)))[..., :2] > 0).all()

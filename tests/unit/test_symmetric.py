@@ -104,16 +104,6 @@ def test_a_floodlit_image_that_is_saturated_is_refused_before_the_night_begins()
         acquire(np.diag(np.full(64, 5.0)), (8, 8), noise=CameraModel())
 
 
-def test_the_transport_is_exactly_symmetric_and_not_negative():
-    rng = np.random.default_rng(7)
-    x = rng.uniform(size=(100, 3))
-    distance = ((x[:, None] - x[None]) ** 2).sum(axis=2)
-    matrix = np.diag(rng.uniform(1, 2, 100)) + 0.01 / (0.1 + distance)
-    found = dense(acquire(matrix, (10, 10), 1e-4).transport)[0]
-    assert np.abs(found - found.T).max() <= 1e-6 * found.max()
-    assert found.min() >= 0
-
-
 def test_truncation_is_what_stopping_there_would_have_given():
     x = np.linspace(0, 1, 144)
     matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,34 +16,11 @@ from rfpipe.patterns import Schedule
 _BATCH_BYTES = 32 * 2**20
 
 
-@dataclass(frozen=True)
-class RenumberedImages:
-    """Images of a level under the number that another method has for it."""
+class ImagesAs(NamedTuple):
+    """Images of a level for another method than the one that they were taken for."""
 
     schedule: Schedule
-    images: LevelImages
-
-    @classmethod
-    def of(cls, images: LevelImages, level: int) -> RenumberedImages:
-        """Return a level's images under another number."""
-        return cls(replace(images.schedule, level=level), images)
-
-    def read(self, first: int, last: int) -> tuple[Float, Float]:
-        """Return radiance and variance of some patterns."""
-        return self.images.read(first, last)
-
-
-@dataclass(frozen=True)
-class FloodlitImage:
-    """A floodlit image, radiance and variance (1, *camera_shape, C), as the images of level 0."""
-
-    schedule: Schedule
-    radiance: Float
-    variance: Float
-
-    def read(self, first: int, last: int) -> tuple[Float, Float]:
-        """Return radiance and variance."""
-        return self.radiance[first:last], self.variance[first:last]
+    read: Callable[[int, int], tuple[Float, Float]]
 
 
 def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:

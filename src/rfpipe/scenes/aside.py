@@ -75,7 +75,7 @@ def aside_scene(
         The light is dimmed so that no pixel of the projector has more of it, per area, than this
         times what one of mean area has at full strength.
     **options
-        The bounces, compress and name of a `RadiosityScene`.
+        The bounces and name of a `RadiosityScene`.
 
     Raises
     ------

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
 from rfpipe.provenance import generator
 from rfpipe.scenes.surfaces import Plane, Sphere, Surface, Vector, block, rotation, vector
 
@@ -122,15 +119,6 @@ _LETTER_WIDTHS = (4, 6)  # bounds, inclusive
 _WORD_LENGTHS = (2, 7)  # letters
 
 
-def require_kinds(surfaces: Sequence[str], geometry: str, names: Sequence[str]) -> None:
-    """Raise InputError where the kinds of surfaces don't fit those that a geometry names."""
-    if len(surfaces) != len(names) or not set(surfaces) <= {"white", "texture"}:
-        raise InputError(
-            f"surfaces {tuple(surfaces)} of geometry {geometry!r}: expected {len(names)} "
-            f"({', '.join(names)}), each 'white' or 'texture'"
-        )
-
-
 def printed_page(shape: tuple[int, int], seed: int, page: int = 0) -> NDArray[np.bool_]:
     """Lines of words of letter-like strokes, one to two pixels wide: bool (H, W), True for ink.
 
@@ -184,18 +172,16 @@ def surface_albedo(
     kind
         ``"white"`` or ``"texture"``.
     channels
-        1 (grey) or 3 (RGB, tinted); InputError for another number.
+        1 (grey) or 3 (RGB, tinted).
     surface
         Number of the surface: its page and its tint.
     tint
         Factors of the albedo in red, green and blue, instead of those in `SURFACE_TINTS`; a grey
         surface takes the middle one.
     """
-    if channels not in (1, 3):
-        raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
-    grey = np.full(shape, WHITE)
+    grey = np.full(shape, {"white": WHITE, "texture": PAPER}[kind])
     if kind == "texture":
-        grey = np.where(printed_page(shape, seed, surface), INK, PAPER)
+        grey[printed_page(shape, seed, surface)] = INK
     factors = np.array(tint or SURFACE_TINTS[surface % len(SURFACE_TINTS)])
     albedo: NDArray[np.float64] = grey[..., None] * (factors if channels > 1 else factors[1:2])
     return albedo

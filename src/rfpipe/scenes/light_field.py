@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.geometries import require_kinds, surface_albedo
+from rfpipe.scenes.geometries import surface_albedo
 from rfpipe.scenes.radiosity import RadiosityScene, Rays
 from rfpipe.scenes.sight import Pinhole, Points, overlaps, sight_of
 from rfpipe.scenes.surfaces import Rectangle, Vector, block, lying, rotation, standing, vector
@@ -70,7 +70,6 @@ def room_scene(
     channels: int = 3,
     bounces: int = 3,
     seed: int = 0,
-    compress: bool | None = None,
 ) -> RadiosityScene:
     """Build the corner of a room with things in it, seen by an array of views [Fig. 5.8].
 
@@ -83,7 +82,7 @@ def room_scene(
         the thesis'. One view, and a ray domain (H, W), where `views` is None.
     span_degrees
         Angles under which the outermost columns and rows of the array appear from the scene.
-    channels, bounces, seed, compress
+    channels, bounces, seed
         As for `planes_scene`.
 
     Raises
@@ -91,7 +90,6 @@ def room_scene(
     InputError
         If a ray sees nothing, or settings are out of range.
     """
-    require_kinds(surfaces, "room", ROOM_SURFACES)
     pinholes = array_of(views or (1, 1), span_degrees, shape)
     domain = shape if views is None else (len(pinholes), *shape)
     name = f"room of {', '.join(surfaces)}"
@@ -102,7 +100,6 @@ def room_scene(
         channels=channels,
         bounces=bounces,
         seed=seed,
-        compress=compress,
         name=name,
     )
 
@@ -115,7 +112,6 @@ def panels_scene(
     channels: int,
     bounces: int,
     seed: int,
-    compress: bool | None,
     name: str,
 ) -> RadiosityScene:
     """Build a scene of panels, those that don't enclose it hiding others from each other.
@@ -134,7 +130,6 @@ def panels_scene(
         grid.points(texels),
         np.concatenate([each.reshape(-1, channels) for each in albedo])[texels],
         bounces=bounces,
-        compress=compress,
         scale=float(footprint.mean()) / len(pinholes),
         rays=Rays(domain, domain, seen[:, texels]),
         patches=grid.patches(texels, _PATCH),

@@ -115,8 +115,6 @@ class RadiosityScene(Scene):
         Light simulated: 1 is direct light alone, each further one adds an inter-reflection.
     occluders
         Black parallelograms that block light between points.
-    compress
-        Whether to compress the form factors; None decides by their number.
     scale
         The factor s; None for the mean of the areas, which gives direct light of
         albedo x mean(A) / A.
@@ -133,7 +131,7 @@ class RadiosityScene(Scene):
     Raises
     ------
     InputError
-        If albedo or bounces are out of range.
+        If albedo is out of range.
     """
 
     def __init__(
@@ -143,7 +141,6 @@ class RadiosityScene(Scene):
         *,
         bounces: int = 3,
         occluders: Sequence[Occluder] = (),
-        compress: bool | None = None,
         scale: float | None = None,
         rays: Rays | None = None,
         patches: tuple[Points, NDArray[np.int64]] | None = None,
@@ -154,17 +151,10 @@ class RadiosityScene(Scene):
         camera = values.shape[:-1] if rays is None else rays.camera_shape
         super().__init__(camera, camera if rays is None else rays.projector_shape, values.shape[-1])
         self._values = values.reshape(-1, self.channels)
-        if len(self._values) != len(points.areas) or values.ndim < 2:
-            raise InputError(
-                f"albedo of shape {values.shape}: expected one for each of {len(points.areas)} "
-                "points, (height, width, channels)"
-            )
         if not ((values >= 0) & (values < 1)).all():
             raise InputError("albedo: every value should be at least 0 and below 1")
-        if bounces < 1:
-            raise InputError(f"bounces {bounces}: expected at least 1, the direct light")
         self.points, self.bounces, self.occluders = points, bounces, tuple(occluders)
-        self.compress, self.scale = compress, points.mean_area if scale is None else scale
+        self.scale = points.mean_area if scale is None else scale
         self.rays, self._patches = rays, patches
         self.name, self._about = name, dict(about or {})
 
@@ -178,7 +168,7 @@ class RadiosityScene(Scene):
     def form_factors(self) -> FormFactors:
         """The operator G between points, or patches of them, built when it is first used."""
         points = self.points if self._patches is None else self._patches[0]
-        return FormFactors(points, self.occluders, compress=self.compress)
+        return FormFactors(points, self.occluders)
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape)."""
@@ -254,7 +244,6 @@ class RadiosityScene(Scene):
             "occluders": [asdict(occluder) for occluder in self.occluders],
             "albedo": fingerprint(self._values),
             "bounces": self.bounces,
-            "compress": self.compress,
             "scale": self.scale,
             **self._about,
         }

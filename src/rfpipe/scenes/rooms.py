@@ -12,10 +12,9 @@ from pydantic import Field, model_validator
 
 from rfpipe.config.base import Extent, Settings
 from rfpipe.config.scenes import SceneSettings, Views
-from rfpipe.errors import InputError
 from rfpipe.scenes.aside import aside_scene
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometries import GEOMETRIES, TINTS, names_of, require_kinds, surface_albedo
+from rfpipe.scenes.geometries import GEOMETRIES, TINTS, names_of, surface_albedo
 from rfpipe.scenes.light_field import ROOM_SURFACES, room_scene
 from rfpipe.scenes.radiosity import DENSE_LIMIT, RadiosityScene
 from rfpipe.scenes.sight import Pinhole, surface_points
@@ -45,7 +44,6 @@ def planes_scene(
     bounces: int = 3,
     occluders: Sequence[Occluder] = (),
     seed: int = 0,
-    compress: bool | None = None,
 ) -> RadiosityScene:
     """Build a scene of white or textured surfaces.
 
@@ -67,18 +65,12 @@ def planes_scene(
         1 is direct light alone; each further one adds an inter-reflection.
     occluders, seed
         Black parallelograms, and the seed of the texture.
-    compress
-        Whether to compress the form factors; None decides by their number.
 
     Raises
     ------
     InputError
-        For an unknown geometry or surface, a number of surfaces that doesn't fit the geometry,
-        settings out of range, or a projector behind a surface.
+        For a projector behind a surface.
     """
-    if geometry not in GEOMETRIES:
-        raise InputError(f"geometry {geometry!r}: expected one of {', '.join(GEOMETRIES)}")
-    require_kinds(surfaces, geometry, names_of(geometry))
     facing, camera = GEOMETRIES[geometry], Pinhole(shape)
     tints = TINTS.get(geometry, {})
     printed = {
@@ -87,7 +79,7 @@ def planes_scene(
     }
     # of each surface, as the camera would see it everywhere
     pages = np.stack([printed[surface.name] for surface in facing])
-    options: dict[str, Any] = {"bounces": bounces, "occluders": occluders, "compress": compress}
+    options: dict[str, Any] = {"bounces": bounces, "occluders": occluders}
     name = f"{geometry} of {', '.join(surfaces)}"
 
     if projector is not None:
@@ -119,8 +111,6 @@ def reference_scene(
     name: str, shape: tuple[int, int], *, channels: int = 3, bounces: int = 3, seed: int = 0
 ) -> RadiosityScene:
     """Build scene I, II, III or IV of Fig. 2.1 as `planes_scene` does; 310 x 350 is the thesis'."""
-    if name not in REFERENCE_SCENES:
-        raise InputError(f"reference scene {name!r}: expected one of {', '.join(REFERENCE_SCENES)}")
     geometry, surfaces = REFERENCE_SCENES[name]
     return planes_scene(geometry, surfaces, shape, channels=channels, bounces=bounces, seed=seed)
 

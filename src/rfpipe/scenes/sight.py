@@ -38,7 +38,7 @@ class Pinhole:
     Raises
     ------
     InputError
-        If the shape isn't two positive numbers, or it looks at itself or along `up`.
+        If it looks at itself or along `up`.
     """
 
     shape: tuple[int, int]
@@ -48,11 +48,6 @@ class Pinhole:
     width: float | None = None
 
     def __post_init__(self) -> None:
-        if len(self.shape) != 2 or min(self.shape) < 1:
-            raise InputError(
-                f"scene shape {tuple(self.shape)}: expected height and width in pixels, each at "
-                "least 1"
-            )
         way = np.subtract(self.look_at, self.position, dtype=np.float64)
         across = np.linalg.norm(np.cross(self.up, way))
         if not across > 1e-6 * np.linalg.norm(way) * np.linalg.norm(self.up):  # 1e-6: rounding
@@ -160,7 +155,7 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Point
     Raises
     ------
     InputError
-        If the shape isn't two positive numbers, or a pixel sees none of the surfaces.
+        If a pixel sees none of the surfaces.
     """
     sight = sight_of(Pinhole(shape), surfaces)
     if (sight.surface < 0).any():

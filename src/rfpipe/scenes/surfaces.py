@@ -19,8 +19,6 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
-
 Double = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
@@ -67,24 +65,11 @@ class Occluder:
     """A black parallelogram that blocks light between surfaces and the camera's own view.
 
     `edge_u` and `edge_v` go from its centre to the middle of two neighbouring edges.
-
-    Raises
-    ------
-    InputError
-        If they don't span a parallelogram.
     """
 
     centre: Vector
     edge_u: Vector
     edge_v: Vector
-
-    def __post_init__(self) -> None:
-        area = np.linalg.norm(np.cross(self.edge_u, self.edge_v))
-        if not area > 1e-12 * np.linalg.norm(self.edge_u) * np.linalg.norm(self.edge_v):
-            raise InputError(
-                f"occluder at {self.centre}: edges {self.edge_u} and {self.edge_v} should span a "
-                "parallelogram; give two vectors that are neither zero nor parallel"
-            )
 
     def coordinates(self, points: Double) -> Double:
         """Affine coordinates (s, u, v) of points (..., 3), float64 of the same shape."""

@@ -28,7 +28,7 @@ from rfpipe.methods.base import (
     Pack,
     options_of,
 )
-from rfpipe.methods.images import FloodlitImage, Pictures, RenumberedImages
+from rfpipe.methods.images import ImagesAs, Pictures
 from rfpipe.methods.states import (
     MethodState,
     PackingMethod,
@@ -272,7 +272,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
     ) -> AdaptiveState:
         """Let the hierarchy refine a level of its own; `new` are other fields that change."""
-        own = RenumberedImages.of(images, state.inner.level)
+        own = ImagesAs(replace(images.schedule, level=state.inner.level), images.read)
         inner = self.hierarchy.refine(state.inner, own, memory_bytes)
         levels = (*state.descended, state.level)
         state = replace(state, descended=levels)
@@ -289,11 +289,12 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Begin the hierarchy with the floodlit image, which is there already."""
         state = state.changed(following="hierarchy", tolerance=tolerance)
         pictures, shape = state.pictures, (1, *state.camera.shape, state.channels)
-        image = (
+        radiance, variance = (
             np.ascontiguousarray(each[0].T).reshape(shape)
             for each in (pictures.radiance, pictures.variance)
         )
-        floodlit = FloodlitImage(Schedule.floodlit(state.projector.shape), *image)
+        schedule = Schedule.floodlit(state.projector.shape)
+        floodlit = ImagesAs(schedule, lambda *_: (radiance, variance))
         return state.changed(inner=self.hierarchy.refine(self._inner_start(state), floodlit))
 
     def _inner_start(self, state: AdaptiveState) -> Any:
