@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 from tests.browsers import opened, wait_until
-from tests.serving import serving
 from tests.unit.test_viewer_program import planar
 from tests.viewers import transport_of
 
@@ -292,43 +291,22 @@ def test_views_are_chosen_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     page.context.close()
 
 
-@pytest.mark.parametrize("ranges", [True, False])
-def test_a_large_transport_is_read_from_a_folder(
-    chromium: Any, tmp_path: Path, ranges: bool
+def test_a_page_without_room_has_the_last_level_and_a_picture_to_compare_with(
+    chromium: Any, tmp_path: Path
 ) -> None:
     transport = transport_of("symmetric")
     compared = Compared(transport.relight(np.ones(SHAPE)), "the truth")
-    older = tmp_path / "big" / "levels" / "level_99.bin"
-    older.parent.mkdir(parents=True)
-    older.write_bytes(b"of an older one")
     written = write_view(View(transport, "Large", compared=compared), tmp_path / "big.html", 1000)
-    assert written.is_folder
-    assert written.page == tmp_path / "big" / "index.html"
-    assert written.levels == list(transport.known_levels)
-    text = written.page.read_bytes()
-    assert b"data:image/png" in text[:100_000]
-    assert len(list((tmp_path / "big" / "levels").iterdir())) > 3
-    assert not older.exists()
-    with serving(tmp_path, ranges=ranges) as served:
-        page = opened(chromium, f"{served.address}/big/index.html", "#tool=flood&difference=true")
-        settled(page)
-        alike(page, transport)
-        wait_until(page, "still !== null")
-        settled(page)
-        assert "Differs by" in page.inner_text("#compared")
-        assert page.said == []
-        page.goto(f"{served.address}/big.html")
-        page.wait_for_url("**/big/index.html")
-        page.context.close()
-
-
-def test_a_folder_opened_from_disk_says_what_to_do(chromium: Any, tmp_path: Path) -> None:
-    written = write_view(View(transport_of("symmetric"), "Large"), tmp_path / "big.html", 1000)
-    page = chromium.new_page()
-    page.goto(written.page.as_uri())
-    wait_until(page, "$('status').className.includes('failed')")
-    assert "python -m http.server" in page.inner_text("#status")
-    page.close()
+    assert written.levels == [transport.last_level]
+    assert written.left_out == list(transport.known_levels)[:-1]
+    page = opened(chromium, written.page, "#tool=flood&difference=true")
+    settled(page)
+    alike(page, transport)
+    wait_until(page, "still !== null")
+    settled(page)
+    assert "Differs by" in page.inner_text("#compared")
+    assert page.said == []
+    page.context.close()
 
 
 def test_the_kernel_is_that_of_its_source() -> None:

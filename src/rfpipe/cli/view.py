@@ -31,15 +31,14 @@ def view(
     title: Annotated[str | None, typer.Option(help="Heading of the page.")] = None,
     largest: Annotated[
         float,
-        typer.Option(min=0, help="Megabytes beyond which it is a folder for a web server."),
+        typer.Option(min=0, help="Megabytes up to which it has the coarse levels, too."),
     ] = 30.0,
 ) -> None:
     """Write a page that lights the scene in any browser: offline, from one file, no server.
 
     Drag a spot, a bar or a brush over the scene, take a picture as light, click a pixel to see
     where its light comes from, go through the levels, light the camera's side; docs/viewer.md has
-    all of it. Large transports become a folder that any static web server serves, read coarse
-    first.
+    all of it.
 
     For example: rfpipe view results/planes_iv/symmetric -o scene.html
     """
@@ -56,12 +55,7 @@ def view(
     written = write_view(shown, page, round(largest * 1e6))
     typer.echo(f"{written.page}: {written.nbytes / 1e6:.1f} MB, levels {_listed(written.levels)}")
     if written.left_out:
-        typer.echo(f"one page had no room for the levels {_listed(written.left_out)} by themselves")
-    if written.is_folder:
-        typer.echo(
-            f"larger than {largest:g} MB as one page, so a folder: put it on a web server, or "
-            f"look at it with: python -m http.server --directory {written.page.parent}"
-        )
+        typer.echo(f"there was no room for the levels {_listed(written.left_out)} by themselves")
 
 
 def _compared(path: Path, transport: Transport) -> Compared:

@@ -32,7 +32,7 @@ def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Tran
     rays, every = np.flatnonzero(masked), np.arange(masked.size)
     parts = transport.blocks(rays, every, by_rows=True)
     rays = rays[~np.concatenate([rows.any(axis=(0, 2)) for *_, rows in parts])]
-    if not len(rays) or not _is_symmetric(transport, ~masked.ravel()):
+    if not len(rays) or not looks_coaxial(transport, ~masked):
         return transport
     # what pixels saw of a block's masked rays is spread by what these rays saw: nothing yet
     source = transport.evenly() if isinstance(transport, MultilevelTransport) else transport
@@ -71,9 +71,13 @@ def _with_terms(transport: Transport, rays: NDArray[np.int64], rows: Float) -> S
     return SumTransport([transport, added], transport.level_rows)
 
 
-def _is_symmetric(transport: Transport, known: NDArray[np.bool_]) -> bool:
+def looks_coaxial(transport: Transport, known: NDArray[np.bool_] | None = None) -> bool:
     """Tell whether a transport is its own transpose, but for errors, between known rays."""
-    size = (_TRIALS, transport.channels, len(known))
+    if transport.camera_shape != transport.projector_shape:
+        return False
+    rays = np.prod(transport.camera_shape)
+    known = np.ones(rays, np.bool_) if known is None else known.ravel()
+    size = (_TRIALS, transport.channels, rays)
     signs = (2 * generator(0).integers(0, 2, size) - 1).astype(np.float32) * known
     channels = range(transport.channels)
     there = transport.forward(signs, channels)[..., known].astype(np.float64)

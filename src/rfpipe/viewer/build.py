@@ -1,12 +1,11 @@
-"""Writing a transport's page: one file, or a folder where it is large."""
+"""Writing a transport's page, one file."""
 
 from __future__ import annotations
 
 import json
-import math
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,23 +15,17 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.pictures.images import png_bytes, resized
-from rfpipe.provenance import generator
 from rfpipe.store.files import storage_errors, write_atomically
 from rfpipe.transport.base import Transport
+from rfpipe.transport.filling import looks_coaxial
 from rfpipe.viewer.lowering import lower
 from rfpipe.viewer.program import Packed, pack_array, pack_program
 
 LARGEST = 30 * 10**6
-"""Bytes of data, as the page holds them, beyond which a folder is written."""
+"""Bytes of data, as the page holds them, up to which it has other levels than the last."""
 
 _SCRIPTS = ("light.js", "picture.js", "engine.js", "state.js", "controls.js", "app.js")
-_TRIALS = 3
-# A coaxial rig's pictures and dual pictures of the same light differ by less, of their norm.
-_COAXIAL = 0.2
 _BASE64 = 4 / 3
-# Pixels of the preview: the text of the page takes as much, and both come in the first 100 kB.
-_PREVIEW_SIDE = 112
 
 
 @dataclass(frozen=True)
@@ -82,19 +75,16 @@ class Written:
     page : Path
         The file to open.
     nbytes : int
-        Of all files.
     levels : list of int
         The levels that can be chosen.
     left_out : list of int
-        Those for which one file had no room.
-    is_folder : bool
+        Those for which there was no room.
     """
 
     page: Path
     nbytes: int
     levels: list[int]
-    left_out: list[int] = field(default_factory=list)
-    is_folder: bool = False
+    left_out: list[int]
 
 
 def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
@@ -104,10 +94,9 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     ----------
     view : View
     output : Path
-        The HTML file. Where the data would take more than `largest` bytes in it, a folder of that
-        name without its suffix, to be put on any web server: ``index.html``, and the data by
-        levels, which browsers read coarse first; the file then leads there.
+        The HTML file.
     largest : int
+        Bytes of data up to which it has the coarse levels, too, as many as fit beside the last.
 
     Returns
     -------
@@ -127,38 +116,33 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     beside = _compared(view)
     room = largest / _BASE64 - (beside.nbytes if beside else 0)
     chosen, whole = program.levels[-1:], pack_program(program.seen_at(program.levels[-1:]))
-    is_folder = whole.nbytes > room
     for level in program.levels[:-1]:
         more = sorted([*chosen, level])
         packed = pack_program(program.seen_at(more))
-        if packed.nbytes > room and not is_folder:
+        if packed.nbytes > room:
             break
         chosen, whole = more, packed
-    held = {"levels": whole, **({"compared": beside} if beside else {})}
-    page = output.with_suffix("") / "index.html" if is_folder else output
-    written = 0
-    if is_folder:
-        written = sum(_write_files(page.parent, name, packed) for name, packed in held.items())
     light = beside.manifest if beside else {}
     manifest = {
         **whole.manifest,
         "white": white_of(transport),
-        "coaxial": _is_coaxial(transport),
+        "coaxial": looks_coaxial(transport),
         "name": output.stem,
         "other": light if "operations" in light else None,
         "still": light if "operations" not in light and beside else None,
     }
+    held = {"l": whole, **({"c": beside} if beside else {})}
     embedded = {
-        f"{name[0]}{index}": b64encode(blob).decode()
+        f"{name}{index}": b64encode(blob).decode()
         for name, packed in held.items()
-        for index, blob in enumerate(packed.blobs if not is_folder else [])
+        for index, blob in enumerate(packed.blobs)
     }
     text = _render(view, manifest, embedded).encode()
-    _write(page, text)
-    if is_folder:
-        _write(output, _leading_to(page.relative_to(output.parent), view.title))
+    with storage_errors(output, "write", len(text)):
+        output.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(output, text)
     left_out = [level for level in program.levels if level not in chosen]
-    return Written(page, written + len(text), chosen, left_out, is_folder)
+    return Written(output, len(text), chosen, left_out)
 
 
 def _compared(view: View) -> Packed | None:
@@ -195,53 +179,6 @@ def white_of(transport: Transport) -> float:
     return white if white > 0 else float(floodlit.max()) or 1.0
 
 
-def _is_coaxial(transport: Transport) -> bool:
-    """Tell whether pictures and dual pictures of the same random light are alike."""
-    if transport.camera_shape != transport.projector_shape:
-        return False
-    size = (_TRIALS, transport.channels, math.prod(transport.camera_shape))
-    light = generator(0).standard_normal(size).astype(np.float32)
-    channels = range(transport.channels)
-    there, back = transport.forward(light, channels), transport.adjoint(light, channels)
-    return bool(np.linalg.norm(there - back) <= _COAXIAL * np.linalg.norm(there))
-
-
-def _leading_to(page: Path, title: str) -> bytes:
-    """Return a page that leads to that of a folder."""
-    from markupsafe import escape
-
-    place = escape(page.as_posix())
-    return (
-        f'<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
-        f'<meta http-equiv="refresh" content="0; url={place}"><p><a href="{place}">{escape(title)}'
-        "</a></p></html>\n"
-    ).encode()
-
-
-def _write_files(folder: Path, name: str, packed: Packed) -> int:
-    """Write a program's arrays, a file a level, and tell its manifest where they lie."""
-    parts: dict[str, list[bytes]] = {}
-    places: list[tuple[str, int, int]] = []
-    for array, blob in zip(packed.manifest["arrays"], packed.blobs, strict=True):
-        file = f"{name}/level_{array['level']:02d}.bin"
-        held = parts.setdefault(file, [])
-        places.append((file, sum(map(len, held)), len(blob)))
-        held.append(blob)
-    for file, held in parts.items():
-        _write(folder / file, b"".join(held))
-    for older in (folder / name).glob("level_*.bin"):
-        if f"{name}/{older.name}" not in parts:
-            older.unlink()
-    packed.manifest["files"] = places
-    return packed.nbytes
-
-
-def _write(path: Path, content: bytes) -> None:
-    with storage_errors(path, "write", len(content)):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, content)
-
-
 def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> str:
     """Return the page's text."""
     from jinja2 import Environment, StrictUndefined
@@ -261,8 +198,6 @@ def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> s
         about=view.about,
         compared=compared.name if compared else "nothing",
         has_views=RayDomain(view.transport.projector_shape).views > 1,
-        connects="data:" if "files" not in manifest else "'self' data:",
-        preview=Markup(_preview_of(view.transport, manifest["white"])),
         style=Markup(source("style.css")),
         script=Markup(source(*_SCRIPTS)),
         worker=_in_script(source("kernels.js", "worker.js")),
@@ -278,14 +213,3 @@ def _in_script(value: Any) -> Any:
 
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=True)
     return Markup(text.replace("<", "\\u003c"))
-
-
-def _preview_of(transport: Transport, white: float) -> str:
-    """Return the first view under floodlight as a small picture in the page itself."""
-    domain = RayDomain(transport.camera_shape)
-    floodlit = transport.relight(np.ones(transport.projector_shape, np.float32))
-    view = floodlit.reshape(domain.views, *domain.image_shape, transport.channels)[0]
-    step = max(1.0, max(view.shape[:2]) / _PREVIEW_SIDE)
-    height, width = (max(1, round(side / step)) for side in view.shape[:2])
-    picture = png_bytes(resized(view, (height, width)), white)
-    return f"data:image/png;base64,{b64encode(picture).decode()}"

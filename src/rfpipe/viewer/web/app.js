@@ -33,41 +33,8 @@ async function embedded(prefix, index) {
   }
 }
 
-// Arrays that lie side by side in a file come together, up to so many bytes at a time.
-const TOGETHER = 2 ** 20;
-
-function inGroups(places) {
-  const groups = [];
-  for (const [file, from, bytes] of places) {
-    const last = groups.at(-1);
-    if (last && last.file === file && last.end === from && from + bytes - last.from <= TOGETHER) {
-      last.end = from + bytes;
-    } else groups.push({ file, from, end: from + bytes });
-    groups.at(-1).count = (groups.at(-1).count || 0) + 1;
-  }
-  return groups.flatMap((group) => Array(group.count).fill(group));
-}
-
-const wholeFiles = new Map();
-async function fetched(group) {
-  const { file, from, end } = group;
-  if (wholeFiles.has(file)) return (await wholeFiles.get(file)).subarray(from, end);
-  const answer = await fetch(file, { headers: { Range: `bytes=${from}-${end - 1}` } });
-  if (!answer.ok) throw new Error(`${file}: ${answer.status} ${answer.statusText}`);
-  const found = answer.arrayBuffer().then((data) => new Uint8Array(data));
-  if (answer.status === 206) return found;
-  wholeFiles.set(file, found); // a server without ranges sends all of it, once
-  return (await found).subarray(from, end);
-}
-
-function blobs(prefix, manifest) {
-  if (!manifest.files) return (index) => embedded(prefix, index);
-  const groups = inGroups(manifest.files);
-  return async (index) => {
-    const group = groups[index], [, from, bytes] = manifest.files[index];
-    group.data ||= fetched(group);
-    return (await group.data).slice(from - group.from, from - group.from + bytes);
-  };
+function blobs(prefix) {
+  return (index) => embedded(prefix, index);
 }
 
 function kernel() {
@@ -152,7 +119,6 @@ function paint() {
   const usable = compared && compared.length === picture.length ? compared : null;
   screens.seen.show(picture, { view: state.seenView, white, tone: state.tone, other: usable,
     wipe: state.wipe / 100, limit: state.difference ? state.limit / 100 : 0 });
-  $("seen").dataset.drawn = "yes";
   if (state.tool === "pixel" && state.px >= 0) screens.seen.mark(state.px, state.py);
   paintLight();
   if (usable && (state.wipe || state.difference) && !playing && drawing === null) {
@@ -235,33 +201,29 @@ function makeScreens() {
 }
 
 async function begin() {
-  if (MANIFEST.files && location.protocol === "file:") {
-    throw new Error("its data come from a web server; in this folder, run: python -m http.server");
-  }
   makeScreens();
   bindControls();
   bindScreens();
   showControls();
   const simd = kernel(), cores = clamp((navigator.hardwareConcurrency || 2), 1, 6);
-  engine = new Engine(MANIFEST, blobs("l", MANIFEST), cores, simd);
+  engine = new Engine(MANIFEST, blobs("l"), cores, simd);
   $("runs").textContent = `${simd ? "WebAssembly with SIMD" : "plain JavaScript"}, ` +
     `${engine.workers.length} workers`;
   document.body.dataset.kernel = simd ? "wasm" : "javascript";
   engine.onfail = (message) => say(`The page can't go on: ${message}`, true);
   engine.onlevel = (ready) => arrived(ready);
   if (MANIFEST.other) {
-    other = new Engine(MANIFEST.other, blobs("c", MANIFEST.other), Math.max(1, cores >> 1), simd);
+    other = new Engine(MANIFEST.other, blobs("c"), Math.max(1, cores >> 1), simd);
     other.onfail = engine.onfail;
   }
   $("comparing").hidden = !MANIFEST.other && !MANIFEST.still;
   await engine.load();
   if (other) await other.load();
-  if (MANIFEST.still) await loadStill(blobs("c", MANIFEST.still));
+  if (MANIFEST.still) await loadStill(blobs("c"));
 }
 
 async function loadStill(blob) {
-  let data = await blob(0);
-  if (typeof data === "string") data = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
+  const data = Uint8Array.from(atob(await blob(0)), (c) => c.charCodeAt(0));
   const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("gzip"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer()), n = planes.length / 4;
   const bytes = new Uint8Array(planes.length);

@@ -1,6 +1,6 @@
 // Workers that run a program: each has a share of the operations, and their pictures are added.
 class Engine {
-  // `blob(i)` gives the i-th array's base64 text or bytes, or a promise of it.
+  // `blob(i)` gives the i-th array's base64 text, or a promise of it.
   constructor(manifest, blob, count, simd) {
     this.about = manifest;
     this.blob = blob;

@@ -65,10 +65,9 @@ async function start({ manifest, operations, wasm }) {
   counts = allocate(4 * (largest + 1));
 }
 
-// From base64 or bytes as packing.py made them to numbers.
+// From base64 of bytes as program.py packed them to numbers.
 async function decoded(array, data) {
-  if (typeof data === "string") data = fromBase64(data);
-  const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const stream = new Blob([fromBase64(data)]).stream().pipeThrough(new DecompressionStream("gzip"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer());
   const Type = TYPES[array.type], size = Type.BYTES_PER_ELEMENT, n = planes.length / size;
   if (size === 1) return new Type(planes.buffer);
