@@ -6,7 +6,7 @@ from dataclasses import asdict
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,8 +33,8 @@ class MitsubaOptions(SceneSettings):
 
     scene: str = Field(
         min_length=1,
-        description=f"Which scene: one of {', '.join(WORLDS)}; or a file of Mitsuba 3, .xml, or "
-        ".json of a scene's dict. Its sensors and lights but for projectors are left out.",
+        description=f"Which scene: one of {', '.join(WORLDS)}; or a file of Mitsuba 3, .xml. Its "
+        "sensors and lights but for projectors are left out.",
     )
     projector_shape: tuple[Extent, Extent] | None = Field(
         None,
@@ -48,11 +48,6 @@ class MitsubaOptions(SceneSettings):
         None,
         min_length=1,
         description="Where the projectors stand; null: the scene's own, or with the cameras.",
-    )
-    light: Literal["recorded", "rendered"] = Field(
-        "recorded",
-        description="recorded: the transport matrix is traced once and kept. rendered: Mitsuba "
-        "renders each pattern, slowly, and without caustics.",
     )
     samples: int = Field(
         16384, ge=2, le=2**20, description="Paths of light a pixel, 2 to 1,048,576."
@@ -81,19 +76,18 @@ class MitsubaOptions(SceneSettings):
         if self.scene in WORLDS:
             return WORLDS[self.scene]
         path = Path(self.scene)
-        if path.suffix not in {".xml", ".json"}:
+        if path.suffix != ".xml":
             raise InputError(
-                f"scene is {self.scene!r}; expected a file of Mitsuba 3, .xml or .json, or one of "
+                f"scene is {self.scene!r}; expected a file of Mitsuba 3, .xml, or one of "
                 f"{', '.join(WORLDS)}"
             )
         return world_of_file(path)
 
     @property
     def followed(self) -> Light:
-        """The light that is followed; no caustics where patterns are rendered."""
+        """The light that is followed."""
         caustics = self.world.caustics if self.caustics is None else self.caustics
-        bounces = self.bounces or self.world.bounces
-        return Light(bounces, self.samples, caustics and self.light == "recorded", self.seed)
+        return Light(self.bounces or self.world.bounces, self.samples, caustics, self.seed)
 
     def own_options(self) -> dict[str, Any]:
         """Return the options of the kind, with the light that is followed in numbers."""
@@ -168,7 +162,6 @@ class MitsubaScene(Scene):
             "light": self.light.describe(),
             "coaxial": self.coaxial,
             "channels": self.channels,
-            "rendered": self.options.light == "rendered",
             "mitsuba": metadata.version("mitsuba"),
         }
 
@@ -182,7 +175,7 @@ class MitsubaScene(Scene):
         )
 
     def _loaded(self) -> Any:
-        need_llvm(f"scene {self.world.name}: light: recorded")
+        need_llvm(f"scene {self.world.name}")
         return load_scene(self.world)
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
@@ -190,9 +183,8 @@ class MitsubaScene(Scene):
 
         Raises InputError where no light comes back to the camera, or it can't be recorded here.
         """
-        radiance = self._rendered if self.options.light == "rendered" else self._recorded
         return apply_in_batches(
-            radiance, patterns, self.projector_shape, self.channels, self.camera.rays
+            self._recorded, patterns, self.projector_shape, self.channels, self.camera.rays
         )
 
     def _recorded(self, weights: Double) -> Double:
@@ -213,24 +205,7 @@ class MitsubaScene(Scene):
             for piece in pieces
         ]
 
-    @cached_property
-    def _renderer(self) -> Any:
-        from rfpipe_mitsuba.rendering import Renderer
-
-        return Renderer(self.world, self.camera, self.projector, self.light)
-
-    def _rendered(self, weights: Double) -> Double:
-        """Radiance (M, B, C) of patterns (N, B), by rendering each."""
-        dark = np.zeros((self.camera.rays, 3))  # as what a batch is filled up with
-        colour = np.stack(
-            [self._renderer.render(pattern) if pattern.any() else dark for pattern in weights.T],
-            axis=1,
-        )
-        return colour if self.channels == 3 else colour @ np.array(_LUMINANCE)[:, None]
-
     def dense(self, channel: int = 0) -> Double:
         """The whole matrix (M, N) of one channel."""
-        if self.options.light == "rendered":
-            return super().dense(channel)
         rows = [piece[channel].toarray() for piece in self._matrices]
         return np.concatenate(rows).astype(np.float64) * self.recording.scale

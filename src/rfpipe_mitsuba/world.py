@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -81,7 +80,7 @@ class World:
 
 
 def world_of_file(path: Path) -> World:
-    """Return the scene of a file: XML of Mitsuba's, or JSON of a dict of its.
+    """Return the scene of a file of Mitsuba's (XML).
 
     Its first perspective sensor is the camera, its first emitter of type projector the projector;
     without one the rig is coaxial.
@@ -93,12 +92,9 @@ def world_of_file(path: Path) -> World:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        if path.suffix == ".json":
-            description = json.loads(text)
-        else:
-            description = {"type": "scene", "path": str(path.resolve()), "text": text}
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: the scene can't be read: {error}") from error
+    description: dict[str, Any] = {"type": "scene", "path": str(path.resolve()), "text": text}
     _, state = _parsed(description, str(path))
     named = {str(node.props["filename"]) for node in state.nodes if "filename" in node.props}
     description["files"] = {  # digests of its meshes and pictures
@@ -145,12 +141,11 @@ def _parsed(description: dict[str, Any], name: str) -> tuple[Any, Any]:
     mi = load_mitsuba()
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = False
-    parts = {key: value for key, value in description.items() if key != "files"}
     with _mitsuba_errors(name):
-        if "text" in parts:
-            state = mi.parser.parse_file(config, parts["path"])
+        if "text" in description:
+            state = mi.parser.parse_file(config, description["path"])
         else:
-            state = mi.parser.parse_dict(config, _for_mitsuba(mi, parts))
+            state = mi.parser.parse_dict(config, _for_mitsuba(mi, description))
         mi.parser.transform_all(config, state)
     return config, state
 

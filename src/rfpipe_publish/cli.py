@@ -53,20 +53,13 @@ def publish(
         Path | None,
         typer.Option(help="The run's settings, where it has no report, which knows them."),
     ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the rig's calibration; 'calibration' in FOLDER by default, for runs "
-            "with a real rig."
-        ),
-    ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a publication that stands there.")
     ] = False,
 ) -> None:
     """Write a run's transports, report and pictures as a crate that can be cited and checked.
 
-    The crate is a Workflow Run RO-Crate with DataCite and Croissant metadata, SHA-256 of every
+    The crate is a Workflow Run RO-Crate with DataCite metadata, SHA-256 of every
     file, and a ten-line example that relights it from a folder, a zip file or an address. Licence
     and creators are asked for once and kept in FOLDER/publication.yaml, with a title, a version
     and more to edit. Without a terminal, give --license and --creator.
@@ -92,7 +85,6 @@ def publish(
         place,
         captured=captured,
         config=config,
-        calibration=calibration,
         overwrite=overwrite,
     )
     typer.echo(f"{place}: {files:,} files, {nbytes / 1e6:,.1f} MB, {citation.license}")

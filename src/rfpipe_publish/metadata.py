@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from rfpipe.config.base import Settings, explained
 from rfpipe.config.reading import read_yaml
@@ -24,8 +24,6 @@ CRATE_FILE = "ro-crate-metadata.json"
 
 _UNPUBLISHED = ":unav"  # DataCite's word for what isn't known yet
 _SPDX = r"[A-Za-z0-9][A-Za-z0-9.+-]*-[A-Za-z0-9.+-]*[0-9][A-Za-z0-9.+-]*"
-_CR = "http://mlcommons.org/croissant/"
-_TYPES = {"i": "sc:Integer", "f": "sc:Float"}
 _PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
     "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
@@ -41,16 +39,6 @@ _TERMS = {
 Graph = dict[str, dict[str, Any]]
 
 
-def _checked_digit(orcid: str) -> str:
-    """Check an ORCID iD by its last digit (ISO 7064, 11-2)."""
-    total = 0
-    for digit in orcid.replace("-", "")[:15]:
-        total = (total + int(digit)) * 2
-    if "0123456789X"[(12 - total % 11) % 11] != orcid[-1]:
-        raise ValueError("should have a last digit that fits the others")
-    return orcid
-
-
 def _bare(text: object) -> str:
     return re.sub(r"^(https://(doi|orcid)\.org/|doi:)", "", str(text))
 
@@ -63,7 +51,7 @@ class Creator(Settings):
     """One who is to be cited; read from ``Family, Given; ORCID; affiliation``, too."""
 
     name: Line
-    orcid: Annotated[Bare, AfterValidator(_checked_digit)] | None = Field(
+    orcid: Bare | None = Field(
         None,
         pattern=r"^\d{4}-\d{4}-\d{4}-\d{3}[\dX]$",
         description="ORCID iD such as 0000-0002-1825-0097",
@@ -190,80 +178,6 @@ def datacite(citation: Citation) -> dict[str, Any]:
     }
 
 
-def _dataset(citation: Citation) -> dict[str, Any]:
-    """Return what schema.org says of every data set."""
-    return {
-        "name": citation.title,
-        "description": citation.description,
-        "datePublished": citation.published.isoformat(),
-        "version": citation.version,
-        "keywords": ", ".join(citation.keywords),
-    }
-
-
-def croissant(citation: Citation, tables: Mapping[str, tuple[Path, str]]) -> dict[str, Any]:
-    """Return the Croissant 1.0 metadata (JSON-LD) of a publication's CSV tables.
-
-    Parameters
-    ----------
-    tables : mapping of str to (Path, str)
-        Files and their SHA-256, by name.
-    """
-    terms = ("citeAs", "column", "extract", "field", "fileObject", "recordSet", "source")
-    return {
-        "@context": {
-            "@language": "en",
-            "@vocab": "https://schema.org/",
-            "sc": "https://schema.org/",
-            "cr": _CR,
-            "conformsTo": "http://purl.org/dc/terms/conformsTo",
-            "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-            **{term: f"cr:{term}" for term in terms},
-        },
-        "@type": "sc:Dataset",
-        "conformsTo": f"{_CR}1.0",
-        **_dataset(citation),
-        "license": citation.license_url,
-        "url": citation.doi_url or "./",
-        "citeAs": citation.text,
-        "creator": [
-            {"@type": f"sc:{creator.kind}", "name": creator.name} for creator in citation.creators
-        ],
-        "distribution": [
-            {
-                "@type": "cr:FileObject",
-                "@id": name,
-                "name": name,
-                "contentUrl": name,
-                "encodingFormat": "text/csv",
-                "sha256": digest,
-            }
-            for name, (_, digest) in tables.items()
-        ],
-        "recordSet": [_records(name, file) for name, (file, _) in tables.items()],
-    }
-
-
-def _records(name: str, file: Path) -> dict[str, Any]:
-    """Describe a table: a record a row, a field a column."""
-    import pandas as pd
-
-    label = file.stem
-    fields = [
-        {
-            "@type": "cr:Field",
-            "@id": f"{label}/{column}",
-            "name": column,
-            "dataType": "sc:Text"
-            if values.isna().all()
-            else _TYPES.get(values.dtype.kind, "sc:Text"),
-            "source": {"fileObject": {"@id": name}, "extract": {"column": column}},
-        }
-        for column, values in pd.read_csv(file).items()
-    ]
-    return {"@type": "cr:RecordSet", "@id": label, "name": label, "field": fields}
-
-
 def crate(
     citation: Citation,
     parts: Mapping[str, Mapping[str, Any]],
@@ -302,7 +216,15 @@ def crate(
     instrument = _add(
         graph, "#rfpipe", "SoftwareApplication", name="rfpipe", softwareVersion=__version__
     )
-    root: dict[str, Any] = {**_dataset(citation), "creator": creators, "author": creators}
+    root: dict[str, Any] = {
+        "name": citation.title,
+        "description": citation.description,
+        "datePublished": citation.published.isoformat(),
+        "version": citation.version,
+        "keywords": ", ".join(citation.keywords),
+        "creator": creators,
+        "author": creators,
+    }
     if workflow:
         language = _add(graph, _SNAKEMAKE, "ComputerLanguage", name="Snakemake")
         kinds = ("File", "SoftwareSourceCode", "ComputationalWorkflow")

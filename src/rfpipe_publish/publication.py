@@ -18,7 +18,7 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.transport.storage import MANIFEST, STORE_NAME
 from rfpipe.version import __version__
-from rfpipe_publish.metadata import CRATE_FILE, Citation, crate, croissant, datacite
+from rfpipe_publish.metadata import CRATE_FILE, Citation, crate, datacite
 from rfpipe_publish.run import SETTINGS, Acquisition, Run, files_below, settings_of
 from rfpipe_publish.writing import Source, Writer, size_of, writing
 
@@ -42,7 +42,6 @@ def publish(
     *,
     captured: bool = False,
     config: Path | None = None,
-    calibration: Path | None = None,
     overwrite: bool = False,
 ) -> tuple[int, int]:
     """Write a run's results as a crate, complete or not at all; return its files and bytes.
@@ -57,9 +56,6 @@ def publish(
         Publish the captured frames, too, and all that the stages made of them.
     config : Path, optional
         The run's settings, where it has no report to take them from.
-    calibration : Path, optional
-        Folder of the rig's calibration; ``calibration`` beside the results of a run with a real
-        rig by default.
     overwrite : bool
         Replace a publication that stands there.
 
@@ -75,10 +71,9 @@ def publish(
     output = output.absolute()
     _check_output(run, output, overwrite)
     settings = settings_of(run, config)
-    calibrated = _calibration_of(run, calibration)
     for acquisition in run.acquisitions:
         acquisition.check()
-    data = list(_data(run, calibrated, captured=captured))
+    data = list(_data(run, captured=captured))
     if settings is not None:
         data.append((SETTINGS, settings))
     with writing(output, sum(size_of(source) for _, source in data)) as writer:
@@ -105,7 +100,7 @@ def _check_output(run: Run, output: Path, overwrite: bool) -> None:
         )
 
 
-def _data(run: Run, calibration: Path | None, *, captured: bool) -> Iterator[tuple[str, Source]]:
+def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
     """Yield name and source of all that isn't made for the publication."""
     for acquisition in run.acquisitions:
         yield from files_below(acquisition.folder / STORE_NAME, acquisition.store_name)
@@ -114,22 +109,13 @@ def _data(run: Run, calibration: Path | None, *, captured: bool) -> Iterator[tup
         yield from _reference_pictures(acquisition)
     yield from run.report_files()
     yield from run.captured() if captured else run.manifests()
-    if calibration is not None:
+    calibration = run.folder / "calibration"
+    if (run.settings or {}).get("capture", {}).get("rig", "remote") == "remote":
         yield from files_below(calibration, "calibration")
     source = Path(__file__).parents[2]  # where rfpipe runs from its sources
     if (source / "Snakefile").is_file() and (source / "workflow").is_dir():
         yield _WORKFLOW, source / "Snakefile"
         yield from files_below(source / "workflow", "source/workflow")
-
-
-def _calibration_of(run: Run, given: Path | None) -> Path | None:
-    """Return the folder of the calibration that belongs to a run, if any does."""
-    folder = given or run.folder / "calibration"
-    is_calibration = (folder / "calibration.json").is_file()
-    if given and not is_calibration:
-        raise InputError(f"{given}: is no calibration; expected a folder of 'rfpipe calibrate'")
-    rig = (run.settings or {}).get("capture", {}).get("rig", "remote")
-    return folder if is_calibration and (given or rig == "remote") else None
 
 
 def _reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
@@ -159,13 +145,7 @@ def encoded(image: NDArray[Any], suffix: str) -> bytes:
 
 def _add_metadata(writer: Writer, run: Run, citation: Citation) -> None:
     """Write what is made for the publication: metadata, pages and, last, the manifest."""
-    tables = {
-        name: (run.folder / name, digest)
-        for name, (digest, _) in writer.written.items()
-        if name.startswith("results/report/tables/") and name.endswith(".csv")
-    }
     writer.add("datacite.json", _json(datacite(citation)))
-    writer.add("croissant.json", _json(croissant(citation, tables)))
     for name, page in _pages(run, citation, writer.written.keys()).items():
         writer.add(name, page)
     writer.add(CRATE_FILE, _json(_crate(writer, run, citation)))

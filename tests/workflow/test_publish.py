@@ -34,14 +34,6 @@ issues = [f"{issue.check.identifier}: {issue.message}" for issue in found.get_is
 print(json.dumps([found.passed(), issues]))
 """
 
-_VALIDATE_CROISSANT = """
-import sys, json, mlcroissant
-data = mlcroissant.Dataset(jsonld=sys.argv[1])
-problems = [*data.metadata.ctx.issues.errors]
-rows = [row for row in data.records("results")] if len(sys.argv) > 2 else []
-print(json.dumps([problems, len(rows)]))
-"""
-
 
 @pytest.fixture(scope="module")
 def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -82,8 +74,7 @@ def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path, validators: str
     assert printed(validators, _VALIDATE_CRATE, crate.with_suffix(".zip"), *arguments) == [True, []]
 
 
-def test_croissant_and_datacite_are_valid(crate: Path, validators: str) -> None:
-    assert printed(validators, _VALIDATE_CROISSANT, crate / "croissant.json") == [[], 0]
+def test_datacite_is_valid(crate: Path, validators: str) -> None:
     script = (
         "import json, sys; from datacite import schema45; "
         "schema45.validator.validate(json.load(open(sys.argv[1]))); print(1)"
