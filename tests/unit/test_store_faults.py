@@ -257,17 +257,14 @@ def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
         np.testing.assert_array_equal(store.read(0, 6), frames)
 
 
-@pytest.mark.parametrize("number", [1, 13, 30])
-def test_a_forbidden_folder_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_forbidden_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*_: object) -> None:
-        raise OSError(number, os.strerror(number))
+        raise OSError(13, os.strerror(13))
 
     monkeypatch.setattr(os, "open", forbidden)
     for attempt in (
         lambda: FrameStore.create(tmp_path / "s", (2, 3), "u2", "abc", {}),
         lambda: write_arrays(tmp_path / "s", {}, {}),
     ):
-        with pytest.raises(StoreError, match=f"{os.strerror(number)}; expected a place that this"):
+        with pytest.raises(StoreError, match="Permission denied; expected a place that this"):
             attempt()

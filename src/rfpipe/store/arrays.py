@@ -16,7 +16,6 @@ from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.store.chunks import (
     DAMAGE,
     ChunkedArray,
-    compression_for,
     layout,
     read_attributes,
     small_layout,
@@ -103,15 +102,14 @@ class ArrayBundle:
         IntegrityError
             When a chunk is missing, truncated or altered.
         """
-        entry, place = self._entry(name), self.path / (self._prefix + name)
-        array: NDArray[Any] | None = None
-        cause: Exception | None = None
+        entry = self._entry(name)
         try:
+            place = self.path / (self._prefix + name)
             array = ChunkedArray(place, exactly=exactly).read()
+            if _array_entry(array) != entry:
+                raise ValueError("other values")
         except (IntegrityError, *DAMAGE) as error:
-            cause = error
-        if array is None or _array_entry(array) != entry:
-            raise self._damage(name, entry) from cause
+            raise self._damage(name, entry) from error
         return array
 
     def take(self, name: str, items: NDArray[np.int64]) -> NDArray[Any]:
@@ -249,14 +247,8 @@ def open_arrays(path: Path | Place) -> ArrayBundle:
 
 def _advice(path: Path | Place) -> str:
     if not isinstance(path, Path):
-        return (
-            f"Fetch {path} anew (open it again, if it was replaced meanwhile), or tell who "
-            "published it"
-        )
-    manifest = path.with_suffix(".json")
-    if manifest.exists():
-        return f"Remove {manifest} and run the stage that writes it again; `rfpipe verify` says how"
-    return f"Remove {path} and run the stage that writes it again"
+        return f"Fetch {path} anew (open it again, if it was replaced meanwhile)"
+    return f"Remove {path} and its manifest, and run the stage that writes it again"
 
 
 def _write_group(
@@ -272,7 +264,7 @@ def _write_group(
     group = zarr.create_group(path, attributes=header)
     for name, array in arrays.items():
         chunks, shards = _grid(array, by_parts)
-        how = small_layout(array.dtype) if small else layout(compression_for(array.dtype))
+        how = small_layout(array.dtype) if small else layout()
         if shards is not None:
             how["compressors"] = [how["compressors"], Crc32cCodec()]
         stored = group.create_array(
@@ -305,17 +297,9 @@ def _refuse_foreign(path: Path) -> None:
     except IntegrityError:
         return
     except StoreError as error:
-        # a bundle that lost its header still holds nothing but arrays
-        inside = [file.relative_to(path).parts for file in path.rglob("*") if file.is_file()]
-        is_bundle = path.is_dir() and all(
-            len(parts) > 1 and (parts[1] == METADATA or parts[1].startswith("c"))
-            for parts in inside
-        )
-        if not inside or not is_bundle:
-            raise InputError(
-                f"{path}: stands here but is no bundle of arrays; move it away or choose another "
-                "place"
-            ) from error
+        raise InputError(
+            f"{path}: stands here but is no bundle of arrays; move it away or choose another place"
+        ) from error
 
 
 def _array_entry(array: NDArray[Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rfpipe.errors import InputError, IntegrityError, StaleStoreError, StoreError
-from rfpipe.store.chunks import Compression, damaged_metadata, read_attributes
+from rfpipe.store.chunks import damaged_metadata, read_attributes
 from rfpipe.store.files import (
     canonical_json,
     digest_of,
@@ -98,11 +98,10 @@ class FrameStore:
         *,
         items_per_chunk: int = 1,
         chunks_per_file: int = 1,
-        compression: Compression | None = None,
     ) -> FrameStore:
         """Make a store, or resume the one that stands there; locked until `close`.
 
-        A resumed store keeps its own attributes, chunks and compression. Each of its items is
+        A resumed store keeps its own attributes and chunks. Each of its items is
         read and checked: a damaged one counts as missing, to be written again.
 
         Parameters
@@ -115,8 +114,6 @@ class FrameStore:
         chunks_per_file
             Several make shards of zarr v3: fewer files, of which each chunk can be read by itself.
             A shard is written whole, by one writer.
-        compression
-            By default that of the dtype.
 
         Raises
         ------
@@ -130,29 +127,16 @@ class FrameStore:
         StoreError
             When the disk is full or the folder isn't writable.
         InputError
-            When an argument is out of range, or something that is no store stands there.
+            When something that is no store stands there.
         """
         wanted = np.dtype(dtype)
-        if (
-            len(shape) < 2
-            or shape[0] < 0
-            or min(*shape[1:], items_per_chunk, chunks_per_file) < 1
-            or wanted.kind not in "uif"
-        ):
-            raise InputError(
-                f"{path}: shape {tuple(shape)} of {wanted} in chunks of {items_per_chunk}, "
-                f"{chunks_per_file} a file; expected (items, *item shape) of integers or floats, "
-                "at least one element an item, one item a chunk and one chunk a file"
-            )
         header = {"kind": KIND, "fingerprint": fingerprint, "attributes": attributes}
         header = plain(header, f"{path}: attributes")
         lock = StoreLock(path)
         lock.acquire()
         try:
             if not (path / METADATA).exists():
-                make_item_array(
-                    path, shape, wanted, header, items_per_chunk, chunks_per_file, compression
-                )
+                make_item_array(path, shape, wanted, header, items_per_chunk, chunks_per_file)
             store = cls(path)
             store._refuse_other(shape, wanted, fingerprint)
             if not store.dropped:

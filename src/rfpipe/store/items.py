@@ -15,8 +15,6 @@ from rfpipe.errors import InputError, StaleStoreError
 from rfpipe.store.chunks import (
     DAMAGE,
     ChunkedArray,
-    Compression,
-    compression_for,
     layout,
     read_attributes,
 )
@@ -156,12 +154,11 @@ def make_item_array(
     attributes: dict[str, Any],
     items_per_chunk: int,
     chunks_per_file: int,
-    compression: Compression | None,
 ) -> None:
     """Make an empty array, complete or absent."""
     import zarr
 
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+    if path.is_file() or any(path.glob("*")):
         raise InputError(
             f"{path}: stands here but is no store (it has no {METADATA}); move it away or choose "
             "another place"
@@ -177,6 +174,6 @@ def make_item_array(
             shards=(items_per_chunk * chunks_per_file, *shape[1:]) if chunks_per_file > 1 else None,
             dtype=dtype,
             attributes=attributes,
-            **layout(compression or compression_for(dtype)),
+            **layout(),
         )
         new.rename(path)
