@@ -104,8 +104,6 @@ def test_a_shard_is_added_to_chunk_by_chunk_and_there_once_it_is_whole(tmp_path:
             assert not list(path.glob("c.*"))
             digests += add(frames[6:])
         store.enter(4, digests)
-        with pytest.raises(ValueError, match="1 chunks for 4 items"), writer.adding(0) as add:
-            add(frames[:2])
         with pytest.raises(InputError, match="a block of"), writer.adding(0) as add:
             add(frames[:2, :1])
         assert [file.name for file in path.glob("*c.*")] == ["c.1.0.0.0.0"]
@@ -283,9 +281,9 @@ def test_a_second_writer_is_kept_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"fingerprint": "other"}, "fingerprint abc instead of other"),
-        ({"shape": (8, *SHAPE[1:])}, r"shape \(7, 2, 5, 6, 3\) instead of \(8,"),
-        ({"dtype": RADIANCE}, "dtype uint16 instead of float32"),
+        ({"fingerprint": "other"}, "abc.* instead of .*other"),
+        ({"shape": (8, *SHAPE[1:])}, r"\(7, 2, 5, 6, 3\).* instead of .*\(8,"),
+        ({"dtype": RADIANCE}, "uint16.* instead of .*float32"),
     ],
 )
 def test_a_stale_store_is_refused_until_discarded(

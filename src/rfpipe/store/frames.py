@@ -320,14 +320,9 @@ class FrameStore:
     def _refuse_other(self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str) -> None:
         made = {"fingerprint": self.fingerprint, "shape": self.shape, "dtype": self.dtype}
         wanted = {"fingerprint": fingerprint, "shape": tuple(shape), "dtype": dtype}
-        differences = [
-            f"{name} {old} instead of {wanted[name]}"
-            for name, old in made.items()
-            if old != wanted[name]
-        ]
-        if differences:
+        if made != wanted:
             raise StaleStoreError(
-                f"{self.path}: made with another configuration ({'; '.join(differences)}), "
+                f"{self.path}: made with another configuration ({made} instead of {wanted}), "
                 f"{len(self._digests)} items captured; restore the settings that it was made "
                 "with, or discard it to start anew"
             )

@@ -57,7 +57,6 @@ class ItemArray(ChunkedArray):
         """
         place: Path = self.file(start)
         partial = hidden_sibling(place, f"{os.getpid()}.partial")
-        items = min(self.items_per_file, self.shape[0] - start)
         needed = self.items_per_file * self.dtype.itemsize * int(np.prod(self.shape[1:]))
         lengths: list[int] = []
         with storage_errors(self.path, f"writing the items from {start} on", needed):
@@ -70,8 +69,6 @@ class ItemArray(ChunkedArray):
                         return [digest_of(np.ascontiguousarray(item)) for item in block]
 
                     yield add
-                    if len(lengths) != -(-items // self.items_per_chunk):
-                        raise ValueError(f"{place}: {len(lengths)} chunks for {items} items")
                     file.write(self.index(lengths))
                 partial.replace(place)
             except BaseException:
@@ -95,14 +92,15 @@ class ItemArray(ChunkedArray):
 
     def damaged(self, start: int, stop: int, digests: Mapping[int, str]) -> list[int]:
         """Return those of the items [start, stop) in `digests` that aren't as they were written."""
-        damaged: list[int] = []
         step = self.items_per_chunk
-        for first in range(start - start % step, stop, step):
-            chunk = range(max(start, first), min(stop, first + step))
-            items = [item for item in chunk if item in digests]
-            if len(items) < len(chunk) or self.read_items(chunk.start, chunk.stop, digests) is None:
-                damaged += [i for i in items if self.read_items(i, i + 1, digests) is None]
-        return damaged
+        firsts = range(start - start % step, stop, step)
+        chunks = (range(max(start, first), min(stop, first + step)) for first in firsts)
+        return [
+            item
+            for chunk in chunks
+            if chunk.start in digests and self.read_items(chunk.start, chunk.stop, digests) is None
+            for item in chunk
+        ]
 
     def whole_files(self, digests: Mapping[int, str]) -> dict[int, str]:
         """Return what covers files wholly, since they are written whole."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import time
 import zlib
 from collections.abc import Mapping, Sequence
@@ -12,6 +12,7 @@ from pathlib import Path
 from rfpipe.store.files import storage_errors
 
 _SECONDS_BETWEEN_SYNCS = 1.0
+_LINE = re.compile(rb'^{"item":(\d+),"digest":"([0-9a-f]+)","check":"[0-9a-f]{8}"}\n', re.MULTILINE)
 
 
 def read_journal(path: Path, n_items: int) -> dict[int, str]:
@@ -25,8 +26,12 @@ def read_journal(path: Path, n_items: int) -> dict[int, str]:
     """
     with storage_errors(path, "reading"):
         content = path.read_bytes() if path.exists() else b""
-    entries = (_parse(line) for line in content.split(b"\n")[:-1])
-    return {item: digest for item, digest in filter(None, entries) if 0 <= item < n_items}
+    entries = ((int(found[1]), found[2].decode(), found[0]) for found in _LINE.finditer(content))
+    return {
+        item: digest
+        for item, digest, line in entries
+        if item < n_items and line == _line(item, digest)
+    }
 
 
 def journal_bytes(entries: Mapping[int, str]) -> bytes:
@@ -83,15 +88,3 @@ class JournalWriter:
 def _line(item: int, digest: str) -> bytes:
     check = zlib.crc32(f"{item}:{digest}".encode())
     return f'{{"item":{item},"digest":"{digest}","check":"{check:08x}"}}\n'.encode()
-
-
-def _parse(line: bytes) -> tuple[int, str] | None:
-    """Item and digest of a line without its end, or None when it isn't what was written."""
-    try:
-        data = json.loads(line)
-        item, digest = data["item"], data["digest"]
-    except (ValueError, KeyError, TypeError):
-        return None
-    if not isinstance(item, int) or not isinstance(digest, str):
-        return None
-    return (item, digest) if _line(item, digest) == line + b"\n" else None

@@ -65,9 +65,6 @@ class Place(ABC):
     def __truediv__(self, name: str) -> Place:
         return self.at(f"{self.key}/{name}")
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({str(self)!r})"
-
 
 def content_of(file: Path | Place) -> bytes | None:
     """Return the content of a file, None where there is none."""
