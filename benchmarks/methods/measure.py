@@ -18,7 +18,7 @@ import rfpipe
 from benchmarks.methods.cases import CAMERAS, Case, path_of
 from benchmarks.methods.scenes import KINDS, Stage, stage_of
 from rfpipe.errors import RfpipeError
-from rfpipe.photometry import MergeOptions, Sensor
+from rfpipe.photometry import Sensor
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import Scene
 from rfpipe.stages.evaluate import relative_rms, unlit_rms
@@ -146,7 +146,7 @@ def _photographed(stage: Stage, light: str, seed: int) -> tuple[float, float]:
     dark = np.zeros_like(stage.truth[0])
     keys = [(_PHOTOGRAPHS, index) for index in range(_BLACK + len(stage.truth))]
     off = [sensor.expose(dark, seed, key) for key in keys[:_BLACK]]
-    merge = sensor.merging(np.mean(off, axis=0, dtype=np.float32), MergeOptions(black_count=_BLACK))
+    merge = sensor.merging(np.mean(off, axis=0, dtype=np.float32), _BLACK)
     on = [sensor.expose(*each) for each in _with_keys(stage.truth, seed, keys[_BLACK:])]
     total, unlit = _errors(stage, merge(np.stack(on)).radiance)
     return _mean(total), _mean(unlit)

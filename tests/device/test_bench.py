@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from rfpipe.config import RigConfig, parse_rig_config
-from rfpipe.photometry import MergeOptions
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import rig_from_config
@@ -74,7 +73,7 @@ def merged(rig: DeviceRig, patterns: np.ndarray):  # type: ignore[no-untyped-def
     black = rig.capture(dark, [(BLACK_LEVEL_KEY, index) for index in range(8)])
     frames = rig.capture(patterns, [(0, index) for index in range(len(patterns))])
     mean = black.mean(axis=0, dtype=np.float64).astype(np.float32)
-    return rig.sensor.merge(frames, mean, MergeOptions(black_count=8))
+    return rig.sensor.merge(frames, mean, 8)
 
 
 def test_a_bracket_is_the_simulation_within_its_noise(rig: DeviceRig) -> None:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rfpipe.photometry import CameraModel, MergeOptions
+from rfpipe.photometry import CameraModel
 from rfpipe.photometry.defects import DarkFrames, find_defects
 from rfpipe.photometry.normalize import MAXIMUM_GAIN, apply, level_gain
 
@@ -51,7 +51,7 @@ def test_any_counts_merge_to_finite_radiance(camera: CameraModel, data: st.DataO
     counts = st.integers(0, camera.white_level)
     frames = data.draw(hnp.arrays(np.uint16, (2, *shape), elements=counts))
     black = data.draw(hnp.arrays(np.uint16, shape, elements=counts)).astype(np.float32)
-    merged = camera.merge(frames, black, MergeOptions(3))
+    merged = camera.merge(frames, black, 3)
     assert np.isfinite(merged.radiance).all()
     assert np.isfinite(merged.variance).all()
     assert (merged.variance > 0).all()

@@ -22,7 +22,7 @@ from rfpipe.calibration.rays import RayFit, blurring, fit_rays, measure_rays
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, MergeOptions
+from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import DeviceRig
 from rfpipe.rigs.layout import DARK, ProjectorLayout, apply_homography, pixel_middles
 from rfpipe.scenes.relighting import relighting_patterns
@@ -125,7 +125,7 @@ def test_pictures_on_the_rays_are_those_of_the_scene(camera: tuple[int, int], bl
     off = rig.capture(np.zeros((8, *rays), np.float32), [(9, i) for i in range(8)])
     patterns = np.stack(list(named.values()))
     frames = rig.capture(patterns, [(1, i) for i in range(len(patterns))])
-    images = rig.sensor.merge(frames, off.mean(axis=0), MergeOptions(8)).radiance
+    images = rig.sensor.merge(frames, off.mean(axis=0), 8).radiance
     true = bench.path._scene.apply(patterns.reshape(len(patterns), -1)).reshape(images.shape)
     for name, image, light in zip(named, images, true, strict=True):
         assert np.linalg.norm(image - light) < 0.02 * np.linalg.norm(light), name

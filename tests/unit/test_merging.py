@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions
+from rfpipe.photometry import CameraModel, ExactSensor
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
 from rfpipe.stages.jobs.workers import Resources
@@ -45,7 +45,7 @@ def test_references_tell_the_same_however_their_brackets_come(camera: Any) -> No
     )
     for name in ("black", "floodlit", "floodlit_variance"):
         np.testing.assert_array_equal(getattr(apart, name), getattr(together, name))
-    assert together.options == apart.options == MergeOptions(5)
+    assert together.black_count == apart.black_count == 5
     if camera is CAMERA:
         assert together.defects is not None
         assert apart.defects is not None
@@ -61,8 +61,8 @@ def test_defects_are_unknown_in_one_image_and_in_many() -> None:
     mask = np.zeros(IMAGE[:2], bool)
     mask[0, 0] = mask[2, 3] = mask[5:8, 6:9] = True
     nothing = np.zeros(0, np.float32)
-    merger = Merger(CAMERA, off, MergeOptions(4), DefectMap(mask, 1, 1), nothing, nothing)
-    plain = CAMERA.merge(frames, off, MergeOptions(4))
+    merger = Merger(CAMERA, off, 4, DefectMap(mask, 1, 1), nothing, nothing)
+    plain = CAMERA.merge(frames, off, 4)
     together = merger.merge(frames, 0)
     np.testing.assert_array_equal(together.radiance[:, ~mask], plain.radiance[:, ~mask])
     np.testing.assert_array_equal(together.variance[:, ~mask], plain.variance[:, ~mask])
@@ -136,7 +136,7 @@ def test_the_floodlit_image_is_as_uncertain_as_its_variance_says() -> None:
     off = np.stack([CAMERA.expose(np.zeros_like(image), 1, (9, index)) for index in range(64)])
     on = np.stack([CAMERA.expose(image, 1, (8, index)) for index in range(6)])
     learnt = Merger.from_references(CAMERA, [off], [on])
-    one = CAMERA.merge(on, learnt.black, MergeOptions(64)).variance
+    one = CAMERA.merge(on, learnt.black, 64).variance
     np.testing.assert_allclose(learnt.floodlit_variance, one.mean(axis=0) / 6, rtol=1e-5)
     deviation = np.square(learnt.floodlit - image) / learnt.floodlit_variance
     assert deviation.mean() == pytest.approx(1, abs=5 * np.sqrt(2 / image.size))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, MergeOptions, Sensor
+from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.photometry.defects import DarkFrames, DefectMap, check_floodlit, find_defects
 
 CAMERA = CameraModel()
@@ -139,7 +139,7 @@ def test_statistics_of_dark_frames_that_pass_by() -> None:
 
 def floodlit(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     off, lit = capture(CAMERA, radiance)
-    merged = CAMERA.merge(lit[None], off.mean(axis=0).astype(np.float32), MergeOptions(8))
+    merged = CAMERA.merge(lit[None], off.mean(axis=0).astype(np.float32), 8)
     return merged.radiance[0], merged.variance[0]
 
 

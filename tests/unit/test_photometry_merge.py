@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions
+from rfpipe.photometry import CameraModel, ExactSensor, Merged
 from rfpipe.photometry.camera import UNKNOWN_DEVIATION, merge_bracket
 from rfpipe.photometry.demosaic import demosaic, mosaic
 
@@ -15,9 +15,7 @@ CAMERA = CameraModel()
 
 def take(camera: CameraModel, image: np.ndarray, count: int = 8, key: int = 0) -> Merged:
     """Expose, with `count` all-off brackets, and merge."""
-    return camera.merge(
-        camera.expose(image, 1, (2, key))[None], black(camera, image, count), MergeOptions(count)
-    )
+    return camera.merge(camera.expose(image, 1, (2, key))[None], black(camera, image, count), count)
 
 
 def black(camera: CameraModel, image: np.ndarray, count: int = 8) -> np.ndarray:
@@ -81,8 +79,8 @@ def test_black_level_is_subtracted_before_the_merge() -> None:
     image = flat(0.004)
     pedestal = np.random.default_rng(0).integers(0, 200, (4, *image.shape)).astype(np.uint16)
     frames = CAMERA.expose(image, 0, (1, 1)) + pedestal
-    shifted = CAMERA.merge(frames[None], black(CAMERA, image) + pedestal, MergeOptions(8))
-    plain = CAMERA.merge((frames - pedestal)[None], black(CAMERA, image), MergeOptions(8))
+    shifted = CAMERA.merge(frames[None], black(CAMERA, image) + pedestal, 8)
+    plain = CAMERA.merge((frames - pedestal)[None], black(CAMERA, image), 8)
     usable = (frames < 0.98 * CAMERA.white_level).all(axis=0)
     np.testing.assert_allclose(
         shifted.radiance[0][usable], plain.radiance[0][usable], atol=1e-4, rtol=0
@@ -111,19 +109,18 @@ def test_a_pixel_stuck_at_full_scale_is_as_uncertain() -> None:
     image = flat(0.1, (4, 5, 1))
     frames, off = CAMERA.expose(image, 0, (0, 0)), black(CAMERA, image)
     frames[:, 1, 1], off[:, 1, 1] = CAMERA.white_level, CAMERA.white_level
-    merged = CAMERA.merge(frames[None], off, MergeOptions(8))
+    merged = CAMERA.merge(frames[None], off, 8)
     assert merged.radiance[0, 1, 1, 0] == 0
     full_scale = CAMERA.full_well_electrons / CAMERA.electrons_per_radiance / CAMERA.exposures[0]
     assert merged.variance[0, 1, 1, 0] == pytest.approx((UNKNOWN_DEVIATION * full_scale) ** 2)
     assert merged.saturated == 1
 
 
-def test_saturation_fraction() -> None:
-    image = flat(1.9, (4, 5, 1))  # 95 % of full scale at the shortest exposure
-    bracket = CAMERA.expose(image, 0, (0, 0))[None]
-    off = black(CAMERA, image)
-    assert CAMERA.merge(bracket, off).saturated == 0
-    assert CAMERA.merge(bracket, off, MergeOptions(saturation_fraction=0.9)).saturated == 20
+def test_counts_near_full_scale_are_saturated() -> None:
+    first = int(np.ceil(0.98 * CAMERA.white_level))
+    frames = np.full((1, 4, 1, 2, 1), first - 1, np.uint16)
+    frames[:, :, 0, 0] = first
+    assert CAMERA.merge(frames, np.zeros(frames.shape[1:])).saturated == 1
 
 
 def test_merge_of_a_batch_is_the_merge_of_each() -> None:

@@ -11,7 +11,6 @@ from rfpipe.errors import InputError
 from rfpipe.photometry import (
     CameraModel,
     ExactSensor,
-    MergeOptions,
     ResampledSensor,
     Resampling,
     sensor_from_description,
@@ -67,8 +66,8 @@ def test_merge_is_merge_then_resampling() -> None:
     sensor = ResampledSensor(CAMERA, resampling)
     light = np.random.default_rng(2).random((*CAMERA_SHAPE, 3), np.float32)
     frames, black = frames_of(CAMERA, light), black_of(CAMERA, 3)
-    options = MergeOptions(4)
-    merged, raw = sensor.merge(frames, black, options), CAMERA.merge(frames, black, options)
+    count = 4
+    merged, raw = sensor.merge(frames, black, count), CAMERA.merge(frames, black, count)
     assert np.array_equal(merged.radiance, resampled(resampling, raw.radiance))
     assert np.array_equal(merged.variance, resampled(resampling, raw.variance, 2))
     assert sensor.frame_shape(SHAPE, 3) == (2, *CAMERA_SHAPE, 3)

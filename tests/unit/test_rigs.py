@@ -200,12 +200,6 @@ def test_a_shape_that_is_none_says_what_was_meant(shape: Any) -> None:
         OperatorRig(np.eye(16), shape, (4, 4))
 
 
-def test_an_almost_dark_floodlit_image_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
-    rig, few = rig_of(MATRICES * 1.2e-6, noise=CameraModel()), {"floodlit_frames": 4}
-    rfpipe.acquire(rig, "brute_force", progress=False, black_frames=4, **few)
-    assert "the floodlit image is almost dark: its mean radiance" in caplog.text
-
-
 def test_a_matrix_in_place_of_a_rig_says_how_to_make_one() -> None:
     with pytest.raises(InputError, match=r"ndarray is no rig; .*OperatorRig\(matrix"):
         rfpipe.acquire(np.eye(4))  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from tests.sequences import SequenceFaults, SimulatedSequences
 
 from rfpipe import acquire
 from rfpipe.errors import InputError
-from rfpipe.photometry import CameraModel, MergeOptions, Sensor
+from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.rigs import OperatorRig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.stages import capture
@@ -97,7 +97,7 @@ def test_faults_are_found_and_mended(fault: str, scene: str, kind: str) -> None:
 def merged(plain: OperatorRig, frames: Float) -> Float:
     dark = plain.capture(np.zeros((4, *RAYS), np.float32), [(BLACK_LEVEL_KEY, i) for i in range(4)])
     mean = dark.mean(axis=0, dtype=np.float64).astype(np.float32)
-    return plain.sensor.merge(frames, mean, MergeOptions(black_count=4)).radiance
+    return plain.sensor.merge(frames, mean, 4).radiance
 
 
 def test_what_a_sequence_never_gives_is_taken_one_by_one(caplog: pytest.LogCaptureFixture) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError, RfpipeError
-from rfpipe.photometry import CameraModel, MergeOptions
+from rfpipe.photometry import CameraModel
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 from rfpipe.rigs.window import STEPS as WEIGHTS
 from rfpipe.rigs.window import code_table
@@ -129,7 +129,7 @@ class Bench:
         Channels are added up: the light is white.
         """
         dark = self.found["dark"]
-        merge = self.model.merging(dark["black"], MergeOptions(dark["frames"]))
+        merge = self.model.merging(dark["black"], dark["frames"])
         for frames in self.take(pictures, linear=linear):
             merged = merge(frames[None])
             yield (

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
-from rfpipe.photometry.sensor import MergeOptions, Sensor
+from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs.layout import ProjectorLayout
 
@@ -101,7 +101,7 @@ def merged_pictures(
     """Merge brackets (E, ...) under the patterns of `symmetry_patterns`, for `measure_symmetry`."""
     remaining = iter(brackets)
     black = np.mean([next(remaining) for _ in range(references)], axis=0).astype(np.float32)
-    merge = sensor.merging(black, MergeOptions(references))
+    merge = sensor.merging(black, references)
 
     def merged(count: int) -> tuple[Double, Double]:
         found = [merge(next(remaining)[None]) for _ in range(count)]

@@ -210,8 +210,6 @@ def _merged(
     camera: CameraModel, brackets: list[list[Path]], header: Header, dark: list[list[Path]]
 ) -> tuple[Float, Float]:
     """Return merged brackets and their variance, (K, C, M) each."""
-    from rfpipe.photometry import MergeOptions
-
     if header.kind != "counts":
         raise InputError(f"{brackets[0][0]}: holds light; the settings' camera counts")
     shape = camera.frame_shape(header.size, header.channels if camera.bayer is None else 3)
@@ -222,7 +220,7 @@ def _merged(
     black: Any = np.full(shape, camera.black_level_counts, np.float32)
     if dark:
         black = np.mean([frames(files) for files in dark], axis=0, dtype=np.float64)
-    merge = camera.merging(black.astype(np.float32), MergeOptions(black_count=max(1, len(dark))))
+    merge = camera.merging(black.astype(np.float32), max(1, len(dark)))
     merged = [merge(frames(files)[None]) for files in brackets]
     radiance, variance = (
         np.stack([_planar(getattr(each, name)[0]) for each in merged])

@@ -2,12 +2,11 @@
 
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.photometry.resampling import ResampledSensor, Resampling, sensor_from_description
-from rfpipe.photometry.sensor import ExactSensor, Merged, MergeOptions, Sensor
+from rfpipe.photometry.sensor import ExactSensor, Merged, Sensor
 
 __all__ = [
     "CameraModel",
     "ExactSensor",
-    "MergeOptions",
     "Merged",
     "ResampledSensor",
     "Resampling",

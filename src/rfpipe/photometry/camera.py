@@ -15,7 +15,6 @@ from rfpipe.photometry.demosaic import check_mosaic, demosaic, mosaic
 from rfpipe.photometry.sensor import (
     ExactSensor,
     Merged,
-    MergeOptions,
     Sensor,
     check_black,
     check_frames,
@@ -23,7 +22,7 @@ from rfpipe.photometry.sensor import (
     check_shape,
 )
 from rfpipe.provenance import generator
-from rfpipe.units import COUNTS, RADIANCE
+from rfpipe.units import COUNTS, RADIANCE, SATURATION_FRACTION
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig
@@ -137,14 +136,14 @@ class CameraModel(Sensor):
             frames[index] = self._frame(light, exposure, generator(seed, *key, index))
         return frames
 
-    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> CountsMerge:
+    def merging(self, black: NDArray[Any], black_count: int = 1) -> CountsMerge:
         """Return what merges many brackets to radiance with its variance.
 
         A response_gamma above 1 is steep at the black level: one that leaves no room for the read
         noise cuts its lower half off, and the mean of bent counts doesn't wholly hold a dark
         current below the read noise. Darkness is then off by a fraction of its noise.
         """
-        return CountsMerge(self, black, options or MergeOptions())
+        return CountsMerge(self, black, black_count)
 
     def _frame(self, light: Float, exposure: float, random: np.random.Generator) -> Counts:
         """Take one exposure of the light on the sensor."""
@@ -226,7 +225,7 @@ def _falloff(height: int, width: int, vignetting: float) -> Float:
 class CountsMerge:
     """The merge of a camera's brackets, given the mean of the all-off frames (E, ...) in counts."""
 
-    def __init__(self, camera: CameraModel, black: NDArray[Any], options: MergeOptions) -> None:
+    def __init__(self, camera: CameraModel, black: NDArray[Any], black_count: int) -> None:
         black = np.asarray(black, np.float32)
         check_black(black, len(camera.exposures))
         self._camera = camera
@@ -235,12 +234,12 @@ class CountsMerge:
             camera.electrons_per_radiance * exposure for exposure in camera.exposures
         ]
         self._full_scale = camera.full_well_electrons / self._collection[0]
-        self._usable_below = COUNTS(np.ceil(options.saturation_fraction * camera.white_level))
+        self._usable_below = COUNTS(np.ceil(SATURATION_FRACTION * camera.white_level))
         table = electrons_of_counts(camera)
         background = np.interp(black, np.arange(len(table)), table).astype(np.float32)
         # the converter's steps are as coarse in electrons as the response is steep
         steps = np.square(np.gradient(table)).astype(np.float32) / 12
-        noise = _fixed_noise(camera, background, options)
+        noise = _fixed_noise(camera, background, black_count)
         self._is_linear = camera.response_gamma == 1
         self._table, self._steps = table, steps
         self._background = (black if self._is_linear else background).reshape(len(black), -1)
@@ -355,7 +354,7 @@ def electrons_of_counts(camera: CameraModel) -> Float:
     return (fraction * camera.full_well_electrons).astype(np.float32)
 
 
-def _fixed_noise(camera: CameraModel, background: Float, options: MergeOptions) -> Float:
+def _fixed_noise(camera: CameraModel, background: Float, black_count: int) -> Float:
     """Variance in electrons squared that doesn't come from the signal, (E, *frame).
 
     Read noise, dark current and the shot noise of light in the all-off frames (the projector's
@@ -367,7 +366,7 @@ def _fixed_noise(camera: CameraModel, background: Float, options: MergeOptions) 
     # the converter's noise is of the frame alone: in the mean it's averaged and dithered
     quantum = camera.electrons_per_count**2 / 12
     glow = background - dark
-    error = np.sqrt((variance + quantum) / options.black_count)
+    error = np.sqrt((variance + quantum) / black_count)
     glow[glow < _GLOW_SIGNIFICANCE * error] = 0
-    noise = (variance + glow) * (1 + 1 / options.black_count) + quantum / options.black_count
+    noise = (variance + glow) * (1 + 1 / black_count) + quantum / black_count
     return np.asarray(noise, np.float32)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from math import erf, log
 from typing import Any
@@ -14,8 +13,6 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry.sensor import Sensor
 
 Mask = NDArray[np.bool_]
-
-_log = logging.getLogger(__name__)
 
 SIGNIFICANCE = 5.0
 """Standard deviations, beyond what the largest of as many good pixels reaches."""
@@ -197,23 +194,4 @@ def check_floodlit(radiance: NDArray[Any], variance: NDArray[Any]) -> None:
             f"the floodlit image is all black: radiance {total:.3g} in all, noise {error:.3g}. "
             "Check that the projector is on, that the camera sees what it lights, and that the "
             "exposures are long enough"
-        )
-
-
-def warn_if_dim(radiance: NDArray[Any], variance: NDArray[Any]) -> None:
-    """Warn where a single picture of full light is hardly brighter than its noise.
-
-    Patterns light a part of the projector, and indirect light is a part of theirs: what full light
-    leaves near the noise, they leave below it. Given are the mean floodlit image and the variance
-    of one picture, of any one shape.
-    """
-    light = float(np.mean(radiance, dtype=np.float64))
-    noise = float(np.sqrt(np.mean(variance, dtype=np.float64)))
-    if light < SIGNIFICANCE * noise:
-        _log.warning(
-            "the floodlit image is almost dark: its mean radiance, %.3g, is %.2g times a "
-            "picture's noise. Indirect light will be lost in it: take longer exposures, a "
-            "brighter projector, or a wider aperture",
-            light,
-            light / noise,
         )

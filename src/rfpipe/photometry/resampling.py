@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.demosaic import filling, weighed
-from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
+from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
 from rfpipe.provenance import fingerprint
 from rfpipe.units import RADIANCE
 
@@ -138,7 +138,7 @@ class ResampledSensor(Sensor):
             f"to a picture {np.shape(radiance)}; its frames come from a camera"
         )
 
-    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
+    def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
         """Return what merges brackets (B, E, Hc, Wc[, C]) of the camera to rays (B, *rays, C).
 
         Photosites are merged as grey pixels, then one matrix fills in the mosaic and resamples: the
@@ -148,7 +148,7 @@ class ResampledSensor(Sensor):
         has_mosaic = self.sensor.bayer is not None
         black = np.asarray(black)
         grey = replace(self.sensor, bayer=None)
-        merge = grey.merging(black[..., None] if has_mosaic else black, options)
+        merge = grey.merging(black[..., None] if has_mosaic else black, black_count)
 
         def resampled(frames: NDArray[Any], first_index: int = 0) -> Merged:
             frames = np.asarray(frames)

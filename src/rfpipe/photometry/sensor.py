@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.units import RADIANCE, SATURATION_FRACTION
+from rfpipe.units import RADIANCE
 
 Float = NDArray[np.float32]
 
@@ -39,24 +39,8 @@ class Merged:
     saturated: int
 
 
-@dataclass(frozen=True)
-class MergeOptions:
-    """How to merge; nothing here changes what is captured.
-
-    Parameters
-    ----------
-    black_count : int
-        Number of all-off brackets that `black` is the mean of; its noise enters the variance.
-    saturation_fraction : float
-        Counts at or above this fraction of full scale are saturated and not used, in (0, 1].
-    """
-
-    black_count: int = 1
-    saturation_fraction: float = SATURATION_FRACTION
-
-
 class BracketMerge(Protocol):
-    """Merges brackets whose all-off frames and options are settled; threads may share it."""
+    """Merges brackets whose all-off frames are settled; threads may share it."""
 
     def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
         """Merge brackets (B, E, ...), the first of them that of pattern `first_index`.
@@ -86,17 +70,17 @@ class Sensor(Protocol):
         radiance is not finite or is negative.
         """
 
-    def merge(
-        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
-    ) -> Merged:
-        """Merge brackets (B, E, ...), given the mean of the all-off bracket (E, ...).
+    def merge(self, frames: NDArray[Any], black: NDArray[Any], black_count: int = 1) -> Merged:
+        """Merge brackets (B, E, ...), given the mean of `black_count` all-off brackets (E, ...).
+
+        Its noise enters the variance.
 
         Raises CaptureError where a frame can't be one of this sensor's: names the pattern and the
         pixel.
         """
-        return self.merging(black, options)(frames)
+        return self.merging(black, black_count)(frames)
 
-    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
+    def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
         """Return `merge` for many brackets, all that depends on `black` alone worked out once.
 
         Raises CaptureError where `black` can't be of this sensor.
@@ -128,7 +112,7 @@ class ExactSensor(Sensor):
         """Return the radiance as the only frame of a bracket, float32 (1, *camera_shape, C)."""
         return check_light(radiance, key)[None]
 
-    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:  # noqa: ARG002
+    def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:  # noqa: ARG002
         """Return what subtracts the all-off frame; the variance is zero."""
         check_black(np.asarray(black), 1)
         return partial(_subtracted, np.asarray(black))

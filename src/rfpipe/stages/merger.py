@@ -19,10 +19,9 @@ from rfpipe.photometry.defects import (
     DefectMap,
     check_floodlit,
     find_defects,
-    warn_if_dim,
 )
 from rfpipe.photometry.resampling import ResampledSensor
-from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
+from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.units import RADIANCE
 
@@ -104,7 +103,8 @@ class Merger:
     sensor : Sensor
     black : ndarray of float32, shape (E, ...)
         Mean of the all-off brackets, subtracted before the merge (thesis B.2).
-    options : MergeOptions
+    black_count : int
+        How many they are.
     defects : DefectMap or None
         The camera's pixels to leave out; None where that is not wanted.
     floodlit : ndarray of float32, shape (*camera_shape, C)
@@ -116,7 +116,7 @@ class Merger:
 
     sensor: Sensor
     black: NDArray[np.float32]
-    options: MergeOptions
+    black_count: int
     defects: DefectMap | None
     floodlit: NDArray[np.float32]
     floodlit_variance: NDArray[np.float32]
@@ -148,7 +148,6 @@ class Merger:
         dark = DarkFrames()
         for frames in black_frames:
             dark.add(frames)
-        options = MergeOptions(dark.count)
         batches = iter(floodlit_frames)
         first = next(batches)
         is_camera = not isinstance(sensor, ExactSensor)
@@ -157,7 +156,8 @@ class Merger:
             defects = find_defects(dark, first[0], sensor)
             _check_defects(defects)
         nothing = np.zeros(0, np.float32)
-        merger = cls(sensor, dark.mean.astype(np.float32), options, defects, nothing, nothing)
+        black = dark.mean.astype(np.float32)
+        merger = cls(sensor, black, dark.count, defects, nothing, nothing)
         total: LevelSum | None = None
         for frames in chain([first], batches):
             merged = merger.merge(frames, total.count if total else 0)
@@ -168,9 +168,7 @@ class Merger:
         _check_saturation(total.saturated / (count * first[0, 0].size), sensor)
         if is_camera:
             known = np.isfinite(total.variance)
-            radiance, variance = total.radiance[known], total.variance[known]
-            check_floodlit(radiance, variance)
-            warn_if_dim(radiance / count, variance / count)
+            check_floodlit(total.radiance[known], total.variance[known])
         return replace(
             merger,
             floodlit=(total.radiance / count).astype(np.float32),
@@ -190,7 +188,7 @@ class Merger:
 
     @cached_property
     def _merge_bracket(self) -> BracketMerge:
-        return self._trusted.merging(self.black, self.options)
+        return self._trusted.merging(self.black, self.black_count)
 
     @cached_property
     def _trusted(self) -> Sensor:
@@ -259,10 +257,8 @@ def read_merger(sensor: Sensor, folder: AcquisitionFolder) -> Merger:
     counted = attributes["counted"]
     defective = "defects" in arrays
     defects = DefectMap(arrays["defects"], counted["hot"], counted["dead"]) if defective else None
-    options = MergeOptions(counted["black_frames"])
-    return Merger(
-        sensor, options=options, defects=defects, **{name: arrays[name] for name in _HELD}
-    )
+    held = {name: arrays[name] for name in _HELD}
+    return Merger(sensor, black_count=counted["black_frames"], defects=defects, **held)
 
 
 def read_floodlit(folder: AcquisitionFolder) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
-from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
@@ -75,16 +74,16 @@ class RigContract:
     def test_light_adds_up(self) -> None:
         """Half of the rays and the other half give what all rays give; none give no light."""
         with opened(self.make_rig()) as rig:
-            black, options = _black(rig)
+            black, count = _black(rig)
             dark = np.zeros(rig.projector_shape, np.float32)
-            frames = rig.capture(dark[None], [(BLACK_LEVEL_KEY, options.black_count)])
-            merged = rig.sensor.merge(frames, black, options)
+            frames = rig.capture(dark[None], [(BLACK_LEVEL_KEY, count)])
+            merged = rig.sensor.merge(frames, black, count)
             self._require_equal_light(merged.radiance[0], merged.variance[0], 0.0, "black")
             half = dark.copy()
             half.ravel()[::2] = 1
             patterns = np.stack([half, 1 - half, np.ones_like(half)])
             frames = rig.capture(patterns, [(2, index) for index in range(3)])
-            merged = rig.sensor.merge(frames, black, options)
+            merged = rig.sensor.merge(frames, black, count)
             require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
             require((merged.variance >= 0).all(), "a variance is negative")
             require(not merged.saturated, "the floodlit pattern saturates: expose for less")
@@ -141,9 +140,9 @@ def _batch(rig: Rig, count: int) -> tuple[Float, list[tuple[int, int]]]:
     return weights.reshape(count, *rig.projector_shape), [(1, index) for index in range(count)]
 
 
-def _black(rig: Rig, count: int = 4) -> tuple[Float, MergeOptions]:
-    """Return the mean of all-off brackets and the options that tell of how many."""
+def _black(rig: Rig, count: int = 4) -> tuple[Float, int]:
+    """Return the mean of all-off brackets, and how many they are."""
     patterns = np.zeros((count, *rig.projector_shape), np.float32)
     frames = rig.capture(patterns, [(BLACK_LEVEL_KEY, index) for index in range(count)])
     mean = frames.mean(axis=0, dtype=np.float64).astype(np.float32)
-    return mean, MergeOptions(black_count=count)
+    return mean, count
