@@ -17,7 +17,7 @@ from rfpipe.config import Config
 from rfpipe.config.schema import schema_of
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image
-from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
@@ -114,11 +114,6 @@ def test_relight_with_a_named_pattern(
     np.testing.assert_allclose(read_image(output), expected, rtol=1e-5)
 
 
-def test_help_lists_the_named_patterns() -> None:
-    text = run("relight", "--help")
-    assert all(name in text for name in RELIGHTING_PATTERNS)
-
-
 def test_unknown_pattern(transport: Path, tmp_path: Path, failure: Callable[..., str]) -> None:
     output = tmp_path / "image.exr"
     text = failure("relight", transport, "--pattern", "barr", "--output", output)
@@ -147,31 +142,6 @@ def test_pattern_of_another_size(
     assert "6 x 4 pixels" in text
     assert "expected 4 x 6" in text
     assert not output.exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (("plan", "absent.yaml"), "absent.yaml: can't be read"),
-        (("info", "absent.zarr"), "absent.zarr"),
-    ],
-)
-def test_errors_are_messages(
-    failure: Callable[..., str], arguments: tuple[str, ...], expected: str
-) -> None:
-    text = failure(*arguments)
-    assert expected in text
-
-
-def test_black_image_is_black_on_screen(tmp_path: Path) -> None:
-    path = picture(tmp_path / "black.png", np.zeros((2, 3, 3), np.float32))
-    assert not read_image(path).any()
-
-
-@pytest.mark.parametrize("name", ["image.jpg", "absent/image.exr"])
-def test_picture_that_can_not_be_written(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=name):
-        write_image(tmp_path / name, np.ones((2, 3, 1), np.float32))
 
 
 def test_picture_that_can_not_be_read(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from rfpipe.config import CameraConfig, Config, RigConfig, load_config, parse_config
+from rfpipe.config import Config, RigConfig, load_config, parse_config
 from rfpipe.config.base import Settings
 from rfpipe.config.files import is_rig
 from rfpipe.config.schema import generated, schema_of
@@ -101,13 +101,6 @@ def test_every_setting_has_a_description(kind: type[Settings]) -> None:
     assert bare == []
 
 
-def test_default_camera_fills_its_well_at_radiance_two_in_the_shortest_exposure() -> None:
-    camera = CameraConfig()
-    assert 2.0 * camera.electrons_per_radiance * min(camera.exposures) == pytest.approx(
-        camera.full_well_electrons
-    )
-
-
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
     # YAML 1.1 takes 1e-4, without a dot, for a string
     text = f"{BARE_TEXT}methods: {{symmetric: {{tolerance: 1e-4}}}}"
@@ -115,48 +108,31 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
     assert settings.methods["symmetric"].options()["tolerance"] == 1e-4
 
 
-def test_settings_do_not_change() -> None:
-    with pytest.raises(ValueError, match="frozen"):
-        RUN.seed = 2  # type: ignore[misc]
-
-
 MISTAKES = """
 methods: {symmetric: {tolerence: 1}} -> methods.symmetric.tolerence is unknown; did you mean tolera
 methods: {symmetric: {tolerance: 2 s}} -> tolerance is '2 s'; it should be a valid number
-methods: {symmetric: {tolerance: 0}} -> tolerance is 0; it should be greater than 0
 methods: {symmetric: {tolerance: yes}} -> tolerance is true; it should not be true
-methods: {near_far: {patterns: -1}} -> near_far.patterns is -1; it should be greater than or equal
 methods: {dual: {patterns: 9}} -> dual.patterns is unknown; Known here: method, noise_significance,
 methods: [dual] -> methods is ['dual']; it should be a section for each method, as in {dual: {}}
 methods: {Dual!: {method: dual}} -> methods.Dual! is 'Dual!'; it should match pattern
-camera: {flare: .nan} -> camera.flare is nan; it should be a finite number
-camera: {bits: 10.5} -> camera.bits is 10.5; it should be a valid integer
-camera: {exposures: []} -> camera.exposures is []; it should have at least 1 item
 camera: {exposures: [15, 125]} -> exposures[1] is 125; it should .* 60. (Exposure times .* seconds
 camera: {exposures: [1.0, 0.1]} -> camera: exposures is (1.0, 0.1); it should ascend
 camera: {black_level_counts: 255, bits: 8} -> camera: black_level_counts is 255; .* 255 at 8 bits
 seed: -1 -> seed is -1; it should be greater than or equal to 0
 capture: 3 -> capture is 3; it should be a group of 'key: value' settings
 capture: {url: 'http://host:99999'} -> capture.url is .* port from 1 to 65535
-capture: {url: 'http://host:0'} -> capture.url is .* port from 1 to 65535
 resources: {workers: 'tcp://host:70000'} -> workers is .* port from 1 to 65535
 normalization: all -> normalization is 'all'; it should be 'none', 'per_channel'
 notify: mail -s 'done -> notify is .*No closing quotation
-notify: '  ' -> notify is .*no program is named
 scenes: {Mine!: {kind: plane}} -> scenes.Mine! is 'Mine!'; it should match pattern
 scenes: {a: {kind: wegde}} -> scenes.a: 'wegde' is unknown; expected one of captured,
 scenes: {a: {surfaces: [white]}} -> scenes.a.kind is missing; add it. .*'rfpipe settings scenes'
 scenes: {a: {kind: plane, shpae: 8 x 8}} -> scenes.a.shpae is unknown; did you mean shape?
-scenes: {a: {kind: plane, views: 3 x 3}} -> scenes.a.views is unknown
 scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surfaces (left, right), not
 {camera: {bayer: RGGB}, scenes: {a: {kind: plane, channels: 1}}} -> scenes.a.channels is 1; set it
-scenes: {a: {kind: room, views: [3, 0]}} -> scenes.a.views[1] is 0; it should be greater than
 scenes: {a: {kind: room, views: 9}} -> scenes.a.views is 9; it should be a valid tuple
 scenes: {a: {kind: room, span_degrees: 90 x 9}} -> should be less than or equal to 45
-scenes: {a: {kind: room, occluders: []}} -> scenes.a.occluders is unknown
 scenes: {a: {kind: room, methods: {}}} -> scenes.a.methods is {}
-scenes: {a: {kind: room, methods: [dual]}} -> as in {dual: {}}
-scenes: {a: {kind: room, methods: {dual: {tolerance: 2}}}} -> scenes.a.methods.dual.tolerance is 2
 scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is unknown
 """
 
@@ -211,16 +187,13 @@ def test_a_method_stands_twice_under_names_of_its_own() -> None:
     ("settings", "is_right"),
     [
         ({"methods": {"near_far": {"target_error": 0.02}, "dual": None}}, True),
-        ({"methods": {"fine": {"method": "dual", "tolerance": 1e-4}}}, True),
         ({"methods": {"own": {"method": "own.py:Own", "width": 2}}}, True),
         ({"methods": {"dual": {"patterns": 100}}}, False),
         ({"methods": {"fine": {"method": "dual", "patterns": 100}}}, False),
         ({"scenes": {"a": {"kind": "room", "surfaces": ["white"] * 3, "views": [2, 2]}}}, True),
         ({"scenes": {"a": {"kind": "own.py:Own", "width": 2}}}, True),
         ({"scenes": {"a": {"kind": "plane", "surfaces": ["white"], "views": [2, 2]}}}, False),
-        ({"scenes": {"a": {"kind": "plane"}}}, True),
         ({"scenes": {"a": {"kind": "plane", "surfaces": ["wihte"]}}}, False),
-        ({"scenes": {"a": {"surfaces": ["white"]}}}, False),
         ({"scenes": {"a": {"kind": "wegde", "surfaces": ["white"]}}}, False),
     ],
 )
@@ -248,11 +221,9 @@ def test_every_mistake_is_reported_once() -> None:
         ("seed: [1\n", "is not valid YAML"),
         ("- seed\n", "expected 'key: value' lines"),
         ("? [a, b]\n: 1\n", "found unhashable key"),
-        ("{a: 1}: 2\n", "found unhashable key"),
         (f"seed: {'9' * 5000}\n", "is not valid YAML"),
         (f"seed: {'[' * 3000}\n", "is not valid YAML"),
         ("seed: 010\n", "010 may be meant as one of two numbers"),
-        ("seed: 08\n", "08 may be meant as one of two numbers"),
         ("capture: {warm_up_minutes: 1:30}\n", "1:30 may be meant as one of two numbers"),
     ],
 )
@@ -270,17 +241,6 @@ def test_a_file_that_is_not_utf_8_is_named(tmp_path: Path) -> None:
         load_config(path)
 
 
-def test_a_text_of_digits_stays_one(tmp_path: Path) -> None:
-    assert load_config(write(tmp_path, f"{BARE_TEXT}report: {{title: '010'}}")).title == "010"
-
-
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent\.yaml: can't be read"):
         load_config(tmp_path / "absent.yaml")
-
-
-def test_a_title_counts_the_scenes() -> None:
-    one = parse_config(BARE, "mine.yaml")
-    assert one.title == "Light transport of one"
-    two = parse_config({"scenes": {**BARE["scenes"], "other": ROOM}}, "mine.yaml")
-    assert two.title == "Light transport of 2 scenes"

@@ -13,7 +13,7 @@ from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import Config
 from rfpipe.methods import get_method
 from rfpipe.report import build_report
-from rfpipe.report.errors import compare, estimates_figure, estimates_section, histories
+from rfpipe.report.errors import estimates_section, histories, speed_figure
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.stages.refine import log_estimate
 from rfpipe.transport import save_transport
@@ -110,42 +110,37 @@ def made_up(with_truth: bool = True) -> Inputs:
         ("other", "low_rank", "bar", 0.004),
     ]
     table = pd.DataFrame(errors if with_truth else [], columns=names)
-    empty = pd.DataFrame()
+    empty = pd.DataFrame(columns=["scene", "method", "patterns", "error"])
     return Inputs(CONFIG, runs, table, empty, empty, Path())
 
 
 def test_the_section_shows_each_estimate_and_how_good_the_last_was() -> None:
     section = estimates_section(made_up())
-    chart, compared = section.blocks
+    (compared,) = section.blocks
     assert compared.rows == [
         ["corner", "Near/far acquisition", "40", "2.00", "1.20", "1.00", "1.20"],
         ["other", "Optical low rank", "40", "2.00", "0.00", "0.40", "0.00"],
     ]
-    assert "Dashed" in chart.caption
 
 
 def test_without_truth_nothing_is_compared_and_no_line_is_drawn() -> None:
     section = estimates_section(made_up(with_truth=False))
-    chart, compared = section.blocks
+    (compared,) = section.blocks
     assert [row[-2:] for row in compared.rows] == 2 * [["\N{EN DASH}", "\N{EN DASH}"]]
     assert [row[-3] for row in compared.rows] == ["1.20", "0.00"]
-    assert "Dashed" not in chart.caption
 
 
-def test_the_curve_is_drawn_in_per_cent_with_truth_dashed_and_target_dotted() -> None:
+def test_estimates_are_drawn_dotted_in_per_cent() -> None:
     inputs = made_up()
-    figure = estimates_figure(inputs, histories(inputs.runs), compare(inputs), 0.02)
-    corner, other = figure.axes
+    steps = histories(inputs.runs)
+    figure = speed_figure(inputs, ["corner", "other"], inputs.speed_error, steps)
+    corner, _ = figure.axes
     assert [axis.get_title() for axis in figure.axes] == ["corner", "other"]
-    estimated, true, target = corner.lines
+    estimated, brute = corner.lines
     assert estimated.get_label() == "Near/far acquisition"
+    assert estimated.get_linestyle() == ":"
     np.testing.assert_allclose(estimated.get_xydata(), [[15, 8], [40, 1.2]])
-    assert true.get_color() == estimated.get_color()
-    assert [line.get_linestyle() for line in (estimated, true, target)] == ["-", "--", ":"]
-    np.testing.assert_allclose(true.get_ydata(), 1)
-    np.testing.assert_allclose(target.get_ydata(), 2)
-    # no estimate above 0 to draw on a logarithmic axis
-    assert not len(other.lines[0].get_xydata())
+    assert brute.get_label() == "patterns of brute force"
 
 
 def test_there_is_no_section_where_nothing_was_estimated() -> None:
@@ -171,7 +166,7 @@ def test_the_reports_tables_hold_what_the_acquisition_found(tmp_path) -> None:
     errors = pd.read_csv(tables / "errors.csv")
     assert compared["true_error"] == pytest.approx(errors["rms_total"].mean(), rel=1e-5)
     assert compared["patterns"] == history["patterns"].iloc[-1]
-    assert (figures / "estimated_error.png").is_file()
+    assert (figures / "speed_error.png").is_file()
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
     assert 'id="estimates"' in page
     # terms of an image are not drawn as leaves of blocks

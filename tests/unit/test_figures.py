@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from figures.__main__ import run
-from figures.common import Size, error
+from figures.common import Size
 from figures.growth import line_fit
 from figures.index import ORDER, cost_table, write_index
-from figures.sweets import letters
 
 ROW = {
     "table": "3.1", "figure": "Fig. 3.4, box", "scene": "two blocks", "camera_rays": 64,
@@ -45,17 +44,6 @@ def test_costs_stand_beside_brute_force_and_the_thesis() -> None:
     (field,) = cost_table("3.1", [arc], fits(10 * LEVELS)).to_dict("records")
     assert field["brute_force"] == 125
     assert field["extrapolated_line"] == pytest.approx(80 * (20 + 5 * np.log2(162_900 / 25)))
-
-
-@pytest.mark.parametrize("side", [8, 48])
-def test_letters_fit_into_any_picture(side: int) -> None:
-    picture = letters(side)
-    assert picture.shape == (side, side)
-    assert 0.02 < picture.mean() < 0.4
-
-
-def test_an_error_of_what_is_dark_is_none() -> None:
-    assert np.isnan(error(np.ones((4, 6, 3)), np.zeros((4, 6, 3))))
 
 
 def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> None:

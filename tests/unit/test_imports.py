@@ -52,10 +52,6 @@ def test_every_public_name_is_found() -> None:
         assert name in dir(rfpipe)
 
 
-def test_errors_are_found_before_anything_else_is_used() -> None:
-    assert "numpy" not in loaded_after("import rfpipe; rfpipe.errors.RfpipeError")
-
-
 def test_unknown_name() -> None:
     with pytest.raises(AttributeError, match="'rfpipe' has no attribute 'aquire'"):
         rfpipe.aquire  # noqa: B018

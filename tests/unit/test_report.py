@@ -320,12 +320,6 @@ def test_panels_show_light_and_errors_signed_on_one_round_scale():
     assert len(draw([[truth]]).axes) == 1
 
 
-def test_srgb_follows_the_standards_curve():
-    shown = srgb(np.array([[[0.0], [0.002], [0.5], [2.0], [-1.0]]]), white=1.0)
-    assert shown.shape == (1, 5, 3)
-    np.testing.assert_allclose(shown[0, :, 1], [0, 12.92 * 0.002, 0.7353570, 1, 0], rtol=1e-5)
-
-
 def test_numbers_as_text():
     dash = "\N{EN DASH}"
     assert [number(1234.5), number(None), number(float("nan"))] == ["1,234", dash, dash]

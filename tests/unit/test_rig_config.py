@@ -37,10 +37,6 @@ def test_the_default_file_holds_the_defaults() -> None:
         ({"kind": "simulated", "scene": PLANE, "bench": {}}, "bench should be null"),
         ({"bench": {"scene": {**PLANE, "channels": 3}}},
          "bench.scene.channels should be 1 with sensor.bayer null, not 3"),
-        ({"bench": {}, "projector": {"options": {"display": ":0"}}},
-         "projector.options.display should be null"),
-        ({"bench": {}, "camera": {"options": {"shape": [8, 8]}}},
-         "camera.options.shape should be null"),
         ({"bench": {"camera_corners": [[[0, 0], [9, 0], [9, 9], [0, 9]]] * 2}},
          "camera_corners should have four corners for each of 1 views, not for 2"),
     ],
@@ -49,8 +45,3 @@ def test_mistakes_are_explained(data: dict[str, Any], expected: str) -> None:
     text = message(data)
     assert text.startswith("rig.yaml: ")
     assert expected in text
-
-
-def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.yaml: can't be read"):
-        load_rig_config(tmp_path / "absent.yaml")

@@ -202,16 +202,4 @@ class RigConfig(Settings):
                 f"bench.scene.channels should be {channels} with sensor.bayer "
                 f"{sensor.bayer or 'null'}, not {self.bench.scene.channels}"
             )
-        for name, device, none in (
-            ("projector.options.display", self.projector.options, None),
-            ("projector.options.shape", self.projector.options, None),
-            ("projector.options.offset", self.projector.options, (0, 0)),
-            ("camera.options.shape", self.camera.options, None),
-            ("camera.options.offset", self.camera.options, (0, 0)),
-        ):
-            if getattr(device, name.rpartition(".")[2], none) != none:
-                raise ValueError(
-                    f"{name} should be {[*none] if none else 'null'} with a bench, whose "
-                    "display_shape and camera_shape say what is shown and taken"
-                )
         return self

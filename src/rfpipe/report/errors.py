@@ -56,25 +56,19 @@ def errors_section(inputs: Inputs) -> Section:
 
 
 def speed_section(inputs: Inputs) -> Section | None:
-    """Error against patterns, level by level."""
-    table = inputs.speed_error
-    if table.empty:
+    """Error against patterns, level by level, true and as methods estimated it."""
+    table, steps = inputs.speed_error, histories(inputs.runs)
+    known = {*table["scene"], *steps["scene"]}
+    if not known:
         return None
-    scenes = [scene for scene in inputs.scenes if scene in set(table["scene"])]
-    rays = {scene: inputs.of_scene(scene)[0].rays for scene in scenes}
-
-    def draw_scene(axis: Axes, scene: str) -> None:
-        for method, levels in table[table["scene"] == scene].groupby("method", sort=False):
-            axis.plot(levels["patterns"], 100 * levels["error"], **inputs.style(str(method)))
-        brute: dict[str, Any] = {"color": _GREY, "linewidth": 0.9, "linestyle": ":"}
-        axis.axvline(rays[scene], label="patterns of brute force", **brute)
-
+    scenes = [scene for scene in inputs.scenes if scene in known]
     caption = (
         "Relative RMS error of the scene relit with the first relighting pattern, as if the "
         "acquisition had stopped after each level, against the patterns shown by then. Methods "
-        "that fit all their pictures together have their last level alone."
+        "that fit all their pictures together have their last level alone. Dotted: the mean error "
+        "that a method itself estimated while it ran."
     )
-    figure = scene_curves(scenes, draw_scene)
+    figure = speed_figure(inputs, scenes, table, steps)
     shown = table_of(
         "Error after each level",
         "As in the plot.",
@@ -90,48 +84,49 @@ def speed_section(inputs: Inputs) -> Section | None:
         numbers=None,
     )
     name = "Speed against error"
-    return Section("speed", name, [Illustration(name, caption, "speed_error", figure), shown])
+    chart = Illustration(name, caption, "speed_error", figure)
+    return Section("speed", name, [chart, shown] if len(table) else [chart])
+
+
+def speed_figure(
+    inputs: Inputs, scenes: Sequence[str], table: pd.DataFrame, steps: pd.DataFrame
+) -> Figure:
+    """Draw true errors of the speed table, and the estimates of `histories`."""
+
+    def draw_scene(axis: Axes, scene: str) -> None:
+        for method, own in table[table["scene"] == scene].groupby("method", sort=False):
+            axis.plot(own["patterns"], 100 * own["error"], **inputs.style(str(method)))
+        for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
+            estimated = {**inputs.style(str(method)), "linestyle": ":"}
+            axis.plot(own["patterns"], 100 * own["estimated_error"], **estimated)
+        brute: dict[str, Any] = {"color": _GREY, "linewidth": 0.9, "linestyle": ":"}
+        rays = inputs.of_scene(scene)[0].rays
+        axis.axvline(rays, label="patterns of brute force", **brute)
+
+    return scene_curves(scenes, draw_scene)
 
 
 def estimates_section(inputs: Inputs) -> Section | None:
-    """Estimated error against patterns, or None where no method estimated its own."""
-    steps = histories(inputs.runs)
-    if steps.empty:
-        return None
+    """Last estimates beside true errors, or None where no method estimated its own."""
     compared = compare(inputs)
-    target = compared["target_error"].min()
-    curve = (
-        "The error that a method estimated against the patterns shown until then. Dotted: the "
-        f"error asked for, {target:.3g} of a relit image's norm."
-    )
-    if compared["true_error"].notna().any():
-        curve += " Dashed: the mean error over the relighting patterns at the end."
-        beside = "The last estimate, the mean error over the relighting patterns, and their ratio."
-    else:
-        beside = "The last estimate; the truth is not known here."
-    figure = estimates_figure(inputs, steps, compared, target)
-    return Section(
-        "estimates",
-        "Estimated error while it ran",
+    if compared.empty:
+        return None
+    shown = table_of(
+        "Estimated and true error",
+        "The last estimate; where the truth is known, the mean error over the relighting patterns, "
+        "and their ratio.",
+        compared,
+        inputs.labels,
         [
-            Illustration("Estimated error against patterns", curve, "estimated_error", figure),
-            table_of(
-                "Estimated and true error",
-                beside,
-                compared,
-                inputs.labels,
-                [
-                    ("patterns", "patterns", number),
-                    ("asked for, %", "target_error", percent),
-                    ("estimated, %", "estimated_error", percent),
-                    ("true, %", "true_error", percent),
-                    ("estimated over true", "ratio", fixed(2)),
-                ],
-                csv="estimates.csv",
-            ),
+            ("patterns", "patterns", number),
+            ("asked for, %", "target_error", percent),
+            ("estimated, %", "estimated_error", percent),
+            ("true, %", "true_error", percent),
+            ("estimated over true", "ratio", fixed(2)),
         ],
-        [_ABOUT],
+        csv="estimates.csv",
     )
+    return Section("estimates", "Estimated error while it ran", [shown], [_ABOUT])
 
 
 def histories(runs: Sequence[Run]) -> pd.DataFrame:
@@ -171,21 +166,3 @@ def compare(inputs: Inputs) -> pd.DataFrame:
             errors = {"target_error": asked, "estimated_error": estimated, "true_error": true}
             rows.append({**about, **errors, "ratio": estimated / (true or math.nan)})
     return pd.DataFrame(rows)
-
-
-def estimates_figure(
-    inputs: Inputs, steps: pd.DataFrame, compared: pd.DataFrame, target: float
-) -> Figure:
-    """Draw the estimates of `histories` against patterns, and the true errors of `compare`."""
-
-    def draw_scene(axis: Axes, scene: str) -> None:
-        for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
-            seen = own[own["estimated_error"] > 0]
-            axis.plot(seen["patterns"], 100 * seen["estimated_error"], **inputs.style(str(method)))
-        known = compared[compared["scene"] == scene].dropna(subset=["true_error"])
-        for run in known.to_dict("records"):
-            colour = inputs.style(run["method"])["color"]
-            axis.axhline(100 * run["true_error"], linestyle="--", linewidth=1.1, color=colour)
-        axis.axhline(100 * target, linestyle=":", linewidth=0.9, color=_GREY)
-
-    return scene_curves(list(dict.fromkeys(steps["scene"])), draw_scene)
