@@ -13,7 +13,6 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
-from rfpipe.methods.adaptive.footprints import method
 from rfpipe.methods.adaptive.footprints.method import ROUNDS, Footprints
 from rfpipe.patterns import Schedule
 from rfpipe.stages.evaluate import relative_rms
@@ -112,15 +111,6 @@ def test_a_mirror_goes_to_dual_photography_and_says_how_good_it_is() -> None:
     told = result.history["estimated_error"].iloc[-1]
     assert error < 0.03
     assert told > error / 2
-
-
-def test_too_many_pixels_go_to_dual_photography_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(method, "_MOST_PAIRS", 20**4 - 1)
-    matrix = scene((20, 20), (20, 20))
-    result = run(matrix, (20, 20), (20, 20), target_error=0.02)
-    shown = {row["level"]: row["patterns"] for row in result.transport.level_rows}
-    assert [shown[level] for level in range(1, len(ROUNDS) + 1)] == [2, 4, 0, 0, 0, 0]
-    assert errors(matrix, result.transport, (20, 20)) < 0.024
 
 
 @pytest.mark.slow

@@ -229,16 +229,6 @@ def _surroundings(keys: Int64, projector: RayDomain) -> Int64:
     return distinct(np.concatenate(around))
 
 
-@dataclass(frozen=True)
-class _Ways:
-    """Candidates of either way, in order of their keys, and the weights both ways."""
-
-    keys: Int64
-    there: Float
-    back: Float
-    variance: Float
-
-
 def joined(parts: list[Candidates], rays: int) -> Candidates:
     """Put together the footprints on a projector's views, of so many rays each."""
     views = len(parts)
@@ -277,22 +267,20 @@ def is_symmetric(found: Candidates, rays: int) -> bool:
 
     Where a rig isn't coaxial they have nothing in common.
     """
-    ways = _both_ways(found, rays)
-    apart = np.linalg.norm(ways.there - ways.back)
-    return bool(apart < 0.5 * np.linalg.norm(ways.there))
+    there, back = _both_ways(found, rays)
+    apart = np.linalg.norm(there.weights - back)
+    return bool(apart < 0.5 * np.linalg.norm(there.weights))
 
 
 def with_other_way(found: Candidates, rays: int) -> Candidates:
     """Return footprints with those candidates, too, that the other way found."""
-    ways = _both_ways(found, rays)
-    return Candidates(ways.keys, ways.variance, ways.there)
+    return _both_ways(found, rays)[0]
 
 
 def averaged(found: Candidates, rays: int) -> Candidates:
     """Return the means of both ways."""
-    ways = _both_ways(found, rays)
-    mean: Float = ((ways.there + ways.back) / 2).astype(np.float32)
-    return Candidates(ways.keys, ways.variance, mean)
+    there, back = _both_ways(found, rays)
+    return replace(there, weights=((there.weights + back) / 2).astype(np.float32))
 
 
 def reconciled(series: tuple[Series, ...], found: Candidates, indirect: list[Float]) -> Candidates:
@@ -301,8 +289,8 @@ def reconciled(series: tuple[Series, ...], found: Candidates, indirect: list[Flo
     The two may differ by a tenth of the weight and .003 of the floodlit image.
     """
     rays, views = len(series[0].lit), len(series)
-    ways = _both_ways(found, rays * views)
-    expected = split(Candidates(ways.keys, ways.variance, ways.back), views, rays)
+    there, back = _both_ways(found, rays * views)
+    expected = split(replace(there, weights=back), views, rays)
     parts = []
     for each, other, light in zip(series, expected, indirect, strict=True):
         near = other.uncertain(each, 0.1, 0.003)
@@ -310,12 +298,17 @@ def reconciled(series: tuple[Series, ...], found: Candidates, indirect: list[Flo
     return joined(parts, rays)
 
 
-def _both_ways(found: Candidates, rays: int) -> _Ways:
-    from rfpipe.methods.adaptive.footprints.kernels import united
+def _both_ways(found: Candidates, rays: int) -> tuple[Candidates, Float]:
+    """Add the candidates to which only the other way gives light; return its weights, too.
 
-    back = found.keys % rays
-    back *= rays
-    back += found.keys // rays
-    order = np.argsort(back)
-    own, other = (found.keys, found.weights, found.variance), (found.weights, found.variance)
-    return _Ways(*united(*own, back[order], *(each[order] for each in other)))
+    The larger variance counts.
+    """
+    back = found.keys % rays * rays + found.keys // rays
+    keys = distinct(np.concatenate([found.keys, back[found.weights > 0]]))
+    own, other = np.searchsorted(keys, found.keys), np.searchsorted(keys, back)
+    known = keys[np.minimum(other, len(keys) - 1)] == back
+    variance, there, light = np.zeros((3, len(keys)), np.float32)
+    there[own], variance[own] = found.weights, found.variance
+    light[other[known]] = found.weights[known]
+    variance[other[known]] = np.maximum(variance[other[known]], found.variance[known])
+    return Candidates(keys, variance, there), light

@@ -38,9 +38,6 @@ if TYPE_CHECKING:
 # views, which are lit one at a time, each has as many as the second tuple tells.
 ROUNDS = (24, 26, 36, 48, 64, 80)
 _VIEW_ROUNDS = (24, 12, 16, 24, 32, 40)
-# Pairs of a camera and a projector pixel beyond which footprints would be sought for an hour. At
-# 128 x 128, 2^28, a first fit takes two minutes.
-_MOST_PAIRS = 2**36
 
 _log = logging.getLogger(__name__)
 
@@ -126,15 +123,11 @@ class Footprints(Adaptive):
         return after.changed(unfit=not after.pictures.shine() or not self._fits(state))
 
     def _fits(self, state: AdaptiveState) -> bool:
-        """Tell whether a rig is neither too small nor too large for random patterns to pay."""
-        pixels, rays, views = state.camera.size, state.projector.size, state.projector.views
-        if pixels * rays > _MOST_PAIRS:
-            _log.info("%d x %d pixels are too many to look for footprints", pixels, rays)
-            return False
+        """Tell whether a rig is large enough for random patterns to pay."""
+        rays, views = state.projector.size, state.projector.views
         limit = state.options.patterns
         # the whole view, and four patterns of each
         if views > 1 and limit and limit <= 1 + HELD_OUT + 5 * views:
-            _log.info("%d patterns are too few to light %d views one at a time", limit, views)
             return False
         # smaller projectors are lit block by block at once
         return rays >= 4 * ROUNDS[0] * views
