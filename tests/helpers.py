@@ -11,20 +11,9 @@ from rfpipe.config import Config, parse_config
 from rfpipe.methods import Method
 from rfpipe.scenes import reference_scene
 from rfpipe.stages.evaluate import relative_rms
-from rfpipe.testing.methods import MatrixImages, MethodRun, matrix_of, run_method
+from rfpipe.testing.methods import MethodRun, matrix_of, run_method
 from rfpipe.transport import Transport
 
-__all__ = [
-    "Acquisition",
-    "MatrixImages",
-    "acquire_matrix",
-    "dense",
-    "picture_error",
-    "scene_matrices",
-    "settings_of_a_plane",
-]
-
-Acquisition = MethodRun
 dense = matrix_of
 
 

@@ -6,7 +6,6 @@ import pytest
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.patterns import (
     block_patterns,
-    held_out_shapes,
     held_out_spots,
     held_out_strip,
     probe_patterns,
@@ -47,16 +46,6 @@ def test_a_pattern_follows_from_its_level_and_number_alone() -> None:
     assert len(set(flat)) == 12
 
 
-def test_every_octave_of_size_has_the_same_power() -> None:
-    patterns = probe_patterns((64, 64), 1, 60) - 0.5
-    power = np.mean(np.abs(np.fft.fft2(patterns)) ** 2, axis=0)
-    frequency = np.hypot(np.fft.fftfreq(64)[:, None], np.fft.fftfreq(64))
-    edges = [1 / 48, 1 / 24, 1 / 12, 1 / 6, 1 / 3]
-    octaves = [power[(frequency >= low) & (frequency < 2 * low)].sum() for low in edges[:-1]]
-    # white noise would have four times the power in each next octave
-    assert max(octaves) < 2 * min(octaves)
-
-
 def test_bands_of_equal_range_are_lit_together() -> None:
     bands = probe_patterns(SHAPE, 2, 40, crease())
     noise = probe_patterns(SHAPE, 2, 40)
@@ -85,12 +74,6 @@ def test_every_fourth_probe_is_a_strip_on_one_side_of_the_crease() -> None:
     for lit in patterns[strip]:
         columns = CREASE[lit.any(axis=0)]
         assert columns.max() < len(columns), "not the columns that are nearest"
-
-
-def test_the_held_out_shapes_are_no_probe() -> None:
-    shapes = held_out_shapes(SHAPE)
-    assert shapes.mean() == pytest.approx(0.3, abs=1e-3)
-    assert not any((shapes == probe).all() for probe in probe_patterns(SHAPE, 1, 6))
 
 
 def test_the_held_out_strip_is_where_most_light_stays_near() -> None:

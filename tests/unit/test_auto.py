@@ -62,16 +62,3 @@ def test_what_the_rig_is_decides(
     np.testing.assert_array_equal(*same)
     assert result.patterns == by_hand.patterns <= 24
     assert "estimated_error" in result.history
-
-
-def test_a_rig_that_is_hardly_coaxial_counts_as_such_for_wide_targets_alone(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    """Symmetry would make errors of 3 %: no way to one of 1 %."""
-    matrix = 0.94 * coaxial() + 0.06 * beside()
-    for target, chosen in ((0.04, NearFar), (0.005, Footprints)):
-        caplog.clear()
-        with caplog.at_level(logging.INFO, "rfpipe"):
-            rfpipe.acquire(rig(matrix), "auto", target_error=target, patterns=8, **FRAMES)
-        told = [record.message for record in caplog.records if "going on by" in record.message]
-        assert told[0].endswith(chosen.title.lower())

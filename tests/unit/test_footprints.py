@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
 from rfpipe.methods.adaptive.footprints.method import ROUNDS, Footprints
-from rfpipe.patterns import Schedule
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
 
@@ -124,43 +122,35 @@ def test_a_limit_of_patterns_is_kept() -> None:
         assert np.isfinite(dense(run_of.transport)).all()
 
 
+BAD = np.zeros((20, 20), bool)
+BAD[3, 4] = BAD[11, 12:15] = True
+
+
+class Masked(MatrixImages):
+    """Images with pixels that the camera doesn't know."""
+
+    def read(self, first: int, last: int):
+        radiance, variance = super().read(first, last)
+        radiance[:, BAD], variance[:, BAD] = 0, np.inf
+        return radiance, variance
+
+
 def test_pixels_that_are_unknown_are_no_evidence() -> None:
     matrix = scene((20, 20), (20, 20))
-    own, domain = Footprints(), RayDomain((20, 20))
-    bad = np.zeros((20, 20), bool)
-    bad[3, 4] = bad[11, 12:15] = True
+    own, domain, good = Footprints(), RayDomain((20, 20)), ~BAD.ravel()
 
-    def acquired(defective: bool) -> np.ndarray:
+    def acquired(images_of: type[MatrixImages]) -> np.ndarray:
         state = own.start(domain, domain, 1, options_of(own, patterns=57))
         for _ in range(own.n_levels(domain, domain)):
-            images: Any = MatrixImages(matrix, (20, 20), own.schedule(state), 2e-3)
-            state = own.refine(state, Masked(images, bad) if defective else images)
+            state = own.refine(state, images_of(matrix, (20, 20), own.schedule(state), 2e-3))
         assert all(np.isfinite(each.error) for each in state.estimates)
         return dense(own.transport(state))[0]
 
-    whole, masked = acquired(False), acquired(True)
+    whole, masked = acquired(MatrixImages), acquired(Masked)
     assert np.isfinite(masked).all()
-    assert not masked[bad.ravel()].any()
-    good = ~bad.ravel()
+    assert not masked[~good].any()
     truth = matrix[0][good]
     assert relative_rms(masked[good], truth) < 1.3 * relative_rms(whole[good], truth)
-
-
-@dataclass
-class Masked:
-    """Images with pixels that the camera doesn't know."""
-
-    images: MatrixImages
-    bad: np.ndarray
-
-    @property
-    def schedule(self) -> Schedule:
-        return self.images.schedule
-
-    def read(self, first: int, last: int):
-        radiance, variance = self.images.read(first, last)
-        radiance[:, self.bad], variance[:, self.bad] = 0, np.inf
-        return radiance, variance
 
 
 @pytest.mark.slow

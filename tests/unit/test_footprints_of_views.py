@@ -105,14 +105,6 @@ def test_a_light_field_is_good_after_few_patterns() -> None:
 
 
 @pytest.mark.slow
-def test_colours_are_fitted_each_by_itself() -> None:
-    matrix = room(3)
-    done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=3e-4, target_error=0.1)
-    assert sum(done.patterns) == 1 + 6 + rounds_of(VIEWS, 0)
-    assert errors(done.transport, matrix) < 0.04
-
-
-@pytest.mark.slow
 def test_cameras_that_stand_beside_the_projectors() -> None:
     # two cameras' views of what three projectors light, one turned upside down
     matrix = room().reshape(VIEWS, *IMAGE, -1)[[0, 2], ::-1].reshape(1, 240, 360)

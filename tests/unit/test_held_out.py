@@ -81,13 +81,6 @@ def test_of_darkness_the_estimate_is_nought() -> None:
     assert found == Estimate(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_light_predicted_of_black_pictures_is_an_error_of_one() -> None:
-    predicted, held, _ = held_out(0.0, 0.0, 0)
-    found = estimate(predicted, np.zeros_like(predicted), ~held.lit[0])
-    assert found.error == pytest.approx(1)
-    assert 0 < found.dark < 1
-
-
 def test_pictures_that_noise_drowns_say_nothing() -> None:
     """Of a pattern whose light hardly reaches the camera; shapes count for it."""
     predicted, held, _ = held_out(0.005, 0.001, 0)

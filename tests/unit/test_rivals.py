@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.rivals.compressive import Compressive, pursue, rays_and_wavelets
 from benchmarks.rivals.low_rank import LowRank
-from tests.helpers import MatrixImages, acquire_matrix, dense
+from tests.helpers import acquire_matrix, dense
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
@@ -15,6 +15,7 @@ from rfpipe.errors import InputError
 from rfpipe.methods import Method, options_of
 from rfpipe.scenes import reference_scene
 from rfpipe.testing import MethodContract
+from rfpipe.testing.methods import MatrixImages
 
 COMPRESSIVE = "benchmarks.rivals.compressive:Compressive"
 LOW_RANK = "benchmarks.rivals.low_rank:LowRank"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from figures.hard_scenes import hard_cases
 from numpy.typing import NDArray
-from tests.helpers import MatrixImages, dense, picture_error, scene_matrices
+from tests.helpers import dense, picture_error, scene_matrices
 
 import rfpipe
 from rfpipe.blocks import RayDomain
@@ -23,7 +23,7 @@ from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.plan import Plan
 from rfpipe.store import write_manifest
-from rfpipe.testing.methods import MethodRun, run_method
+from rfpipe.testing.methods import MatrixImages, MethodRun, run_method
 from rfpipe.transport import Transport
 
 SHAPE = (16, 16)
@@ -108,31 +108,6 @@ def test_held_out_pictures_are_all_that_it_costs(name: str) -> None:
 
 
 @BOTH
-@pytest.mark.parametrize(
-    ("asked", "follows"),
-    [(1e-3, None), (1e-4, 1e-4), (0.5, None)],
-    ids=["default", "finer", "coarser"],
-)
-def test_a_smaller_tolerance_of_ones_own_counts(
-    name: str, asked: float, follows: float | None
-) -> None:
-    method, rays = get_method(name), RayDomain(SHAPE)
-    options = options_of(method, target_error=0.04, tolerance=asked)
-    begun = method.with_options(options).start(rays, rays, 1, options)
-    expected = follows or 0.3 * 0.04
-    assert begun.inner.options.tolerance == pytest.approx(expected)
-    assert begun.inner.options.noise_significance == options.noise_significance
-
-
-def test_what_is_known_already_ends_it_at_once() -> None:
-    """A diffuse cavity is of rank one, as symmetric photography's root is."""
-    albedo = generator(1).uniform(0.1, 1, 256)
-    found = run("symmetric", np.outer(albedo, albedo), target_error=0.01)
-    assert found.patterns == [1, 2, 4, 0, 0, 0, 0]
-    assert found.states[-1].following == "done"
-
-
-@BOTH
 def test_what_predicts_best_is_returned(name: str) -> None:
     """Where the last level shows another scene, that of an upper level; and it says so."""
     albedo = generator(1).uniform(0.5, 1, 256)
@@ -187,16 +162,6 @@ def test_light_stays_near_at_the_crease(matrix: NDArray[np.float64]) -> None:
     strip = held_out_strip(near)
     assert strip.sum() == 18
     assert strip[:, 10:14].sum() >= 17
-
-
-def test_the_stages_take_it_from_the_settings() -> None:
-    plan = Plan("fine", "symmetric", SHAPE, SHAPE, 1, {"target_error": 0.01})
-    assert plan.describe()["method"] == "symmetric"
-    assert plan.describe()["options"]["target_error"] == 0.01
-    plain = Plan("fine", "symmetric", SHAPE, SHAPE, 1)
-    assert plan.method.expected_patterns(plan.camera, plan.projector, plan.options) == (
-        plain.method.expected_patterns(plain.camera, plain.projector, plain.options) + MOST_HELD_OUT
-    )
 
 
 class Choice(Symmetric):

@@ -44,22 +44,6 @@ def test_masks_and_fractions_are_taken(entry: str, dtype: type) -> None:
     np.testing.assert_allclose(ENTRIES[entry](mask.astype(dtype)), ENTRIES[entry](mask), rtol=1e-6)
 
 
-@pytest.mark.parametrize("entry", ENTRIES)
-def test_scaled_as_said(entry: str) -> None:
-    weights = PICTURE.astype(np.float32) / 255
-    np.testing.assert_allclose(
-        ENTRIES[entry](picture_weights(PICTURE)), ENTRIES[entry](weights), rtol=1e-6
-    )
-
-
-def test_weights_above_one_are_taken_where_they_are_said_to_be_meant() -> None:
-    np.testing.assert_allclose(
-        TRANSPORT.relight(PICTURE.astype(float)),
-        255 * TRANSPORT.relight(picture_weights(PICTURE)),
-        rtol=1e-5,
-    )
-
-
 def test_a_schedule_of_masks_holds_and_shows_float32() -> None:
     schedule = Schedule(0, SHAPE, 1, weights=np.ones((1, *SHAPE), np.uint8))
     assert schedule.batch(0, 1).dtype == np.float32
@@ -95,8 +79,3 @@ def test_pictures_for_screens_are_coded() -> None:
 def test_pictures_whose_white_nobody_can_tell(picture) -> None:
     with pytest.raises(InputError, match="a picture of"):
         picture_weights(picture)
-
-
-def test_unknown_curve() -> None:
-    with pytest.raises(InputError, match="curve is 'gamma'; expected one of linear, srgb"):
-        picture_weights(PICTURE, "gamma")  # type: ignore[arg-type]
