@@ -205,7 +205,8 @@ def nearness(transport: Transport) -> Float:
     """
     shape, channels = transport.projector_shape, range(transport.channels)
     floodlit = _pictures(transport, np.ones((1, *shape), np.float32))[0]
-    sides = _sides(shape)
+    longest = max(RayDomain(shape).image_shape)
+    sides = [2**power for power in range(1, longest.bit_length()) if 2**power < longest]
     shares = [_share(_pictures(transport, _boards(shape, side)), floodlit) for side in sides]
     near = np.zeros_like(floodlit)
     shares.append(np.zeros_like(near))
@@ -219,12 +220,6 @@ def nearness(transport: Transport) -> Float:
     mean = np.divide(of_near, of_all, out=np.zeros_like(of_all), where=bright)
     image: Float = mean.astype(np.float32).reshape(shape)
     return image
-
-
-def _sides(shape: tuple[int, ...]) -> list[int]:
-    """Return the sides of a board's squares: from 2 rays, doubling, to the image's."""
-    longest = max(RayDomain(shape).image_shape)
-    return [2**power for power in range(1, longest.bit_length()) if 2**power < longest]
 
 
 def _boards(shape: tuple[int, ...], side: int) -> Float:

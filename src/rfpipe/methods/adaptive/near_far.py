@@ -70,6 +70,12 @@ class NearFar(Adaptive):
         """Symmetric photography."""
         return get_method("symmetric")
 
+    def expected_patterns(
+        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
+    ) -> int:
+        """Return the patterns of all rounds: they don't grow with the resolution."""
+        return min(projector.size, options.patterns or self.most)
+
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
         """Return those of a scene in which no block is of low rank, after all rounds."""
         return self.most + self.hierarchy.most_patterns(camera, projector, options)

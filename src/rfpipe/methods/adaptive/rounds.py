@@ -92,11 +92,6 @@ class AdaptiveState(MethodState):
         return Pictures(np.ones((1, self.projector.size), np.bool_), dark, dark)
 
     @property
-    def known(self) -> NDArray[np.bool_]:
-        """Camera pixels that the pictures show, (M,)."""
-        return self.pictures.known
-
-    @property
     def shown(self) -> int:
         """Patterns shown so far."""
         return sum(row["patterns"] for row in self.rows)
@@ -130,8 +125,6 @@ class Adaptive(PackingMethod[AdaptiveState]):
     estimates_error = True
     Options = ErrorOptions
     trades = "target_error"
-    most: ClassVar[int]
-    """Patterns of all rounds."""
     State: ClassVar[type[AdaptiveState]] = AdaptiveState
 
     @property
@@ -183,12 +176,6 @@ class Adaptive(PackingMethod[AdaptiveState]):
     @abstractmethod
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on, go another way, or end."""
-
-    def expected_patterns(
-        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
-    ) -> int:
-        """Return the patterns of all rounds: they don't grow with the resolution."""
-        return min(projector.size, options.patterns or self.most)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
@@ -308,7 +295,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:
         """Compare a transport's pictures with the held-out ones, where pixels are known."""
         assert state.held is not None
-        return error_of(transport, state.held, state.known, self._dark(state))
+        return error_of(transport, state.held, state.pictures.known, self._dark(state))
 
     def _best(self, state: AdaptiveState) -> tuple[Transport, Estimate]:
         """Return what predicts the held-out pictures best, and how well."""

@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.smooth_fit import Evidence, Observations, Patches, Prior, solve
+from rfpipe.methods.adaptive.smooth_fit import (
+    Evidence,
+    Observations,
+    Patches,
+    expected,
+    learned,
+    solve,
+)
 from rfpipe.methods.base import Float
 from rfpipe.methods.images import SIGNIFICANT, Pictures
 from rfpipe.transport.base import Transport
@@ -69,11 +76,11 @@ def fit(shape: tuple[int, ...], pictures: Pictures) -> Smooth:
     if not grey.shine():
         return Smooth(shape, basis.functions, cores)
     observed = Observations.of(patches, evidence)
-    prior = Prior.of(basis, observed)
+    deviations, group = expected(basis, evidence)
     # from nothing: cores that fewer pictures told keep the prior that is learned from drawing near
-    near = solve(observed, prior.deviations, 1e-3, 120)
-    learned = prior.learned(near)
-    found = solve(observed, learned, 1.5e-4, 300, near)
+    near = solve(observed, deviations, 1e-3, 120)
+    deviations = learned(group, near)
+    found = solve(observed, deviations, 1.5e-4, 300, near)
     for index in range(pictures.channels):
         channel = pictures.channel(index)
         if pictures.channels == 1:
@@ -82,7 +89,7 @@ def fit(shape: tuple[int, ...], pictures: Pictures) -> Smooth:
             own = Evidence.of(channel, _WEIGHED_AT)
             scale = np.float32(own.core / evidence.core if evidence.core else 0)
             cores[index] = solve(
-                Observations.of(patches, own), scale * learned, 3e-4, 300, scale * found
+                Observations.of(patches, own), scale * deviations, 3e-4, 300, scale * found
             )
     return Smooth(shape, basis.functions, cores)
 
@@ -96,7 +103,7 @@ def _refined_basis(
     basis = MultiscaleBasis(shape, functions[0])
     while scale > 1 and pictures.shine():
         observed = Observations.of(Patches(basis), evidence)
-        cores = solve(observed, Prior.of(basis, observed).deviations, 3e-3, 60)
+        cores = solve(observed, expected(basis, evidence)[0], 3e-3, 60)
         scale //= 2
         probes = pictures.probes
         light = bounced(basis, basis.pairs, cores, pictures.floodlit[0], probes.lit)

@@ -180,35 +180,22 @@ class Observations:
         return diagonal
 
 
-@dataclass(frozen=True)
-class Prior:
-    """How large cores are expected to be: independent normal deviates about zero.
+def expected(basis: MultiscaleBasis, evidence: Evidence) -> tuple[Float, NDArray[np.int64]]:
+    """Return the deviations of cores before any fit, about zero, and each core's group.
 
-    Pairs of the same two scales at about the same distance are a group; (pairs,) both.
+    Indirect light falls with the distance's square. Pairs of the same two scales at about the same
+    distance are a group.
     """
-
-    deviations: Float
-    group: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, basis: MultiscaleBasis, observed: Observations) -> Prior:
-        """Return the prior before any fit: indirect light falls with the distance's square."""
-        distance = basis.distances()
-        first, second = basis.scales[basis.first], basis.scales[basis.second]
-        coarser = np.maximum(first, second)
-        area = np.square(np.maximum(distance, coarser)) * OCTAVES
-        evidence = observed.evidence
-        tiny = float(np.finfo(np.float32).tiny)
-        expected = evidence.indirect / (max(evidence.floodlit, tiny) * area)
-        distance_bin = (2 * distance / coarser).astype(np.int64)
-        # scales are images' extents at most, below 2^20
-        key = distance_bin << 40 | first.astype(np.int64) << 20 | second
-        _, group = np.unique(key, return_inverse=True)
-        return cls(expected.astype(np.float32), group)
-
-    def learned(self, cores: Float) -> Float:
-        """Return deviations by group."""
-        return learned(self.group, cores)
+    distance = basis.distances()
+    first, second = basis.scales[basis.first], basis.scales[basis.second]
+    coarser = np.maximum(first, second)
+    area = np.square(np.maximum(distance, coarser)) * OCTAVES
+    tiny = float(np.finfo(np.float32).tiny)
+    deviations = evidence.indirect / (max(evidence.floodlit, tiny) * area)
+    distance_bin = (2 * distance / coarser).astype(np.int64)
+    # scales are images' extents at most, below 2^20
+    key = distance_bin << 40 | first.astype(np.int64) << 20 | second
+    return deviations.astype(np.float32), np.unique(key, return_inverse=True)[1]
 
 
 def learned(group: NDArray[np.int64], cores: Float) -> Float:

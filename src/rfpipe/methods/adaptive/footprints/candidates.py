@@ -135,11 +135,6 @@ class Precision:
         factors, trace = marginal(starts, own, variance, series.lit, certainty)
         return cls(starts, factors, certainty, trace)
 
-    @property
-    def sizes(self) -> Int64:
-        """Candidates of each pixel, (pixels,)."""
-        return np.diff(self.starts)
-
     def applied(self, observed: Float) -> Float:
         """Return the precision times pictures (pixels, P)."""
         from rfpipe.methods.adaptive.footprints.kernels import apply_precision
@@ -234,18 +229,18 @@ def joined(parts: list[Candidates], rays: int) -> Candidates:
     views = len(parts)
     if views == 1:
         return parts[0]
-    pixels = 1 + max((int(part.keys[-1]) // rays for part in parts if len(part.keys)), default=-1)
-    starts = [part.starts(pixels, rays) for part in parts]
-    begins = np.sum(starts, axis=0)[:-1]
-    keys = np.empty(sum(len(part.keys) for part in parts), np.int64)
-    variance, weights = np.empty(len(keys), np.float32), np.empty(len(keys), np.float32)
-    for view, (part, first) in enumerate(zip(parts, starts, strict=True)):
-        pixel = part.keys // rays
-        place = np.arange(len(pixel)) + (begins - first[:-1])[pixel]
-        keys[place] = part.keys + (pixel * (views - 1) + view) * rays
-        variance[place], weights[place] = part.variance, part.weights
-        begins = begins + np.diff(first)
-    return Candidates(keys, variance, weights)
+    keys = np.concatenate(
+        [
+            part.keys + (part.keys // rays * (views - 1) + view) * rays
+            for view, part in enumerate(parts)
+        ]
+    )
+    order = np.argsort(keys, kind="stable")
+    variance, weights = (
+        np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("variance", "weights")
+    )
+    return Candidates(keys[order], variance, weights)
 
 
 def split(found: Candidates, views: int, rays: int) -> list[Candidates]:
@@ -304,11 +299,14 @@ def _both_ways(found: Candidates, rays: int) -> tuple[Candidates, Float]:
     The larger variance counts.
     """
     back = found.keys % rays * rays + found.keys // rays
-    keys = distinct(np.concatenate([found.keys, back[found.weights > 0]]))
+    order = np.argsort(back)
+    back, weights, spread = back[order], found.weights[order], found.variance[order]
+    keys = distinct(np.concatenate([found.keys, back[weights > 0]]))
     own, other = np.searchsorted(keys, found.keys), np.searchsorted(keys, back)
     known = keys[np.minimum(other, len(keys) - 1)] == back
+    other = other[known]
     variance, there, light = np.zeros((3, len(keys)), np.float32)
-    there[own], variance[own] = found.weights, found.variance
-    light[other[known]] = found.weights[known]
-    variance[other[known]] = np.maximum(variance[other[known]], found.variance[known])
+    there[own], light[other] = found.weights, weights[known]
+    variance[own] = found.variance
+    variance[other] = np.maximum(variance[other], spread[known])
     return Candidates(keys, variance, there), light

@@ -106,7 +106,8 @@ class Exchange:
         for series, precision, light in zip(self.series, self.precision, told, strict=True):
             wrong = series.observed - light
             count = series.lit.shape[1]
-            free = np.where(series.known, count - np.minimum(precision.sizes, count // 2), 0)
+            known = np.minimum(np.diff(precision.starts), count // 2)
+            free = np.where(series.known, count - known, 0)
             excess = np.einsum("im,im->i", wrong, precision.applied(wrong))
             sums.append((excess, free, precision.trace * np.square(allowed * series.floodlit)))
         excess, free, most = (sum(each[1:], each[0]) for each in zip(*sums, strict=True))

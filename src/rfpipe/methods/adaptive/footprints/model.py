@@ -158,10 +158,6 @@ def _agreed(series: Views, found: Candidates, exchange: Exchange) -> Channel:
     return reconciled(series, found, exchange.indirect()), exchange
 
 
-def _direct(series: Series, found: Candidates) -> Float:
-    return found.matrix(len(series.observed), len(series.lit)) @ series.lit
-
-
 def _reweighted(series: Views, found: Candidates, indirect: list[Float]) -> Candidates:
     rays = len(series[0].lit)
     sides = zip(series, split(found, len(series), rays), indirect, strict=True)
