@@ -7,7 +7,7 @@ import logging
 import numpy as np
 import pytest
 from tests.helpers import picture_error
-from tests.unit.test_reciprocity import DIM, SHAPE, beside, wedge
+from tests.knocked import DIM, SHAPE, beside, wedge
 
 import rfpipe
 from rfpipe.errors import CaptureError, InputError
@@ -68,7 +68,7 @@ def test_what_is_accepted_may_be_said(caplog) -> None:
         rfpipe.acquire(wrong, "symmetric", asymmetry=0.5, tolerance=1e-2, **FEW)
     assert "capture.asymmetry" in caplog.text
     caplog.clear()
-    off = {"symmetry_frames": 0, "watch": "off"}
+    off = {"symmetry_frames": 0}
     rfpipe.acquire(wrong, "symmetric", tolerance=1e-2, **off, **FEW)
     rfpipe.acquire(wrong, "dual", tolerance=1e-2, **FEW)
     assert not caplog.text

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from tests.helpers import settings_of_a_plane
-from tests.unit.test_reciprocity import DIM, SHAPE, beside, wedge
+from tests.knocked import DIM, SHAPE, beside, wedge
 
 import rfpipe
 from rfpipe.config import parse_config
@@ -16,7 +16,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.stages.verification import NAMES, check_bound, compare, unseen_patterns
 
-FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0, "watch": "off"}
+FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0}
 
 
 @pytest.mark.parametrize("camera", [None, CameraModel(), DIM])

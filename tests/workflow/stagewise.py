@@ -26,7 +26,6 @@ from rfpipe.stages import (
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.symmetry import NOTICED
 from rfpipe.store import StoreLock
 from rfpipe.transport import open_transport
 
@@ -91,7 +90,7 @@ class Acquisition:
 def stages(capture: dict[str, Any] | None = None, **merge: Any) -> dict[str, dict[str, Any]]:
     """Settings of the stages of an acquisition as in `Acquisition`, but for changes."""
     code = {"code": CODE}
-    watching = {"mode": "warn", "looks": 0, "mutual_error": NOTICED * 0.05}
+    watching = {"mode": "warn", "looks": 0}
     return {
         "schedule": code,
         "capture": {"references": (2, 2), "watching": watching, **(capture or {})},

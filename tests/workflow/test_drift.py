@@ -19,7 +19,7 @@ from rfpipe.store import FrameStore
 from rfpipe.units import LOOK_KEY, WARM_UP_KEY
 
 EVERY = 3
-WATCHING = {"mode": "warn", "looks": EVERY, "mutual_error": 1.0}
+WATCHING = {"mode": "warn", "looks": EVERY}
 
 
 class DimmingRig:

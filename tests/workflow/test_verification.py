@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.test_reciprocity import SHAPE, Knocked, beside, wedge
+from tests.knocked import SHAPE, Knocked, beside, wedge
 from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import CODE, stages
 from tests.workflow.stagewise import acquire as acquire_matrix
@@ -23,22 +23,21 @@ from rfpipe.stages.checking import check
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.symmetry import NOTICED
-from rfpipe.stages.watch import LOOK_PATTERNS
 from rfpipe.store import read_manifest
 from rfpipe.units import LOOK_KEY, VERIFICATION_KEY
 
 PICTURES = 4
+LOOKS = 8
 
 
-def settings(mode: str = "warn", looks: int | None = None, code: str = CODE) -> Any:
-    watching = {"mode": mode, "looks": looks, "mutual_error": NOTICED * 0.05}
+def settings(mode: str = "warn", looks: int = LOOKS, code: str = CODE) -> Any:
+    watching = {"mode": mode, "looks": looks}
     capture = {"references": (2, 8), "batch_patterns": 1, "watching": watching}
     return stages(capture, code=code)
 
 
 def acquire(
-    path: Path, rig: Any, method: str = "dual", mode: str = "warn", looks: int | None = None
+    path: Path, rig: Any, method: str = "dual", mode: str = "warn", looks: int = LOOKS
 ) -> AcquisitionFolder:
     plan = Plan(method, method, SHAPE, SHAPE, 1, {"tolerance": 1e-2})
     return acquire_matrix(path, rig, plan, settings(mode, looks))
@@ -134,7 +133,7 @@ def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
     looks = [key for key in rig.shown if key[0] == LOOK_KEY]
     patterns = [key for key in rig.shown if key[0] < 1000]
     n_levels = len({key[0] for key in patterns})
-    assert len(looks) <= len(patterns) / LOOK_PATTERNS + 2 * n_levels + 2
+    assert len(looks) <= len(patterns) / LOOKS + 2 * n_levels + 2
 
 
 @pytest.mark.slow

@@ -56,7 +56,7 @@ class CaptureConfig(Settings):
         0.05, "Relative error in relit pictures above which a rig isn't taken for a coaxial one."
     )
     watch: Literal["off", "warn", "refuse"] = setting(
-        "warn", "Where pictures tell that the rig moved or isn't aligned: refuse ends the capture."
+        "warn", "Where looks tell that the rig moved: refuse ends the capture; off: no looks."
     )
     batch_patterns: Batch = setting(16, "Patterns captured and stored at a time, 1 to 1024.")
     keep_raw: bool = setting(
@@ -75,9 +75,9 @@ class CaptureConfig(Settings):
         return "hardware" if self.rig == "remote" else self.rig
 
     @property
-    def looks(self) -> int | None:
-        """Patterns from one look at the rig to the next, 0 for none; None: by the method."""
-        return None if self.rig == "remote" else 0
+    def looks(self) -> int:
+        """Patterns from one look at the rig to the next, 0 for none; a real rig may move."""
+        return 8 if self.rig == "remote" else 0
 
 
 class OfflineConfig(Settings):

@@ -8,7 +8,7 @@ from typing import Any
 from rfpipe.report.drawing import draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Block, Gallery, Illustration, Section, Table, table_of
-from rfpipe.report.text import fixed, number, percent, words
+from rfpipe.report.text import number, percent, words
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
 
@@ -38,17 +38,13 @@ def verification_section(inputs: Inputs) -> Section | None:
         *(Gallery(_pictures(inputs, run)) for run in runs),
         table_of(
             "The rig during the capture",
-            "Largest change of the floodlit image; of a repeated random pattern beyond brightness "
-            "and noise; largest residual of reciprocity on a rig taken for coaxial (about 1 if it "
-            "is) and the error that it means at least. A dash: not measured. The file has what "
-            "devices counted.",
+            "Largest change of a repeated random pattern: of its brightness, and beyond that and "
+            "noise. A dash: not measured.",
             [_of_the_rig(run) for run in runs],
             inputs.labels,
             [
                 ("change of the lamp, %", "drift", percent),
                 ("of the picture, %", "moved", percent),
-                ("reciprocity, standard deviations", "reciprocity_deviations", fixed(1)),
-                ("reciprocity, error, %", "reciprocity", percent),
                 ("saturated samples", "saturated", number),
                 ("saturated, %", "saturated_share", percent),
             ],
@@ -79,13 +75,11 @@ def _text(inputs: Inputs, run: Run) -> list[str]:
 
 def _of_the_rig(run: Run) -> dict[str, Any]:
     facts = run.verified
-    names = ("drift", "moved", "reciprocity", "reciprocity_deviations", "saturated")
     return {
         "scene": run.scene,
         "method": run.method,
-        **{name: facts[name] for name in names},
+        **{name: facts[name] for name in ("drift", "moved", "saturated")},
         "saturated_share": facts["saturated"] / max(facts["samples"], 1),
-        **facts["devices"],
     }
 
 

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,7 @@ from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, Arrays, Facts
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
-from rfpipe.stages.symmetry import NOTICED
 from rfpipe.stages.verification import NAMES, Verification, compared, schedule_of
-from rfpipe.stages.watch import MUTUAL
 from rfpipe.transport import Transport
 from rfpipe.units import RADIANCE
 
@@ -53,10 +51,6 @@ class AcquisitionResult:
     verification : Verification or None
         What the transport is wrong by on pictures that the method didn't see, if any were taken;
         ``verification.table`` has a row a picture.
-    reciprocity : tuple of dict
-        For each level of a method that takes the rig for a coaxial one: pictures ``judged``,
-        largest residual in standard ``deviations`` (about 1 on a right rig), ``error`` in relit
-        pictures that it means at least, and the ``first`` picture that was wrong, None for none.
     """
 
     transport: Transport
@@ -66,7 +60,6 @@ class AcquisitionResult:
     saturated: int
     masked: NDArray[np.bool_]
     verification: Verification | None = None
-    reciprocity: tuple[dict[str, Any], ...] = ()
 
     def __repr__(self) -> str:
         about = f"{self.patterns} patterns, {self.seconds:.3g} s, {self.transport}"
@@ -99,7 +92,6 @@ def acquire(
     asymmetry: float = 0.05,
     mask_defects: bool = True,
     verification: int = 0,
-    watch: Literal["off", "warn", "refuse"] = "warn",
     **options: Any,
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
@@ -130,9 +122,6 @@ def acquire(
     verification : int
         Pictures that the method doesn't see, taken afterwards to compare the transport with, up to
         10; 0 for none.
-    watch : {"off", "warn", "refuse"}
-        What to do when the pictures of a method that takes the rig for a coaxial one tell that it
-        isn't, or not any more.
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
@@ -171,9 +160,8 @@ def acquire(
         named.name, named, rig.camera_shape, rig.projector_shape, rig.channels, options, asymmetry
     )
     folder = AcquisitionInMemory()
-    watching = {"mode": watch, "looks": 0, "mutual_error": NOTICED * asymmetry}
     capturing: dict[str, Any] = {
-        "references": (black_frames, floodlit_frames), "progress": progress, "watching": watching,
+        "references": (black_frames, floodlit_frames), "progress": progress,
         "symmetry_frames": symmetry_frames if plan.asks_symmetry else 0,
     }  # fmt: skip
     code = {"code": ""}  # nothing is kept that it made
@@ -191,7 +179,7 @@ def acquire(
     if verification:
         names, schedule = schedule_of(transport, verification)
         write_schedule(folder, "", schedule, names=names)
-        capturing |= {"symmetry_frames": 0, "watching": None}
+        capturing["symmetry_frames"] = 0
         with folder.doing(VERIFICATION, "capture"):
             capture.run(rig, folder, VERIFICATION, **capturing)
         merge.run(folder, VERIFICATION, **merging)
@@ -208,7 +196,6 @@ def acquire(
         sum(facts["saturated"] for facts in merged),
         masked,
         verified,
-        tuple(facts[MUTUAL] for facts in captured if MUTUAL in facts),
     )
 
 

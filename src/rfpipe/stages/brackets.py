@@ -95,9 +95,7 @@ class Brackets:
                     for first, last in pairwise([start, *looks, stop]):
                         if watch:
                             watch.before(first)
-                        taken = self.take(frames, first, last)
-                        if watch:
-                            watch.after(first, taken)
+                        self.take(frames, first, last)
                         bar.advance(last - first)
             if done < self.count:
                 text = "%s: %d patterns in %.1f s"

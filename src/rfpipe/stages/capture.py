@@ -73,7 +73,7 @@ def run(
     warm_up_minutes : float
         For how long the lamp warms up when no bracket was taken for as long.
     watching : mapping, optional
-        Of `rfpipe.stages.watch.watching_level`: "mode", "looks" and "mutual_error".
+        Of `rfpipe.stages.watch.watching_level`: "mode" and "looks".
 
     Raises
     ------
@@ -101,7 +101,6 @@ def run(
         present = bytes_on_disk(merged) if merged.exists() else 0
         check_disk(of_level.name, need, folder.path, present)
         _warm_up(rig, folder, 60 * warm_up_minutes)
-    counted_before = _counted_by(rig)
     # A sequence is stored when it is complete: long ones, as loading takes most of their time;
     # in hand they have complements.
     in_sequences = sequence_patterns(rig)
@@ -126,11 +125,6 @@ def run(
         "rig": of_level.shown["rig"],
         **captured,
         **beside,
-        "devices": {
-            # devices that began anew since count from 0
-            name: count - had if count >= (had := counted_before.get(name, 0)) else count
-            for name, count in _counted_by(rig).items()
-        },
     }
     folder.write_manifest(level, "capture", manifest)
 
@@ -252,14 +246,6 @@ def _warm_up(rig: Rig, folder: AcquisitionFolder, seconds: float) -> None:
         if rest <= 0:
             return
         time.sleep(min(_SECONDS_BETWEEN_BRACKETS, rest))
-
-
-def _counted_by(rig: Rig) -> dict[str, int]:
-    """Return what a rig's devices counted so far: failed and lost frames, and attempts anew."""
-    counts: dict[str, dict[str, int]] = getattr(rig, "statistics", None) or {}
-    return {
-        f"{device} {what}": count for device, of in counts.items() for what, count in of.items()
-    }
 
 
 def _bytes_in_hand(rig: Rig) -> int:

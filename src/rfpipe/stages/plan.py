@@ -13,7 +13,7 @@ from rfpipe.methods.states import unprefixed
 from rfpipe.plugins import METHODS, SCENES, sources_of
 from rfpipe.provenance import code_digest
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.symmetry import NOTICED, read_asymmetry
+from rfpipe.stages.symmetry import read_asymmetry
 from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:
@@ -159,12 +159,11 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
     of_scene = config.of_scene(scene)
     capture = of_scene.capture
     same = ("batch_patterns", "warm_up_minutes", "when_patterns_change")
-    mutual_error = NOTICED * capture.asymmetry
     captured = {
         **{setting: getattr(capture, setting) for setting in same},
         "references": [capture.black_frames, capture.floodlit_frames],
         "symmetry_frames": SYMMETRY_FRAMES if plan.asks_symmetry else 0,
-        "watching": {"mode": capture.watch, "looks": capture.looks, "mutual_error": mutual_error},
+        "watching": {"mode": capture.watch, "looks": capture.looks},
     }
     merged = {**of_scene.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw}
     return {

@@ -30,12 +30,6 @@ if TYPE_CHECKING:
 # word is a fifth of what is refused.
 _WORTH_A_WORD = 0.2
 
-NOTICED = 0.3
-"""Share of what is refused at which the patterns of an acquisition tell that a rig isn't coaxial.
-
-A lens that loses a tenth of the light from side to side stays below, half a pixel doesn't.
-"""
-
 # Squared error that a share of pixels which aren't known may seem to make, for that share: their
 # light as it adds up in the floodlit image, and as much again in random ones, over 16 |T p|^2.
 _MASKED = 0.5

@@ -7,9 +7,7 @@ transport that was made anew is compared with the same pictures.
 from __future__ import annotations
 
 import logging
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import StoreError, VerificationError
+from rfpipe.errors import VerificationError
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint, generator
 from rfpipe.stages import merge
@@ -25,7 +23,7 @@ from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.schedule import read_schedule, write_schedule
-from rfpipe.stages.watch import MOVES, MUTUAL
+from rfpipe.stages.watch import MOVES
 from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
@@ -247,39 +245,23 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
 
 
 def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
-    """Sum up what the manifests of all levels tell of the rig; None where nothing looked."""
-    levels = list(_levels(folder))
-    looks = [(name, merged[MOVES]) for name, merged, _ in levels if MOVES in merged]
-    mutual = [(name, captured[MUTUAL]) for name, _, captured in levels if MUTUAL in captured]
-    drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for _, look in looks]
-    moved = [max(look["change"]) for _, look in looks]
-    alarms = [f"{name}: the rig or the scene moved" for name, look in looks if look["moved"]]
-    alarms += [
-        f"{name}, pattern {of['first']}: not aligned"
-        for name, of in mutual
-        if of["first"] is not None
-    ]
-    devices: Counter[str] = Counter()
-    for _, _, captured in levels:
-        devices.update(captured.get("devices", {}))
+    """Sum up what the merges of all levels tell of the rig; None where nothing looked."""
+    levels = sorted(int(path.parent.name[1:]) for path in folder.path.glob("L[0-9]*/merge.json"))
+    merged = {level: folder.read_manifest(level, "merge") for level in [*levels, VERIFICATION]}
+    looks = {level: facts[MOVES] for level, facts in merged.items() if MOVES in facts}
+    drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]
     return {
         "drift": max(drift, default=None),
-        "moved": max(moved, default=None),
-        "reciprocity": max((of["error"] for _, of in mutual), default=None),
-        "reciprocity_deviations": max((of["deviations"] for _, of in mutual), default=None),
-        "alarms": alarms,
-        **{name: sum(merged[name] for _, merged, _ in levels) for name in ("saturated", "samples")},
-        "devices": dict(devices),
+        "moved": max((max(look["change"]) for look in looks.values()), default=None),
+        "alarms": [
+            f"{name_of(level)}: the rig or the scene moved"
+            for level, look in looks.items()
+            if look["moved"]
+        ],
+        **{
+            name: sum(facts[name] for facts in merged.values()) for name in ("saturated", "samples")
+        },
     }
-
-
-def _levels(folder: AcquisitionFolder) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Yield the name and the manifests of merge and capture of each level, the pictures' last."""
-    levels = sorted(int(path.parent.name[1:]) for path in folder.path.glob("L[0-9]*/merge.json"))
-    for level in [*levels, VERIFICATION]:
-        with suppress(StoreError):
-            merged, captured = (folder.read_manifest(level, name) for name in ("merge", "capture"))
-            yield name_of(level), merged, captured
 
 
 def unseen_patterns(

@@ -1,8 +1,6 @@
-"""What watches a capture, by brackets between the patterns of a level and by the patterns' own.
+"""What watches a capture: a fine random pattern, again and again between the patterns of a level.
 
-Looks: a fine random pattern, again and again, tells what the lamp does and whether the rig moved:
-half a pixel changes every ray of it by half. Reciprocity: the pictures of a coaxial rig themselves
-tell whether it still is one.
+It tells what the lamp does and whether the rig moved: half a pixel changes every ray of it by half.
 """
 
 from __future__ import annotations
@@ -11,30 +9,22 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.symmetry import Reciprocity, random_signs
+from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
+from rfpipe.stages.folder import AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
-from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, restore_header
 from rfpipe.units import LOOK_KEY
 
 MOVES = "moves"
 """The repeated random pattern of a level: its store and its key in manifests."""
-
-MUTUAL = "reciprocity"
-"""What a level's pictures tell of reciprocity, in its manifest."""
-
-LOOK_PATTERNS = 8
-"""So that a rig that moved is noticed within ten patterns, at an eighth more of them."""
 
 # Standard deviations from which on a change counts as one.
 _SIGNIFICANCE = 5.0
@@ -43,23 +33,9 @@ _SIGNIFICANCE = 5.0
 _MOVED = 0.02
 # What the noise itself is known to, as a share of its square.
 _NOISE_KNOWN = 0.1
-# Pictures of a level above that new ones are held against: as many as are held at all.
-_WITNESSES = 24
-
 Double = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
-
-
-def looks_every(looks: int | None, level: int, is_coaxial: bool) -> int:
-    """Return the patterns from one look at the rig to the next, 0 for none.
-
-    By default `LOOK_PATTERNS`, but none between the patterns of a coaxial rig, which tell by
-    themselves.
-    """
-    if looks is not None:
-        return looks
-    return 0 if is_coaxial and 0 < level < VERIFICATION else LOOK_PATTERNS
 
 
 def look_count(patterns: int, every: int) -> int:
@@ -165,11 +141,7 @@ class _Looks(NamedTuple):
 
 @contextmanager
 def watching_level(
-    of_level: Brackets,
-    level: int,
-    mode: str = "off",
-    looks: int | None = None,
-    mutual_error: float = 0.0,
+    of_level: Brackets, level: int, mode: str = "off", looks: int = 0
 ) -> Iterator[Watcher]:
     """Provide what watches the capture of a level.
 
@@ -181,27 +153,16 @@ def watching_level(
     of_level : Brackets
         Of the level's patterns, settled.
     mode : {"off", "warn", "refuse"}
-        What to do when the rig moved, or a coaxial one isn't aligned: refuse ends the capture.
-    looks : int or None
-        As of `looks_every`.
-    mutual_error : float
-        Error of a picture, by taking the rig for a coaxial one, from which on it is said.
+        What to do when the rig moved: refuse ends the capture.
+    looks : int
+        Patterns from one look to the next, 0 for none.
     """
     folder, merger = of_level.folder, None
     if folder.exists(0, "merge"):
         merger = read_merger(of_level.rig.sensor, folder)
-    is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
-    mutual = None
-    if mode != "off" and is_coaxial and 0 < level < VERIFICATION and merger and of_level.count:
-        mutual = _Mutual(of_level, level, merger, mutual_error)
-    every = looks_every(looks, level, is_coaxial) if mode != "off" else 0
     with ExitStack() as stack:
-        begun = _begin(stack, of_level, level, every)
-        watcher = Watcher(of_level, level, merger, begun, mutual, mode == "refuse")
-        if mutual:
-            for index, bracket in _captured(of_level):
-                watcher.after(index, bracket)
-        yield watcher
+        begun = _begin(stack, of_level, level, looks if mode != "off" else 0)
+        yield Watcher(of_level, level, merger, begun, mode == "refuse")
 
 
 def _begin(stack: ExitStack, of_level: Brackets, level: int, every: int) -> _Looks | None:
@@ -231,27 +192,14 @@ def _begin(stack: ExitStack, of_level: Brackets, level: int, every: int) -> _Loo
     return _Looks(brackets, stack.enter_context(brackets.recording()), every)
 
 
-def _captured(of_level: Brackets) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Yield the brackets of a level that are captured already, one by one, with their numbers."""
-    if of_level.count_missing() == of_level.count:
-        return
-    with FrameStore.open(of_level.path) as frames:
-        for index in map(int, np.flatnonzero(frames.done & (not frames.dropped))):
-            try:
-                yield index, frames.read(index, index + 1)
-            except StoreError:  # it will be captured, and judged, again
-                continue
-
-
 @dataclass(frozen=True)
 class Watcher:
-    """Takes the looks of a level, and holds its pictures against each other."""
+    """Takes the looks of a level."""
 
     of_level: Brackets
     level: int
     merger: Merger | None
     looks: _Looks | None
-    mutual: _Mutual | None
     refuse: bool
 
     def due(self, first: int, last: int) -> Sequence[int]:
@@ -272,101 +220,22 @@ class Watcher:
             return
         bracket = brackets.take(frames, index, index + 1)
         known = _first_look(self.of_level.folder, self.merger) if self.merger else None
-        if self.merger and known:
-            rest = change(self.merger, known, bracket).rest
-            if rest > _MOVED:
-                self._say(
-                    f"before pattern {position}: the rig or the scene moved: the same pattern "
-                    f"looks different by {rest:.1%} from how it looked first, whatever the lamp "
-                    "does. Pictures from before and after don't fit together",
-                    "put things back, or remove the acquisition's folder and begin anew",
-                )
-
-    def after(self, first: int, brackets: NDArray[Any]) -> None:
-        """Judge captured brackets, from pattern `first` on; CaptureError as `before`."""
-        for index, deviations, error in self.mutual.alarms(first, brackets) if self.mutual else ():
-            self._say(
-                f"pattern {index}: light doesn't go from camera to projector as it comes "
-                f"({deviations:.0f} standard deviations): taking the rig for a coaxial one makes "
-                f"an error of at least {error:.1%} in this picture. The two devices are not "
-                "aligned any more, or never were",
-                "align them and remove the acquisition's folder to begin anew, or use a method "
-                "for any rig, such as dual photography",
+        rest = change(self.merger, known, bracket).rest if self.merger and known else 0.0
+        if rest > _MOVED:
+            text = (
+                f"{name_of(self.level)}, before pattern {position}: the rig or the scene moved: "
+                f"the same pattern looks different by {rest:.1%} from how it looked first, "
+                "whatever the lamp does. Pictures from before and after don't fit together"
             )
+            if self.refuse:
+                raise CaptureError(
+                    f"{text}. What is captured is kept: put things back, or remove the "
+                    "acquisition's folder and begin anew; capture.watch: warn goes on regardless"
+                )
+            _log.warning("%s; capture.watch: refuse would stop here", text)
 
     def entries(self) -> dict[str, Any]:
-        """Return what the level's manifest says of all of it."""
-        looks = self.looks
-        told: dict[str, Any] = {}
-        if looks:
-            told[MOVES] = {**looks.brackets.entry(looks.frames), "every": looks.every}
-        mutual = self.mutual
-        if mutual and not mutual.in_order:  # the facts are the same however the capture went
-            mutual = mutual.anew()
-            for captured in _captured(self.of_level):
-                list(mutual.alarms(*captured))
-        return {**told, **({MUTUAL: mutual.facts} if mutual else {})}
-
-    def _say(self, what: str, advice: str) -> None:
-        text = f"{name_of(self.level)}, {what}"
-        if self.refuse:
-            raise CaptureError(
-                f"{text}. What is captured is kept: {advice}; capture.watch: warn goes on "
-                "regardless"
-            )
-        _log.warning("%s; capture.watch: refuse would stop here", text)
-
-
-class _Mutual:
-    """Holds the pictures of a level against each other and those of the levels above."""
-
-    def __init__(self, of_level: Brackets, level: int, merger: Merger, worth_a_word: float) -> None:
-        self.anew = partial(_Mutual, of_level, level, merger, worth_a_word)
-        self._merger, self._worth_a_word = merger, worth_a_word
-        self._patterns = read_schedule(of_level.folder, level).batch
-        self._reciprocity = Reciprocity(merger.floodlit, merger.floodlit_variance)
-        self.in_order = True
-        self._first: int | None = None
-        self._judged, self._deviations, self._error = 0, 0.0, 0.0
-        for above in range(1, level):
-            self._enter(of_level.folder, above)
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What the level's manifest says."""
-        return {
-            "judged": self._judged,
-            "deviations": float(f"{self._deviations:.4g}"),
-            "error": float(f"{self._error:.4g}"),
-            "first": self._first,
-        }
-
-    def alarms(self, first: int, brackets: NDArray[Any]) -> Iterator[tuple[int, float, float]]:
-        """Judge brackets; yield number, deviations and error of the level's first wrong one."""
-        merged = self._merger.merge(brackets, first)
-        images = zip(merged.radiance, merged.variance, strict=True)
-        patterns = self._patterns(first, first + len(brackets))
-        for index, (pattern, image) in enumerate(zip(patterns, images, strict=True), first):
-            residual = self._reciprocity.judge(pattern, *image)
-            self.in_order &= index == self._judged
-            self._judged += 1
-            self._deviations = max(self._deviations, residual.deviations)
-            if residual.is_wrong(self._worth_a_word):
-                self._error = max(self._error, residual.error)
-                if self._first is None:
-                    self._first = index
-                    yield index, residual.deviations, residual.error
-
-    def _enter(self, folder: AcquisitionFolder, level: int) -> None:
-        """Make witnesses of a level's first pictures."""
-        if not folder.exists(level, "merge"):
-            return
-        try:
-            schedule = read_schedule(folder, level)
-            with folder.frames(level, "merge") as frames:
-                count = min(schedule.count, _WITNESSES)
-                images = frames.read(0, count)
-        except StoreError:
-            return
-        for pattern, (radiance, variance) in zip(schedule.batch(0, count), images, strict=True):
-            self._reciprocity.judge(pattern, radiance, variance)
+        """Return what the level's manifest says of the looks."""
+        if not self.looks:
+            return {}
+        return {MOVES: {**self.looks.brackets.entry(self.looks.frames), "every": self.looks.every}}
