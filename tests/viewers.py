@@ -1,21 +1,17 @@
-"""The viewer's programs, run by numpy: the reference for what a browser makes of them."""
+"""Transports of every kind for the viewer, and the light that they are compared under."""
 
 from __future__ import annotations
 
-import gzip
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rfpipe
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.base import Transport
-from rfpipe.viewer.program import Packed
 
 KINDS = (
     "symmetric", "symmetric uint8", "near_far", "dual", "dual of two domains", "footprints",
@@ -74,98 +70,15 @@ def _wavelet() -> Transport:
     return WaveletTransport((11, 14), 3, [], held)
 
 
-def unpack_array(about: dict[str, Any], blob: bytes) -> NDArray[Any]:
-    """An array of a packed program."""
-    dtype = np.dtype(f"<{about['type']}")
-    planes = np.frombuffer(gzip.decompress(blob), np.uint8).reshape(dtype.itemsize, -1)
-    flat = np.ascontiguousarray(planes.T).view(dtype).ravel()
-    if dtype == np.int32:
-        flat = np.cumsum(flat, dtype=np.int32)
-    return flat.reshape(about["shape"])
+def lights(shape: tuple[int, ...], channels: int) -> list[np.ndarray]:
+    """White light, a coloured spot, and noise of both signs."""
+    random = np.random.default_rng(7)
+    spot = np.zeros((*shape, channels), np.float32)
+    spot[..., 1 : shape[-2] // 2, 2 : shape[-1] // 2, :] = random.random(channels)
+    return [np.ones(shape, np.float32), spot, random.standard_normal(shape).astype(np.float32)]
 
 
-def run_program(
-    packed: Packed, light: NDArray[Any], level: int, *, dual: bool = False, parts: Any = None
-) -> NDArray[np.float32]:
-    """The planar image (C, rays) of planar light (C, rays)."""
-    about = packed.manifest
-    arrays = [unpack_array(*each) for each in zip(about["arrays"], packed.blobs, strict=True)]
-    buffers = [np.zeros((about["channels"], size)) for size in about["buffers"]]
-    ends = ("target", "source") if dual else ("source", "target")
-    buffers[1 if dual else 0][:] = light
-    operations = about["operations"]
-    for operation in reversed(operations) if dual else operations:
-        if level not in operation["levels"]:
-            continue
-        part = operation["part"]
-        if parts is not None and part >= 0 and about["parts"][part] not in parts:
-            continue
-        own = {name: arrays[index] for name, index in operation["arrays"].items()}
-        source, target = (buffers[operation[end]][:, operation[f"{end}_at"] :] for end in ends)
-        _RUN[operation["kind"]](own, source, target, operation["transposed"] != dual)
-    return buffers[0 if dual else 1].astype(np.float32)
-
-
-def _gather(own: Any, source: Any, target: Any, transposed: bool) -> None:
-    index = own["index"]
-    if transposed:
-        np.add.at(target, (slice(None), index), source[:, : len(index)])
-    else:
-        target[:, : len(index)] += source[:, index]
-
-
-def _scale(own: Any, source: Any, target: Any, transposed: bool) -> None:
-    size = own["values"].shape[1]
-    target[:, :size] += own["values"] * source[:, :size]
-
-
-def _csr(own: Any, source: Any, target: Any, transposed: bool) -> None:
-    row = np.repeat(np.arange(len(own["counts"])), own["counts"])
-    ends = (own["columns"], row) if transposed else (row, own["columns"])
-    np.add.at(target, (slice(None), ends[0]), own["values"] * source[:, ends[1]])
-
-
-def _dense(own: Any, source: Any, target: Any, transposed: bool) -> None:
-    for plane, given, taken in zip(own["values"].astype(float), source, target, strict=True):
-        matrix = plane.T if transposed else plane
-        taken[: len(matrix)] += matrix @ given[: matrix.shape[1]]
-
-
-def _pairs(own: Any, source: Any, target: Any, transposed: bool) -> None:
-    a, b, values = own["first"], own["second"], own["values"]
-    np.add.at(target, (slice(None), a), values * source[:, b])
-    off = a != b
-    np.add.at(target, (slice(None), b[off]), values[:, off] * source[:, a[off]])
-
-
-def _leaves(own: Any, source: Any, target: Any, transposed: bool) -> None:
-    sizes, a, b = own["sizes"], own["block_a"], own["block_b"]
-    starts = np.append(0, np.cumsum(sizes))
-    channels = len(source)
-    scales = own.get("scales", np.ones((channels, len(a)))).astype(float)
-    signs = own.get("signs", np.ones((channels, len(a)), np.int8))
-    factors = own.get("values")
-    if factors is None:
-        codes = own["codes"].astype(np.int64)
-        folded = codes[1:]
-        codes[1:] = ((folded >> 1) ^ -(folded & 1)) + codes[:1]
-        factors = (codes % (1 << 8 * own["codes"].itemsize)).astype(float) ** 2
-    at = 0
-    for n, (one, other) in enumerate(zip(a, b, strict=True)):
-        rows, columns = (slice(starts[block], starts[block + 1]) for block in (one, other))
-        scale = (scales[:, n] ** 2 * signs[:, n])[:, None]
-        u = factors[:, at : at + sizes[one]].astype(float)
-        at += sizes[one]
-        if one == other:
-            target[:, rows] += scale * u * (u * source[:, rows]).sum(1, keepdims=True)
-            continue
-        v = factors[:, at : at + sizes[other]].astype(float)
-        at += sizes[other]
-        target[:, rows] += scale * u * (v * source[:, columns]).sum(1, keepdims=True)
-        target[:, columns] += scale * v * (u * source[:, rows]).sum(1, keepdims=True)
-
-
-_RUN = {
-    "gather": _gather, "scale": _scale, "csr": _csr, "dense": _dense, "pairs": _pairs,
-    "leaves": _leaves,
-}  # fmt: skip
+def planar(image: np.ndarray, shape: tuple[int, ...], channels: int) -> np.ndarray:
+    """An image (*shape[, C]) as (C, rays)."""
+    image = image.reshape(int(np.prod(shape)), -1)
+    return np.broadcast_to(image, (len(image), channels)).T

@@ -1,4 +1,4 @@
-"""Multiplexing codes and low-rank transports of any size."""
+"""Multiplexing codes of any size."""
 
 from __future__ import annotations
 
@@ -8,10 +8,6 @@ from hypothesis import strategies as st
 
 from rfpipe.methods.hadamard import decode, s_matrix_order, s_matrix_row
 
-SHAPES = st.one_of(
-    st.tuples(st.integers(1, 9), st.integers(1, 9)),
-    st.tuples(st.integers(1, 4), st.integers(1, 4), st.integers(1, 4)),
-)
 SEEDS = st.integers(0, 2**32 - 1)
 
 

@@ -116,17 +116,3 @@ def test_coarser_rays_average_what_is_seen_and_share_what_is_lit(make, factor: i
     np.testing.assert_allclose(
         image.reshape(-1, 3).T, expected @ pattern.ravel(), rtol=1e-5, atol=1e-4
     )
-
-
-def test_coarser_rays_take_few_fine_ones_at_a_time(monkeypatch) -> None:
-    transport, _ = scan()
-    whole = rfpipe.coarser(transport, 2).toarray()
-    monkeypatch.setattr("rfpipe.transport.rays._AT_ONCE_BYTES", 1)
-    at_once: list[int] = []
-    forward = transport.forward
-    monkeypatch.setattr(
-        transport, "forward", lambda light, of: at_once.append(len(light)) or forward(light, of)
-    )
-    columns = rfpipe.coarser(transport, 2).toarray(columns=[2, 1])
-    np.testing.assert_allclose(columns, whole[:, :, [2, 1]], rtol=1e-5, atol=1e-4)
-    assert at_once == [1, 1]

@@ -58,7 +58,7 @@ def test_another_transport_or_a_picture_is_compared(results: Path, tmp_path: Pat
 
 def test_a_large_one_has_the_last_level_alone(results: Path) -> None:
     said = run(results / "corner" / "symmetric", "--largest", 0.01)
-    assert "no room for the levels 0, 1" in said
+    assert re.search(r"levels \d+\n", said)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.browsers import opened, picture_of
-from tests.unit.test_viewer_program import lights, planar
-from tests.viewers import KINDS, rounded, transport_of
+from tests.viewers import KINDS, lights, planar, rounded, transport_of
 
 from rfpipe.transport.base import Transport
 from rfpipe.viewer import View, write_view

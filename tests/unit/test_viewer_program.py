@@ -1,51 +1,14 @@
-"""Transports of every kind as programs: pictures as from Python, both ways, at every level."""
+"""Transports as programs: what levels share, and that the same makes the same."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
 import pytest
-from tests.viewers import KINDS, rounded, run_program, transport_of
+from tests.viewers import transport_of
 
 from rfpipe.errors import InputError
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.viewer import lower
 from rfpipe.viewer.program import pack_program
-
-
-def lights(shape: tuple[int, ...], channels: int) -> list[np.ndarray]:
-    """White light, a coloured spot, and noise of both signs."""
-    random = np.random.default_rng(7)
-    spot = np.zeros((*shape, channels), np.float32)
-    spot[..., 1 : shape[-2] // 2, 2 : shape[-1] // 2, :] = random.random(channels)
-    return [np.ones(shape, np.float32), spot, random.standard_normal(shape).astype(np.float32)]
-
-
-def planar(image: np.ndarray, shape: tuple[int, ...], channels: int) -> np.ndarray:
-    """An image (*shape[, C]) as (C, rays)."""
-    image = image.reshape(int(np.prod(shape)), -1)
-    return np.broadcast_to(image, (len(image), channels)).T
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_pictures_are_python_s_both_ways_at_every_level(kind: str, tmp_path: Path) -> None:
-    transport = transport_of(kind)
-    if kind.endswith("uint8"):
-        transport = rounded(transport, tmp_path)
-    program = lower(transport, transport.known_levels)
-    packed = pack_program(program)
-    assert program.levels[-1] == transport.last_level
-    for level in program.levels:
-        seen = transport.truncate(level)
-        for dual, view in ((False, seen), (True, seen.T)):
-            for light in lights(view.projector_shape, view.channels):
-                expected = planar(view.relight(light), view.camera_shape, view.channels)
-                given = planar(light, view.projector_shape, view.channels)
-                found = run_program(packed, given, level, dual=dual)
-                limit = 1e-4 * np.abs(expected).max() + 1e-12
-                assert np.abs(found - expected).max() < limit, (level, dual)
 
 
 def test_levels_share_what_they_have_in_common() -> None:
@@ -63,20 +26,6 @@ def test_levels_that_show_the_same_are_one() -> None:
     dark = MultilevelTransport((4, 4), (4, 4), 1, [], [])
     assert len(dark.known_levels) == 3
     assert lower(dark, dark.known_levels).levels == [dark.last_level]
-
-
-def test_parts_of_near_and_far_light_add_up_to_the_whole() -> None:
-    transport = transport_of("near_far")
-    packed = pack_program(lower(transport))
-    parts = packed.manifest["parts"]
-    assert parts[0] == "direct"
-    assert len(parts) > 1
-    light = planar(np.ones(transport.projector_shape), transport.projector_shape, 3)
-    level = transport.last_level
-    pictures = [run_program(packed, light, level, parts=[part]) for part in parts]
-    assert all(picture.any() for picture in pictures)
-    together = run_program(packed, light, level)
-    np.testing.assert_allclose(sum(pictures), together, atol=1e-5 * together.max())
 
 
 def test_a_level_that_there_is_not_is_refused() -> None:

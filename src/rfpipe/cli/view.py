@@ -53,9 +53,8 @@ def view(
     names = [str(kept[name]) for name in ("scene", "method") if kept.get(name)]
     page = output or Path(f"{'_'.join(names) or Path(str(store)).stem}.html")
     written = write_view(shown, page, round(largest * 1e6))
-    typer.echo(f"{written.page}: {written.nbytes / 1e6:.1f} MB, levels {_listed(written.levels)}")
-    if written.left_out:
-        typer.echo(f"there was no room for the levels {_listed(written.left_out)} by themselves")
+    levels = ", ".join(map(str, written.levels))
+    typer.echo(f"{written.page}: {written.nbytes / 1e6:.1f} MB, levels {levels}")
 
 
 def _compared(path: Path, transport: Transport) -> Compared:
@@ -68,7 +67,3 @@ def _compared(path: Path, transport: Transport) -> Compared:
         return Compared(picture_of_rays(str(path), path, transport.camera_shape), path.name)
     other, _ = view_of(find_transport(path))
     return Compared(other.transport, other.title)
-
-
-def _listed(levels: list[int]) -> str:
-    return ", ".join(map(str, levels))

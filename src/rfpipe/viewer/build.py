@@ -52,8 +52,8 @@ class View:
     Attributes
     ----------
     transport : Transport
-    title, lead : str
-        Its heading, and a sentence below it.
+    title : str
+        Its heading.
     about : sequence of (str, str)
         Facts that its foot lists.
     compared : Compared, optional
@@ -61,7 +61,6 @@ class View:
 
     transport: Transport
     title: str
-    lead: str = "Drag the light over the scene; what comes back is computed here, in the browser."
     about: Sequence[tuple[str, str]] = ()
     compared: Compared | None = None
 
@@ -77,14 +76,11 @@ class Written:
     nbytes : int
     levels : list of int
         The levels that can be chosen.
-    left_out : list of int
-        Those for which there was no room.
     """
 
     page: Path
     nbytes: int
     levels: list[int]
-    left_out: list[int]
 
 
 def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
@@ -125,7 +121,7 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     light = beside.manifest if beside else {}
     manifest = {
         **whole.manifest,
-        "white": white_of(transport),
+        "white": _white_of(transport),
         "coaxial": looks_coaxial(transport),
         "name": output.stem,
         "other": light if "operations" in light else None,
@@ -141,8 +137,7 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     with storage_errors(output, "write", len(text)):
         output.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(output, text)
-    left_out = [level for level in program.levels if level not in chosen]
-    return Written(output, len(text), chosen, left_out)
+    return Written(output, len(text), chosen)
 
 
 def _compared(view: View) -> Packed | None:
@@ -161,18 +156,14 @@ def _compared(view: View) -> Packed | None:
             )
         return pack_program(lower(light))
     shape = (*transport.camera_shape, transport.channels)
-    picture = np.asarray(light, np.float32)
-    if picture.shape == shape[:-1]:
-        picture = np.broadcast_to(picture[..., None], shape)
-    if picture.shape != shape:
-        raise InputError(
-            f"{view.compared.name}: is a picture of shape {picture.shape}, the camera's is "
-            f"{shape}; resize the picture"
-        )
+    try:
+        picture = np.broadcast_to(np.asarray(light, np.float32).reshape(*shape[:-1], -1), shape)
+    except ValueError as error:
+        raise InputError(f"{view.compared.name}: is no picture of {shape}: {error}") from error
     return Packed({"arrays": [{"level": 0}]}, [pack_array(np.moveaxis(picture, -1, 0))])
 
 
-def white_of(transport: Transport) -> float:
+def _white_of(transport: Transport) -> float:
     """Return the radiance that a page shows as white: all but 0.5 % of the floodlit picture."""
     floodlit = transport.relight(np.ones(transport.projector_shape, np.float32))
     white = float(np.percentile(floodlit, 99.5))
@@ -194,7 +185,6 @@ def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> s
     compared = view.compared
     return environment.from_string(source("page.html.j2")).render(
         title=view.title,
-        lead=view.lead,
         about=view.about,
         compared=compared.name if compared else "nothing",
         has_views=RayDomain(view.transport.projector_shape).views > 1,
