@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Any
-from weakref import finalize
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe_devices.bracket import load_library
 from rfpipe_devices.genicam import GenicamCamera, RefusedError, Value, chosen
-
-if TYPE_CHECKING:
-    from rfpipe.rigs.bench import Scenery
 
 Counts = NDArray[np.uint16]
 
@@ -38,7 +29,7 @@ class PylonCamera(GenicamCamera):
     """
 
     kind = "pylon"
-    bench = "rfpipe_devices.pylon:PylonBenchCamera"
+    bench = "rfpipe_devices.bench:software_bench"
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
         super().__init__(sensor, **options)
@@ -93,70 +84,6 @@ class PylonCamera(GenicamCamera):
         for step in (handle.StopGrabbing, handle.Close, handle.DestroyDevice):
             with suppress(self._genicam.GenericException):
                 step()
-
-
-class PylonBenchCamera(PylonCamera):
-    """The driver's emulated camera on the bench in software, its pictures read from files.
-
-    The exposures of `sensor` are set, its noise is not used; what says which camera it is, and the
-    frames' shape, is the bench's.
-    """
-
-    kind = "bench"
-
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
-        os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
-        self._scenery = scenery
-        folder = mkdtemp(prefix="rfpipe-bench-")
-        self._remove = finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self._folder = Path(folder)
-        pictures = self._folder / "pictures"
-        pictures.mkdir()
-        self._put(np.zeros(scenery.path.camera_shape, np.uint16), scenery.camera.bits)
-        own = {
-            "serial": "0815-0000",  # of the driver's first emulated camera
-            "shape": scenery.path.camera_shape,
-            "nodes": {
-                "TestImageSelector": "Off", "ImageFilename": str(pictures), "ImageFileMode": "On",
-            },
-        }  # fmt: skip
-        try:
-            super().__init__(sensor, **{**options, **own})
-        except CaptureError as error:
-            raise CaptureError(
-                f"{error}. The bench needs pylon's emulated camera: set PYLON_CAMEMU=1 in the "
-                "environment before pypylon is loaded"
-            ) from error
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return super().describe() | {"nodes": {}} | self._scenery.describe()
-
-    def close(self) -> None:
-        """Give the camera back; closing twice is no error."""
-        super().close()
-        self._remove()
-
-    def trigger(self) -> None:
-        """Take a frame while armed, as the projector's signal would have it."""
-        if self._armed is not None and self._is_ready(self._options.timeout_seconds):
-            self._before_trigger(self._armed[0])
-            self._trigger()
-
-    def _before_trigger(self, exposure: float) -> None:
-        self._put(self._scenery.frame(exposure), self._scenery.camera.bits)
-
-    def _put(self, counts: Counts, bits: int) -> None:
-        """Lay counts before the emulated camera: twice, as it reads a single file only once."""
-        import cv2
-
-        made, link = self._folder / "next.png", self._folder / "link.png"
-        full_range = counts << np.uint16(16 - bits)
-        if not cv2.imwrite(str(made), full_range, [cv2.IMWRITE_PNG_COMPRESSION, 0]):
-            raise CaptureError(f"{made}: can't be written; is the disk of {made.parent} full?")
-        os.link(made, link)
-        link.replace(self._folder / "pictures" / "a.png")
-        made.replace(self._folder / "pictures" / "b.png")
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.rigs import DeviceRig, ProjectorLayout
-from rfpipe.rigs.bench import OpticalPath
 from rfpipe.rigs.layout import centred_corners, tilted_corners
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 from rfpipe.transport.operators import as_pattern_operator
+from rfpipe_devices.bench import OpticalPath
 
 SENSOR = CameraModel(exposures=(1 / 64, 1 / 16))
 RAYS, PROJECTOR, CAMERA = (4, 5), (18, 22), (11, 14)

@@ -10,8 +10,9 @@ from tests.displays import OWN_NAME, XServer
 from tests.waiting import wait_until
 
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.rigs.window import WindowProjector, code_table
+from rfpipe.rigs.devices import code_table
 from rfpipe.testing import ProjectorContract
+from rfpipe_devices.window import WindowProjector
 
 XVFB = pytest.mark.needs("xvfb")
 GAMMA = np.linspace(0.01, 1, 256) ** 2.2

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.rigs.bench import OpticalPath
 from rfpipe.rigs.layout import centred_corners, tilted_corners
 from rfpipe.transport.operators import as_pattern_operator
+from rfpipe_devices.bench import OpticalPath
 
 SHAPE, PROJECTOR, CAMERA = (6, 8), (40, 50), (33, 44)
 RAYS = 48

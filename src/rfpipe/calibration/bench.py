@@ -14,9 +14,8 @@ from rfpipe.calibration.verdicts import Findings
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError, RfpipeError
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.devices import Camera, Projector, bracket_of
-from rfpipe.rigs.window import STEPS as WEIGHTS
-from rfpipe.rigs.window import code_table
+from rfpipe.rigs.devices import STEPS as WEIGHTS
+from rfpipe.rigs.devices import Camera, Projector, bracket_of, code_table
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]

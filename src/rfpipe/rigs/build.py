@@ -198,9 +198,10 @@ def devices_from_config(config: RigConfig) -> tuple[Projector, Camera]:
         what = "simulated" if config.rig is None else f"a whole, {config.rig.driver}"
         raise ConfigError(f"the rig is {what}; expected one of devices, or with a bench")
     if config.bench is not None:
-        from rfpipe.rigs.bench import software_bench
-
-        return software_bench(config)
+        devices: tuple[Projector, Camera] = plugins.find(
+            plugins.CAMERAS, config.camera.bench or ""
+        )(config)
+        return devices
     projector: Projector = config.projector.make(response=calibration_of(config).projector_response)
     try:
         camera: Camera = config.camera.make(sensor=sensor_of(config))

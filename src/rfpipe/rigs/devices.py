@@ -15,6 +15,7 @@ from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import check_weights
 
 Float = NDArray[np.float32]
+Codes = NDArray[np.uint8]
 
 Offset = Annotated[int, Field(ge=0, le=32768)]
 PictureExtent = Annotated[int, Field(ge=1, le=32768)]
@@ -22,6 +23,9 @@ PictureExtent = Annotated[int, Field(ge=1, le=32768)]
 
 TIMES_SHOWN = 5
 """How often a picture is shown until it stands for a whole bracket."""
+
+STEPS = 65535
+"""Weights are rounded to multiples of 1 / STEPS before they are looked up."""
 
 _log = logging.getLogger(__name__)
 
@@ -193,3 +197,23 @@ def check_picture(picture: NDArray[Any], shape: tuple[int, int]) -> Float:
     if picture.shape != shape:
         raise InputError(f"the picture has the shape {picture.shape}; this projector shows {shape}")
     return check_weights(picture[None], "the picture", ["the picture"]).reshape(shape)
+
+
+def code_table(light: NDArray[Any] | None) -> Codes:
+    """Return the code for each of `STEPS` + 1 weights from 0 to 1, uint8.
+
+    `light`, (256,) and never falling, was measured at each code; None where it is in proportion.
+    The code of a weight is that whose light, scaled so that code 0 gives 0 and 255 gives 1, is
+    nearest. InputError where the table is none.
+    """
+    measured = np.arange(256.0) if light is None else np.asarray(light, np.float64)
+    is_rising = measured.shape == (256,) and (np.diff(measured) >= 0).all()
+    if not is_rising or not 0 < measured[-1] - measured[0] < np.inf:
+        raise InputError(
+            "projector response: expected the light of the codes 0 to 255, finite numbers that "
+            "never fall, the last above the first. Measure it again, with the lamp warm"
+        )
+    relative = (measured - measured[0]) / (measured[-1] - measured[0])
+    between = (relative[1:] + relative[:-1]) / 2
+    weights = np.arange(STEPS + 1) / STEPS
+    return np.searchsorted(between, weights).astype(np.uint8)

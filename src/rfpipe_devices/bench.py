@@ -7,19 +7,23 @@ the driver's virtual camera as its next picture.
 
 from __future__ import annotations
 
+import os
+import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from math import prod
+from pathlib import Path
+from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rfpipe import plugins
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import ConfigError, InputError
+from rfpipe.errors import CaptureError, ConfigError, InputError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.calibrated import calibration_of, sensor_of
@@ -34,9 +38,10 @@ from rfpipe.rigs.layout import (
     lie_within,
     tilted_corners,
 )
-from rfpipe.rigs.window import WindowProjector
 from rfpipe.scenes import scene_from_config
 from rfpipe.transport.operators import PatternOperator
+from rfpipe_devices.pylon import PylonCamera
+from rfpipe_devices.window import WindowProjector
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -46,6 +51,7 @@ if TYPE_CHECKING:
 Float = NDArray[np.float32]
 Double = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint8]
+Counts = NDArray[np.uint16]
 
 SAMPLES = 8
 """Points a side at which each camera pixel looks into the scene."""
@@ -168,7 +174,7 @@ class OpticalPath:
 class Scenery:
     """A bench's display, the scene before it, and the true numbers of the camera that looks.
 
-    As a display it is drawn by `rfpipe.rigs.window.WindowProjector`.
+    As a display it is drawn by `rfpipe_devices.window.WindowProjector`.
 
     Parameters
     ----------
@@ -218,14 +224,14 @@ class Scenery:
     def close(self) -> None:
         """Leave the display as it is."""
 
-    def frame(self, exposure: float) -> NDArray[np.uint16]:
+    def frame(self, exposure: float) -> Counts:
         """Return the counts (Hc, Wc[, 3]) of the next frame, each with noise of its own."""
         self._number += 1
         codes = self._lit()
         if self._seen is None or not np.array_equal(codes, self._seen[0]):
             self._seen = codes, self.path.radiance(self._light[codes])
         camera = replace(self.camera, exposures=(exposure,))
-        counts: NDArray[np.uint16] = camera.expose(self._seen[1], self._seed, (self._number,))[0]
+        counts: Counts = camera.expose(self._seen[1], self._seed, (self._number,))[0]
         return counts[..., 0] if counts.shape[2:] == (1,) else counts
 
     def describe(self) -> dict[str, Any]:
@@ -285,6 +291,70 @@ class BenchProjector(WindowProjector):
             self.trigger()
 
 
+class PylonBenchCamera(PylonCamera):
+    """The driver's emulated camera on the bench in software, its pictures read from files.
+
+    The exposures of `sensor` are set, its noise is not used; what says which camera it is, and the
+    frames' shape, is the bench's.
+    """
+
+    kind = "bench"
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
+        os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
+        self._scenery = scenery
+        folder = mkdtemp(prefix="rfpipe-bench-")
+        self._remove = finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self._folder = Path(folder)
+        pictures = self._folder / "pictures"
+        pictures.mkdir()
+        self._put(np.zeros(scenery.path.camera_shape, np.uint16), scenery.camera.bits)
+        own = {
+            "serial": "0815-0000",  # of the driver's first emulated camera
+            "shape": scenery.path.camera_shape,
+            "nodes": {
+                "TestImageSelector": "Off", "ImageFilename": str(pictures), "ImageFileMode": "On",
+            },
+        }  # fmt: skip
+        try:
+            super().__init__(sensor, **{**options, **own})
+        except CaptureError as error:
+            raise CaptureError(
+                f"{error}. The bench needs pylon's emulated camera: set PYLON_CAMEMU=1 in the "
+                "environment before pypylon is loaded"
+            ) from error
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return super().describe() | {"nodes": {}} | self._scenery.describe()
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        super().close()
+        self._remove()
+
+    def trigger(self) -> None:
+        """Take a frame while armed, as the projector's signal would have it."""
+        if self._armed is not None and self._is_ready(self._options.timeout_seconds):
+            self._before_trigger(self._armed[0])
+            self._trigger()
+
+    def _before_trigger(self, exposure: float) -> None:
+        self._put(self._scenery.frame(exposure), self._scenery.camera.bits)
+
+    def _put(self, counts: Counts, bits: int) -> None:
+        """Lay counts before the emulated camera: twice, as it reads a single file only once."""
+        import cv2
+
+        made, link = self._folder / "next.png", self._folder / "link.png"
+        full_range = counts << np.uint16(16 - bits)
+        if not cv2.imwrite(str(made), full_range, [cv2.IMWRITE_PNG_COMPRESSION, 0]):
+            raise CaptureError(f"{made}: can't be written; is the disk of {made.parent} full?")
+        os.link(made, link)
+        link.replace(self._folder / "pictures" / "a.png")
+        made.replace(self._folder / "pictures" / "b.png")
+
+
 def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
     """Return the projector and the camera of a rig's bench; CaptureError without its library."""
     bench = config.bench
@@ -303,10 +373,9 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
     )
     response = calibration_of(config).projector_response
     projector = BenchProjector(scenery, response=response, **dict(config.projector.options))
-    camera_of = plugins.find(plugins.CAMERAS, config.camera.bench or "")
-    camera: Camera = camera_of(scenery, sensor_of(config), **dict(config.camera.options))
-    if getattr(camera, "can_be_triggered", False):
-        projector.trigger = getattr(camera, "trigger", None)
+    camera = PylonBenchCamera(scenery, sensor_of(config), **dict(config.camera.options))
+    if camera.can_be_triggered:
+        projector.trigger = camera.trigger
     return projector, camera
 
 

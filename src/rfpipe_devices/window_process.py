@@ -1,7 +1,7 @@
 """The projector's window, in a process of its own: pictures come in, answers go out.
 
 SDL wants to be called by the main thread alone, and Xlib ends the process when its display goes
-away: neither is fit for a server. Started by `rfpipe.rigs.window` as
+away: neither is fit for a server. Started by `rfpipe_devices.window` as
 ``python -P window_process.py CONNECTION SETTINGS``; ends when the connection does. What comes in
 are the bytes of a picture, or none: the question whether the last one still stands. Each answer is
 a pair: the window's shape at first, then a bool; and None, or an error's text at last.

@@ -20,18 +20,22 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rfpipe.config.base import Settings
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import CaptureError
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.devices import Closing, Offset, PictureExtent, check_picture
+from rfpipe.rigs.devices import (
+    STEPS,
+    Closing,
+    Offset,
+    PictureExtent,
+    check_picture,
+    code_table,
+)
 
 Float = NDArray[np.float32]
 Codes = NDArray[np.uint8]
 
 ANSWER_SECONDS = 20.0
 """Time within which a window opens and a picture is drawn, or the display counts as dead."""
-
-STEPS = 65535
-"""Weights are rounded to multiples of 1 / STEPS before they are looked up."""
 
 _log = logging.getLogger(__name__)
 
@@ -66,26 +70,6 @@ class WindowOptions(Settings):
     )
 
 
-def code_table(light: NDArray[Any] | None) -> Codes:
-    """Return the code for each of `STEPS` + 1 weights from 0 to 1, uint8.
-
-    `light`, (256,) and never falling, was measured at each code; None where it is in proportion.
-    The code of a weight is that whose light, scaled so that code 0 gives 0 and 255 gives 1, is
-    nearest. InputError where the table is none.
-    """
-    measured = np.arange(256.0) if light is None else np.asarray(light, np.float64)
-    is_rising = measured.shape == (256,) and (np.diff(measured) >= 0).all()
-    if not is_rising or not 0 < measured[-1] - measured[0] < np.inf:
-        raise InputError(
-            "projector response: expected the light of the codes 0 to 255, finite numbers that "
-            "never fall, the last above the first. Measure it again, with the lamp warm"
-        )
-    relative = (measured - measured[0]) / (measured[-1] - measured[0])
-    between = (relative[1:] + relative[:-1]) / 2
-    weights = np.arange(STEPS + 1) / STEPS
-    return np.searchsorted(between, weights).astype(np.uint8)
-
-
 class _LostWindowError(CaptureError):
     """The window, or its display, is gone."""
 
@@ -100,7 +84,7 @@ class _LostWindowError(CaptureError):
 class WindowProjector(Closing):
     """A projector as a monitor: a borderless window with one pixel for each of its pixels.
 
-    The window lives in a process of its own (`rfpipe.rigs.window_process`), so `show` may be
+    The window lives in a process of its own (`rfpipe_devices.window_process`), so `show` may be
     called from any thread, and the loss of the display is an error instead of the process' end.
     A window that is lost is opened again at the next picture. `show` returns `settle_seconds` after
     the display's server has confirmed that it drew the picture (on X11 by XSync). When the light
@@ -230,7 +214,7 @@ class _WindowProcess:
         self._connection, theirs = multiprocessing.Pipe()
         program = Path(__file__).with_name("window_process.py")
         self._process = subprocess.Popen(
-            # -P: modules of rfpipe.rigs beside the program are no top-level ones
+            # -P: modules beside the program are no top-level ones
             [sys.executable, "-P", str(program), str(theirs.fileno()), json.dumps(settings)],
             pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=self._errors,
             stderr=self._errors, env=environment,
