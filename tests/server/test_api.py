@@ -69,18 +69,6 @@ def test_a_request_sent_again_is_not_exposed_again(http: httpx.Client, rig: Slow
     assert "used with other patterns" in answer.json()["detail"]
 
 
-def test_one_client_at_a_time_holds_the_rig(http: httpx.Client) -> None:
-    lease = lease_of(http)
-    answer = http.post("/v1/lease", json={"client": "another"})
-    assert answer.status_code == 409
-    assert "the rig is held by 'test'" in answer.json()["detail"]
-    assert http.put("/v1/lease", headers={"Rig-Lease": "not-the-lease"}).status_code == 410
-    assert http.put("/v1/lease", headers={"Rig-Lease": lease}).json()["seconds"] == 4.0
-    assert http.delete("/v1/lease", headers={"Rig-Lease": lease}).status_code == 204
-    assert http.delete("/v1/lease", headers={"Rig-Lease": lease}).status_code == 410
-    assert http.post("/v1/lease", json={"client": "another"}).is_success
-
-
 def test_a_heart_beats_between_captures(rig: SlowRig) -> None:
     with running(rig, lease_seconds=2.5) as server, server.client() as client:
         client.capture(ON, [(1, 0)])

@@ -123,23 +123,6 @@ def test_path_tricks_lead_nowhere(server: Running, path: str) -> None:
         assert status_of(connection) in (400, 401)
 
 
-@pytest.mark.parametrize(
-    "request_bytes",
-    [
-        b"\x16\x03\x01\x02\x00\x01\x00", b"GET\r\n\r\n", b"NONSENSE " * 100 + b"\r\n\r\n",
-        b"GET /v1/rig HTTP/1.1\r\n\r\n",
-        b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
-        b"POST /v1/lease HTTP/1.1\r\nHost: a\r\nContent-Length: -1\r\n\r\n",
-        b"POST /v1/lease HTTP/1.1\r\nHost: a\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n",
-        b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: " + b"y" * 400_000,
-    ],
-)  # fmt: skip
-def test_what_is_no_http(server: Running, request_bytes: bytes) -> None:
-    with connected(server) as connection:
-        connection.sendall(request_bytes)
-        assert status_of(connection) == 400
-
-
 def post(server: Running, body: Any, **changes: str) -> httpx.Response:
     """Send a body as the holder of the rig."""
     with server.http() as http:

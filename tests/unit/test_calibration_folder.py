@@ -66,24 +66,6 @@ def test_a_calibration_finds_the_bench(calibrated: Any) -> None:
     json.dumps(found.facts)
 
 
-def test_a_projector_that_is_not_dark_when_off_changes_nothing_else(tmp_path: Path) -> None:
-    bench, folder, run = begun(tmp_path, gamma=GAMMA)
-    light = 0.003 + 0.997 * np.linspace(0, 1, 256) ** GAMMA
-
-    def radiance() -> np.ndarray:
-        codes = np.rint(bench.projector.light * 255).astype(int)
-        return bench.path.radiance(light[codes])
-
-    bench.camera._radiance = radiance
-    run()
-    found = load(folder.path)
-    assert found.facts["linearity"]["standing"] == "good"
-    assert found.camera["response_gamma"] == 1
-    assert found.camera["full_well_electrons"] == pytest.approx(20_000, rel=0.1)
-    assert found.camera["read_noise_electrons"] == pytest.approx(5, rel=0.1)
-    assert not folder.read("dark")["hot"].any()
-
-
 def test_steps_that_are_done_are_not_repeated(
     calibrated: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

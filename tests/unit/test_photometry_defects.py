@@ -117,13 +117,6 @@ def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
     assert found.mask.sum() == 9
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 7, 3), (2, 5, 6, 3)])
-def test_small_and_stacked_domains(shape: tuple[int, ...]) -> None:
-    found = defects_of(*capture(CAMERA, np.full(shape, 0.5, np.float32)), CAMERA)
-    assert found.mask.shape == shape[:-1]
-    assert not found.mask.any()
-
-
 def test_statistics_of_dark_frames_that_pass_by() -> None:
     frames = (4000 + np.random.default_rng(0).integers(-9, 9, (7, 2, 4, 5, 3))).astype(np.uint16)
     dark = DarkFrames()

@@ -8,7 +8,7 @@ import pytest
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor, Merged
 from rfpipe.photometry.camera import UNKNOWN_DEVIATION, merge_bracket
-from rfpipe.photometry.demosaic import demosaic, mosaic
+from rfpipe.photometry.demosaic import demosaic
 
 CAMERA = CameraModel()
 
@@ -144,13 +144,6 @@ def test_merge_of_no_brackets() -> None:
         assert merged.radiance.shape == merged.variance.shape == (0, *image.shape)
 
 
-@pytest.mark.parametrize("shape", [(1, 37, 1), (1, 1, 1), (3, 5, 7, 3)])
-def test_small_and_stacked_domains(shape: tuple[int, ...]) -> None:
-    merged = take(CAMERA, flat(0.5, shape))
-    assert merged.radiance.shape == (1, *shape)
-    np.testing.assert_allclose(merged.radiance, 0.5, rtol=0.1)
-
-
 def test_a_noiseless_camera_still_has_a_variance() -> None:
     camera = replace(CAMERA, read_noise_electrons=0.0, dark_current_electrons=0.0)
     merged = take(camera, flat(0.0, (4, 5, 3)))
@@ -196,13 +189,6 @@ def test_exact_sensor_returns_the_radiance() -> None:
     light = np.full_like(bracket, 0.25)
     lit = sensor.merge(bracket[None] + light, light).radiance[0]
     np.testing.assert_allclose(lit, image, atol=1e-7)
-
-
-@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
-def test_demosaic_keeps_flat_fields_up_to_the_border(pattern: str) -> None:
-    image = np.broadcast_to(np.array([0.2, 0.5, 0.9], np.float32), (2, 5, 6, 3))
-    colour, _ = demosaic(mosaic(image, pattern), np.ones(image.shape[:-1], np.float32), pattern)
-    np.testing.assert_allclose(colour, image, rtol=1e-6)
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])

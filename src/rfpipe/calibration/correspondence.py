@@ -264,14 +264,13 @@ def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> S
     return SmoothMap(homography, distortion, centre, scale, rms, error)
 
 
-def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> tuple[float, float]:
+def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> float:
     """Measure the blur of lens and projector as that of a Gaussian, the same all over the picture.
 
     Returns
     -------
-    blur, error : float
-        Standard deviation in camera pixels, 0 where it isn't significant; standard error of its
-        square.
+    float
+        Standard deviation in camera pixels, 0 where it isn't significant.
 
     Notes
     -----
@@ -298,11 +297,11 @@ def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> tuple[float
             squares.append(lost / factor / np.square(step[chosen, axis]))
     values = np.concatenate(squares)
     if not values.size:
-        return 0.0, float("inf")
+        return 0.0
     square = float(np.median(values))
     spread = MAD_TO_DEVIATION * float(np.median(np.abs(values - square)))
     error = 1.2533 * spread / float(np.sqrt(values.size))
-    return (float(np.sqrt(square)) if square > 3 * error else 0.0), error
+    return float(np.sqrt(square)) if square > 3 * error else 0.0
 
 
 def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadrilateral]:

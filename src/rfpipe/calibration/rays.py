@@ -97,7 +97,7 @@ def measure_rays(bench: Bench) -> Findings:
             f"{unlit} of {layout.pixels_of_ray.size} rays have no projector pixel; "
             f"{layout.shape[-2:]} rays a view are too many for its place on the projector"
         )
-    blur, blur_error = fit_blur(correspondence, maps)
+    blur = fit_blur(correspondence, maps)
     fit = fit_rays(maps, layout, valid.shape, blur)
     arrays = {
         **fit.layout.arrays(),
@@ -107,7 +107,6 @@ def measure_rays(bench: Bench) -> Findings:
     facts = {
         "shape": list(layout.shape),
         "corners": None if corners is None else [list(map(list, quad)) for quad in corners],
-        "blur_error": blur_error,
         "map_rms_pixels": max(one.rms for one in maps),
         "map_error_pixels": max(one.error for one in maps),
         **_judged(fit, blur, settings.tolerance),
