@@ -8,7 +8,7 @@ import mimetypes
 import os
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import IO, Any, cast
@@ -96,14 +96,8 @@ class ObjectPlace(Place):
 
     def open(self) -> IO[bytes]:
         """Open a file, to be read by ranges; its end, a zip's directory, comes with the first."""
-        try:
-            with _errors(str(self)):
-                tail, size = self._end(_AHEAD_BYTES)
-        except UnreachableError:
-            with suppress(Exception):  # the first error tells more
-                if self._store.head(self.key)["size"] == 0:  # no range could be asked for
-                    return io.BytesIO()
-            raise
+        with _errors(str(self)):
+            tail, size = self._end(_AHEAD_BYTES)
         return cast(IO[bytes], io.BufferedReader(_Ranged(self, tail, size), _AHEAD_BYTES))
 
     def files(self) -> list[str]:

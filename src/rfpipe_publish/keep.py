@@ -7,7 +7,6 @@ on.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,14 +15,12 @@ from pathlib import Path
 from rfpipe.store import StoreLock
 from rfpipe.store.files import remove_tree
 from rfpipe.store.places import content_of
-from rfpipe.transport.storage import MANIFEST, ZIP_NAME
+from rfpipe.transport.storage import MANIFEST
 from rfpipe_publish.addresses import Bucket
 from rfpipe_publish.run import Run, files_below
 from rfpipe_publish.writing import Source, measured, write_zip
 
 _SECONDS_BETWEEN_LISTS = 5.0
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -66,14 +63,6 @@ def keep(run: Run, address: str, tell: Callable[[str], object] = lambda _: None)
     with StoreLock(made):
         try:
             listed = _List(bucket)
-            own = {f"{acquisition.name}/{ZIP_NAME}" for acquisition in run.acquisitions}
-            others = [name for name in {*listed.digests} - own if name.endswith(f"/{ZIP_NAME}")]
-            if others:
-                _log.warning(
-                    "%s: has %d transports that this run hasn't, such as %s: of scenes that were "
-                    "removed, or of another run, which needs an address of its own",
-                    *(bucket, len(others), min(others)),
-                )
             for name, source in _objects(run, made):
                 digest, size = measured(source)
                 kept.objects += 1

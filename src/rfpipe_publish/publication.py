@@ -106,7 +106,7 @@ def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
         yield from files_below(acquisition.folder / STORE_NAME, acquisition.store_name)
     for acquisition in run.acquisitions:
         yield f"{acquisition.name}/transport.json", acquisition.folder / "transport.json"
-        yield from _reference_pictures(acquisition)
+        yield from _floodlit(acquisition)
     yield from run.report_files()
     yield from run.captured() if captured else run.manifests()
     calibration = run.folder / "calibration"
@@ -118,20 +118,14 @@ def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
         yield from files_below(source / "workflow", "source/workflow")
 
 
-def _reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of an acquisition's reference pictures."""
+def _floodlit(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of an acquisition's picture under all light."""
     folder = AcquisitionFolder(acquisition.folder)
-    if not folder.store(0, REFERENCES).exists():
-        return
-    arrays, _ = folder.read(0, "merge", REFERENCES)
-    where = f"pictures/{acquisition.scene}/{acquisition.method}"
-    for suffix in ("exr", "png"):
-        yield f"{where}/floodlit.{suffix}", encoded(arrays["floodlit"], suffix)
-    for exposure, counts in enumerate(arrays["black"]):
-        # a mosaic's has no channels
-        has_channels = counts.ndim > 2 and counts.shape[-1] in (1, 3)
-        picture = counts if has_channels else counts[..., None]
-        yield f"{where}/black_{exposure}.exr", encoded(picture, "exr")
+    if folder.store(0, REFERENCES).exists():
+        floodlit = folder.read(0, "merge", REFERENCES)[0]["floodlit"]
+        where = f"pictures/{acquisition.scene}/{acquisition.method}"
+        for suffix in ("exr", "png"):
+            yield f"{where}/floodlit.{suffix}", encoded(floodlit, suffix)
 
 
 def encoded(image: NDArray[Any], suffix: str) -> bytes:

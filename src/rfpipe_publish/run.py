@@ -25,7 +25,6 @@ SETTINGS = "settings.yaml"
 
 _TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # which stay at home
 _LEFT_OUT = (".log", ".benchmark.tsv", ".asked", ".tmp")
-_MOST_NAMED = 6
 
 
 @dataclass(frozen=True)
@@ -93,9 +92,7 @@ class Run:
         if titled:
             return str(titled)
         names = [*dict.fromkeys(found.scene for found in self.acquisitions)]
-        if len(names) > _MOST_NAMED:
-            names[1:-1] = [f"{len(names) - 2:,} more"]
-        return f"Light transport of {', '.join(names)}"
+        return f"Light transport of {', '.join(names[:6])}{' and more' * (len(names) > 6)}"
 
     @property
     def times(self) -> tuple[str, str]:

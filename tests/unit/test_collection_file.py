@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.helpers import settings_of_a_plane
 
 from rfpipe.config import CameraConfig, load_config
 from rfpipe.errors import ConfigError
@@ -135,21 +134,16 @@ MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
     ("name,kind\na,pla\n", "line 2: scenes.a: 'pla' is unknown"),
     ('name,note\na,"two\nlines"\nb,1,2\n', "line 4: '2' stands in a column without"),
     ("name,kind,name\n", "line 1: the header name stands twice"),
-    ("kind\nplane\n", "line 1: the header has no column 'name'"),
     ('name,kind\na,"pla\n', "can't be read as a table: "),
     (b"name,kind,about.x\na,plane,caf\xe9\n", "can't be read as a table: 'utf-8' codec"),
-    ("", "line 1: the header has no column 'name'"),
     ("name,kind\n", "has no scenes; expected a row for each"),
     ("name,kind,file\na,matrix,nowhere\n", "line 2: file is 'nowhere', which isn't there"),
     (
         f"{HEAD},capture.rig\na,plane,white,remote\n",
         "line 2: scenes.a.settings.capture.rig: can't be set for a",
     ),
-    (f"{HEAD},shape\na,plane,white,[3\n", "line 2: while parsing"),
     (f"{HEAD}\nreport,plane,white\n", "line 2: scenes.report should be called"),
-    (f"{HEAD},rig\na,plane,white,b\n", "line 2: scenes.a.rig is 'b'"),
     (b"PK\x03\x04\x14\x00", "line 1: the header has no column 'name'"),
-    (f"{HEAD}\na,,white\n", "line 2: scenes.a.kind is missing"),
 ]
 
 
@@ -201,8 +195,3 @@ def test_a_wrong_rig_and_a_missing_file_are_told(tmp_path: Path) -> None:
     (tmp_path / "run.yaml").write_text("collection: gone.csv\n")
     with pytest.raises(ConfigError, match=f"no file gone.csv nor {tmp_path}/gone.csv"):
         load_config(tmp_path / "run.yaml")
-
-
-def test_settings_of_a_run_are_those_of_its_scenes_without_own_ones() -> None:
-    run = settings_of_a_plane()
-    assert run.of_scene("plane") is run

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.buckets import BUCKET, put, s3_server, use
 from tests.collections_ import acquire_item
 from tests.serving import serving
 from typer.testing import CliRunner
@@ -133,57 +132,32 @@ def packed(run: tuple[Config, Path], tmp_path_factory: pytest.TempPathFactory) -
     return folder
 
 
-def check_afar(address: str, results: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Use a packed folder behind an address in all ways."""
-    inside = "a/hadamard/transport.zarr"
-    light = np.random.default_rng(1).random((6, 8))
-    expected = rfpipe.open_transport(results / inside).relight(light)
-    for name in (f"{address}/{inside}", f"{address}/a/hadamard"):
-        assert np.array_equal(rfpipe.open_transport(name).relight(light), expected)
-    field = rfpipe.open_collection(address, "hadamard")
-    assert [*field] == ["a", "b"]
-    assert np.array_equal(field["a"].relight(light), expected)
-    with pytest.raises(StoreError, match="has 4 transports"):
-        rfpipe.open_transport(address)
-    with pytest.raises(StoreError, match="nowhere"):
-        rfpipe.open_transport(f"{address}/nowhere/transport.zarr")
-    # without a place in it, the command is given it as a user does
-    monkeypatch.chdir(output.parent)
-    for command in (["verify", address], ["collection", "unpack", address, "-o", str(output)]):
-        done = CliRunner().invoke(app, command)
-        assert done.exit_code == 0, done.output
-    unpacked = sorted(it.relative_to(output) for it in output.rglob("*") if it.is_file())
-    assert all((output / it).read_bytes() == (results / it).read_bytes() for it in unpacked)
-    assert Path(inside) / "zarr.json" in unpacked
-
-
 def test_a_packed_run_is_read_from_a_web_server(
     run: tuple[Config, Path], packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    results, output = run[1], tmp_path / "out"
     with serving(packed.parent) as server:
-        check_afar(f"{server.address}/packed", run[1], tmp_path / "out", monkeypatch)
-
-
-def test_a_packed_run_is_read_from_a_bucket(
-    run: tuple[Config, Path],
-    packed: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    validators: str,
-) -> None:
-    with s3_server(validators) as endpoint:
-        for file in filter(Path.is_file, packed.rglob("*")):
-            name = file.relative_to(packed.parent).as_posix()
-            put(f"{endpoint}/{BUCKET}/{name}", file.read_bytes())
-        use(monkeypatch, endpoint)
-        check_afar(f"s3://{BUCKET}/packed", run[1], tmp_path / "out", monkeypatch)
-
-
-def test_a_packed_folder_opens_as_a_run_does(packed: Path) -> None:
-    with pytest.raises(StoreError, match="has 4 transports") as caught:
-        rfpipe.open_transport(packed)
-    named = str(caught.value).splitlines()[1].strip()
-    assert rfpipe.open_transport(named).camera_shape == (6, 8)
+        address = f"{server.address}/packed"
+        inside = "a/hadamard/transport.zarr"
+        light = np.random.default_rng(1).random((6, 8))
+        expected = rfpipe.open_transport(results / inside).relight(light)
+        for name in (f"{address}/{inside}", f"{address}/a/hadamard"):
+            assert np.array_equal(rfpipe.open_transport(name).relight(light), expected)
+        field = rfpipe.open_collection(address, "hadamard")
+        assert [*field] == ["a", "b"]
+        assert np.array_equal(field["a"].relight(light), expected)
+        with pytest.raises(StoreError, match="has 4 transports"):
+            rfpipe.open_transport(address)
+        with pytest.raises(StoreError, match="nowhere"):
+            rfpipe.open_transport(f"{address}/nowhere/transport.zarr")
+        # without a place in it, the command is given it as a user does
+        monkeypatch.chdir(output.parent)
+        for command in (["verify", address], ["collection", "unpack", address, "-o", str(output)]):
+            done = CliRunner().invoke(app, command)
+            assert done.exit_code == 0, done.output
+        unpacked = sorted(it.relative_to(output) for it in output.rglob("*") if it.is_file())
+        assert all((output / it).read_bytes() == (results / it).read_bytes() for it in unpacked)
+        assert Path(inside) / "zarr.json" in unpacked
 
 
 def test_a_collection_is_published_with_its_catalogue(

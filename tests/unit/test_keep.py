@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import parse_config
-from rfpipe.errors import ConfigError, InputError, StoreError
+from rfpipe.errors import ConfigError, StoreError
 from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.places import content_of, locate
 from rfpipe_publish import addresses
@@ -119,15 +119,14 @@ def test_what_the_network_and_the_server_break_is_sent_again(
     assert verified(address)[0] == 0
 
 
-@pytest.mark.parametrize("fault", ["fail", "cut"])
 def test_a_server_that_stays_broken_is_said_and_the_next_run_goes_on(
-    fault: str, run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
+    run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     send, sent = Bucket.put, []
 
     def breaking(bucket: Bucket, name: str, content: Path | bytes) -> None:
         if len(sent) == 2:
-            setattr(faults, fault, 1000)
+            faults.fail = 1000
         sent.append(name)
         send(bucket, name, content)
 
@@ -137,7 +136,7 @@ def test_a_server_that_stays_broken_is_said_and_the_next_run_goes_on(
         with pytest.raises(StoreError, match="goes on where it stopped") as caught:
             kept(run, address)
     assert "\n" not in str(caught.value)
-    setattr(faults, fault, 0)
+    faults.fail = 0
     assert kept(run, address).sent == N_OBJECTS
     assert verified(address)[0] == 0
 
@@ -151,10 +150,6 @@ def test_missing_buckets_rights_and_credentials_are_said(
     with pytest.raises(StoreError, match=r"Not now; check .*AWS_SECRET_ACCESS_KEY\)"):
         kept(run, address)
     assert listed(address) == {}
-    for wrong in ("https://host/run", "s3://key:secret@lab/run"):
-        with pytest.raises(InputError, match="should be a bucket") as refused_here:
-            kept(run, wrong)
-        assert "secret" not in str(refused_here.value)
     for wrong in ("lab/run", "s3://", "s3://key:secret@lab/run", "s3://Lab/run"):
         with pytest.raises(ConfigError, match=r"keep_at.*should be a bucket") as refused:
             parse_config({"storage": {"keep_at": wrong}}, "test")

@@ -1,6 +1,5 @@
 """Scenes of Mitsuba as scenes of rfpipe: files, errors, the recording on disk, and LLVM."""
 
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -143,22 +142,6 @@ def test_a_recording_that_was_stopped_goes_on(
         pictures(options(tmp_path))
     np.testing.assert_array_equal(pictures(options(tmp_path)), pieced)
     assert traced == [0, 0, 16, 16, 32, 32, 32]  # either half of a piece
-
-
-@needs_llvm
-def test_two_that_want_a_recording_make_it_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, record = [], recording._record
-    monkeypatch.setattr(recording, "_record", lambda *a: (made.append(1), record(*a)))
-    monkeypatch.setattr(recording, "_WAIT_SECONDS", 0.01)
-    settings = options(tmp_path)
-    threads = [threading.Thread(target=pictures, args=(settings,)) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(made) == 1
 
 
 @needs_llvm

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rfpipe_mitsuba.parts import blots, lettering, matt, turned
+from rfpipe_mitsuba.parts import matt, turned
 from rfpipe_mitsuba.world import load_scene
 from rfpipe_mitsuba.worlds import WORLDS
 
@@ -51,24 +51,6 @@ def test_the_pairs_and_arrays_of_views() -> None:
     [camera], [projector] = WORLDS["right_angles"].cameras, WORLDS["right_angles"].projectors
     ahead = [view.pinhole((1, 1)).axes[2] for view in (camera, projector)]
     assert abs(np.dot(*ahead)) < np.cos(np.radians(75))
-
-
-def test_letters_stand_upright() -> None:
-    dots = lettering(["L"], ink=(0, 0, 0), paper=(1, 1, 1), fine=1)[..., 0]
-    inked = dots == 0
-    assert inked.shape == (11, 9)
-    assert inked[2:9, 2].all()  # the stem
-    assert inked[8, 2:7].all()  # the foot
-    assert inked.sum() == 11
-    with pytest.raises(KeyError):
-        lettering(["é"])
-
-
-def test_blots_by_their_seed() -> None:
-    colours = [(0.5, 0.5, 0.5), (0.1, 0.2, 0.3)]
-    one, again, other = (blots(32, seed, colours) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, again)
-    assert (one != other).any()
 
 
 def test_a_turned_body_is_closed_and_its_outside_away_from_the_axis() -> None:

@@ -101,8 +101,6 @@ def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:
 def test_pictures_and_transports_are_the_runs(crate: Path, undisturbed: Workflow) -> None:
     floodlit, _ = read_floodlit(AcquisitionFolder(undisturbed.path("tiny/dual")))
     assert np.array_equal(read_image(crate / "pictures/tiny/dual/floodlit.exr"), floodlit)
-    black = read_image(crate / "pictures/tiny/dual/black_0.exr")
-    assert 55 < black.mean() < 75  # counts
     name = "results/long/brute_force/transport.zarr"
     light = np.random.default_rng(0).random((5, 8), np.float32)
     relit = rfpipe.open_transport(crate / name).relight(light)
