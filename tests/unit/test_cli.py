@@ -189,20 +189,6 @@ def test_validate_recognises_a_rig(name: str) -> None:
     assert "rfpipe calibrate and serve" in run("plan", CONFIG.with_name(name))
 
 
-@pytest.mark.parametrize(("scale", "shape"), [(3, (12, 18)), ("1/2", (2, 3))])
-def test_relit_pictures_at_scale(
-    transport: Path, tmp_path: Path, scale: object, shape: tuple[int, int]
-) -> None:
-    small, large = tmp_path / "small.exr", tmp_path / "large.exr"
-    run("relight", transport, "--pattern", "white", "--output", small)
-    run("relight", transport, "--pattern", "white", "--output", large, "--scale", scale)
-    found, given = read_image(large), read_image(small)
-    assert found.shape == (*shape, 3)
-    assert found.mean() == pytest.approx(given.mean(), rel=0.1)
-    if scale == 3:
-        np.testing.assert_array_equal(found[1::3, 1::3], given)
-
-
 def test_a_pattern_is_resized_when_asked(
     transport: Path, factors: NDArray[np.float32], tmp_path: Path
 ) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import av
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
@@ -13,9 +12,7 @@ from typer.testing import CliRunner
 from rfpipe.cli import app
 from rfpipe.errors import InputError, RfpipeError, StoreError
 from rfpipe.export import (
-    Scale,
     moving_light,
-    ray_pictures,
     rays_at,
     relit_movie,
     relit_pictures,
@@ -94,33 +91,6 @@ def test_rays_that_can_t_be_told(text: str, shape, message: str) -> None:
         rays_at(text, shape)
 
 
-@pytest.mark.parametrize("side", ["row", "column"])
-@pytest.mark.parametrize("camera", [CAMERA, VIEWS])
-def test_pictures_of_rays_are_rows_and_columns_of_the_matrix(side, camera) -> None:
-    transport = transport_of(camera)
-    matrix = transport.toarray() if side == "row" else transport.toarray().swapaxes(1, 2)
-    height, width = {CAMERA: CAMERA, VIEWS: (8, 6)}[camera]
-    shape = PROJECTOR if side == "row" else (height, width)
-    for place, picture in ray_pictures(transport, side, np.array([30, 2])):
-        ray = np.ravel_multi_index(place, camera if side == "row" else PROJECTOR)
-        np.testing.assert_allclose(picture, matrix[:, ray].T.reshape(*shape, 3), rtol=1e-6)
-
-
-# --- sizes
-
-
-def test_scales() -> None:
-    image = RANDOM.random((5, 7, 3), dtype=np.float32)
-    assert np.array_equal(Scale.parse("3").apply(image)[::3, ::3], image)
-    halved = Scale.parse("1/2").apply(image)
-    assert halved.shape == (3, 4, 3)
-    np.testing.assert_allclose(halved[0, 0], image[:2, :2].mean((0, 1)), rtol=1e-5)
-    np.testing.assert_allclose(halved[2, 3], image[4, 6], rtol=1e-6)
-    for text in ("0", "1/0", "2/3"):
-        with pytest.raises(InputError, match=f"scale '{text}': expected a whole number"):
-            Scale.parse(text)
-
-
 # --- light paths
 
 
@@ -152,25 +122,27 @@ def test_views_are_lit_in_turn_and_other_paths_light_all() -> None:
 # --- relit pictures and movies
 
 
-def swept(transport: DenseTransport, count: int, scale: Scale | None = None):
+def swept(transport: DenseTransport, count: int):
     times = np.linspace(0, 1, count)
     patterns = [moving_light("across", PROJECTOR, time) for time in times]
-    return list(relit_pictures(transport, patterns, scale))
+    return list(relit_pictures(transport, patterns))
 
 
 def test_relit_pictures_are_relight_s() -> None:
     transport = transport_of(VIEWS)
     pattern = RANDOM.random((*PROJECTOR, 3), dtype=np.float32)
-    (found,) = relit_pictures(transport, [pattern], Scale(2))
-    np.testing.assert_array_equal(found[::2, ::2], transport.relight(pattern).reshape(8, 6, 3))
+    (found,) = relit_pictures(transport, [pattern])
+    np.testing.assert_array_equal(found, transport.relight(pattern).reshape(8, 6, 3))
 
 
 def test_a_movie_shows_the_relit_pictures(tmp_path: Path) -> None:
     transport, path = transport_of((5, 9)), tmp_path / "movie.mp4"
-    white = relit_movie(transport, path, "across", 6, scale=Scale(9), fps=12.5)
+    white = relit_movie(transport, path, "across", 6, enlarge=9, fps=12.5)
     frames = frames_of(path)
     assert frames.shape == (6, 46, 82, 3)  # odd sides are filled up
-    expected = [255 * srgb(picture, white) for picture in swept(transport, 6, Scale(9))]
+    expected = [
+        255 * srgb(picture, white).repeat(9, 0).repeat(9, 1) for picture in swept(transport, 6)
+    ]
     off = np.abs(frames[:, :45, :81] - np.stack(expected))
     assert off.mean() < 4  # noise, of which colour is kept for squares of four pixels
     assert np.abs((frames[:, :45, :81] - np.stack(expected)).mean((0, 1, 2))).max() < 1.5
@@ -218,7 +190,7 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
     found = np.load(path)
     assert found["rows"].tolist() == list(range(16, 24))  # each once
     np.testing.assert_allclose(found["T"], transport_of().toarray(range(16, 24), [0]), rtol=1e-6)
-    run("export", stored, path, "--scale", "1/2", "--dual")
+    run("export", stored, path, "--coarser", "2", "--dual")
     np.testing.assert_allclose(
         np.load(path)["T"], coarser(transport_of(), 2).T.toarray(), rtol=1e-6
     )
@@ -227,32 +199,14 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("x.npz", ("--scale", "2"), "no more rays than were acquired"),
-        ("x.npz", ("--limit-gib", "1e-6"), "choose rows or columns, lower the scale"),
+        ("x.npz", ("--limit-gib", "1e-6"), "choose rows or columns, join rays"),
         ("x.npz", ("--rows", "9,9"), "outside the rays"),
-        ("rays", (), "give --rows or --columns"),
-        ("rays", ("--rows", ":,:", "--limit-gib", "1e-6"), "48 pictures take"),
+        ("rays", (), ".npz"),
     ],
 )
 def test_export_refuses(stored: Path, tmp_path: Path, name: str, options, message: str) -> None:
     assert message in refused("export", stored, tmp_path / name, *options)
     assert not (tmp_path / name).exists()
-
-
-def test_export_rays(stored: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "rays"
-    text = run("export", stored, folder, "--rows", "2,3", "--columns", "1,:", "--scale", "2")
-    assert "8 pictures" in text
-    matrix = transport_of().toarray()
-    row = read_image(folder / "row_2_3.exr")
-    np.testing.assert_array_equal(row[::2, ::2], matrix[:, 19].T.reshape(*PROJECTOR, 3))
-    column = read_image(folder / "column_1_6.exr")
-    np.testing.assert_array_equal(column[::2, ::2], matrix[:, :, 13].T.reshape(*CAMERA, 3))
-    about = oiio.ImageBuf(str(folder / "row_2_3.exr")).spec()
-    assert about.getattribute("rfpipe:ray") == "2,3"
-    run("export", stored, folder, "--rows", "2,3", "--format", "png", "--white", "1")
-    shown = read_image(folder / "row_2_3.png")
-    np.testing.assert_allclose(shown, srgb(row[::2, ::2], 1.0), atol=1 / 255)
 
 
 def test_export_relit_takes_names_pictures_folders_and_stacks(stored: Path, tmp_path: Path) -> None:

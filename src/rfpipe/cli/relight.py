@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rfpipe.cli.transports import (
-    PICTURE_SCALE,
     Dual,
     Form,
     Level,
@@ -61,7 +60,6 @@ def relight(
     view: View = None,
     level: Level = None,
     white: White = None,
-    scale: Annotated[str, typer.Option(help=PICTURE_SCALE)] = "1",
     resize: Annotated[
         bool,
         typer.Option("--resize", help="Resize a pattern of another size than the rays."),
@@ -74,9 +72,9 @@ def relight(
     """
     import numpy as np
 
-    from rfpipe.export import Scale, relit_pictures
+    from rfpipe.export import relit_pictures
 
-    light, size = opened(path, dual, level, view), Scale.parse(scale)
+    light = opened(path, dual, level, view)
     patterns = list(_patterns(pattern, light, resize=resize))
     names = [name for name, _ in patterns]
     twice = {name for name in names if names.count(name) > 1}
@@ -87,12 +85,12 @@ def relight(
         output.mkdir(parents=True, exist_ok=True)
     files = [output if is_picture else output / f"{name}.{form}" for name in names]
 
-    def pictures(scale: Scale) -> Iterator[Float]:
-        return relit_pictures(light, (weights() for _, weights in patterns), scale)
+    def pictures() -> Iterator[Float]:
+        return relit_pictures(light, (weights() for _, weights in patterns))
 
     if white is None and len(patterns) > 1 and form == "png":
-        white = max(float(np.percentile(image, _WHITE_PERCENTILE)) for image in pictures(Scale()))
-    for file, name, image in zip(files, names, pictures(size), strict=True):
+        white = max(float(np.percentile(image, _WHITE_PERCENTILE)) for image in pictures())
+    for file, name, image in zip(files, names, pictures(), strict=True):
         write_picture(file, image, white or None, {"rfpipe:pattern": name})
     if is_picture:
         typer.echo(f"{output}: {times(image.shape[:2])}, radiance up to {image.max():.4g}")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import mul
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from rfpipe.export import Scale
     from rfpipe.store.places import Place
     from rfpipe.transport import Transport
     from rfpipe.transport.base import Light
@@ -43,11 +41,9 @@ Form = Annotated[
     Literal["exr", "png"],
     typer.Option("--format", help="exr: radiance, float32; png: for the eye, 8 bits, sRGB."),
 ]
-PICTURE_SCALE = "Size: 4 makes each ray 4 x 4 pixels, 1/4 takes the mean of 4 x 4 rays."
 
 _GIB = 2**30
-_SMALLEST_MOVIE = 360  # pixels of its shorter side, unless told otherwise
-_MATRICES = (".npz", ".h5", ".hdf5", ".mat")
+_SMALLEST_MOVIE = 360  # pixels of its shorter side
 
 
 def info(path: TransportPath) -> None:
@@ -92,11 +88,7 @@ def export(
     path: TransportPath,
     output: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE|FOLDER",
-            help="A matrix to write, .npz, .h5, .hdf5 or .mat (MATLAB v7.3); or a folder, of a "
-            "picture for each ray that --rows and --columns name.",
-        ),
+        typer.Argument(metavar="FILE", help="To write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3)."),
     ],
     rows: Annotated[
         list[str] | None,
@@ -104,92 +96,42 @@ def export(
             metavar="PLACE",
             help="Camera rays, as numpy's indices: 31,35 is a pixel (row,column), 31,: a line, "
             "10:20,30:40 a rectangle, ::8,::8 every eighth, 2,31,35 one of view 2; may be "
-            "repeated. A row's picture shows where a camera ray's light comes from.",
+            "repeated.",
         ),
     ] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(metavar="PLACE", help="Projector rays, likewise: where their light goes."),
+        typer.Option(metavar="PLACE", help="Projector rays, likewise."),
     ] = None,
-    form: Form = "exr",
-    scale: Annotated[
-        str,
+    joined: Annotated[
+        int,
         typer.Option(
-            help="Of a matrix, 1/4 joins 4 x 4 rays on both sides, which makes it 256 times "
-            "smaller; places are those of joined rays. Of pictures, 4 makes a ray 4 x 4 pixels."
+            "--coarser",
+            min=1,
+            help="Join so many rays down and across on both sides: 4 makes the matrix 256 times "
+            "smaller. Places are those of joined rays.",
         ),
-    ] = "1",
-    white: White = None,
+    ] = 1,
     dual: Dual = False,
     level: Level = None,
     limit_gib: Annotated[
         float, typer.Option(help="GiB that all of it may take before compression.")
     ] = 8.0,
 ) -> None:
-    """Write the transport matrix T, or single rows and columns of it as pictures.
+    """Write the transport matrix T, or some of its rows and columns.
 
     T is (channels, camera rays, projector rays), written part by part, in little memory.
-    docs/export.md tells how MATLAB, numpy and others read it. Pictures are named after their ray,
-    as row_31_35.exr; in a .png each has its own white, which cuts off the ray's direct light.
+    docs/export.md tells how MATLAB, numpy and others read it.
     """
-    from rfpipe.export import Scale
     from rfpipe.transport import coarser
     from rfpipe.transport.matrix_out import write_matrix
 
-    size = Scale.parse(scale)
-    if output.suffix not in _MATRICES:
-        light = opened(path, dual, level)
-        chosen: dict[Literal["row", "column"], Any] = {
-            "row": _rays(rows, light.camera_shape),
-            "column": _rays(columns, light.projector_shape),
-        }
-        _write_rays(light, chosen, output, form, size, white, limit_gib)
-        return
-    if size.enlarge > 1:
-        raise InputError(f"scale {scale}: a matrix has no more rays than were acquired; give 1/4")
     light = opened(path, level=level)
-    light = coarser(light, size.reduce) if size.reduce > 1 else light
+    light = coarser(light, joined) if joined > 1 else light
     light = light.T if dual else light
     kept = (_rays(rows, light.camera_shape), _rays(columns, light.projector_shape))
     write_matrix(light, output, *kept, int(limit_gib * _GIB), progress=True)
     typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
-
-
-def _write_rays(
-    light: Light, chosen: dict[Literal["row", "column"], Any],
-    folder: Path, form: str, size: Scale, white: float | None, limit_gib: float,
-) -> None:  # fmt: skip
-    """Write a picture for each of some rows and columns."""
-    import numpy as np
-
-    from rfpipe.export import ray_pictures
-    from rfpipe.transport.algebra import gibibytes
-
-    shapes = {"row": light.camera_shape, "column": light.projector_shape}
-    pixels = math.prod(light.projector_shape), math.prod(light.camera_shape)
-    counts = [0 if rays is None else len(rays) for rays in chosen.values()]
-    if not any(counts):
-        raise InputError(
-            f"{folder}: is no matrix (expected {', '.join(_MATRICES)}); for pictures of rays give "
-            "--rows or --columns, as in --rows 31,35"
-        )
-    entries = sum(map(mul, pixels, counts)) * light.channels
-    expected = int(4 * entries * (size.enlarge / size.reduce) ** 2)
-    if expected > limit_gib * _GIB:
-        raise InputError(
-            f"{sum(counts):,} pictures take {gibibytes(expected)}, the limit is {limit_gib:g} GiB; "
-            "choose fewer rays, as by ::8,::8, or a smaller scale, or raise the limit"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    for side, numbers in chosen.items():
-        digits = [len(str(length - 1)) for length in shapes[side]]
-        for place, picture in () if numbers is None else ray_pictures(light, side, numbers):
-            numbered = (f"{index:0{n}d}" for index, n in zip(place, digits, strict=True))
-            file = folder / f"{'_'.join([side, *numbered])}.{form}"
-            about = {"rfpipe:kind": side, "rfpipe:ray": ",".join(map(str, place))}
-            top = float(np.percentile(picture, 99.5)) if white is None else white
-            write_picture(file, size.apply(picture), top or None, about)
-    typer.echo(f"{folder}: {sum(counts)} pictures")
 
 
 def movie(
@@ -205,9 +147,6 @@ def movie(
     ] = "across",
     seconds: Annotated[float, typer.Option(help="How long the movie is.")] = 6.0,
     fps: Annotated[float, typer.Option(help="Pictures a second.")] = 25.0,
-    scale: Annotated[
-        str | None, typer.Option(help=PICTURE_SCALE + " At least 360 pixels, if none is given.")
-    ] = None,
     white: White = None,
     view: View = None,
     dual: Dual = False,
@@ -218,14 +157,14 @@ def movie(
     Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
     """
     from rfpipe.blocks import RayDomain
-    from rfpipe.export import Scale, relit_movie
+    from rfpipe.export import relit_movie
 
     light = opened(path, dual, level, view)
     shorter = min(RayDomain(light.camera_shape).image_shape)
-    shown = Scale(-(-_SMALLEST_MOVIE // shorter)) if scale is None else Scale.parse(scale)
+    enlarge = -(-_SMALLEST_MOVIE // shorter)
     count = round(seconds * fps) if 0 < seconds * fps < 1e6 else 0
     used = relit_movie(
-        light, output, along, count, fps=fps, scale=shown, white=white, progress=True
+        light, output, along, count, fps=fps, enlarge=enlarge, white=white, progress=True
     )
     typer.echo(f"{output}: {count} pictures, white is {used:.4g}")
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, StoreError, installing
-from rfpipe.export.scales import Scale
 from rfpipe.pictures.images import srgb
 from rfpipe.store.files import storage_errors, whole_file
 from rfpipe.transport.base import Light
@@ -61,16 +60,14 @@ def moving_light(path: str, shape: tuple[int, ...], time: float) -> Float:
     return np.broadcast_to(weights, shape)
 
 
-def relit_pictures(
-    light: Light, patterns: Iterable[Float], scale: Scale | None = None
-) -> Iterator[Float]:
+def relit_pictures(light: Light, patterns: Iterable[Float]) -> Iterator[Float]:
     """Yield the pictures ``(H, W, C)`` under patterns, radiance; views one above the other.
 
     Patterns are as `Light.relight` takes them.
     """
     shape = RayDomain(light.camera_shape).picture_shape
     for pattern in patterns:
-        yield (scale or Scale()).apply(light.relight(pattern).reshape(*shape, light.channels))
+        yield light.relight(pattern).reshape(*shape, light.channels)
 
 
 def relit_movie(
@@ -80,7 +77,7 @@ def relit_movie(
     count: int = 150,
     *,
     fps: float = 25,
-    scale: Scale | None = None,
+    enlarge: int = 1,
     white: float | None = None,
     progress: bool = False,
 ) -> float:
@@ -96,6 +93,8 @@ def relit_movie(
         Number of pictures.
     fps : float
         Pictures a second.
+    enlarge : int
+        Pixels of a ray, down and across.
     white : float, optional
         Radiance shown as white; by default all but the brightest thousandth of the samples of the
         brightest picture are shown as they are, for which all is relit twice.
@@ -114,18 +113,18 @@ def relit_movie(
     if count < 1 or (white is not None and not 0 < white < float("inf")):
         raise InputError(f"{count} pictures, white is {white}; expected more than 0")
 
-    def relit(scale: Scale | None, what: str) -> Iterator[Float]:
+    def relit(what: str) -> Iterator[Float]:
         times = np.linspace(0, 1, count).tolist()
         patterns = (moving_light(path, light.projector_shape, time) for time in times)
-        pictures = relit_pictures(light, patterns, scale)
+        pictures = relit_pictures(light, patterns)
         bar = tqdm(pictures, what, count, unit="picture", disable=None if progress else True)
         return iter(bar)
 
     if white is None:
-        brightest = (float(np.percentile(image, _WHITE)) for image in relit(None, "white"))
+        brightest = (float(np.percentile(image, _WHITE)) for image in relit("white"))
         white = max(brightest) or 1.0
-    shown = (np.rint(255 * srgb(image, white)) for image in relit(scale, str(file)))
-    write_movie(file, (picture.astype(np.uint8) for picture in shown), fps)
+    shown = (np.rint(255 * srgb(image, white)).astype(np.uint8) for image in relit(str(file)))
+    write_movie(file, (each.repeat(enlarge, 0).repeat(enlarge, 1) for each in shown), fps)
     return white
 
 

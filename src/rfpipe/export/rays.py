@@ -1,19 +1,15 @@
-"""Single rows and columns of the transport matrix as pictures."""
+"""Rays by their places: which rows and columns of the transport matrix are written."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.transport.base import Light
 
-Float = NDArray[np.float32]
 Index = NDArray[np.int64]
 
 
@@ -58,37 +54,3 @@ def _place(part: str, text: str) -> int | slice:
         raise InputError(f"rays {text!r}: {part!r} is neither a number nor a slice such as 10:20")
     number, *ends = (None if end is None else int(end) for end in found.groups())
     return slice(*ends) if number is None else number
-
-
-def ray_pictures(
-    light: Light, side: Literal["row", "column"], rays: Index
-) -> Iterator[tuple[tuple[int, ...], Float]]:
-    """Yield rows or columns of T as pictures.
-
-    Parameters
-    ----------
-    light : Light
-    side : {"row", "column"}
-        The row of a camera ray tells where its light comes from: a picture over the projector's
-        rays. The column of a projector ray tells where its light goes: one over the camera's.
-    rays : ndarray of int64
-        Of the camera, or of the projector.
-
-    Yields
-    ------
-    place : tuple of int
-        Of the ray in its domain.
-    picture : ndarray of float32, shape (height, width, C)
-        Radiance per weight; several views stand one above the other.
-    """
-    is_row = side == "row"
-    sides = light.camera_shape, light.projector_shape
-    of_rays, seen = sides if is_row else sides[::-1]
-    everything = np.arange(RayDomain(seen).size)
-    rows, columns = (rays, everything) if is_row else (everything, rays)
-    shape = (*RayDomain(seen).picture_shape, light.channels)
-    for of_rows, of_columns, block in light.blocks(rows, columns, by_rows=is_row):
-        lines = np.moveaxis(block, 0, -1) if is_row else block.transpose(2, 1, 0)
-        for ray, line in zip(rays[of_rows if is_row else of_columns], lines, strict=True):
-            place = tuple(int(index) for index in np.unravel_index(ray, of_rays))
-            yield place, np.ascontiguousarray(line).reshape(shape)

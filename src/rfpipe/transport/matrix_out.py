@@ -109,7 +109,7 @@ def write_matrix(
         raise InputError(
             f"{path}: a matrix of {entries} = {prod(contents.shape):,} entries takes "
             f"{gibibytes(nbytes)}, the limit is {gibibytes(limit_bytes)}; choose rows or columns, "
-            "lower the scale (at half of it the matrix is 16 times smaller), or raise the limit"
+            "join rays (2 x 2 make it 16 times smaller), or raise the limit"
         )
     with storage_errors(path, "writing", nbytes, resumes=False), whole_file(path) as partial:
         write(partial, contents)
