@@ -21,6 +21,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.scenes import planes_scene, relighting_patterns
 
 SHAPE = (12, 14)
+WALL = {"kind": "plane", "surfaces": ["white"]}
 RAYS = 168
 SCENE = planes_scene("wedge", ("white", "texture"), shape=SHAPE)
 T = np.stack([SCENE.dense(channel) for channel in range(3)])
@@ -104,7 +105,7 @@ def test_brackets_of_a_known_camera_bring_their_variance(tmp_path: Path) -> None
     assert found.patterns.shape == (6, 6)  # without the dark ones, which are subtracted
     deviation = (found.radiance[:, 0] - matrix.T) / np.sqrt(found.variance[:, 0])
     assert 0.7 < deviation.std() < 1.4
-    (tmp_path / "c.yaml").write_text(yaml.safe_dump({"camera": numbers}))
+    (tmp_path / "c.yaml").write_text(yaml.safe_dump({"scenes": {"a": WALL}, "camera": numbers}))
     arguments = ["fit", str(tmp_path), "-o", str(tmp_path / "t.zarr")]
     done = CliRunner().invoke(app, [*arguments, "--settings", str(tmp_path / "c.yaml")])
     assert "6 pictures of 6 projector rays (complete)" in done.output

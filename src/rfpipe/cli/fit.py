@@ -49,7 +49,7 @@ def fit(
     few, from what is most probable. How far it is off is estimated from pictures that are left
     out. The transport opens in Python by rfpipe.open_transport, and relights by 'rfpipe relight'.
     """
-    from rfpipe.config import parse_config, read_yaml
+    from rfpipe.config import load_config
     from rfpipe.errors import InputError
     from rfpipe.fitting import fit_transport, read_series
     from rfpipe.photometry import CameraModel, sensor_from_config
@@ -57,11 +57,7 @@ def fit(
 
     camera = None
     if settings is not None:
-        # a file of a camera alone has no scenes, which those of a run need
-        scenes = {"pictures": {"kind": "plane", "surfaces": ["white"]}}
-        read = read_yaml(settings)
-        given = {"scenes": scenes, **read} if isinstance(read, dict) else read
-        sensor = sensor_from_config(parse_config(given, str(settings), [settings.parent]).camera)
+        sensor = sensor_from_config(load_config(settings).camera)
         if not isinstance(sensor, CameraModel):
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor

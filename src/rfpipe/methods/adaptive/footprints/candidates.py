@@ -143,9 +143,7 @@ class Precision:
         return apply_precision(self.starts, self.factors, self.certainty, pictures)
 
 
-def first_footprints(
-    series: Series, camera: RayDomain, projector: RayDomain, templates: Templates
-) -> Candidates:
+def first_footprints(series: Series, camera: RayDomain, templates: Templates) -> Candidates:
     """Find footprints of which nothing is known, taking indirect light for what is smooth.
 
     Weights deviate by a quarter of the floodlit image, indirect light by a fifth.
@@ -160,7 +158,7 @@ def first_footprints(
     variance = np.square(1 / 4 * floodlit[keys // rays])
     found = Candidates(keys, variance.astype(np.float32), np.zeros(len(keys), np.float32))
     # what smooth light does over time, and how strongly: pictures are turned into its axes
-    cells = coarse_light(projector, lit) + 0.5
+    cells = coarse_light(templates.projector, lit) + 0.5
     strength, axes = np.linalg.eigh(cells.T @ cells / len(cells))
     smooth = np.square(0.2 * floodlit)[:, None] * np.maximum(strength, 0)
     known = series.known[:, None]
@@ -213,7 +211,7 @@ def found_anew(
 
 def _surroundings(keys: Int64, projector: RayDomain) -> Int64:
     """Return candidates and their eight neighbours, as sorted keys."""
-    _, height, width = projector.stack_shape
+    height, width = projector.image_shape
     row, column = keys // width % height, keys % width
     around = [keys[:0]]
     for down in (-1, 0, 1):

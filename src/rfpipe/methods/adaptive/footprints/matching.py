@@ -24,11 +24,10 @@ def coarse_light(projector: RayDomain, lit: Float) -> Double:
 
     Light from far away is told apart in six cells across the short side of an image.
     """
-    views, height, width = projector.stack_shape
+    height, width = projector.image_shape
     side = max(1, round(min(height, width) / 6))
-    view, row, column = np.indices((views, height, width))
-    grid = views, -(-height // side), -(-width // side)
-    cell = np.ravel_multi_index((view, row // side, column // side), grid).ravel()
+    row, column = np.indices((height, width))
+    cell = (row // side * -(-width // side) + column // side).ravel()
     size = np.bincount(cell)
     sums = np.zeros((len(size), lit.shape[1]))
     np.add.at(sums, cell, lit)
@@ -38,14 +37,13 @@ def coarse_light(projector: RayDomain, lit: Float) -> Double:
 
 @dataclass(frozen=True)
 class Templates:
-    """Patterns as boxes of several widths see them.
+    """Patterns on one view as boxes of several widths see them.
 
     Attributes
     ----------
     projector : RayDomain
     seen : ndarray of float32, shape (n, M)
         What each box sees of the patterns, 0 to 1.
-    view : ndarray of int64, shape (n,)
     centre : ndarray of float64, shape (n, 2)
         Row and column, in pixels; the first pixel's centre is at 1/2.
     width : ndarray of float64, shape (n,)
@@ -54,7 +52,6 @@ class Templates:
 
     projector: RayDomain
     seen: Float
-    view: Int64
     centre: Double
     width: Double
 
@@ -70,22 +67,19 @@ class Templates:
         A camera pixel spans about `density` projector pixels a side. It lies anywhere on them, so
         that a box is somewhat wider; footprints may be stretched to twice that.
         """
-        views, height, width = projector.stack_shape
-        stack = lit.reshape(views, height, width, -1)
-        seen, view, centre, widths = [], [], [], []
+        height, width = projector.image_shape
+        image = lit.reshape(height, width, -1)
+        seen, centre, widths = [], [], []
         for side in sorted({1.6 * max(1.0, density) * part for part in (1.0, 2.0)}):
             down, across = _boxes(height, side), _boxes(width, side)
-            rows = np.einsum("ay,vyxm->vaxm", down, stack, optimize=True)
-            found = np.einsum("bx,vaxm->vabm", across, rows, optimize=True)
-            place = np.indices(found.shape[:3]).reshape(3, -1)
+            rows = np.einsum("ay,yxm->axm", down, image, optimize=True)
+            found = np.einsum("bx,axm->abm", across, rows, optimize=True)
             seen.append(found.reshape(-1, lit.shape[1]))
-            view.append(place[0])
-            centre.append((place[1:].T + 1) / 2)
-            widths.append(np.full(len(view[-1]), side))
+            centre.append((np.indices(found.shape[:2]).reshape(2, -1).T + 1) / 2)
+            widths.append(np.full(len(seen[-1]), side))
         return cls(
             projector,
             np.concatenate(seen).astype(np.float32),
-            np.concatenate(view),
             np.concatenate(centre),
             np.concatenate(widths),
         )
@@ -159,7 +153,7 @@ class Templates:
 
         The key of projector pixel j as seen by camera pixel i is ``i N + j``.
         """
-        _, height, width = self.projector.stack_shape
+        height, width = self.projector.image_shape
         half = self.width[boxes] / 2 + 0.5
         most = int(2 * half.max(initial=0)) + 1
         low = np.ceil(self.centre[boxes] - 0.5 - half[:, None]).astype(np.int64)
@@ -169,7 +163,7 @@ class Templates:
         row_fits = (row >= 0) & (row <= high[:, :1]) & (row < height)
         column_fits = (column >= 0) & (column <= high[:, 1:]) & (column < width)
         fits = row_fits[:, :, None] & column_fits[:, None, :]
-        ray = (self.view[boxes, None, None] * height + row[:, :, None]) * width + column[:, None, :]
+        ray = row[:, :, None] * width + column[:, None, :]
         keys: NDArray[np.int64] = (pixels[:, None, None] * self.projector.size + ray)[fits]
         return distinct(keys)
 

@@ -99,7 +99,7 @@ def find(
         parts = split(before, projector.views, rays)
     else:
         pairs = zip(grey, templates, strict=True)
-        parts = [first_footprints(each, camera, view, own) for each, own in pairs]
+        parts = [first_footprints(each, camera, own) for each, own in pairs]
     for number in range(2 if fresh else 1):
         exchange = _refined(camera, projector, grey, joined(parts, rays))
         sides = zip(grey, parts, exchange.indirect(), templates, strict=True)
