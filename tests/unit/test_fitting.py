@@ -53,15 +53,8 @@ def test_hadamard_patterns_give_the_transport_and_noise_its_error() -> None:
     assert error_of(fit_transport(series(patterns)).transport) < 1e-4
     found = fit_transport(series(patterns, noise=0.01))
     assert found.transport.history.estimated_error.iloc[-1] == found.error < 0.05
-
-
-def test_more_patterns_than_rays_are_left_out_to_tell_the_error() -> None:
-    random = (np.random.default_rng(2).random((250, RAYS)) < 0.5).astype(float)
-    found = fit_transport(series(random, noise=0.002))
+    assert found.held_out == 16  # all that is left is still complete
     assert found.complete
-    assert found.held_out == 16
-    assert found.error < 0.01
-    assert error_of(found.transport) < 0.03
 
 
 def write(path: Path, pixels: np.ndarray, seconds: float | None = None) -> None:

@@ -15,13 +15,6 @@ def matrix_error(run, matrix: np.ndarray) -> float:
     return float(np.sqrt(np.mean((dense(run.transport) - matrix) ** 2)))
 
 
-@pytest.mark.parametrize(
-    ("rays", "order"), [(1, 1), (2, 3), (3, 3), (4, 7), (42, 43), (44, 47), (4096, 4099)]
-)
-def test_orders_are_little_above_the_number_of_rays(rays: int, order: int) -> None:
-    assert s_matrix_order(rays) == order
-
-
 @pytest.mark.parametrize("projector", [(6, 7), (2, 3, 7)])
 def test_brute_force_lights_ray_by_ray(projector: tuple[int, ...]) -> None:
     matrix = np.random.default_rng(0).random((3, 20, 42))
