@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,15 +18,13 @@ from tests.workflow.stagewise import (
     Acquisition,
     FaultyRig,
     contents,
-    damage,
     matrix_rig,
     symmetric_matrix,
 )
 
 from rfpipe import acquire
-from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
+from rfpipe.errors import CaptureError, StaleStoreError
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages.jobs import job as progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import read_manifest
@@ -171,44 +166,6 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("damaged", "found_by"),
-    [
-        ("schedule", "capture"),
-        ("capture", "merge"),
-        ("sums", "normalize"),
-        ("merge", "refine"),
-        ("normalize", "refine"),
-    ],
-)
-def test_the_next_stage_finds_damage_and_says_what_to_do(
-    tmp_path: Path, damaged: str, found_by: str
-) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
-    acquisition.level(0)
-    stages = ["schedule", "capture", "merge", "normalize", "refine"]
-    for stage in stages[: stages.index(found_by)]:
-        getattr(acquisition, stage)(1)
-    chunk = damage(tmp_path / f"L01/{damaged}.zarr")
-    manifest = tmp_path / "L01" / f"{'merge' if damaged == 'sums' else damaged}.json"
-    with pytest.raises(IntegrityError, match=f"remove {manifest} and run again") as error:
-        getattr(acquisition, found_by)(1)
-    assert str(chunk.parent) in str(error.value)
-
-
-def test_a_store_of_another_run_is_found_out(tmp_path: Path) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig())
-    acquisition.level(0)
-    manifest = tmp_path / "L00/refine.json"
-    data = json.loads(manifest.read_text())
-    other = Acquisition(tmp_path / "other", matrix_rig(2 * symmetric_matrix()))
-    other.level(0)
-    (tmp_path / "L00/refine.zarr").rename(tmp_path / "L00/mine")
-    (tmp_path / "other/L00/refine.zarr").rename(tmp_path / "L00/refine.zarr")
-    with pytest.raises(IntegrityError, match=f"its manifest says {data['digest']}"):
-        acquisition.schedule(1)
-
-
-@pytest.mark.parametrize(
     ("failure", "said", "shows_where"),
     [
         ("raise CaptureError('no light; switch it on')", "no light; switch it on", False),
@@ -247,21 +204,6 @@ def test_a_log_that_can_t_be_written_is_done_without() -> None:
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "for it" in said.stderr
     assert "No space left" not in said.stderr
-
-
-def test_progress_says_how_long_it_will_take(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(progress, "_SECONDS_BETWEEN_LINES", 0.05)
-    with (
-        caplog.at_level(logging.INFO, logger="rfpipe"),
-        progress.Progress("level 2", 1100, 100) as bar,
-    ):
-        for _ in range(3):
-            time.sleep(0.06)
-            bar.advance(1)
-    messages = [record.getMessage() for record in caplog.records]
-    assert re.search(r"level 2: 10\d of 1100 patterns, \d\d:\d\d to go", messages[0])
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force"])

@@ -79,9 +79,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "capture: line of the journal lost": a_line_less,
     "reference: chunk truncated": lambda run: damage(run / "L00/reference.zarr"),
     "schedule: store missing": lambda run: shutil.rmtree(run / "L02/schedule.zarr"),
-    "schedule: header missing": lambda run: (run / "L02/schedule.zarr/zarr.json").unlink(),
     "merge: chunk truncated": lambda run: damage(run / "L01/merge.zarr"),
-    "merge: header missing": lambda run: (run / "L01/merge.zarr/zarr.json").unlink(),
     "sums: chunk truncated": lambda run: damage(run / "L02/sums.zarr"),
     "floodlit image: chunk truncated": lambda run: damage(run / "L00/merged_reference.zarr"),
     "normalize: manifest missing": lambda run: (run / "L02/normalize.json").unlink(),
@@ -92,9 +90,6 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "refine: store of another run": lambda run: misplace(run, "L01/refine.zarr"),
     "level: missing": lambda run: shutil.rmtree(run / "L03"),
     "transport: chunk truncated": lambda run: damage(run / "transport.zarr"),
-    "transport: a digit of the manifest": lambda run: other_digit(
-        run / "transport.json", "patterns"
-    ),
     "transport: of another method": lambda run: misplace(run, "transport.zarr"),
     "transport: of another method, with its manifest": lambda run: [
         misplace(run, name) for name in ("transport.zarr", "transport.json")
@@ -152,27 +147,6 @@ def test_a_run_heals_what_it_finds_damaged_and_shows_no_pattern(
         shown = acquire(run)
     assert bool(shown) == (kind == "level: missing")
     assert "CAPTURING ANEW" not in caplog.text
-
-
-@pytest.mark.parametrize("after", ["fingerprint", '"shape"', "channels", None])
-def test_a_damaged_header_of_a_capture_heals(
-    intact: Path, results: Path, after: str | None, caplog: pytest.LogCaptureFixture
-) -> None:
-    run = results / "matrix" / "symmetric"
-    header = run / "L02/capture.zarr/zarr.json"
-    text = header.read_text()
-    for name in ("transport.json", "L02/capture.json"):
-        (run / name).unlink()
-    if after is None:
-        header.unlink()
-    elif after in text:
-        other_digit(header, after)
-    else:
-        other_digit(header, "exposures")
-    with caplog.at_level(logging.WARNING, logger="rfpipe"):
-        assert acquire(run) == []
-    assert "CAPTURING ANEW" not in caplog.text
-    assert left(results) == left(intact)
 
 
 def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:

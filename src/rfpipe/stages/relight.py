@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.errors import InputError, IntegrityError
+from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
@@ -72,24 +72,10 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
 
         Of a stack: ``views_relit``, ``views_truth`` (V, V, H, W, C): what each view (second axis)
         sees in the light of each view (first axis).
-
-    Raises
-    ------
-    InputError
-        When transport and scene differ in shape or channels.
     """
     from rfpipe.scenes import scene_patterns
 
     shapes = transport.camera_shape, transport.projector_shape
-    if shapes != (scene.camera_shape, scene.projector_shape):
-        raise InputError(
-            f"a transport from {shapes[1]} to {shapes[0]} rays isn't of a scene from "
-            f"{scene.projector_shape} to {scene.camera_shape}"
-        )
-    if transport.channels != scene.channels:
-        raise InputError(
-            f"a transport of {transport.channels} channels, a scene of {scene.channels}"
-        )
     truth_of = partial(images_of, scene)
     patterns = np.stack(list(scene_patterns(scene).values()))
     arrays = {
