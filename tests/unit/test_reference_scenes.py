@@ -91,11 +91,6 @@ def test_rank_k_leaves_are_better_than_none(which, noisy, monkeypatch):
         assert mean < margin * np.mean([error[part] for error in known.values()])
 
 
-def test_a_12_bit_camera_on_direct_light_alone():
-    assert acquire("I", noisy=True).patterns <= 120
-    assert max(total for total, _ in errors("I", noisy=True).values()) <= 0.01
-
-
 @pytest.mark.parametrize("noisy", [False, True])
 def test_symmetric_against_dual_photography(noisy):
     """Smaller errors of indirect light, with fewer patterns and in a fifth of the bytes.

@@ -84,13 +84,6 @@ def test_a_sparse_matrix_is_recovered_from_a_quarter_of_its_columns(
     assert relative(dense(few.transport)[0], matrix) > 0.1
 
 
-def test_colours_are_recovered_one_by_one_and_a_dark_one_stays_dark() -> None:
-    matrix = np.stack([sparse(64, 64, 2), sparse(64, 64, 2, seed=1), np.zeros((64, 64))])
-    run = acquire_matrix(Compressive(), matrix, (8, 8), (8, 8))
-    assert run.patterns == [1, 31]
-    np.testing.assert_allclose(dense(run.transport), matrix, atol=1e-4)
-
-
 def test_a_large_domain_is_refused() -> None:
     with pytest.raises(InputError, match="up to 4096 rays, beyond which it would take hours"):
         Compressive().start(RayDomain((2, 2)), RayDomain((65, 64)), 1, options_of(Compressive()))

@@ -35,15 +35,6 @@ class TestRoom(SceneContract):
         return of_kind("room", surfaces=("texture",) * 3, shape=(4, 5), views=(1, 2))
 
 
-class TestSphereLitFromAside(SceneContract):
-    coaxial = False
-
-    def make_scene(self):
-        lamp = {"position": (1.2, -0.5, 0.3), "shape": (5, 6)}
-        surfaces = ("texture", "white", "white")
-        return of_kind("sphere_on_plane", surfaces=surfaces, shape=(7, 8), projector=lamp)
-
-
 class Dim(CoaxialScene):
     """Half of everything; what is wrong with it stands in the classes below."""
 

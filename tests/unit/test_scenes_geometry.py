@@ -132,16 +132,6 @@ def test_clusters_behind_an_occluder(first, second, verdict):
     assert SQUARE.classify(cluster(*second), cluster(*first)) == verdict
 
 
-def test_the_sphere_hides_the_wall_behind_it_from_the_floor_before_it():
-    _, wall, sphere = GEOMETRIES["sphere_on_plane"]
-    centre, away = np.array(sphere.centre), wall.unit_normal
-    before, behind = centre + 2 * sphere.radius * away, centre - 2 * sphere.radius * away
-    aside = behind + np.array([3 * sphere.radius, 0, 0])
-    assert is_hidden(before, np.stack([behind, aside]), [sphere]).tolist() == [True, False]
-    touching = centre + np.array([sphere.radius, 0, 0]) + np.outer([-1, 1], away)
-    assert not is_hidden(*touching, [sphere])
-
-
 @pytest.mark.parametrize("shape", [(62, 70), (155, 175)])
 def test_pages_are_of_high_frequency_and_follow_from_seed_and_surface(shape):
     page = printed_page(shape, seed=3, page=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Self, TypeVar
@@ -185,29 +185,6 @@ def joined(parts: Sequence[S], axis: int = -1) -> S:
 
 
 def unprefixed(prefix: str, arrays: Arrays) -> Arrays:
-    """Return the arrays whose names begin with a prefix, by the rest of their names.
-
-    Those of a store are read only where they are asked for.
-    """
-    names = {name.removeprefix(prefix): name for name in arrays if name.startswith(prefix)}
-    return _Renamed(names, arrays)
-
-
-@dataclass(frozen=True)
-class _Renamed(Mapping[str, NDArray[Any]]):
-    """Some of the arrays of a mapping, by other names."""
-
-    names: Mapping[str, str]
-    arrays: Arrays
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self.arrays[self.names[name]]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.names
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.names)
-
-    def __len__(self) -> int:
-        return len(self.names)
+    """Return the arrays whose names begin with a prefix, by the rest of their names."""
+    own = [name for name in arrays if name.startswith(prefix)]
+    return {name.removeprefix(prefix): arrays[name] for name in own}

@@ -127,18 +127,6 @@ def _weights_without(core, left_out, limit, amplified, of_columns, of_rows, weig
 
 
 @numba.njit(cache=True)
-def _over_all(products):  # type: ignore[no-untyped-def]
-    """Sum inner products over the blocks: ``products.sum(axis=0)``, which takes long to compile."""
-    blocks, rows, columns = products.shape
-    whole = np.zeros((rows, columns))
-    for block in range(blocks):
-        for j in range(rows):
-            for k in range(columns):
-                whole[j, k] += products[block, j, k]
-    return whole
-
-
-@numba.njit(cache=True)
 def _residual(core, limit, amplified, products, of_rows, noise):  # type: ignore[no-untyped-def]
     """Predict each column of images from the others; return squared errors and their noise.
 
@@ -149,7 +137,7 @@ def _residual(core, limit, amplified, products, of_rows, noise):  # type: ignore
     columns = core.shape[1]
     weights = np.empty(columns)
     error, expected = 0.0, 0.0
-    whole = _over_all(of_rows)
+    whole = of_rows.sum(axis=0)
     for column in range(columns):
         _weights_without(core, column, limit, amplified, products, whole - of_rows[column], weights)
         square = 0.0
@@ -246,10 +234,10 @@ def leave_one_out(divided, chosen, amplified, ssd, noise):  # type: ignore[no-un
                 values[c], first_pair[chosen[n]], offset_a, offset_b, starts_a, starts_b
             )
             error_a, expected_a = _residual(
-                core, limit, amplified, _over_all(over_a), over_b, noise_a
+                core, limit, amplified, over_a.sum(axis=0), over_b, noise_a
             )
             error_b, expected_b = _residual(
-                core.T.copy(), limit, amplified, _over_all(over_b), over_a, noise_b
+                core.T.copy(), limit, amplified, over_b.sum(axis=0), over_a, noise_b
             )
             ssd[c, n] = error_a + error_b
             noise[c, n] = expected_a + expected_b
@@ -281,7 +269,9 @@ def invert_cores(divided, chosen, amplified, sums, left, right, rank):  # type: 
             over_a, over_b = _over_both_sides(
                 values[c], first_pair[chosen[n]], offset_a, offset_b, starts_a, starts_b
             )
-            _carried(core, vectors, limit, amplified, _over_all(over_a), _over_all(over_b), carried)
+            _carried(
+                core, vectors, limit, amplified, over_a.sum(axis=0), over_b.sum(axis=0), carried
+            )
             terms = 0
             for r in range(columns):
                 value = 0.0
