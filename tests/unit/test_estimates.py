@@ -111,7 +111,7 @@ def made_up(with_truth: bool = True) -> Inputs:
     ]
     table = pd.DataFrame(errors if with_truth else [], columns=names)
     empty = pd.DataFrame(columns=["scene", "method", "patterns", "error"])
-    return Inputs(CONFIG, runs, table, empty, empty, Path())
+    return Inputs(CONFIG, runs, table, empty, Path())
 
 
 def test_the_section_shows_each_estimate_and_how_good_the_last_was() -> None:

@@ -64,7 +64,7 @@ def inputs(results):
 
 def test_every_figure_is_embedded_and_lies_beside_the_page_and_so_do_tables(results, page):
     assert stems(results) == {
-        "scene_flat", "scene_corner", "fig_5_10", "speed_error", "processing_time",
+        "scene_flat", "scene_corner", "fig_5_10", "speed_error",
     }  # fmt: skip
     figures = results / "report" / "figures"
     assert sorted(page.images) == sorted(path.read_bytes() for path in figures.glob("*.png"))

@@ -65,7 +65,6 @@ def make_sections(inputs: Inputs) -> list[Section]:
         verification.verdicts_section(inputs),
         errors_.estimates_section(inputs),
         leaves.leaves_section(inputs),
-        glance.times_section(inputs),
         setup.setup_section(inputs),
     ]
     return [section for section in candidates if section is not None and section.blocks]

@@ -168,7 +168,7 @@ def _numbers(folder: Path | None) -> dict[str, Any]:
         return dict.fromkeys(names)
     acquired = _manifest(folder / "transport.json")
     steps = estimates(acquired.get("levels", []))
-    times = [row["seconds"] for row in job_times(folder)]
+    times = [seconds for _, seconds in job_times(folder)]
     files = [path.stat().st_size for path in (folder / "transport.zarr").rglob("*.*")]
     return {
         "patterns": acquired.get("patterns"),

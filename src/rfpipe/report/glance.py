@@ -5,23 +5,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.report.drawing import UNLIT_GAIN, draw, new_figure, shared_legend, unlit_gain
-from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.drawing import UNLIT_GAIN, draw, unlit_gain
+from rfpipe.report.inputs import Inputs, Run, job_times
 from rfpipe.report.page import Column, Gallery, Illustration, Section, table_of
 from rfpipe.report.text import fixed, number, percent, words
 from rfpipe.stages.evaluate import relative_rms
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 _SHOWN = "horizontal_bar"  # crosses the edge of two planes, where indirect light shows best
-
-# Stages of an acquisition in order; all but the capture are processing.
-_STAGES = {
-    "schedule": "#8fb3d9", "capture": "#d9d9d9", "merge": "#3a6fb0", "normalize": "#9aca8c",
-    "refine": "#e0914a", "assemble": "#7d5ba6",
-}  # fmt: skip
 
 
 def glance_section(inputs: Inputs) -> Section:
@@ -95,10 +88,10 @@ def results(inputs: Inputs) -> pd.DataFrame:
 
 
 def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
-    settings, jobs = run.settings, run.own(inputs.times)
+    settings, jobs = run.settings, [*job_times(inputs.results / run.scene / run.method)]
     capture = run.patterns * inputs.config.capture.seconds_per_pattern
-    is_capture = jobs["stage"] == "capture"
-    processing = jobs["seconds"][~is_capture].sum(min_count=1)
+    captured = sum(seconds for stage, seconds in jobs if stage == "capture")
+    processing = sum(seconds for _, seconds in jobs) - captured if jobs else math.nan
     entries = run.rays * math.prod(settings.camera_ray_shape) * settings.channels
     return {
         "scene": run.scene,
@@ -112,7 +105,7 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
         "megabytes": run.facts["bytes"] / 1e6,
         "dense_terabytes": 4 * entries / 1e12,
         "capture_s": capture,
-        "capture_jobs_s": jobs["seconds"][is_capture].sum(min_count=1),
+        "capture_jobs_s": captured if jobs else math.nan,
         "verified_error": run.verified.get("mean_error"),
         "verified_worst_error": run.verified.get("worst_error"),
         "processing_s": processing,
@@ -147,27 +140,3 @@ def scene_picture(inputs: Inputs, run: Run) -> Illustration:
         caption += f" Unlit pixels are shown {UNLIT_GAIN} times brighter."
     kept = {panel.title: panel.image for panel in light}
     return Illustration(run.scene, caption, f"scene_{run.scene}", draw([[*light, *errors]]), kept)
-
-
-def times_section(inputs: Inputs) -> Section | None:
-    """Seconds of each stage."""
-    if inputs.times.empty:
-        return None
-    stages: Any = inputs.times.pivot_table(
-        index=["scene", "method"], columns="stage", values="seconds", aggfunc="sum", sort=False
-    ).fillna(0.0)
-    about = "Wall-clock seconds of each stage's jobs, their start included, over all levels."
-    figure = Illustration("Time by stage", about, "processing_time", _stacked(stages))
-    return Section("time", "Where the processing time goes", [figure])
-
-
-def _stacked(stages: pd.DataFrame) -> Figure:
-    """Draw the seconds of each acquisition, stacked by stage."""
-    figure, ((axis,),) = new_figure(1, 1, (8.6, 0.36 * len(stages) + 1.2))
-    names = [name for name in _STAGES if name in stages]
-    colours: Any = [_STAGES[name] for name in names]
-    stages[names].plot.barh(stacked=True, ax=axis, color=colours, width=0.7, legend=False)
-    axis.invert_yaxis()
-    axis.set(xlabel="seconds", ylabel="")
-    shared_legend(figure)
-    return figure

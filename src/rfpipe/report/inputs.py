@@ -111,8 +111,6 @@ class Inputs:
         In the configuration's order.
     errors, speed_error : DataFrame
         See `rfpipe.stages.evaluate`.
-    times : DataFrame
-        ``scene``, ``method`` and the columns of `job_times`; may be empty.
     results : Path
         The folder of it all.
     """
@@ -121,7 +119,6 @@ class Inputs:
     runs: list[Run]
     errors: pd.DataFrame
     speed_error: pd.DataFrame
-    times: pd.DataFrame
     results: Path
 
     @property
@@ -186,7 +183,7 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
     """
     import pandas as pd
 
-    runs, times = [], []
+    runs = []
     for scene, method in config.acquisitions:
         folder = results / scene / method
         facts, images = _opened(folder / "relight.json")
@@ -195,13 +192,11 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         acquired = read_json(folder / "transport.json")
         verified = _opened(folder / VERIFIED) if config.verification_pictures else ({}, None)
         runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired, *verified))
-        times += [{"scene": scene, "method": method, **row} for row in job_times(folder)]
     return Inputs(
         config,
         runs,
         pd.read_csv(errors),
         pd.read_csv(speed_error),
-        pd.DataFrame(times, columns=["scene", "method", "stage", "seconds"]),
         results,
     )
 
@@ -217,13 +212,13 @@ def _opened(manifest: Path) -> tuple[dict[str, Any], ArrayBundle | None]:
     return facts, open_arrays(manifest.with_suffix(".zarr")) if facts else None
 
 
-def job_times(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield ``stage`` and ``seconds`` of the jobs of an acquisition, as many as left them."""
+def job_times(folder: Path) -> Iterator[tuple[str, float]]:
+    """Yield stage and seconds of the jobs of an acquisition, as many as left them."""
     for path in sorted([*folder.glob("*.benchmark.tsv"), *folder.glob("L*/*.benchmark.tsv")]):
         stage = path.name.removesuffix(".benchmark.tsv").replace("transport", "assemble")
         lines = path.read_text(encoding="ascii").splitlines()[1:]
         if lines and (path.parent != folder or stage == "assemble"):
-            yield {"stage": stage, "seconds": float(lines[0].split("\t")[0])}
+            yield stage, float(lines[0].split("\t")[0])
 
 
 def rig_of(results: Path, run: Run) -> dict[str, Any]:
