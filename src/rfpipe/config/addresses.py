@@ -25,15 +25,13 @@ def check_bucket(address: str) -> str:
 
 
 def check_port(address: str) -> str:
-    """Raise ValueError where the port of an address is none, or it names a user."""
+    """Raise ValueError where the port of an address is none."""
     try:
         port = urlsplit(address).port
     except ValueError:
         port = 0
     if port == 0:
         raise ValueError("should have a port from 1 to 65535")
-    if "@" in address:
-        raise ValueError("should name no user and no password: nobody asks for them there")
     return address
 
 

@@ -315,11 +315,6 @@ class Config(Settings):
         by_hand = "with capture.rig offline, whose pictures are taken by hand, level by level"
         if self.verification.pictures:
             raise ValueError(f"verification.pictures should be 0 or null {by_hand}")
-        if self.offline.camera_corners is not None and self.camera is None:
-            raise ValueError(
-                "camera should be set with offline.camera_corners, not null: exact radiance isn't "
-                "resampled"
-            )
         return self
 
 

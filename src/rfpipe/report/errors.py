@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _GREY = "#5c5c5c"
-_ABOUT = (
-    "These methods judge their own transport by pictures that it was not made from, the camera's "
-    "noise taken off, and stop at the error asked for."
-)
 
 
 def errors_section(inputs: Inputs) -> Section:
@@ -66,26 +62,11 @@ def speed_section(inputs: Inputs) -> Section | None:
         "Relative RMS error of the scene relit with the first relighting pattern, as if the "
         "acquisition had stopped after each level, against the patterns shown by then. Methods "
         "that fit all their pictures together have their last level alone. Dotted: the mean error "
-        "that a method itself estimated while it ran."
+        "that a method itself estimated while it ran. Numbers: tables/speed_error.csv."
     )
     figure = speed_figure(inputs, scenes, table, steps)
-    shown = table_of(
-        "Error after each level",
-        "As in the plot.",
-        table,
-        inputs.labels,
-        [
-            ("level", "level", str),
-            ("patterns", "patterns", number),
-            ("capture, min", "capture_s", fixed(1, 1 / 60)),
-            ("error, %", "error", percent),
-        ],
-        csv="speed_error.csv",
-        numbers=None,
-    )
     name = "Speed against error"
-    chart = Illustration(name, caption, "speed_error", figure)
-    return Section("speed", name, [chart, shown] if len(table) else [chart])
+    return Section("speed", name, [Illustration(name, caption, "speed_error", figure)])
 
 
 def speed_figure(
@@ -113,8 +94,8 @@ def estimates_section(inputs: Inputs) -> Section | None:
         return None
     shown = table_of(
         "Estimated and true error",
-        "The last estimate; where the truth is known, the mean error over the relighting patterns, "
-        "and their ratio.",
+        "A method's last estimate, without the camera's noise; where the truth is known, the mean "
+        "error over the relighting patterns, and their ratio.",
         compared,
         inputs.labels,
         [
@@ -126,7 +107,7 @@ def estimates_section(inputs: Inputs) -> Section | None:
         ],
         csv="estimates.csv",
     )
-    return Section("estimates", "Estimated error while it ran", [shown], [_ABOUT])
+    return Section("estimates", "Estimated error while it ran", [shown])
 
 
 def histories(runs: Sequence[Run]) -> pd.DataFrame:

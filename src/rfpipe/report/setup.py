@@ -14,31 +14,18 @@ _SOURCE = (
     "Acquiring Reflectance Fields Using Patterned Illumination, PhD thesis, Stanford University, "
     "2006."
 )
-_REAL = (
-    "The pictures were taken by a real rig, or one served like one; L00/capture.json beside each "
-    "acquisition's results describes it."
-)
-_CAMERA = (
-    "The simulated camera takes a bracket of each pattern, with photon shot noise, dark current, "
-    "read noise and the converter's rounding; brackets are merged by maximum likelihood."
-)
 
 
 def setup_section(inputs: Inputs) -> Section:
     """Camera, settings and versions."""
-    config = inputs.config
-    if config.capture.rig != "simulated":
-        text = _REAL
-    else:
-        text = _CAMERA if config.camera else "The camera is ideal: exact radiance, no noise."
     names = ["setting", "value"]
-    settings = [[name, str(value)] for name, value in _flat(config.shaping())]
+    settings = [[name, str(value)] for name, value in _flat(inputs.config.shaping())]
     made = [[name, str(value)] for name, value in versions().items()]
     tables = [
         Table("Settings", "As config/README.md describes them.", names, settings, 2),
         Table("Versions", "", ["package", "version"], made, 2),
     ]
-    return Section("setup", "Camera, scenes and versions", tables, [text, _SOURCE])
+    return Section("setup", "Camera, scenes and versions", tables, [_SOURCE])
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
