@@ -35,7 +35,6 @@ def test_a_layout_can_be_stored() -> None:
     ("shape", "rays", "expected"),
     [
         ((2, 3), np.array([[6]]), "holds 6 to 6; expected -1"),
-        ((2, 3), np.array([[0.0]]), "float64"),
         ((6,), np.array([[0]]), r"expected height and width, \(H, W\)"),
     ],
 )

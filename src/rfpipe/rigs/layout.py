@@ -132,10 +132,6 @@ class ProjectorLayout:
     def __post_init__(self) -> None:
         shape = ray_shape(self.shape, "a layout's ray domain")
         rays = np.ascontiguousarray(self.ray_of_pixel)
-        if rays.ndim != 2 or rays.dtype.kind not in "iu" or not rays.size:
-            raise InputError(
-                f"layout: ray_of_pixel is {rays.dtype} {rays.shape}; expected int32 (Hp, Wp)"
-            )
         if rays.min() < DARK or rays.max() >= prod(shape):
             raise InputError(
                 f"layout: ray_of_pixel holds {rays.min()} to {rays.max()}; expected {DARK} (dark) "
