@@ -58,7 +58,6 @@ def running(rig: Rig | Callable[[], Rig], **settings: Any) -> Iterator[Running]:
         finally:
             server.should_exit = True
             thread.join(120)
-            server.worker.close()
             assert not thread.is_alive()
 
 

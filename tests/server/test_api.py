@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -258,6 +261,34 @@ def test_the_exposure_in_hand_ends_before_the_server_does(rig: SlowRig) -> None:
     assert answers[0].status_code == 503
     assert "being stopped" in answers[0].json()["detail"]
     assert (len(rig.shown), rig.closed) == (1, 1)
+
+
+CLOSING_RIG = """
+from tests.server.harness import TOKEN, SlowRig
+from rfpipe.server import ServerSettings
+from rfpipe.server.run import serve
+
+class Rig(SlowRig):
+    def close(self):
+        print("closed", flush=True)
+
+serve(Rig(), TOKEN, ServerSettings(port=0))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_closes_the_rig(number: signal.Signals) -> None:
+    server = subprocess.Popen(
+        [sys.executable, "-c", CLOSING_RIG], text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        while "startup complete" not in (line := server.stderr.readline()):  # type: ignore[union-attr]
+            assert line
+        server.send_signal(number)
+        assert server.communicate(timeout=60)[0] == "closed\n"
+    finally:
+        server.kill()
 
 
 def test_a_port_that_is_taken_is_named(server: Running) -> None:

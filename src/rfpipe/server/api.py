@@ -7,6 +7,7 @@ import hashlib
 import logging
 import time
 from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from functools import partial
 from math import prod
 from typing import Annotated, Any
@@ -80,7 +81,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     Returns
     -------
     FastAPI
-        Whoever runs it closes its worker. `rfpipe.server.run` adds a deadline for heads.
+        Its shutdown closes the rig. `rfpipe.server.run` adds a deadline for heads.
 
     Raises
     ------
@@ -89,6 +90,11 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     """
     worker = RigWorker(rig, Leases(settings.lease_seconds))
 
+    @asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        yield
+        await asyncio.to_thread(worker.close)  # before uvicorn raises SIGTERM again
+
     app = FastAPI(
         title="rfpipe acquisition server",
         description="Shows patterns on a projector and returns the brackets of a camera.",
@@ -96,6 +102,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
         openapi_url="/v1/openapi.json",
         docs_url=None,
         redoc_url=None,
+        lifespan=lifespan,
         redirect_slashes=False,
     )
     app.state.served = _Served(worker, settings)

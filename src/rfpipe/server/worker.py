@@ -119,6 +119,7 @@ class RigWorker:
         self._captures: dict[str, _Capture] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
+        self._is_closed = False
         self._thread = ThreadPoolExecutor(1, "rig")
         self.metrics = Metrics()
         try:
@@ -199,8 +200,12 @@ class RigWorker:
         return self._stopping.is_set()
 
     def close(self) -> None:
-        """Stop, wait for the exposure in hand, and close the rig."""
+        """Stop, wait for the exposure in hand, and close the rig; once."""
         self.stop()
+        with self._lock:
+            if self._is_closed:
+                return
+            self._is_closed = True
         try:
             self._thread.submit(getattr(self.rig, "close", lambda: None)).result()
         finally:
