@@ -11,7 +11,7 @@ from tests.helpers import dense
 from tests.property.test_hierarchical import random_transport
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.errors import InputError, IntegrityError
+from rfpipe.errors import IntegrityError
 from rfpipe.testing import dot_test
 from rfpipe.transport import Transport, open_transport, save_transport
 from rfpipe.transport.arrays import DenseTransport
@@ -191,16 +191,3 @@ def test_parts_are_read_within_the_memory_budget_and_checked(tmp_path: Path) -> 
     opened.relight(pattern)
     with pytest.raises(IntegrityError, match="missing, truncated or altered"):
         streamed.relight(pattern)
-
-
-def test_parts_and_arrays_that_do_not_fit_together_are_refused() -> None:
-    part, held = scan()[0], terms()[0].pack()[0]
-    with pytest.raises(InputError, match="at least one part"):
-        SumTransport([], ROWS)
-    for shapes, channels in (((PROJECTOR, CAMERA), 3), ((CAMERA, PROJECTOR), 1)):
-        other = DenseTransport(*shapes, channels, [], {})
-        with pytest.raises(InputError, match=r"part 1 of a sum has .*, part 0 has .*\(3, 5\).* 3"):
-            SumTransport([part, other], ROWS)
-    del held["right"]
-    with pytest.raises(InputError, match="it needs one domain"):
-        LowRankTransport(CAMERA, PROJECTOR, 3, [], held)

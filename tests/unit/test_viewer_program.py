@@ -6,7 +6,6 @@ import pytest
 from tests.viewers import transport_of
 
 from rfpipe.errors import InputError
-from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.viewer import lower
 from rfpipe.viewer.program import pack_program
 
@@ -20,12 +19,6 @@ def test_levels_share_what_they_have_in_common() -> None:
     for level, one in zip(program.levels, alone, strict=True):
         together = program.seen_at([level]).operations
         assert len(together) == len(one.operations)
-
-
-def test_levels_that_show_the_same_are_one() -> None:
-    dark = MultilevelTransport((4, 4), (4, 4), 1, [], [])
-    assert len(dark.known_levels) == 3
-    assert lower(dark, dark.known_levels).levels == [dark.last_level]
 
 
 def test_a_level_that_there_is_not_is_refused() -> None:

@@ -81,8 +81,6 @@ class MatrixAlgebra(ABC):
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return `toarray`, for numpy's functions."""
-        if copy is False:
-            raise ValueError("a transport isn't stored as a matrix: it takes a copy to make it one")
         return np.asarray(self.toarray(), dtype)
 
     def toarray(

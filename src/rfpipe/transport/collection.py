@@ -29,8 +29,6 @@ class Collection(Mapping[str, Transport]):
         self._memory_budget = memory_budget
 
     def __getitem__(self, name: str) -> Transport:
-        if name not in self._places:
-            raise KeyError(name)
         return open_transport(self._places[name], self._memory_budget)
 
     def __iter__(self) -> Iterator[str]:
@@ -38,9 +36,6 @@ class Collection(Mapping[str, Transport]):
 
     def __len__(self) -> int:
         return len(self._places)
-
-    def __repr__(self) -> str:
-        return f"Collection({', '.join([*self._places][:4])}{', ...' * (len(self) > 4)})"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -65,21 +60,10 @@ def open_collection(
 
     They are in the order of their names, numbers in these by what they count: left_2, left_10.
 
-    Parameters
-    ----------
-    path : path or address
-        A run's ``results``; what ``rfpipe collection pack`` made of them; or a zip file of either,
-        here or on a server.
-    method : str, optional
-        By which the scenes were acquired; needed where there are several.
-    memory_budget : int
-        Bytes, of each transport: see `rfpipe.open_transport`.
-
-    Raises
-    ------
-    StoreError
-        When there is no transport, or none by this method, or a scene has several, or these are
-        the folders of one scene.
+    `path` is a run's ``results``, what ``rfpipe collection pack`` made of them, or a zip file of
+    either, here or on a server; `method` is needed where scenes have transports by several. The
+    memory budget is that of each transport, see `rfpipe.open_transport`. StoreError when there is
+    no transport, or none by this method, or these are the folders of one scene.
     """
     place = locate(path)
     stores: dict[str, dict[str, str]] = {}

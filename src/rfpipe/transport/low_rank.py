@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rfpipe.errors import InputError
-from rfpipe.transport.arrays import Arrays, ArrayTransport
+from rfpipe.transport.arrays import ArrayTransport
 from rfpipe.transport.base import Float
 
 if TYPE_CHECKING:
@@ -32,25 +31,6 @@ class LowRankTransport(ArrayTransport):
     """
 
     kind = "low_rank"
-
-    def __init__(
-        self,
-        camera_shape: tuple[int, ...],
-        projector_shape: tuple[int, ...],
-        channels: int,
-        level_rows: list[dict[str, Any]],
-        held: Arrays,
-        nbytes: int | None = None,
-    ) -> None:
-        super().__init__(camera_shape, projector_shape, channels, level_rows, held, nbytes)
-        if self.camera_shape != self.projector_shape and (
-            "right" not in held or "diagonal" in held
-        ):
-            raise InputError(
-                f"a symmetric or diagonal part of a transport from {self.projector_shape} to "
-                f"{self.camera_shape} rays; it needs one domain, or an array 'right' and no "
-                "'diagonal'"
-            )
 
     @property
     def rank(self) -> int:

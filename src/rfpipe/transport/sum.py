@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.storage import unpack_transport
@@ -34,15 +33,6 @@ class SumTransport(Transport):
         level_rows: list[dict[str, Any]],
         nbytes: int | None = None,
     ) -> None:
-        if not parts:
-            raise InputError("a sum of no transports; give at least one part")
-        expected = _extent(parts[0])
-        for index, part in enumerate(parts):
-            if _extent(part) != expected:
-                raise InputError(
-                    f"part {index} of a sum has {_extent(part)}, part 0 has {expected}; all parts "
-                    "need the same camera and projector shapes and the same channels"
-                )
         part = parts[0]
         shapes = part.camera_shape, part.projector_shape
         super().__init__(*shapes, part.channels, level_rows, tuple(parts), nbytes)
@@ -103,7 +93,3 @@ class SumTransport(Transport):
 def _prefix(index: int) -> str:
     """What the names of a part's arrays begin with."""
     return f"part_{index:02d}_"
-
-
-def _extent(part: Transport) -> str:
-    return f"camera {part.camera_shape}, projector {part.projector_shape}, {part.channels} channels"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,7 @@ def lower(transport: Transport, levels: Sequence[int] | None = None) -> Program:
     transport : Transport
         Of any kind of rfpipe's.
     levels : sequence of int, optional
-        In rising order; one that shows the same as the next is left out.
+        In rising order.
 
     Raises
     ------
@@ -138,16 +137,9 @@ class Builder:
         self.add("csr", source, target, arrays, **more)
 
     def program(self) -> Program:
-        """Return what was made, in order, without levels that show the same as the next."""
-        made = self._program
-        made.operations.sort(key=lambda each: (each.chain, each.step))
-        levels = [
-            level
-            for level, after in zip_longest(made.levels, made.levels[1:])
-            if after is None
-            or any((level in one.levels) != (after in one.levels) for one in made.operations)
-        ]
-        return made.seen_at(levels)
+        """Return what was made, in order."""
+        self._program.operations.sort(key=lambda each: (each.chain, each.step))
+        return self._program
 
 
 def _parts(transport: Transport) -> Iterator[tuple[Transport, str]]:

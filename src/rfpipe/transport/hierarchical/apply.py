@@ -124,22 +124,8 @@ def predict(
     Each ray is lit in one pattern at most, so that a leaf's factor is read once for many patterns,
     and nothing is added where a pattern leaves a block dark.
 
-    Parameters
-    ----------
-    tree : BlockTree
-    leaf_sets : sequence of LeafSet
-    level : int
-        Whose blocks the patterns are made of.
-    pattern_of_block : ndarray of int32
-        Pattern that lights each of them, -1 for none.
-    first, last : int
-        The patterns wanted, from `first` to before `last`.
-    channels : int
-
-    Returns
-    -------
-    ndarray of float32, shape (last - first, channels, N)
-        In tree order. The images don't depend on which of them are asked for together.
+    `pattern_of_block` is the pattern that lights each block of `level`, -1 for none; the images,
+    float32 (last - first, channels, N) in tree order, don't depend on which are asked for together.
     """
     from rfpipe.transport.hierarchical import kernels
 

@@ -92,22 +92,13 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
 
     def _truncated(self, level: int) -> Sequence[LeafSet]:
         """Make leaves of what was subdivided at `level` of the blocks."""
-        held = self._held
-        levels = np.array([leaves.level for leaves in held])
-        of_level = np.flatnonzero(levels == level).tolist()
-        later = found_later(self.tree, SetsOnDemand(of_level, lambda n: held[n], keep=False))
-        split = {n: terms for n, terms in zip(of_level, later, strict=True) if terms.any()}
-
-        def part(key: tuple[int, bool] | LeafSet) -> LeafSet:
-            if isinstance(key, LeafSet):
-                return key
-            index, is_below = key
-            terms = split.get(index)
-            whole: LeafSet = held[index]
-            return whole if terms is None else whole.subset(self.tree, terms == is_below)
-
-        finer, coarser = np.flatnonzero(levels > level), np.flatnonzero(levels <= level)
-        below: list[Any] = [(n, True) for n in (*split, *finer.tolist())]
-        kept: list[Any] = [(n, False) for n in coarser.tolist()]
-        collapsed = collapse(self.tree, SetsOnDemand(below, part, keep=False), level, self.channels)
-        return SetsOnDemand([*kept, *collapsed], part, keep=False)
+        held: list[LeafSet] = [*self._held]
+        of_level = [leaves for leaves in held if leaves.level == level]
+        kept = [leaves for leaves in held if leaves.level < level]
+        below: list[LeafSet] = []
+        for leaves, terms in zip(of_level, found_later(self.tree, of_level), strict=True):
+            kept.append(leaves.subset(self.tree, ~terms) if terms.any() else leaves)
+            if terms.any():
+                below.append(leaves.subset(self.tree, terms))
+        below += (leaves for leaves in held if leaves.level > level)
+        return [*kept, *collapse(self.tree, below, level, self.channels)]
