@@ -5,15 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
 from rfpipe.config import CameraConfig, load_config
 from rfpipe.errors import ConfigError
-from rfpipe.photometry import sensor_from_config
-from rfpipe.scenes import scene_from_config
-from rfpipe.units import SATURATION_FRACTION
 
 METHODS = {"near_far": {}}
 
@@ -57,14 +53,6 @@ def test_rows_are_scenes_with_settings_of_their_own(tmp_path: Path) -> None:
     )
     assert bowl.methods_of("bowl")["near_far"].options()["target_error"] == 0.05
     assert list(bowl.scenes) == ["bowl"]
-
-
-def test_two_acquisitions_whose_pages_have_one_name_are_refused(tmp_path: Path) -> None:
-    rows = "name,kind,surfaces,methods\nbowl,plane,white,fine_dual\nbowl_fine,plane,white,dual\n"
-    methods = {"dual": {}, "fine_dual": {"method": "dual"}}
-    (told,) = refusal(tmp_path, rows, methods=methods)
-    assert told.startswith("scenes.csv: line 3: scenes.bowl_fine should be called otherwise")
-    assert "by dual its page would be bowl_fine_dual, as that of bowl by fine_dual is" in told
 
 
 def test_rigs_are_shared_and_a_scene_s_own_settings_win(tmp_path: Path) -> None:
@@ -176,16 +164,6 @@ def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
         "Inv.-Nr. (alt)": "1992.3",
     }
     assert scenes["b"].about == {"title": "[Jug] with {handle", "from": "null"}
-
-
-def test_no_scene_of_the_collection_that_comes_with_rfpipe_is_too_bright() -> None:
-    run = load_config(Path(__file__).parents[2] / "config" / "collection.yaml")
-    for name, scene in run.scenes.items():
-        camera = run.of_scene(name).camera
-        assert camera is not None
-        (floodlit,) = scene_from_config(scene).apply(np.ones((1, *scene.ray_shape), np.float32))
-        shortest = sensor_from_config(camera).expose(floodlit, 0, (0,))[0]
-        assert shortest.max() < SATURATION_FRACTION * (2**camera.bits - 1), name
 
 
 def test_a_wrong_rig_and_a_missing_file_are_told(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import zipfile
 from pathlib import Path
 
@@ -49,22 +48,10 @@ def test_a_collection_is_one_field(run: tuple[Config, Path]) -> None:
         np.testing.assert_array_equal(picture, alone.relight(pattern))
     with pytest.raises(StoreError, match="by brute_force, hadamard; say which"):
         rfpipe.open_collection(results)
+    with pytest.raises(StoreError, match="without folders of scenes; give the run's results"):
+        rfpipe.open_collection(results / "a")
     with pytest.raises(StoreError, match="no transports by dual"):
         rfpipe.open_collection(results, method="dual")
-
-
-def test_positions_are_counted_and_one_scene_is_no_collection(
-    run: tuple[Config, Path], tmp_path: Path
-) -> None:
-    scene = run[1] / "a"
-    for name in ("left_10", "left_2", "left_2b", "axis"):
-        copied = tmp_path / "results" / name / "hadamard"
-        shutil.copytree(scene / "hadamard/transport.zarr", copied / "transport.zarr")
-    field = rfpipe.open_collection(tmp_path / "results")
-    assert list(field) == ["axis", "left_2", "left_2b", "left_10"]
-    for inside in (scene, scene / "hadamard"):
-        with pytest.raises(StoreError, match="without folders of scenes; give the run's results"):
-            rfpipe.open_collection(inside)
 
 
 def test_a_run_is_not_packed_into_itself(run: tuple[Config, Path]) -> None:

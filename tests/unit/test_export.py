@@ -173,8 +173,6 @@ def test_movies_that_can_t_be_written(tmp_path: Path, monkeypatch) -> None:
     picture = np.zeros((32, 32, 3), np.uint8)
     with pytest.raises(InputError, match=r"ends in \.mp4"):
         write_movie(tmp_path / "movie.gif", [picture], 25)
-    with pytest.raises(InputError, match="fps is 0"):
-        write_movie(tmp_path / "movie.mp4", [picture], 0)
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(StoreError, match=r"pip install '\.\[export\]'"):
         write_movie(tmp_path / "movie.mp4", [picture], 25)

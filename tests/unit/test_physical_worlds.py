@@ -42,17 +42,6 @@ def test_each_view_of_a_world_sees_something(name: str) -> None:
             assert met.min() > 0.3
 
 
-def test_the_pairs_and_arrays_of_views() -> None:
-    counts = {"sweets": 2, "still_life_arc": 80, "views_3x3": 9}
-    assert {name: len(WORLDS[name].cameras) for name in counts} == counts
-    one, other = (np.subtract(view.origin, view.target) for view in WORLDS["sweets"].cameras)
-    flat = [each[[0, 2]] / np.linalg.norm(each[[0, 2]]) for each in (one, other)]
-    assert np.dot(*flat) == pytest.approx(np.cos(np.radians(120)))
-    [camera], [projector] = WORLDS["right_angles"].cameras, WORLDS["right_angles"].projectors
-    ahead = [view.pinhole((1, 1)).axes[2] for view in (camera, projector)]
-    assert abs(np.dot(*ahead)) < np.cos(np.radians(75))
-
-
 def test_a_turned_body_is_closed_and_its_outside_away_from_the_axis() -> None:
     can = turned((1, 2, 3), [(0, 0), (0.5, 0), (0.5, 2), (0, 2)], matt(0.5))
     corners = can["vertices"][can["faces"]].astype(np.float64)

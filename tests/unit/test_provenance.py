@@ -15,6 +15,8 @@ from rfpipe.provenance import code_digest, fingerprint, generator, versions
 def test_fingerprint_is_the_same_in_every_process() -> None:
     # a changed value would make every stored capture look stale
     assert fingerprint({"b": [1, 2.5], "a": None}) == fingerprint({"a": None, "b": (1, 2.5)})
+    run = settings_of_a_plane()
+    assert fingerprint(run) == fingerprint(run.model_dump(mode="json"))
     assert fingerprint({"seed": 1, "name": "wedge"}) == "f0ed6bcc7ce98fbfac204f1292f64376"
 
 
@@ -37,12 +39,6 @@ def test_fingerprint_of_an_array_is_that_of_its_values() -> None:
     image = np.arange(12.0).reshape(3, 4)
     assert fingerprint(image[:, ::2]) == fingerprint(image[:, ::2].copy())
     assert fingerprint(np.float64(2.5)) == fingerprint(2.5)
-
-
-def test_fingerprint_of_settings_follows_their_values() -> None:
-    run = settings_of_a_plane()
-    assert fingerprint(run) == fingerprint(run.model_dump(mode="json"))
-    assert fingerprint(settings_of_a_plane(seed=2)) != fingerprint(run)
 
 
 @pytest.mark.parametrize("value", [float("nan"), np.array([None]), {"a": {1, 2}}])

@@ -103,33 +103,6 @@ def test_killed_writers_resume_to_the_same_bytes(tmp_path: Path, chunks: tuple[i
     assert sorted(p.name for p in tmp_path.iterdir()) == ["s", "whole"]
 
 
-def test_a_shard_half_written_at_a_kill_is_written_again(tmp_path: Path) -> None:
-    path = tmp_path / "s"
-    code = """
-import sys, time
-from pathlib import Path
-import numpy as np
-from rfpipe.store import FrameStore, ItemWriter
-
-path = Path(sys.argv[1])
-with FrameStore.create(path, (8, 50, 60), "u2", "abc", {}, chunks_per_file=4) as store:
-    store.write(0, np.ones((4, 50, 60), "u2"))
-    with ItemWriter(path, "abc").adding(4) as add:
-        add(np.ones((1, 50, 60), "u2"))
-        print("half", flush=True)
-        time.sleep(60)
-"""
-    with running(code, path, b"half\n") as writer:
-        writer.kill()
-    assert len(list(path.glob(".c.1.*.partial"))) == 1
-    assert FrameStore.open(path).missing() == [(4, 8)]
-    with FrameStore.create(path, (8, 50, 60), "u2", "abc", {}) as store:
-        assert store.missing() == [(4, 8)]
-        store.write(4, np.full((4, 50, 60), 2, "u2"))
-    assert sorted(tree(path)) == ["c.0.0.0", "c.1.0.0", "journal.jsonl", "zarr.json"]
-    np.testing.assert_array_equal(FrameStore.open(path).read(3, 5)[:, 0, 0], [1, 2])
-
-
 def test_an_orphan_writer_holds_its_lock_until_it_is_killed(tmp_path: Path) -> None:
     code = (
         "import sys, time; from pathlib import Path; from rfpipe.store import StoreLock\n"

@@ -12,9 +12,7 @@ from typing import Any
 import pytest
 from tests.workflow.stagewise import CAMERA, RAYS, SHAPE, Acquisition, FaultyRig, matrix_rig
 
-from rfpipe.blocks import RayDomain
 from rfpipe.errors import StoreError
-from rfpipe.methods import get_method, options_of
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages.forecast import disk_bytes
 from rfpipe.stages.plan import Plan
@@ -107,19 +105,3 @@ def test_only_what_is_missing_counts(tmp_path: Path, disk: Disk) -> None:
         mine.capture(0)
     disk(NEED - present)
     mine.capture(0)
-
-
-@pytest.mark.parametrize(
-    ("name", "shape", "patterns"),
-    [
-        ("symmetric", (310, 350), 1085),
-        ("dual", (310, 350), 7382),
-        ("brute_force", (310, 350), 108_500),
-        ("dual", (8, 8), 64),
-    ],
-)
-def test_expected_patterns_are_those_of_the_thesis(
-    name: str, shape: tuple[int, ...], patterns: int
-) -> None:
-    method, rays = get_method(name), RayDomain(shape)
-    assert method.expected_patterns(rays, rays, options_of(method)) == patterns

@@ -36,11 +36,9 @@ def digest_of(*parts: bytes | NDArray[Any]) -> str:
 
 def canonical_json(value: Any, where: str, *, indent: int | None = None) -> bytes:
     """JSON with sorted keys, the same bytes for the same value."""
-    separators = (",", ": ") if indent else (",", ":")
+    parting = None if indent else (",", ":")
     try:
-        text = json.dumps(
-            value, sort_keys=True, allow_nan=False, indent=indent, separators=separators
-        )
+        text = json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, separators=parting)
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: {error}; pass plain data with finite numbers") from error
     return text.encode()

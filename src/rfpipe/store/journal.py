@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rfpipe.store.files import storage_errors
+from rfpipe.store.places import content_of
 
 _SECONDS_BETWEEN_SYNCS = 1.0
 _LINE = re.compile(rb'^{"item":(\d+),"digest":"([0-9a-f]+)","check":"[0-9a-f]{8}"}\n', re.MULTILINE)
@@ -25,7 +26,7 @@ def read_journal(path: Path, n_items: int) -> dict[int, str]:
     `n_items` don't count, and a missing journal is empty.
     """
     with storage_errors(path, "reading"):
-        content = path.read_bytes() if path.exists() else b""
+        content = content_of(path) or b""
     entries = ((int(found[1]), found[2].decode(), found[0]) for found in _LINE.finditer(content))
     return {
         item: digest
