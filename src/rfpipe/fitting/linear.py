@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.folder import Series
+from rfpipe.methods.adaptive.estimate import relit
 from rfpipe.methods.states import level_row
 from rfpipe.provenance import generator
 from rfpipe.transport.arrays import DenseTransport
@@ -83,10 +84,8 @@ def _held_out(series: Series) -> NDArray[np.int64]:
 
 def _error(found: Transport, held: Series) -> float:
     """Return the mean error of pictures that aren't black, less their own noise."""
-    shape = (len(held.patterns), found.channels, held.patterns.shape[1])
-    lit = np.broadcast_to(held.patterns[:, None], shape)
-    relit = found.forward(lit, range(found.channels))
-    wrong = np.square(relit - held.radiance, dtype=np.float64).sum(axis=(1, 2))
+    left = relit(found, held.patterns) - held.radiance
+    wrong = np.square(left, dtype=np.float64).sum(axis=(1, 2))
     wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
     light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
     there = light > 0

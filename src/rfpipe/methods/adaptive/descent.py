@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import hierarchy
-from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT
+from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT, relit
 from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState, inner_packs
 from rfpipe.methods.base import (
     MEMORY_BYTES,
@@ -204,10 +204,10 @@ def nearness(transport: Transport) -> Float:
         Share of the light that comes from elsewhere, over the distance in pixels; at least 0.
     """
     shape, channels = transport.projector_shape, range(transport.channels)
-    floodlit = _pictures(transport, np.ones((1, *shape), np.float32))[0]
+    floodlit = _grey(transport, np.ones((1, *shape), np.float32))[0]
     longest = max(RayDomain(shape).image_shape)
     sides = [2**power for power in range(1, longest.bit_length()) if 2**power < longest]
-    shares = [_share(_pictures(transport, _boards(shape, side)), floodlit) for side in sides]
+    shares = [_share(_grey(transport, _boards(shape, side)), floodlit) for side in sides]
     near = np.zeros_like(floodlit)
     shares.append(np.zeros_like(near))
     for side, share, beyond in zip(sides, shares[:-1], shares[1:], strict=True):
@@ -238,18 +238,14 @@ def _boards(shape: tuple[int, ...], side: int) -> Float:
     return np.concatenate([lit, 1 - lit])
 
 
-def _pictures(transport: Transport, patterns: Float) -> NDArray[np.float64]:
+def _grey(transport: Transport, patterns: Float) -> NDArray[np.float64]:
     """Return relit pictures (P, M), their channels added up."""
-    light = patterns.reshape(len(patterns), 1, -1)
-    white = np.broadcast_to(light, (len(light), transport.channels, light.shape[-1]))
-    relit = transport.forward(white, range(transport.channels))
-    images: NDArray[np.float64] = relit.sum(axis=1, dtype=np.float64)
-    return images
+    images = relit(transport, patterns.reshape(len(patterns), -1))
+    return np.asarray(images.sum(axis=1, dtype=np.float64))
 
 
 def _share(pictures: NDArray[np.float64], floodlit: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the share of each pixel's light that comes from beyond a square of the boards."""
     darkest = 2 * pictures.min(axis=0)
     share = np.divide(darkest, floodlit, out=np.zeros_like(floodlit), where=floodlit > 0)
-    clipped: NDArray[np.float64] = share.clip(0, 1)
-    return clipped
+    return np.asarray(share.clip(0, 1))

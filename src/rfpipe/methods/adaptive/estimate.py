@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,13 @@ class Estimate:
         return self.dark < self.shapes / 2 and worst < 2 * self.shapes
 
 
+def relit(transport: Transport, patterns: NDArray[Any]) -> Float:
+    """Return a transport's pictures (P, C, M) of patterns (P, N) of white light."""
+    shape = (len(patterns), transport.channels, patterns.shape[1])
+    light = np.broadcast_to(patterns[:, None].astype(np.float32), shape)
+    return transport.forward(light, range(transport.channels))
+
+
 def error_of(
     transport: Transport,
     held: Held,
@@ -77,10 +85,7 @@ def error_of(
 
     `dark`, (M,), are those to which the first pattern sends no direct light, where that is known.
     """
-    patterns = held.lit[::HELD_OUT, None].astype(np.float32)
-    shape = (len(patterns), transport.channels, held.lit.shape[1])
-    relit = transport.forward(np.broadcast_to(patterns, shape), range(transport.channels))
-    predicted = relit.repeat(HELD_OUT, axis=0)
+    predicted = relit(transport, held.lit[::HELD_OUT]).repeat(HELD_OUT, axis=0)
     of_dark = None if dark is None else dark[known]
     return estimate(predicted[..., known], held.radiance[..., known], of_dark)
 

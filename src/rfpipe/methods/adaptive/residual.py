@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.methods.adaptive.estimate import relit
 from rfpipe.methods.adaptive.smooth_fit import conjugate_gradients
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.methods.images import Pictures, planar_batches
@@ -213,15 +214,8 @@ def _between(canvas: Canvas, model: Transport, channel: int) -> Float:
 
 def _predicted(canvas: Canvas, lit: NDArray[np.bool_], model: Transport) -> Float:
     """Return a model's pictures of patterns, as `CellPictures.radiance`."""
-    channels, batch = range(len(canvas.factor)), 64
-    found = np.empty((len(lit), len(canvas.factor), canvas.cells.count), np.float32)
-    for first in range(0, len(lit), batch):
-        some = lit[first : first + batch, None].astype(np.float32)
-        images = model.forward(
-            np.broadcast_to(some, (len(some), len(channels), some.shape[-1])), channels
-        )
-        found[first : first + batch] = canvas.reduced(images)
-    return found
+    parts = [lit[first : first + 64] for first in range(0, len(lit), 64)]
+    return np.concatenate([canvas.reduced(relit(model, part)) for part in parts])
 
 
 def _kept(cores: Float, weights: NDArray[np.float64]) -> Residual:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.estimate import relit
 from rfpipe.methods.adaptive.smooth_fit import (
     Evidence,
     Observations,
@@ -204,10 +205,9 @@ def as_transport(
     """
     parts = [*(() if model is None else _parts(shape, model, pictures)), *more]
     floodlit = pictures.floodlit
-    everything = np.ones((1, *floodlit.shape), np.float32)
     direct = floodlit.copy()
     for part in parts:
-        direct -= part.forward(everything, range(pictures.channels))[0]
+        direct -= relit(part, pictures.lit[:1])[0]
     channels, rays = floodlit.shape
     arrays = {
         "diagonal": (direct * pictures.known).astype(np.float32),

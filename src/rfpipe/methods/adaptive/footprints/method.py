@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import footprints, is_unfit
-from rfpipe.methods.adaptive.estimate import HELD_OUT, MOST_HELD_OUT
+from rfpipe.methods.adaptive.estimate import HELD_OUT, MOST_HELD_OUT, relit
 from rfpipe.methods.adaptive.footprints.candidates import Candidates
 from rfpipe.methods.adaptive.footprints.model import Model, find
 from rfpipe.methods.adaptive.footprints.series import series_of, unit_of
@@ -159,9 +159,7 @@ class Footprints(Adaptive):
         """Return the camera pixels with at most a 50th of their direct light."""
         assert state.held is not None
         lit = state.held.lit[0]
-        both = np.stack([lit, np.ones_like(lit)]).astype(np.float32)[:, None]
-        light = np.broadcast_to(both, (2, state.channels, lit.size))
-        direct = _model_of(state).direct().forward(light, range(state.channels))
+        direct = relit(_model_of(state).direct(), np.stack([lit, np.ones_like(lit)]))
         observed, full = direct.sum(axis=1)
         return ~np.asarray(observed > 0.02 * full)
 
