@@ -189,17 +189,6 @@ def test_validate_recognises_a_rig(name: str) -> None:
     assert "rfpipe calibrate and serve" in run("plan", CONFIG.with_name(name))
 
 
-def test_a_pattern_is_resized_when_asked(
-    transport: Path, factors: NDArray[np.float32], tmp_path: Path
-) -> None:
-    pattern = picture(tmp_path / "pattern.exr", np.full((40, 60, 1), 0.25, np.float32))
-    output = tmp_path / "image.exr"
-    said = run("relight", transport, "--pattern", pattern, "--output", output, "--resize")
-    assert "resized from 40 x 60 to 4 x 6 pixels" in said
-    expected = 0.25 * (factors * factors.sum(axis=1, keepdims=True)).T.reshape(*SHAPE, 3)
-    np.testing.assert_allclose(read_image(output), expected, rtol=1e-4)
-
-
 def test_a_transport_of_another_run_is_not_relit(
     transport: Path, tmp_path: Path, failure: Callable[..., str]
 ) -> None:

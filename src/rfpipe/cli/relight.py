@@ -60,10 +60,6 @@ def relight(
     view: View = None,
     level: Level = None,
     white: White = None,
-    resize: Annotated[
-        bool,
-        typer.Option("--resize", help="Resize a pattern of another size than the rays."),
-    ] = False,
 ) -> None:
     """Render the image under a pattern, or under each of many.
 
@@ -75,7 +71,7 @@ def relight(
     from rfpipe.export import relit_pictures
 
     light = opened(path, dual, level, view)
-    patterns = list(_patterns(pattern, light, resize=resize))
+    patterns = list(_patterns(pattern, light))
     names = [name for name, _ in patterns]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
@@ -99,9 +95,7 @@ def relight(
         typer.echo(f"{output}: {len(patterns)} pictures{shown}")
 
 
-def _patterns(
-    sources: Sequence[str], light: Light, *, resize: bool
-) -> Iterator[tuple[str, Callable[[], Float]]]:
+def _patterns(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:
     """Yield all patterns: their names, and what makes or reads their weights."""
     for source in sources:
         file = Path(source)
@@ -109,13 +103,13 @@ def _patterns(
             inside = sorted(str(part) for part in file.iterdir() if part.is_file())
             if not inside:
                 raise InputError(f"{file}: holds no pictures")
-            yield from _patterns(inside, light, resize=resize)
+            yield from _patterns(inside, light)
         elif file.suffix.lower() == ".npy":
             for index in range(len(_stack(file))):
                 yield f"{file.stem}_{index:04d}", partial(_one_of, file, index)
         else:
             shape, channels = light.projector_shape, light.channels
-            yield file.stem, partial(pattern_weights, source, shape, channels, resize=resize)
+            yield file.stem, partial(pattern_weights, source, shape, channels)
 
 
 def _stack(file: Path) -> Float:
@@ -133,9 +127,7 @@ def _one_of(file: Path, index: int) -> Float:
     return one
 
 
-def pattern_weights(
-    name: str, shape: tuple[int, ...], channels: int, *, resize: bool = False
-) -> Float:
+def pattern_weights(name: str, shape: tuple[int, ...], channels: int) -> Float:
     """Return a named pattern, or the weights of a picture: its views one above the other.
 
     Raises
@@ -156,7 +148,7 @@ def pattern_weights(
             f"pattern {name}: is no file and no name of a pattern; expected a picture, white, "
             f"{', '.join(RELIGHTING_PATTERNS)}"
         )
-    picture = picture_of_rays(f"pattern {name}", Path(name), shape, resize=resize)
+    picture = picture_of_rays(f"pattern {name}", Path(name), shape)
     if picture.ndim > len(shape) and channels == 1:
         raise InputError(
             f"pattern {name}: is RGB, but the transport has one channel; give a grey picture"

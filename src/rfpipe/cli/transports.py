@@ -203,29 +203,22 @@ def _rays(places: Sequence[str] | None, shape: tuple[int, ...]) -> NDArray[np.in
     return found[np.sort(np.unique(found, return_index=True)[1])]
 
 
-def picture_of_rays(
-    name: str, path: Path, shape: tuple[int, ...], *, resize: bool = False
-) -> NDArray[np.float32]:
+def picture_of_rays(name: str, path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Read a picture of rays, several views one above the other: (*shape) or (*shape, channels).
 
     Raises
     ------
     InputError
-        When it has another size, and isn't to be resized.
+        When it has another size.
     """
     from rfpipe.blocks import RayDomain
-    from rfpipe.pictures.images import read_image, resized
+    from rfpipe.pictures.images import read_image
 
     picture, expected = read_image(path), RayDomain(shape).picture_shape
-    sizes = f"{times(picture.shape[:2])} to {times(expected)} pixels"
-    if picture.shape[:2] != expected and resize:
-        typer.echo(f"{name}: resized from {sizes}", err=True)
-        picture = resized(picture, expected).clip(0, 1)
     if picture.shape[:2] != expected:
         raise InputError(
             f"{name}: is {times(picture.shape[:2])} pixels (height x width); expected "
-            f"{times(expected)}, the shape of the rays, several views one above the other; resize "
-            "it, or a pattern by --resize"
+            f"{times(expected)}, the shape of the rays, several views one above the other"
         )
     return picture.reshape(*shape, *picture.shape[2:])
 

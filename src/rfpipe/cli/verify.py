@@ -88,8 +88,3 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
         typer.echo(f"{named}: whole. {amount}")
         return
     typer.echo(f"\n{named}: {len(checked.findings)} findings in {amount}")
-    if len(checked.findings) > 1 and checked.removals():
-        typer.echo(
-            "All at once: rfpipe verify FOLDER --mend removes what these commands remove, and says "
-            "what to run."
-        )
