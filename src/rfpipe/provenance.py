@@ -126,8 +126,7 @@ def generator(seed: int, *key: int) -> np.random.Generator:
     """
     # The key goes in as spawn key: plain entropy [seed, *key] is padded with zeros, so that
     # (seed,) and (seed, 0) would draw the same numbers.
-    sequence = np.random.SeedSequence(seed, spawn_key=key)
-    return np.random.Generator(np.random.Philox(sequence))
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 def _digest(content: bytes) -> str:

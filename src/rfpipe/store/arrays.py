@@ -129,10 +129,8 @@ class ArrayBundle:
 
     def entry(self) -> dict[str, Any]:
         """Describe the bundle for a manifest: its digest, and dtype and shape of its arrays."""
-        arrays = {
-            name: {"dtype": entry["dtype"], "shape": entry["shape"]}
-            for name, entry in self._entries.items()
-        }
+        of = ("dtype", "shape")
+        arrays = {name: {key: about[key] for key in of} for name, about in self._entries.items()}
         return {"digest": self.digest, "arrays": arrays}
 
     @property

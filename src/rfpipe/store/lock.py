@@ -109,11 +109,9 @@ class StoreLock:
 
     def _is_in_place(self, descriptor: int) -> bool:
         try:
-            found = self._lock_file.stat()
+            return os.path.samestat(self._lock_file.stat(), os.fstat(descriptor))
         except FileNotFoundError:
             return False
-        ours = os.fstat(descriptor)
-        return (found.st_dev, found.st_ino) == (ours.st_dev, ours.st_ino)
 
 
 def _holder(descriptor: int) -> tuple[str, bool]:
