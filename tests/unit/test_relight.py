@@ -98,11 +98,6 @@ def test_the_level_map_says_where_entries_are_held(transports, method, row):
     assert (stopped[levels >= 2] == 2).all()
 
 
-def test_the_level_map_of_a_symmetric_transport_is_symmetric(transports):
-    levels = leaf_levels(transports["symmetric"], 4, 4)
-    assert np.array_equal(levels, levels.T)
-
-
 def test_a_transport_without_leaves_has_no_level_map(transports):
     assert leaf_levels(transports["brute_force"], 4, 4) is None
 

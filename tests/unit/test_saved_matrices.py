@@ -91,14 +91,6 @@ def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
     assert found["about"].shape[0] == 1
 
 
-def test_equal_matrices_make_equal_files(tmp_path: Path) -> None:
-    for suffix in MATRIX_FILES:
-        one, other = tmp_path / f"one{suffix}", tmp_path / f"other{suffix}"
-        transport_of(3).save(one)
-        transport_of(3).save(other)
-        assert one.read_bytes() == other.read_bytes()
-
-
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [

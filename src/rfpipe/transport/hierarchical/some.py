@@ -92,12 +92,5 @@ class StoredLeaves(SetsOnDemand[str, LeafSet]):
         return unpack_leaves(level, arrays)
 
 
-def leaves_between(leaf_sets: Sequence[LeafSet], rays: Rays) -> Sequence[LeafSet]:
-    """Return those of the leaves that pass light between some rays."""
-    if isinstance(leaf_sets, StoredLeaves):
-        return leaf_sets.between(rays)
-    return [rays.chosen(leaves) for leaves in leaf_sets]
-
-
 def _level(key: str) -> int:
     return int(key.split("_")[1])

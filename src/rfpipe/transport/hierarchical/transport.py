@@ -20,11 +20,7 @@ from rfpipe.transport.hierarchical.leaves import (
     pack_leaves,
     signed_apart,
 )
-from rfpipe.transport.hierarchical.some import (
-    Rays,
-    StoredLeaves,
-    leaves_between,
-)
+from rfpipe.transport.hierarchical.some import Rays, StoredLeaves
 from rfpipe.transport.hierarchical.truncation import collapse, found_later
 from rfpipe.units import NumberFormat
 
@@ -88,7 +84,10 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
         """Return the leaves that pass light between some rays, see `Light.between_some`."""
         rays = Rays(self.tree, seen[self.tree.order], lit[self.tree.order])
-        return self.holding(self.level_rows, leaves_between(self._held, rays))
+        held = self._held
+        if isinstance(held, StoredLeaves):
+            return self.holding(self.level_rows, held.between(rays))
+        return self.holding(self.level_rows, [rays.chosen(leaves) for leaves in held])
 
     def _truncated(self, level: int) -> Sequence[LeafSet]:
         """Make leaves of what was subdivided at `level` of the blocks."""
