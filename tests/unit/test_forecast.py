@@ -57,7 +57,7 @@ def test_the_command_says_what_does_not_fit(
     result = CliRunner().invoke(app, ["plan", str(config), "--folder", str(tmp_path / "results")])
     assert result.exit_code == 0
     assert result.output.count("dual") == 2
-    assert "One after the other: 4 h 54 min" in result.output
+    assert "One after the other: 4:54:08" in result.output
     assert "may not fit" not in result.output
     assert "of memory, and this machine" not in result.output
 

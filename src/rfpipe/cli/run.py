@@ -8,6 +8,7 @@ import subprocess
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,7 +26,6 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opt
 """How `run` is registered: all that follows its name is for Snakemake."""
 
 _REPORT = Path("results") / "report" / "index.html"
-_SHOWN = 30  # rows of a forecast
 
 
 def run(context: typer.Context) -> None:
@@ -120,9 +120,7 @@ def plan(
         typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions\n")
         rows = forecast(settings)
         free = files.free_bytes(folder)
-    typer.echo(_shown(rows.head(_SHOWN)).to_string(index=False))
-    if len(rows) > _SHOWN:
-        typer.echo(f"... and {len(rows) - _SHOWN} more, which the sums take in.")
+    typer.echo(_shown(rows).to_string(index=False))
     disk, memory = int(rows["disk"].sum()), int(rows["memory"].max())
     typer.echo(
         f"\nOne after the other: {_duration(rows['seconds'].sum())} of capture on a rig, "
@@ -156,13 +154,7 @@ def _shown(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _duration(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    if minutes < 1:
-        return f"{seconds:.0f} s"
-    days, hours = divmod(minutes // 60, 24)
-    if days:
-        return f"{days} d {hours} h"
-    return f"{hours} h {minutes % 60:02d} min" if hours else f"{minutes} min"
+    return str(timedelta(seconds=round(seconds)))
 
 
 def catalogue(
