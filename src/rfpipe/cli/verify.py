@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,8 +43,7 @@ def verify(
     from rfpipe.report.page import check_page
     from rfpipe.stages.checking import check, command_for
 
-    quiet = not sys.stderr.isatty()
-    with tqdm(unit="B", unit_scale=True, leave=False, disable=quiet) as bar:
+    with tqdm(unit="B", unit_scale=True, leave=False, disable=None) as bar:
         checked = check(folder, bar.update)
     commands = [command_for(finding) for finding in checked.findings]
     _print(folder, checked, commands)

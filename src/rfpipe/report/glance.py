@@ -26,9 +26,8 @@ def glance_section(inputs: Inputs) -> Section:
         ("time, min", "minutes", fixed(1)),
         ("stored, MB", "megabytes", fixed(2)),
     ]
-    shown = "Each scene under floodlight, and relit with a bar of light that nobody took"
+    shown = "Each scene under floodlight, and relit with a bar of light that nobody took."
     if inputs.has_truth:
-        shown += ", beside the truth, and the difference"
         about = (
             "Error: relative RMS of pictures relit with bars, noise, a binary picture, a small "
             "spot and the crease where surfaces meet, against the exact light transport."
@@ -55,7 +54,7 @@ def glance_section(inputs: Inputs) -> Section:
         "What it took", caption, numbers, inputs.labels, columns, csv="results.csv", is_folded=False
     )
     pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
-    return Section("glance", "At a glance", [pictures, table], [f"{shown}."])
+    return Section("glance", "At a glance", [pictures, table], [shown])
 
 
 def results(inputs: Inputs) -> pd.DataFrame:
