@@ -57,6 +57,18 @@ def test_hadamard_patterns_give_the_transport_and_noise_its_error() -> None:
     assert found.complete
 
 
+def test_few_pictures_of_a_coaxial_rig_take_near_far_s_model() -> None:
+    random = np.random.default_rng(1).random((40, RAYS)) < 0.5
+    few = series(np.concatenate([np.ones((1, RAYS)), random]), noise=0.003)
+    found = fit_transport(few, coaxial=True)
+    assert (found.model, found.held_out) == ("near/far", 5)
+    assert fit_transport(few).error > 20 * found.error
+    error = error_of(found.transport)
+    assert 0.3 * error < found.error < 3 * error < 0.06
+    with pytest.raises(InputError, match="white light"):
+        fit_transport(few.some(np.arange(1, 41)), coaxial=True)
+
+
 def write(path: Path, pixels: np.ndarray, seconds: float | None = None) -> None:
     path.parent.mkdir(exist_ok=True, parents=True)
     picture = oiio.ImageBuf(np.ascontiguousarray(pixels))

@@ -41,13 +41,17 @@ def fit(
     transfer: Annotated[
         Literal["linear", "srgb"], typer.Option(help="What integers in pictures stand for.")
     ] = "linear",
+    coaxial: Annotated[
+        bool, typer.Option("--coaxial", help="Camera and projector share their rays.")
+    ] = False,
 ) -> None:
     """Find the light transport behind pictures of patterns that were chosen elsewhere.
 
     Patterns may be one light at a time, Hadamard, random or any others, as weights of light.
     Where they tell of each projector ray by itself, the transport follows directly; where they are
-    few, from what is most probable. How far it is off is estimated from pictures that are left
-    out. The transport opens in Python by rfpipe.open_transport, and relights by 'rfpipe relight'.
+    few, from what is most probable, on a coaxial rig by the model of near_far. How far it is off is
+    estimated from pictures that are left out. The transport opens in Python by
+    rfpipe.open_transport, and relights by 'rfpipe relight'.
     """
     from rfpipe.config import load_config
     from rfpipe.errors import InputError
@@ -62,12 +66,12 @@ def fit(
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor
     series = read_series(folder, lights=lights, camera=camera, black=black, transfer=transfer)
-    found = fit_transport(series)
+    found = fit_transport(series, coaxial=coaxial)
     save_transport(found.transport, output, scene=folder.name, method="fit")
     count, rays = series.patterns.shape
     typer.echo(
         f"{output}: {count} pictures of {rays} projector rays "
-        f"({'complete' if found.complete else f'{series.rank} independent'})"
+        f"({'complete' if found.complete else f'{series.rank} independent'}), by {found.model}"
     )
     typer.echo(
         "no error is known: each pattern is needed. A few more patterns would tell"

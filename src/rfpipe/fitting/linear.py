@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.folder import Series
-from rfpipe.methods.adaptive.estimate import relit
-from rfpipe.methods.states import level_row
-from rfpipe.provenance import generator
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
@@ -33,65 +30,6 @@ _RIDGES: Double = np.logspace(-10, 2, 25)
 # Eigenvalues below this part of the largest one are rounding; so is noise below it.
 _ROUNDING = 1e-13
 _TINY = float(np.finfo(np.float32).tiny)
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A transport behind pictures.
-
-    Attributes
-    ----------
-    transport : Transport
-        From all pictures. Its ``history`` has the error, where there is one.
-    complete : bool
-        Whether the patterns tell of each projector ray by itself.
-    error : float or None
-        Mean error of pictures that were left out of a first fit, relative to their norms, less the
-        noise that they are known to have. None where each pattern is needed.
-    held_out : int
-        Pictures that were left out.
-    """
-
-    transport: Transport
-    complete: bool
-    error: float | None
-    held_out: int
-
-
-def fit_transport(series: Series) -> Fit:
-    """Find the light transport behind pictures, by regularised least squares."""
-    complete, held, error = series.is_complete, _held_out(series), None
-    rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
-    # of patterns that are just complete, one that is left out isn't told of by the others
-    if held.size and not (complete and not rest.is_complete):
-        error = _error(solve_linear(rest, []), series.some(held))
-    row = level_row(0, len(series.patterns), rank_k=0)
-    if error is not None:
-        row["estimated_error"] = error
-    transport = solve_linear(series, [row])
-    return Fit(transport, complete, error, 0 if error is None else len(held))
-
-
-def _held_out(series: Series) -> NDArray[np.int64]:
-    """Choose an eighth of the pictures to leave out, 16 at most; of fewer than 8, half.
-
-    Neither white nor black ones, whose light others know.
-    """
-    free = np.flatnonzero(~(series.patterns.min(axis=1) > 0) & series.patterns.any(axis=1))
-    count = min(len(free) // (8 if len(free) >= 8 else 2), 16)
-    return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
-
-
-def _error(found: Transport, held: Series) -> float:
-    """Return the mean error of pictures that aren't black, less their own noise."""
-    left = relit(found, held.patterns) - held.radiance
-    wrong = np.square(left, dtype=np.float64).sum(axis=(1, 2))
-    wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
-    light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
-    there = light > 0
-    if not there.any():
-        return 0.0
-    return float(np.sqrt(np.maximum(wrong[there], 0) / light[there]).mean())
 
 
 def solve_linear(series: Series, rows: list[dict[str, Any]]) -> Transport:

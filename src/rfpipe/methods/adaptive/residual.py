@@ -350,8 +350,10 @@ class Posterior:
 
     def _applied(self, dual: Float) -> Float:
         """Apply the covariance of the pictures; the solution that goes with it is left behind."""
+        from rfpipe.methods.adaptive.kernels import symmetric_product
+
         core: Float = self.haar.forward(dual) @ self.light.T
-        core = (core + core.T) * self.prior
+        symmetric_product(core, self.prior)
         self.core = core
         self.direct = self._direct * np.einsum("cm,cm->c", dual, self.cells)
         pictures = self.haar.inverse(core @ self.light)

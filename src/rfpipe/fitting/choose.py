@@ -1,0 +1,133 @@
+"""Which model predicts pictures that it didn't see best, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.fitting.folder import Series
+from rfpipe.fitting.linear import solve_linear
+from rfpipe.methods.adaptive.estimate import relit
+from rfpipe.methods.adaptive.residual import Canvas, residual_of
+from rfpipe.methods.adaptive.smooth import as_transport, fit
+from rfpipe.methods.images import Pictures
+from rfpipe.methods.states import joined, level_row
+from rfpipe.provenance import generator
+from rfpipe.transport.base import Transport
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A transport behind pictures.
+
+    Attributes
+    ----------
+    transport : Transport
+        From all pictures. Its ``history`` has the error, where there is one.
+    model : str
+        ``least squares`` or ``near/far``.
+    complete : bool
+        Whether the patterns tell of each projector ray by itself.
+    error : float or None
+        Mean error of pictures that were left out of a first fit, relative to their norms, less the
+        noise that they are known to have. None where each pattern is needed.
+    held_out : int
+        Pictures that were left out.
+    """
+
+    transport: Transport
+    model: str
+    complete: bool
+    error: float | None
+    held_out: int
+
+
+def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
+    """Find the light transport behind pictures.
+
+    Parameters
+    ----------
+    series : Series
+    coaxial : bool
+        Whether camera and projector share their rays. Near/far's model is fitted, too, and taken
+        where it predicts pictures better that are left out of the fits.
+
+    Raises
+    ------
+    InputError
+        When the pictures of a coaxial rig don't allow near/far's model.
+    """
+    models = {"least squares": solve_linear}
+    if coaxial:
+        _check_coaxial(series)
+        models["near/far"] = _solve_near_far
+    complete, held = series.is_complete, _held_out(series)
+    rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
+    errors: dict[str, float] = {}
+    # of patterns that are just complete, one that is left out isn't told of by the others
+    if held.size and not (complete and not rest.is_complete):
+        errors = {
+            name: _error(solve(rest, []), series.some(held)) for name, solve in models.items()
+        }
+    best = min(errors, key=lambda name: errors[name]) if errors else "least squares"
+    row = level_row(0, len(series.patterns), rank_k=0)
+    if errors:
+        row["estimated_error"] = errors[best]
+    transport = models[best](series, [row])
+    return Fit(transport, best, complete, errors.get(best), len(held) if errors else 0)
+
+
+def _check_coaxial(series: Series) -> None:
+    patterns, white = series.patterns, series.patterns.all(axis=1)
+    if series.camera_shape != series.projector_shape:
+        raise InputError(
+            f"a coaxial rig has one shape of rays, not {series.camera_shape} camera and "
+            f"{series.projector_shape} projector rays"
+        )
+    if not ((patterns == 0) | (patterns == 1)).all() or not white.any() or white.all():
+        raise InputError(
+            "the model of coaxial rigs needs a picture of white light, and others of patterns "
+            "whose weights are 0 or 1; add them, or leave out --coaxial"
+        )
+
+
+def _solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
+    """Return direct and smooth indirect light, and what they leave of the pictures."""
+    shape, lit = series.projector_shape, series.patterns > 0
+    white = lit.all(axis=1)
+    radiance = series.radiance[white].mean(axis=0, dtype=np.float64)[None].astype(np.float32)
+    spread = series.variance[white].mean(axis=0, dtype=np.float64)[None] / np.count_nonzero(white)
+    floodlit = Pictures(lit[white][:1], radiance, spread.astype(np.float32)).completed(shape)
+    others = Pictures(lit[~white], series.radiance[~white], series.variance[~white])
+    pictures = joined([floodlit, others], axis=0)
+    model = fit(shape, pictures)
+    canvas = Canvas.of(shape, pictures)
+    taken = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
+    rest = residual_of(canvas, taken, as_transport(shape, [], model, pictures)).transport(canvas)
+    return as_transport(shape, rows, model, pictures, [rest])
+
+
+def _held_out(series: Series) -> NDArray[np.int64]:
+    """Choose an eighth of the pictures to leave out, 16 at most; of fewer than 8, half.
+
+    Neither white nor black ones, whose light others know.
+    """
+    free = np.flatnonzero(~(series.patterns.min(axis=1) > 0) & series.patterns.any(axis=1))
+    count = min(len(free) // (8 if len(free) >= 8 else 2), 16)
+    return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
+
+
+def _error(found: Transport, held: Series) -> float:
+    """Return the mean error of pictures that aren't black, less their own noise."""
+    left = relit(found, held.patterns) - held.radiance
+    wrong = np.square(left, dtype=np.float64).sum(axis=(1, 2))
+    wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
+    light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
+    there = light > 0
+    if not there.any():
+        return 0.0
+    return float(np.sqrt(np.maximum(wrong[there], 0) / light[there]).mean())
