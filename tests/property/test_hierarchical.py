@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, merge_leaf_sets
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 shapes = st.one_of(
@@ -138,16 +138,3 @@ def test_truncation_of_signed_leaves_is_rank_1_and_of_bounded_size(shape, seed):
         found = [truncated.channel(c) @ np.eye(rays) for c in range(3)]
         scale = max(1.0, np.abs(below).sum(axis=(1, 2)).max())
         np.testing.assert_allclose(found, expected, atol=1e-5 * scale)
-
-
-def test_the_terms_of_a_leaf_stay_in_order_in_a_merge():
-    tree = BlockTree(RayDomain((4, 4)))
-    pair = np.array([1], np.int32), np.array([2], np.int32)
-    sets = [
-        LeafSet(1, *pair, np.full((1, 8), value, np.float32), signs=sign)
-        for value, sign in ((2, None), (3, -np.ones((1, 1), np.int8)), (1, None))
-    ]
-    (merged,) = merge_leaf_sets(sets, tree)
-    np.testing.assert_array_equal(merged.values[0, ::8], [2, 3, 1])
-    np.testing.assert_array_equal(merged.signs, [[1, -1, 1]])
-    assert merged.nbytes == 3 * (4 + 4 + 8 * 4 + 1)

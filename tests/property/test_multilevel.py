@@ -109,23 +109,3 @@ def test_fine_tolerance_recovers_the_matrix(
     matrix, camera, projector, _ = rig
     run = acquire_matrix(Dual(), matrix, camera, projector, tolerance=1e-7)
     np.testing.assert_allclose(dense(run.transport), matrix, rtol=1e-4, atol=1e-5)
-
-
-@settings(max_examples=25)
-@given(rigs())
-def test_no_pixel_sees_two_of_its_blocks_in_a_pattern(
-    rig: tuple[np.ndarray, tuple[int, ...], tuple[int, ...], float],
-) -> None:
-    run = acquire_matrix(Dual(), *rig)
-    tree = run.states[0].tree
-    for before, schedule in zip(run.states[1:], run.schedules[1:], strict=False):
-        frontier, level = before.frontier, before.level
-        pattern_of_block = schedule.pattern_of_ray.ravel()[tree.order[tree.starts[level][:-1]]]
-        seen = set()
-        for block, pixel in zip(frontier.block, frontier.pixel, strict=True):
-            begin, end = tree.child_starts[level - 1][block : block + 2]
-            for child in range(begin, end):
-                assert pattern_of_block[child] >= 0
-                key = (int(pixel), int(pattern_of_block[child]))
-                assert key not in seen
-                seen.add(key)

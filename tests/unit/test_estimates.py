@@ -1,6 +1,5 @@
 """The errors that methods estimate of themselves: kept, logged, and shown beside the true ones."""
 
-import logging
 import math
 from pathlib import Path
 
@@ -11,11 +10,9 @@ from tests.reports import acquired, tables_of
 
 from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import Config
-from rfpipe.methods import get_method
 from rfpipe.report import build_report
-from rfpipe.report.errors import estimates_section, histories, speed_figure
+from rfpipe.report.errors import estimates_section
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.stages.refine import log_estimate
 from rfpipe.transport import save_transport
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
@@ -73,16 +70,6 @@ def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path) -> None:
     pd.testing.assert_frame_equal(stored.history, result.history)
 
 
-def test_the_log_tells_of_a_levels_own_estimate_alone(caplog) -> None:
-    caplog.set_level(logging.INFO, "rfpipe")
-    for count in range(len(ROWS) + 1):
-        log_estimate(ROWS[:count], get_method("near_far").Options(target_error=0.01))
-    assert [record.message for record in caplog.records] == [
-        "level 1: estimated error 8.00 % after 15 patterns, 1 % asked for",
-        "level 3: estimated error 1.20 % after 40 patterns, 1 % asked for",
-    ]
-
-
 def run(scene: str, method: str, rows: list) -> Run:
     options = CONFIG.methods[method].options()
     facts = {
@@ -128,19 +115,6 @@ def test_without_truth_nothing_is_compared_and_no_line_is_drawn() -> None:
     (compared,) = section.blocks
     assert [row[-2:] for row in compared.rows] == 2 * [["\N{EN DASH}", "\N{EN DASH}"]]
     assert [row[-3] for row in compared.rows] == ["1.20", "0.00"]
-
-
-def test_estimates_are_drawn_dotted_in_per_cent() -> None:
-    inputs = made_up()
-    steps = histories(inputs.runs)
-    figure = speed_figure(inputs, ["corner", "other"], inputs.speed_error, steps)
-    corner, _ = figure.axes
-    assert [axis.get_title() for axis in figure.axes] == ["corner", "other"]
-    estimated, brute = corner.lines
-    assert estimated.get_label() == "Near/far acquisition"
-    assert estimated.get_linestyle() == ":"
-    np.testing.assert_allclose(estimated.get_xydata(), [[15, 8], [40, 1.2]])
-    assert brute.get_label() == "patterns of brute force"
 
 
 def test_there_is_no_section_where_nothing_was_estimated() -> None:

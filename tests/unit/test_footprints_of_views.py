@@ -11,7 +11,6 @@ from tests.helpers import dense, picture_error
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import options_of
-from rfpipe.methods.adaptive.footprints.candidates import Candidates, averaged, with_other_way
 from rfpipe.methods.adaptive.footprints.functions import chart_of
 from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
 from rfpipe.scenes import room_scene
@@ -44,21 +43,6 @@ def errors(transport: Any, matrix: np.ndarray) -> float:
 
 def rounds_of(views: int, *numbers: int) -> int:
     return sum(in_round(number, views) for number in numbers)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_what_one_way_found_counts_for_the_other(seed: int) -> None:
-    random, rays = np.random.default_rng(seed), 12
-    known = random.random((rays, rays)) < 0.3
-    weights = known * random.integers(0, 3, known.shape).astype(np.float32)
-    variance = known * random.random(known.shape, np.float32)
-    keys, either = np.flatnonzero(known), known | (weights.T > 0)
-    found = Candidates(keys, variance.ravel()[keys], weights.ravel()[keys])
-    wider, mean = with_other_way(found, rays), averaged(found, rays)
-    np.testing.assert_array_equal(wider.keys, np.flatnonzero(either))
-    np.testing.assert_array_equal(wider.weights, weights[either])
-    np.testing.assert_array_equal(wider.variance, np.maximum(variance, variance.T)[either])
-    np.testing.assert_array_equal(mean.weights, ((weights + weights.T) / 2)[either])
 
 
 def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> None:

@@ -64,17 +64,6 @@ def test_half_of_the_error_is_of_shapes() -> None:
     assert found.dark == 0
 
 
-@pytest.mark.parametrize(
-    ("dark", "worst", "expected"),
-    [(0.001, 0.012, True), (0.008, 0.012, False), (0.001, 0.05, False)],
-)
-def test_noise_is_on_lit_pixels_and_everywhere_alike(
-    dark: float, worst: float, expected: bool
-) -> None:
-    found = Estimate(0.01, worst, 0.01, dark, 0.1)
-    assert found.is_noise is expected
-
-
 def test_of_darkness_the_estimate_is_nought() -> None:
     nothing = np.zeros((6, 1, 9), np.float32)
     found = estimate(nothing, nothing, np.ones(9, np.bool_))

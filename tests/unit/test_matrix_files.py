@@ -20,8 +20,7 @@ from rfpipe.transport import save_transport
 
 CAMERA, PROJECTOR = (4, 5), (3, 6)
 T = np.random.default_rng(0).random((3, 20, 18))
-WITH_ALL_AXES = T.reshape(3, *CAMERA, *PROJECTOR)
-BY_COLUMNS = WITH_ALL_AXES.transpose(0, 2, 1, 4, 3).reshape(3, 20, 18)
+BY_COLUMNS = T.reshape(3, *CAMERA, *PROJECTOR).transpose(0, 2, 1, 4, 3).reshape(3, 20, 18)
 
 
 def read(path: Path, **options):
@@ -31,11 +30,9 @@ def read(path: Path, **options):
     ]
 
 
-@pytest.mark.parametrize(
-    "array", [T, np.moveaxis(T, 0, -1), WITH_ALL_AXES, np.moveaxis(WITH_ALL_AXES, 0, 2)]
-)
-def test_axes_may_stand_in_any_usual_order(tmp_path: Path, array: np.ndarray) -> None:
-    np.save(tmp_path / "t.npy", array)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_channels_may_stand_anywhere(tmp_path: Path, axis: int) -> None:
+    np.save(tmp_path / "t.npy", np.moveaxis(T, 0, axis))
     np.testing.assert_array_equal(read(tmp_path / "t.npy"), T)
 
 

@@ -17,7 +17,7 @@ from rfpipe.scenes import (
 from rfpipe.stages import relight
 from rfpipe.stages.acquire import acquire
 from rfpipe.stages.evaluate import relative_rms
-from rfpipe.stages.relight import NO_LEAF, leaf_levels, relit_arrays, right_half
+from rfpipe.stages.relight import NO_LEAF, leaf_levels, relit_arrays
 from rfpipe.store import open_arrays, read_manifest, write_manifest
 from rfpipe.transport import Transport, save_transport
 
@@ -73,11 +73,6 @@ def test_a_stack_of_views_is_relit_from_each_in_the_light_of_each():
     np.testing.assert_allclose(arrays["truth"][one_view], arrays["views_truth"][0], rtol=1e-6)
     assert relative_rms(arrays["views_relit"], arrays["views_truth"]) < 0.02
     np.testing.assert_allclose(arrays["levels_relit"][-1], arrays["relit"][0], atol=1e-6)
-
-
-def test_right_half_leaves_the_middle_column_dark():
-    assert right_half((1, 5)).tolist() == [[0, 0, 0, 1, 1]]
-    assert right_half((1, 4)).tolist() == [[0, 0, 1, 1]]
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual"])

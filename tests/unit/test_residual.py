@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.helpers import scene_matrices
 
-from rfpipe.methods.adaptive.residual import Canvas, CellPictures, Posterior, residual_of
-from rfpipe.methods.states import joined
+from rfpipe.methods.adaptive.residual import Canvas, Posterior, residual_of
 from rfpipe.provenance import generator
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.wavelet import Cells, Haar, cell_side
@@ -147,21 +144,3 @@ def test_it_finds_what_a_model_leaves_and_no_darkness_below_nought(side: int, un
         wrong = np.linalg.norm(relit_cells - true_cells) / np.linalg.norm(true_cells)
         assert wrong < 0.12
         assert relit.min() > -0.02 * truth.max()
-
-
-def test_of_too_many_pictures_those_tell_that_the_model_predicts_worst(monkeypatch) -> None:
-    """Half of them show what the model has already."""
-    shape = (12, 12)
-    matrix = scene_matrices("IV", shape)
-    known = np.ones(144, np.bool_)
-    canvas = Canvas(Cells(shape, 1), matrix.sum(axis=2).astype(np.float32), known)
-    direct = (np.eye(144) * matrix).astype(np.float32)
-    model = DenseTransport(shape, shape, 1, [], {"matrix": direct})
-    told, known_light = (pictures_of(each, canvas, 30, known) for each in (matrix, direct))
-    both = joined([told, CellPictures(*(each[1:] for each in astuple(known_light)))], axis=0)
-    few = residual_of(canvas, told, model)
-    monkeypatch.setattr("rfpipe.methods.adaptive.residual._MOST_PICTURES", 31)
-    for pictures in (told, both):
-        found = residual_of(canvas, pictures, model)
-        np.testing.assert_array_equal(found.pairs, few.pairs)
-        np.testing.assert_array_equal(found.cores, few.cores)

@@ -11,7 +11,6 @@ from tests.helpers import dense
 from tests.property.test_hierarchical import random_transport
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.errors import IntegrityError
 from rfpipe.testing import dot_test
 from rfpipe.transport import Transport, open_transport, save_transport
 from rfpipe.transport.arrays import DenseTransport
@@ -177,17 +176,3 @@ def test_a_store_keeps_it(make: Callable[[], Made], number_format, tmp_path: Pat
     assert np.abs(opened.relight(pattern) - exact).max() <= bound * np.abs(exact).max()
     np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))
     assert save_transport(opened, tmp_path / "again", number_format, scene="test") == digest
-
-
-def test_parts_are_read_within_the_memory_budget_and_checked(tmp_path: Path) -> None:
-    path, pattern = tmp_path / "transport.zarr", np.ones(COAXIAL)
-    save_transport(total()[0], path)
-    opened, streamed = open_transport(path), open_transport(path, memory_budget=0)
-    assert isinstance(opened, SumTransport)
-    assert 0 < opened.parts[0].nbytes < opened.nbytes
-    np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))
-    for chunk in path.glob("part_00_part_01_*/c*"):
-        chunk.unlink()
-    opened.relight(pattern)
-    with pytest.raises(IntegrityError, match="missing, truncated or altered"):
-        streamed.relight(pattern)

@@ -130,7 +130,7 @@ def export(
     light = coarser(light, joined) if joined > 1 else light
     light = light.T if dual else light
     kept = (_rays(rows, light.camera_shape), _rays(columns, light.projector_shape))
-    write_matrix(light, output, *kept, int(limit_gib * _GIB), progress=True)
+    write_matrix(light, output, *kept, int(limit_gib * _GIB))
     typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import product
 from math import prod
 from pathlib import Path
 from typing import Any, Literal
@@ -43,7 +42,7 @@ def read_matrix(
         Name in a file that holds several; for channels in datasets of their own, their names with
         commas between them.
     order : {"rows", "columns"}
-        How camera and projector rays are numbered where the array has one axis for them.
+        How camera and projector rays are numbered.
 
     Returns
     -------
@@ -54,8 +53,8 @@ def read_matrix(
     ------
     InputError
         When the file can't be read, holds several datasets and none is named, or fits no shape:
-        says which shapes would. Axes may be (M, N), each of M and N as one axis or as those of
-        its domain, with an axis of 1 or 3 channels first, between, or last.
+        says which shapes would. Axes are (M, N), with one of 1 or 3 channels first, between, or
+        last.
     """
     path = Path(path)
     names = [None] if dataset is None else [name.strip() for name in dataset.split(",")]
@@ -158,49 +157,28 @@ def _channels(held: Any, camera: Shape, projector: Shape, name: str, order: RayO
     """Return what a file holds as matrices (M, N), rays in row-major order."""
     from scipy import sparse
 
-    rows, columns = prod(camera), prod(projector)
+    shape = prod(camera), prod(projector)
     if isinstance(held, Transport):
         found = held.camera_shape, held.projector_shape
         if found != (camera, projector):
             raise _misfit(name, tuple(map(prod, found)), camera, projector)
         return [held.channel(index) for index in range(held.channels)]
     if sparse.issparse(held):
-        matrix: Any = sparse.csr_array(held)  # type: ignore[call-overload]
-        if matrix.shape != (rows, columns):
-            raise _misfit(name, matrix.shape, camera, projector)
-        return [_by_rows(matrix, camera, projector) if order == "columns" else matrix]
-    array = np.asarray(held)
-    if array.dtype.kind not in "fiub":
-        raise InputError(f"{name}: holds {array.dtype}; light transport is real numbers")
-    for seen, lit in product(((rows,), camera), ((columns,), projector)):
-        planes = _planes(array, seen, lit)
-        if planes is not None:
-            flat = planes.reshape(len(planes), rows, columns)
-            if order == "columns":
-                sides = camera if len(seen) == 1 else None, projector if len(lit) == 1 else None
-                flat = np.stack([_by_rows(plane, *sides) for plane in flat])
-            return list(np.ascontiguousarray(flat))
-    raise _misfit(name, array.shape, camera, projector)
-
-
-def _planes(array: NDArray[Any], camera: Shape, projector: Shape) -> NDArray[Any] | None:
-    """Return an array of axes (C, *camera, *projector) of one that has its channels anywhere."""
-    whole = camera + projector
-    if array.shape == whole:
-        return array[None]
-    for axis in (0, len(camera), len(whole)):
-        if array.ndim == len(whole) + 1 and array.shape[axis] in (1, 3):
-            moved = np.moveaxis(array, axis, 0)
-            if moved.shape[1:] == whole:
-                return moved
-    return None
-
-
-def _by_rows(matrix: Any, camera: Shape | None, projector: Shape | None) -> Any:
-    """Return a matrix whose joined axes count rays row by row, of one that counts by columns."""
-    if camera is not None:
-        matrix = matrix[_by_columns(camera)]
-    return matrix if projector is None else matrix[:, _by_columns(projector)]
+        matrices: list[Any] = [sparse.csr_array(held)]  # type: ignore[call-overload]
+    else:
+        array = np.asarray(held)
+        if array.dtype.kind not in "fiub":
+            raise InputError(f"{name}: holds {array.dtype}; light transport is real numbers")
+        array = array[None] if array.ndim == 2 else array
+        by_channel = (np.moveaxis(array, axis, 0) for axis in range(array.ndim))
+        fitting = (each for each in by_channel if len(each) in (1, 3) and each.shape[1:] == shape)
+        matrices = list(np.ascontiguousarray(next(fitting, np.zeros((1, 0)))))
+    if matrices[0].shape != shape:
+        raise _misfit(name, held.shape, camera, projector)
+    if order == "columns":
+        rows, columns = _by_columns(camera), _by_columns(projector)
+        matrices = [matrix[rows][:, columns] for matrix in matrices]
+    return matrices
 
 
 def _by_columns(shape: Shape) -> NDArray[np.int64]:
@@ -214,6 +192,6 @@ def _misfit(name: str, found: Shape, camera: Shape, projector: Shape) -> InputEr
     turned = " Its axes seem to be exchanged: transpose it." if found == (columns, rows) else ""
     return InputError(
         f"{name}: holds an array of shape {found}; camera rays {camera} and projector rays "
-        f"{projector} want ({rows}, {columns}), with channels (1 or 3) as a third axis, or the "
-        f"rays' own axes in place of either.{turned} Check shape and camera_shape"
+        f"{projector} want ({rows}, {columns}), with channels (1 or 3) as a third axis.{turned} "
+        "Check shape and camera_shape"
     )

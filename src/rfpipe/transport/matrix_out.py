@@ -48,7 +48,6 @@ class Contents(NamedTuple):
     matrix: MatrixAlgebra
     rows: Index
     columns: Index
-    progress: bool
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -66,31 +65,13 @@ class Contents(NamedTuple):
         self, *, by_rows: bool, channels: Sequence[int] | None = None
     ) -> Iterator[tuple[slice, slice, Float]]:
         """Yield T in parts; see `rfpipe.transport.algebra.MatrixAlgebra.blocks`."""
-        from tqdm import tqdm
-
-        with tqdm(
-            total=len(self.rows) * len(self.columns),
-            desc="matrix" if channels is None else f"channels {list(channels)}",
-            unit="entry",
-            unit_scale=True,
-            disable=None if self.progress else True,
-        ) as bar:
-            parts = self.matrix.blocks(self.rows, self.columns, by_rows=by_rows, channels=channels)
-            for rows, columns, block in parts:
-                yield rows, columns, block
-                bar.update(block.shape[1] * block.shape[2])
+        return self.matrix.blocks(self.rows, self.columns, by_rows=by_rows, channels=channels)
 
 
 def write_matrix(
-    matrix: MatrixAlgebra,
-    path: Path,
-    rows: Rays,
-    columns: Rays,
-    limit_bytes: int,
-    *,
-    progress: bool = False,
+    matrix: MatrixAlgebra, path: Path, rows: Rays, columns: Rays, limit_bytes: int
 ) -> None:
-    """Write a matrix, see `rfpipe.transport.base.Light.save`; show how far it is if asked to."""
+    """Write a matrix, see `rfpipe.transport.base.Light.save`."""
     write = MATRIX_FILES.get(path.suffix.lower())
     if write is None:
         raise InputError(
@@ -101,7 +82,6 @@ def write_matrix(
         matrix,
         chosen_rays(rows, matrix.camera_shape, "rows"),
         chosen_rays(columns, matrix.projector_shape, "columns"),
-        progress,
     )
     nbytes = 4 * prod(contents.shape)
     if nbytes > limit_bytes:
