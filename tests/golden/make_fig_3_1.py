@@ -1,7 +1,7 @@
 """Write fig_3_1.json: the walk-through of [thesis Fig. 3.1] and the patterns shown for it.
 
 Run it with ``python -m tests.golden.make_fig_3_1`` when a change of patterns is intended, and
-check the new ones against the caption with ``pytest tests/golden``.
+check the new ones against the caption; ``pytest tests/golden`` knows its counts alone.
 
 The 8x8 projector lights 64 camera pixels, ray by ray. Two things are added to reproduce the
 drawing. Camera pixel 64 sees one ray each of frames 6 and 12, pixel 65 one ray each of frames 8

@@ -13,7 +13,6 @@ from benchmarks.methods.cases import (
     SEEDS,
     Case,
     cases_of,
-    is_held_out,
     method_of,
     newest,
 )
@@ -45,16 +44,6 @@ def test_it_covers_all_methods_scenes_lights_and_seeds():
     assert len({case.key for case in cases}) == len(cases)
     coarsest = [next(c for c in cases if c.method == name).value for name in ("symmetric", "dual")]
     assert coarsest == [1e-2, 1e-2]
-
-
-def test_the_held_out_half_is_neither_empty_nor_all():
-    assert [is_held_out(f"seed {seed}") for seed in SEEDS] == [True, False, False]
-    for what in ("matt", "physical"):
-        held = [is_held_out(name) for name, kind in KINDS.items() if kind.what == what]
-        assert sum(held) <= 0.75 * len(held)
-    assert any(map(is_held_out, KINDS))
-    first = next(cases_of(SCENES))
-    assert not is_held_out(f"seed {first.seed}")  # those are looked at last
 
 
 @pytest.mark.slow

@@ -30,15 +30,6 @@ def test_permutation_is_recovered_exactly(shape: tuple[int, ...]) -> None:
     assert max(run.patterns) <= max(4, shape[0] if len(shape) == 3 else 0)
 
 
-def test_dense_random_matrix_degrades_to_brute_force() -> None:
-    matrix = np.random.default_rng(2).random((3, 240, 256))
-    run = acquire_matrix(Dual(), matrix, (12, 20), (16, 16), tolerance=1e-7)
-    assert run.patterns == [1, 4, 16, 64, 256]
-    error = dense(run.transport) - matrix
-    assert np.linalg.norm(error) <= 1e-4 * np.linalg.norm(matrix)
-    assert np.abs(error).max() <= 1e-4
-
-
 def test_the_brightest_channel_decides_for_all() -> None:
     matrix = np.zeros((2, 2, 4))
     matrix[:, 0, 0] = 1.0, 0.01  # bright in the first channel: both go down to the ray

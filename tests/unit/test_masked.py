@@ -11,7 +11,6 @@ from tests.helpers import dense, scene_matrices
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
-from rfpipe.photometry.normalize import level_gain
 from rfpipe.rigs import Rig
 from rfpipe.stages.acquire import AcquisitionResult
 from rfpipe.stages.evaluate import relative_rms
@@ -145,12 +144,6 @@ def test_no_significance_asked_of_unknown_pixels_gives_none() -> None:
     for method in ("dual", "symmetric"):
         result = acquire(rig, method, progress=False, noise_significance=0.0)
         assert np.isfinite(dense(result.transport)).all()
-    one = np.ones((2, 2, 1))
-    unknown = one.copy()
-    unknown[0, 0] = np.inf
-    gain = level_gain(one, 2 * one, unknown, "per_channel", True, 0.0, unknown)
-    assert gain.gain.ravel().tolist() == [1, 0.5, 0.5, 0.5]
-    assert gain.covered.ravel().tolist() == [False, True, True, True]
 
 
 def test_a_whole_corner_may_be_unknown() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.rivals.compressive import Compressive, pursue, rays_and_wavelets
+from benchmarks.rivals.compressive import Compressive
 from benchmarks.rivals.low_rank import LowRank
 from tests.helpers import acquire_matrix, dense
 
@@ -50,25 +50,6 @@ def of_rank(rank: int, rays: int = 256, seed: int = 0) -> np.ndarray:
 
 def relative(found: np.ndarray, matrix: np.ndarray) -> float:
     return float(np.linalg.norm(found - matrix) / np.linalg.norm(matrix))
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (8, 8), (5, 9), (3, 4, 5)])
-def test_the_dictionary_holds_all_rays_and_an_orthonormal_set_of_wavelets(
-    shape: tuple[int, ...],
-) -> None:
-    rays = RayDomain(shape).size
-    atoms = rays_and_wavelets(RayDomain(shape)).toarray()
-    np.testing.assert_array_equal(atoms[:rays], np.eye(rays))
-    np.testing.assert_allclose(atoms[rays:] @ atoms[rays:].T, np.eye(rays), atol=1e-12)
-
-
-def test_pursuit_finds_the_atoms_and_stops() -> None:
-    random = np.random.default_rng(1)
-    atoms = 3 * random.standard_normal((80, 40))
-    signals = np.stack([2 * atoms[7] - atoms[33], np.zeros(40), 5 * atoms[70]])
-    chosen, factors = pursue(atoms, signals, np.full(3, 1e-12), most=6)
-    assert [set(row[row >= 0].tolist()) for row in chosen] == [{7, 33}, set(), {70}]
-    np.testing.assert_allclose(np.sort(factors[0])[[0, -1]], [-1, 2], atol=1e-9)
 
 
 @pytest.mark.parametrize(("camera", "projector"), [((16, 16), (16, 16)), ((3, 4), (13, 17))])

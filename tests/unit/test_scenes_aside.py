@@ -4,6 +4,7 @@ from itertools import cycle
 
 import numpy as np
 import pytest
+from tests.helpers import dense
 
 from rfpipe import acquire
 from rfpipe.config import SceneSettings, parse_config, parse_rig_config
@@ -14,7 +15,6 @@ from rfpipe.scenes import (
     Occluder,
     Pinhole,
     planes_scene,
-    relighting_patterns,
     scene_from_config,
     surface_points,
 )
@@ -51,12 +51,6 @@ def lamp_at(geometry, shape):
 def aside(geometry, camera=(15, 18), projector=(12, 14), albedo=waves, **settings):
     lamp = lamp_at(geometry, projector)
     return aside_scene(GEOMETRIES[geometry], Pinhole(camera), lamp, albedo, **settings)
-
-
-def at_right_angles(shape):
-    """A projector beside the sphere."""
-    centre = np.array(GEOMETRIES["sphere_on_plane"][2].centre)
-    return Pinhole(shape, tuple(centre + np.array([2.0, -1.0, 0.0])), tuple(centre))
 
 
 class TestAside(SceneContract):
@@ -161,9 +155,6 @@ def test_settings_place_the_projector():
     lamp = lamp_at("wedge_120", (8, 10))
     direct = planes_scene("wedge_120", ("texture", "white"), (9, 12), projector=lamp, channels=1)
     assert made.describe() == direct.describe()
-    own = SceneSettings.of("plane", surfaces=("white",), projector={"position": (1, 0, 0)})
-    assert own.ray_shape == own.camera_ray_shape == (62, 70)
-    assert not own.is_coaxial
 
 
 def test_impossible_places_are_refused():
@@ -182,23 +173,10 @@ def test_impossible_places_are_refused():
         SceneSettings.of("plane", projector={"position": (0, 1, 3)})
 
 
-def test_dual_photography_at_right_angles():
-    """[Fig. 3.10]: the axes of camera and projector meet at right angles on a sphere."""
-    lamp = at_right_angles((16, 16))
-    assert abs(lamp.axes[2] @ [0, 0, 1]) < 1e-12
-    surfaces = ("texture", "white", "white")
-    scene = planes_scene("sphere_on_plane", surfaces, (16, 18), projector=lamp, channels=1)
-    result = acquire(SimulatedRig(scene), "dual", tolerance=1e-4, progress=False)
-    assert result.transport.projector_shape == (16, 16)
-    patterns = np.stack(list(relighting_patterns((16, 16)).values()))
-    truth = scene.apply(patterns).reshape(-1, 16, 18, 1)
-    relit = result.transport.relight_batch(patterns)
-    assert np.linalg.norm(relit - truth) < 0.02 * np.linalg.norm(truth)
-    # the dual image: what the projector would see by the camera's light
-    matrix = scene.dense()
-    seen = result.transport.T.relight(np.ones((16, 18)))
-    expected = matrix.sum(axis=0).reshape(16, 16, 1)
-    assert np.linalg.norm(seen - expected) < 0.05 * np.linalg.norm(expected)
+def test_a_scene_that_is_lit_from_aside_is_acquired():
+    scene = aside("sphere_on_plane", (7, 8), (5, 9))
+    transport = acquire(SimulatedRig(scene), "brute_force", progress=False).transport
+    np.testing.assert_allclose(dense(transport)[0], scene.dense(), rtol=1e-5)
 
 
 def test_methods_for_coaxial_rigs_are_refused():
@@ -208,6 +186,3 @@ def test_methods_for_coaxial_rigs_are_refused():
     assert parse_config({"scenes": {"lit": scene}, "methods": {"dual": {}}}, "mine.yaml")
     with pytest.raises(ConfigError, match=r"scene should be a coaxial one"):
         parse_rig_config({"bench": {"scene": {**scene, "channels": 1}}}, "bench.yaml")
-    missing = {**scene, "projector": {"look_at": [0, 0, 3]}}
-    with pytest.raises(ConfigError, match=r"scenes\.lit\.projector\.position is missing"):
-        parse_config({"scenes": {"lit": missing}}, "mine.yaml")

@@ -25,11 +25,6 @@ class TestSphere(SceneContract):
         return of_kind("sphere_on_plane", surfaces=surfaces, shape=(7, 8), channels=1)
 
 
-class TestColouredRoom(SceneContract):
-    def make_scene(self):
-        return of_kind("coloured_room", shape=(7, 8))
-
-
 class TestRoom(SceneContract):
     def make_scene(self):
         return of_kind("room", surfaces=("texture",) * 3, shape=(4, 5), views=(1, 2))
@@ -107,8 +102,3 @@ def test_what_is_wrong_is_found(scene, test, message):
 
     with pytest.raises(AssertionError, match=message):
         getattr(Suite(), f"test_{test}")()
-
-
-class TestDim(SceneContract):
-    def make_scene(self):
-        return Dim()

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from scipy.sparse.linalg import LinearOperator
 
 from rfpipe.config import SceneSettings
 from rfpipe.errors import InputError
@@ -18,8 +17,6 @@ from rfpipe.scenes.light_field import (
     room_panels,
     sightings,
 )
-from rfpipe.scenes.sight import overlaps
-from rfpipe.testing import dot_test
 
 SURFACES = ("texture", "white", "white")
 SCREEN = Panel((0, 0, 3), (3, 0, 0), (0, 3, 0), "screen", "white", (1, 1, 1))
@@ -52,28 +49,6 @@ def test_views_span_the_angles_and_look_at_the_scene():
         assert view.axes[2] @ way == pytest.approx(np.linalg.norm(way))
 
 
-def test_texels_are_rows_of_the_panel_as_seen_from_its_front():
-    assert SCREEN.plane.heights(np.zeros(3)) == pytest.approx(3)
-    grid = TexelGrid([SCREEN, SCREEN], 2.0)
-    assert grid.shapes.tolist() == [[3, 3], [3, 3]]
-    points = grid.points(np.array([0, 1, 3, 13]))
-    assert points.surface.tolist() == [0, 0, 0, 1]
-    assert points.positions.tolist() == [[-2, -2, 3], [0, -2, 3], [-2, 0, 3], [0, 0, 3]]
-    assert points.areas.tolist() == [4] * 4
-
-
-def test_boxes_are_shared_out_between_the_cells_they_overlap():
-    place, width = (
-        np.array([[4.5, 2.5], [3, 3], [0, 6]]),
-        np.array([[0.5, 0.5], [0.5, 0.5], [0, 2]]),
-    )
-    box, row, column, share = overlaps(place, width)
-    assert np.bincount(box, share) == pytest.approx(np.ones(3))
-    cells = [list(zip(row[box == k], column[box == k], strict=True)) for k in range(3)]
-    assert cells == [[(4, 2)], [(2, 2), (2, 3), (3, 2), (3, 3)], [(0, 5), (0, 6)]]
-    assert share[box == 1] == pytest.approx(np.full(4, 0.25))
-
-
 def test_pixels_see_texels_in_whole_and_footprints_add_up():
     views = array_of((3, 3), SPAN, (26, 40))
     seen, _ = sightings(views, TexelGrid(room_panels(SURFACES), DISTANCE * views[0].pitch))
@@ -94,12 +69,11 @@ def test_a_uniformly_lit_screen_has_no_ripples():
     assert max(np.abs(part).max() for part in second) < 0.02
 
 
-def test_the_matrix_is_symmetric_and_each_bounce_adds_to_it(small):
+def test_each_bounce_adds_light(small):
     matrices = [
         room_scene(SURFACES, (8, 12), views=(2, 2), bounces=bounces).dense(1)
         for bounces in (1, 2, 3)
     ]
-    assert all(np.array_equal(matrix, matrix.T) for matrix in matrices)
     assert (matrices[1] >= matrices[0]).all()
     assert (matrices[2] >= matrices[1]).all()
     floodlit = [matrix.sum() for matrix in matrices]
@@ -107,18 +81,12 @@ def test_the_matrix_is_symmetric_and_each_bounce_adds_to_it(small):
     assert np.array_equal(matrices[2], small.dense(1))
 
 
-def test_compressed_scenes_make_the_same_light_and_are_their_own_transpose(monkeypatch):
+def test_compressed_scenes_make_the_same_light(monkeypatch):
     plain, packed = (room_scene(SURFACES, (20, 30), views=(2, 2), channels=1) for _ in range(2))
     patterns = np.random.default_rng(0).random((2, *plain.shape))
     exact = plain.apply(patterns)
     monkeypatch.setattr("rfpipe.scenes.radiosity.DENSE_LIMIT", 0)
     assert packed.apply(patterns) == pytest.approx(exact, rel=1e-5)
-    rays = 4 * 20 * 30
-
-    def lit(pattern):
-        return packed.apply(pattern.reshape(1, rays)).ravel()
-
-    dot_test(LinearOperator((rays, rays), matvec=lit, rmatvec=lit, dtype=np.float32))
 
 
 @pytest.mark.parametrize("shape", [(8, 12), (26, 40)])

@@ -1,8 +1,6 @@
 """The transport of radiosity scenes: formulas, energy, occluders, compression, determinism."""
 
 import json
-import subprocess
-import sys
 from itertools import cycle
 
 import numpy as np
@@ -16,7 +14,6 @@ from rfpipe.plugins import SCENES, names
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes import (
     GEOMETRIES,
-    REFERENCE_SCENES,
     Occluder,
     RadiosityScene,
     planes_scene,
@@ -25,8 +22,8 @@ from rfpipe.scenes import (
     surface_points,
 )
 from rfpipe.scenes.formfactors import facing_pairs
-from rfpipe.scenes.geometries import TINTS, WHITE, names_of
-from rfpipe.scenes.radiosity import DENSE_LIMIT, FormFactors
+from rfpipe.scenes.geometries import WHITE, names_of
+from rfpipe.scenes.radiosity import FormFactors
 
 TILTED = Occluder((0.2, 0.1, 1.5), (0.2, 0, 0.1), (0, 0.15, 0.05))  # seen by the camera
 
@@ -55,20 +52,6 @@ def cosines_of(points):
     here = np.maximum(np.einsum("ijx,ix->ij", to, normals), 0)
     there = np.maximum(-np.einsum("ijx,jx->ij", to, normals), 0)
     return here, there, np.maximum((to**2).sum(2), points.mean_area)
-
-
-@pytest.mark.parametrize("name", REFERENCE_SCENES)
-@pytest.mark.parametrize("shape", [(16, 16), (9, 13)])
-def test_reference_scenes_are_symmetric_and_apply_is_their_matrix(name, shape):
-    scene = reference_scene(name, shape)
-    patterns = random_patterns(5, shape[0] * shape[1])
-    radiance = scene.apply(patterns)
-    for channel in range(3):
-        matrix = scene.dense(channel)
-        assert np.array_equal(matrix, matrix.T)
-        assert (matrix >= 0).all()
-        assert np.array_equal(matrix, np.diag(np.diag(matrix))) is (name == "I")
-        assert radiance[..., channel] == pytest.approx(patterns @ matrix, rel=1e-5)
 
 
 def test_matrix_follows_the_formulas_entry_by_entry():
@@ -152,51 +135,40 @@ def test_occluder_in_view_is_black():
     seen = (scene.albedo == 0).all(-1)
     assert seen[int((y / z + 0.5) * 20), int(x / z * 20 + 11)]
     assert 0.01 < seen.mean() < 0.2
-    matrix = scene.dense(0)
-    assert not matrix[seen.ravel()].any()
-    assert np.array_equal(matrix, matrix.T)
+    assert not scene.dense(0)[seen.ravel()].any()
 
 
 @pytest.mark.parametrize("geometry", ["sphere_on_plane", "coloured_room"])
 def test_nothing_shines_through_a_block_or_a_sphere(geometry):
     points = surface_points((16, 18), GEOMETRIES[geometry])
-    entries = FormFactors(points, compress=False).apply(np.eye(16 * 18))
+    entries = FormFactors(points, compress=False).apply(np.eye(16 * 18))[::2]
     faces = [each for each in points.surfaces if each.name == "block"]
     inside = np.full(entries.shape, -np.inf)  # how deep a segment goes into either, scene units
     for place in np.linspace(0, 1, 300)[1:-1]:
-        on_way = (1 - place) * points.positions[:, None] + place * points.positions
+        on_way = (1 - place) * points.positions[::2, None] + place * points.positions
         inside = np.maximum(inside, -points.surfaces[-1].heights(on_way))
         if faces:
             in_block = -np.max([face.heights(on_way) for face in faces], axis=0)
             inside = np.maximum(inside, in_block)
-    here, there, squared = cosines_of(points)
+    here, there, squared = (each[::2] for each in cosines_of(points))
     expected = here * there / (np.pi * squared**2)
     lit = (np.minimum(here, there) > 1e-9) & (inside < -2e-2)
     shadow = (inside > 1e-6) & (expected > 0)
     assert not entries[inside > 1e-6].any()
     assert entries[lit] == pytest.approx(expected[lit], rel=1e-9)
-    assert (shadow.sum(), lit.sum()) > (100, 5000)
+    assert shadow.sum() > 100
+    assert lit.sum() > 5000
 
 
-def test_the_coloured_room_shows_its_colours_and_casts_them():
+def test_the_coloured_room_casts_its_colours():
     room = planes_scene("coloured_room", ("white",) * 7, (32, 36))
     on = np.array([surface.name for surface in room.points.surfaces])[room.points.surface]
     red, green, blue = room.apply((on == "left wall")[None])[0, on == "back wall"].mean(axis=0)
     assert red > 2 * green > 2 * blue > 0  # white, in red light
-    assert TINTS["coloured_room"].keys() == set(on)
-    for name, tint in TINTS["coloured_room"].items():
-        seen = room.albedo.reshape(-1, 3)[on == name]
-        assert seen == pytest.approx(np.broadcast_to(WHITE * np.array(tint), seen.shape))
 
 
-def test_large_rooms_are_compressed_by_themselves():
-    points = surface_points((128, 128), GEOMETRIES["corner"])
-    assert sum(pair.size for pair in facing_pairs(points)) > DENSE_LIMIT
-
-
-@pytest.mark.parametrize("limit", [0, DENSE_LIMIT])
-def test_a_pattern_gives_the_same_bits_in_any_company(limit, monkeypatch):
-    monkeypatch.setattr("rfpipe.scenes.radiosity.DENSE_LIMIT", limit)
+def test_a_pattern_gives_the_same_bits_in_any_company_though_compressed(monkeypatch):
+    monkeypatch.setattr("rfpipe.scenes.radiosity.DENSE_LIMIT", 0)
     scene = textured((21, 23))
     patterns = random_patterns(35, 21 * 23)
     together = scene.apply(patterns)
@@ -205,26 +177,13 @@ def test_a_pattern_gives_the_same_bits_in_any_company(limit, monkeypatch):
     assert np.array_equal(scene.apply(patterns[34:])[0], together[34])
 
 
-def test_small_scenes_need_neither_numba_nor_scipy():
-    code = (
-        "import sys, numpy\n"
-        "from rfpipe.scenes import reference_scene\n"
-        "reference_scene('IV', (12, 14)).apply(numpy.ones((1, 168)))\n"
-        "sys.exit(bool({'numba', 'scipy'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 @pytest.mark.parametrize("shape", [(168,), (2, 167), (2, 14, 12), (1, 2, 12, 14)])
-def test_patterns_of_another_shape_are_refused(shape):
+def test_patterns_of_another_shape_or_not_finite_are_refused(shape):
     with pytest.raises(InputError, match=r"expected \(patterns, 168\)"):
         textured().apply(np.zeros(shape))
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_patterns_that_are_not_finite_are_refused(value):
-    with pytest.raises(InputError, match="NaN or infinity"):
-        textured().apply(np.full((2, 168), value))
+    for value in (np.nan, np.inf):
+        with pytest.raises(InputError, match="NaN or infinity"):
+            textured().apply(np.full((2, 168), value))
 
 
 def test_dense_is_refused_where_it_would_not_fit():

@@ -29,13 +29,32 @@ def involution(size, seed):
     return matrix
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-6])
-def test_a_random_matrix_degrades_to_brute_force_and_is_recovered(tolerance):
-    matrix = np.random.default_rng(0).random((256, 256))
+def rank_3():
+    """Return indirect light that is smooth and of rank 3, of 16 x 16 rays."""
+    y, x = np.indices((16, 16)).reshape(2, -1) / 16
+    terms = np.stack([1 + x, 1 + y, 1.5 - x * y])
+    return terms.T @ terms
+
+
+@pytest.mark.parametrize(
+    ("shape", "tolerance", "patterns"),
+    [
+        ((16, 16), 1e-3, 341),  # as brute force
+        ((16, 16), 1e-6, 341),
+        ((1, 1), 1e-6, 1),
+        ((1, 37), 1e-6, None),
+        ((37, 1), 1e-6, None),
+        ((13, 29), 1e-6, None),
+        ((2, 3, 5), 1e-6, None),
+    ],
+)
+def test_a_random_matrix_of_any_size_is_recovered(shape, tolerance, patterns):
+    size = int(np.prod(shape))
+    matrix = np.random.default_rng(3).random((size, size))
     matrix += matrix.T
-    result = acquire(matrix, (16, 16), tolerance)
+    result = acquire(matrix, shape, tolerance)
     assert relative_error(result.transport, matrix) < 1e-6
-    assert result.patterns == 1 + 4 + 16 + 64 + 256
+    assert patterns in (None, result.patterns)
 
 
 def test_a_diffuse_cavity_is_known_after_the_first_subdivision():
@@ -46,6 +65,31 @@ def test_a_diffuse_cavity_is_known_after_the_first_subdivision():
     assert result.levels["rank1"].sum() == 1
 
 
+def test_smooth_light_of_rank_3_is_found_in_few_patterns():
+    result = acquire(rank_3(), (16, 16), tolerance=1e-6)
+    assert relative_error(result.transport, rank_3()) < 1e-6
+    assert result.patterns < 60
+    assert result.levels["rank_k"].sum() > 100
+
+
+def test_terms_within_noise_are_left_out_and_dim_light_remains():
+    """A term below the camera's noise would be noise divided by noise."""
+    matrix = np.stack([rank_3(), np.full((256, 256), 0.03)])
+    run = acquire_matrix(Symmetric(), matrix, (16, 16), (16, 16), tolerance=1e-6, sigma=0.3)
+    assert relative_rms(dense(run.transport)[0], matrix[0]) < 0.0045
+    assert relative_rms(dense(run.transport)[1], matrix[1]) < 0.19
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_is_not_smooth_is_not_multiplied(seed):
+    """Its sums nearly cancel, and would be divided by."""
+    grain = 0.01 * np.random.default_rng(seed).standard_normal((256, 256))
+    place = np.indices((16, 16)).reshape(2, -1) / 16
+    squared = np.square(place[:, :, None] - place[:, None]).sum(axis=0)
+    matrix = (1 + grain + grain.T) / (squared + 0.3)
+    assert relative_error(acquire(matrix, (16, 16)).transport, matrix) < 0.02
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("shape", [(16, 16), (1, 64), (13, 29)])
 def test_a_permutation_is_recovered_though_every_coarse_piece_looks_rank_one(shape, seed):
@@ -53,22 +97,6 @@ def test_a_permutation_is_recovered_though_every_coarse_piece_looks_rank_one(sha
     result = acquire(matrix, shape)
     assert relative_error(result.transport, matrix) < 1e-6
     assert result.patterns < len(matrix)
-
-
-def test_a_mirror_takes_few_patterns():
-    matrix = np.eye(256)[::-1]
-    result = acquire(matrix, (16, 16))
-    assert relative_error(result.transport, matrix) < 1e-6
-    assert result.patterns < 40
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 37), (37, 1), (13, 29), (2, 3, 5)])
-def test_domains_of_any_size(shape):
-    size = int(np.prod(shape))
-    matrix = np.random.default_rng(3).random((size, size))
-    matrix += matrix.T
-    result = acquire(matrix, shape, tolerance=1e-6)
-    assert relative_error(result.transport, matrix) < 1e-6
 
 
 def test_direct_light_100000_times_the_indirect_does_not_spoil_it():
@@ -143,11 +171,3 @@ def test_errors_of_many_leaves_do_not_add_up_beyond_the_tolerance(seed):
         errors.append(picture_error(transport, matrix, patterns))
         assert errors[-1] < 3 * tolerance
     assert errors == sorted(errors, reverse=True)
-
-
-@pytest.mark.slow
-def test_noise_alone_is_not_taken_for_light_among_many_tests():
-    albedo = np.random.default_rng(4).uniform(0.2, 1, 64 * 64)
-    for seed in range(3):
-        levels = acquire(np.diag(albedo), (64, 64), 1e-5, CameraModel(), seed).levels
-        assert levels["scalar"].sum() == 64 * 64  # the diagonal, and nothing beside it
