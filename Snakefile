@@ -8,8 +8,8 @@ verified by pictures that no method saw (verification), relit, compared with the
 page on which one paints with light (view), and reported.
 
 Each stage leaves a store and, written last, a small manifest beside it, in
-results/{scene}/{method}/L{level}: rules know manifests alone. A store knows what it was made from,
-and a capture that was stopped goes on at its journal. Where the setting resources.jobs is
+results/{scene}/{method}/L{level}: rules depend on manifests alone. A store knows what it was
+made from, and a capture that was stopped goes on at its journal. Where the setting resources.jobs is
 acquisition, a single job takes an acquisition through the same stages, to the same bytes.
 """
 

@@ -10,9 +10,9 @@ from rfpipe.stages.jobs.workers import machine_memory_mb
 from rfpipe.stages.plan import code_of, plan_of, rig_of, stages_of
 
 for configfile in workflow.configfiles:
-    read_yaml(configfile)  # finds what Snakemake reads otherwise than it was meant
+    read_yaml(configfile)  # refuses YAML that Snakemake would take for something else
 if len(workflow.configfiles) == 1:
-    load_config(workflow.configfiles[0])  # finds keys that stand twice, too
+    load_config(workflow.configfiles[0])  # refuses keys that stand twice, too
 SETTINGS = parse_config(
     config, "the configuration", [Path(file).parent for file in workflow.configfiles]
 )

@@ -90,7 +90,7 @@ class LevelImages(Protocol):
     def read(self, first: int, last: int) -> tuple[Float, Float]:
         """Return radiance and variance, each float32 ``(last - first, *camera_shape, C)``.
 
-        What the camera doesn't know has a radiance of 0 and an infinite variance: it is no
+        A pixel that can't be trusted has a radiance of 0 and an infinite variance: it is no
         evidence of anything. The same pixels are unknown in all images of an acquisition.
         """
 
@@ -157,7 +157,7 @@ class Method(ABC, Generic[State]):
     trials: tuple[float, ...] = ()
 
     def with_options(self, options: Any) -> Method[Any]:
-        """Return the method that goes by these options: this one, or another made of it."""
+        """Return the method that these options ask for: this one, or another made of it."""
         return self
 
     def check(self, camera: RayDomain, projector: RayDomain) -> None:
@@ -175,7 +175,7 @@ class Method(ABC, Generic[State]):
         return self.needs_coaxial_rig
 
     def on_rig(self, coaxial: bool) -> Method[Any]:
-        """Return the method that goes on where that measurement says coaxial, or not."""
+        """Return the method that goes on after that measurement, which found T symmetric or not."""
         return self
 
     @abstractmethod

@@ -25,8 +25,8 @@ from rfpipe.transport.pairs import PairSet, by_level, fold, looks_symmetric, no_
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
 
-# What the responses stored for a pixel may come to, added up like noise, in tolerances of the
-# floodlit image's root mean square. A tenth of that or less of a picture is wrong by their spread.
+# Responses stored for one pixel, added up like noise, come to as many tolerances of the floodlit
+# image's root mean square at most. A tenth of that or less is wrong by how they are spread.
 _TOGETHER = 28.0
 
 # What becomes of a response.
@@ -223,9 +223,8 @@ def _judge(
     """Decide what becomes of responses (n, C), all channels together.
 
     A response is subdivided only where its children can be told from noise too: an average child
-    has to be significant. `noise` is the radiance above which a response is significant,
-    `threshold` that below which it is stored rather than subdivided; `children` is 0 where it can't
-    be.
+    has to be significant. Above the radiance `noise` a response is significant, below `threshold`
+    it is stored rather than subdivided; `children` is 0 for blocks that can't be subdivided.
     """
     significant = (response > noise).any(axis=1)
     limit = np.maximum(threshold, children[:, None] * noise)

@@ -49,7 +49,7 @@ class AcquisitionResult:
     masked : ndarray of bool, shape (*camera_shape)
         Camera rays that were left out, since they are dead or hot.
     verification : Verification or None
-        What the transport is wrong by on pictures that the method didn't see, if any were taken;
+        Errors of the transport on pictures that the method didn't see, if any were taken;
         ``verification.table`` has a row a picture.
     """
 
@@ -125,7 +125,7 @@ def acquire(
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
-        ``target_error``, the mean error of relit pictures at which these and "near_far" stop.
+        ``target_error``, the mean error of relit pictures at which most methods can stop.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def acquire(
     ------
     InputError
         If the method lacks an option, one is out of range, the method does not fit the rig, or
-        the rig is none.
+        `rig` can't capture.
     CaptureError
         If the rig fails or returns what can't be a picture, or isn't coaxial and the method needs
         it.

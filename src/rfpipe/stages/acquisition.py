@@ -38,8 +38,8 @@ def run(
 ) -> None:
     """Acquire a scene by a method, or what is missing of it; ``transport.json`` comes last.
 
-    The caller locks the folder. What a stage finds damaged of those before it is made anew, once,
-    captures apart; other errors are those of the stages, and what is done is kept.
+    The caller locks the folder. Where a stage finds an earlier one damaged, that one is made anew,
+    once, unless it is a capture. Other errors are those of the stages; what is done is kept.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def run(
     when_patterns_change : {"recapture", "refuse"}
         What to do when pictures of other patterns, or of another rig, stand there.
     warm_up_minutes : float
-        For how long the lamp warms up when no bracket was taken for as long.
+        Minutes that the lamp warms up, where no bracket was taken in the last so many minutes.
     watching : mapping, optional
         Of `rfpipe.stages.watch.watching_level`: "mode" and "looks".
 
@@ -82,7 +82,7 @@ def run(
     StoreError
         When the level doesn't fit on the disk, or another process writes it; nothing is shown then.
     CaptureError
-        When the rig fails, returns what is no bracket, or moved and that is to end the capture;
+        When the rig fails, returns what is no bracket, or moved where `watching` refuses that;
         what is captured stays.
     """
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)

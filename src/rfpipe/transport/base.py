@@ -71,7 +71,7 @@ class Light(MatrixAlgebra):
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
 
-        Of others' light it may lack any; both are bool (rays,).
+        Light between other rays may be missing. Both are bool (rays,).
         """
         return self
 
@@ -140,13 +140,13 @@ class Transport(Light):
     level_rows : list of dict
         The rows of `levels`.
     held
-        Arrays, or what has arrays, in memory or read when used.
+        Its arrays, or objects that hold them, in memory or read when used.
     nbytes : int, optional
         Bytes on disk; by default those of the arrays in memory.
     """
 
     kind: ClassVar[str]
-    """By which stores name the class."""
+    """The name of the class in stores."""
 
     stored_names: ClassVar[tuple[str, ...]] = ("camera_shape", "projector_shape")
     """Attributes that a store keeps and the constructor takes, beside channels and levels."""

@@ -43,13 +43,13 @@ from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
-# By how many tolerances a half-lit picture may be wrong if all nodes of a level are as far off as
+# Error of a half-lit picture, in tolerances of its norm, if all nodes of a level are as far off as
 # they may be.
 _TOGETHER = 3.5
 
 
 class SymmetricOptions(TargetOptions):
-    """What symmetric photography may be told."""
+    """The options of symmetric photography."""
 
     tolerance: Fraction = Field(
         1e-3,
@@ -127,7 +127,7 @@ class Symmetric(Descent[SymmetricState]):
     def refine(
         self, state: SymmetricState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> SymmetricState:
-        """Test the unknown nodes against the level's images; keep, or subdivide."""
+        """Test the unknown nodes by the level's images; keep them as leaves, or subdivide them."""
         if state.level == 0:
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
