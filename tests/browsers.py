@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from base64 import b64decode
+from base64 import b64decode, b64encode
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +34,9 @@ def wait_until(page: Any, condition: str, seconds: float = 60) -> None:
     pytest.fail(f"{condition}: not in {seconds} s; the page says {status!r}, {page.said}")
 
 
-_PICTURE = """async ([light, dual, level, off]) => {
+_PICTURE = """async ([light, dual, level]) => {
   const bytes = Uint8Array.from(atob(light), (c) => c.charCodeAt(0));
-  const parts = MANIFEST.parts.map((name) => !off.includes(name));
+  const parts = MANIFEST.parts.map(() => true);
   const picture = await engine.picture({ light: new Float32Array(bytes.buffer),
     colour: Array(MANIFEST.channels).fill(1), dual, level, parts });
   const all = new Uint8Array(picture.buffer);
@@ -48,12 +48,8 @@ _PICTURE = """async ([light, dual, level, off]) => {
 }"""
 
 
-def picture_of(
-    page: Any, light: NDArray[Any], level: int, *, dual: bool = False, off: tuple[str, ...] = ()
-) -> NDArray[np.float32]:
+def picture_of(page: Any, light: NDArray[Any], level: int, dual: bool) -> NDArray[np.float32]:
     """What a page makes of planar light (C, rays), as one flat array."""
-    from base64 import b64encode
-
     given = b64encode(np.ascontiguousarray(light, "<f4").tobytes()).decode()
-    found = page.evaluate(_PICTURE, [given, dual, level, list(off)])
+    found = page.evaluate(_PICTURE, [given, dual, level])
     return np.frombuffer(b64decode(found), "<f4")

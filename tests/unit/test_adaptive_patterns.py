@@ -59,23 +59,6 @@ def test_bands_of_equal_range_are_lit_together() -> None:
     assert (bands[probes].mean(axis=(1, 2)) == 0.5).all()
 
 
-def test_every_fourth_probe_is_a_strip_on_one_side_of_the_crease() -> None:
-    patterns = probe_patterns(SHAPE, 2, 40, crease())
-    left, right = patterns[..., :20].any(axis=(1, 2)), patterns[..., 20:].any(axis=(1, 2))
-    strip = np.arange(40) % 4 == 0
-    assert (left ^ right)[strip].all()
-    assert (left & right)[~strip].all()
-    assert left[strip].any()
-    assert right[strip].any()
-    sizes = patterns[strip].mean(axis=(1, 2))
-    # one side of what is nearest, from a hundredth of the image to three tenths
-    assert 0 < sizes.min() < 0.03
-    assert 0.08 < sizes.max() <= 0.16
-    for lit in patterns[strip]:
-        columns = CREASE[lit.any(axis=0)]
-        assert columns.max() < len(columns), "not the columns that are nearest"
-
-
 def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
     strip = held_out_strip(crease().nearness)
     assert strip.sum() == strip.size // 32
@@ -107,14 +90,6 @@ def test_blocks_are_of_cells_and_of_one_size_a_pattern(shape: tuple[int, ...]) -
         assert 0.2 < found.mean() < 0.4
         edges = (found[:, :, 1:] != found[:, :, :-1]).mean(axis=(1, 2))
         assert (np.diff(edges[:4]) < 0).all()
-
-
-def test_patterns_of_footprints_are_of_three_kinds_of_detail_in_turn() -> None:
-    shown = view_patterns((13, 17), 3, 6)
-    assert (np.abs(shown.mean(axis=(1, 2)) - 0.5) < 0.01).all()
-    assert len({each.tobytes() for each in (*shown, *view_patterns((13, 17), 4, 6))}) == 12
-    changes = [(each[:, 1:] != each[:, :-1]).mean() for each in shown[:3]]
-    assert changes[0] < changes[2] < changes[1]  # very coarse, white, between
 
 
 def test_views_are_lit_one_at_a_time_first_all_of_each() -> None:

@@ -7,7 +7,7 @@ import pytest
 from tests.helpers import acquire_matrix, dense
 
 from rfpipe.methods.dual import Dual
-from rfpipe.transport import Transport, open_transport, save_transport
+from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.filling import fill_from_transpose
 from rfpipe.transport.low_rank import LowRankTransport
@@ -63,28 +63,23 @@ def test_rows_of_dual_photography_stay_pairs() -> None:
     assert (np.diff(order) > 0).all()
 
 
-@pytest.mark.parametrize("kind", ["nothing masked", "another domain", "not symmetric", "filled"])
+@pytest.mark.parametrize(
+    "kind",
+    ["nothing masked", "another domain", "not symmetric", "filled", "neither row nor column"],
+)
 def test_nothing_to_fill(kind: str) -> None:
     mask, transport = MASK, of_matrix(without_rows(symmetric()))
+    random = np.random.default_rng(1).random((1, RAYS, RAYS)).astype(np.float32)
     if kind == "nothing masked":
         mask = np.zeros_like(MASK)
     elif kind == "another domain":
         transport = of_matrix(np.zeros((1, 8, RAYS), np.float32), (2, 4))
         mask = np.ones((2, 4), np.bool_)
     elif kind == "not symmetric":
-        matrix = np.random.default_rng(1).random((1, RAYS, RAYS)).astype(np.float32)
-        transport = of_matrix(without_rows(matrix))
-    else:
+        transport = of_matrix(without_rows(random))
+    elif kind == "filled":
         transport = of_matrix(symmetric())
+    else:
+        arrays = {"left": random[:, :2] * ~MASK.ravel(), "strengths": np.ones((1, 2), np.float32)}
+        transport = LowRankTransport(SHAPE, SHAPE, 1, [], arrays)
     assert fill_from_transpose(transport, mask) is transport
-
-
-def test_what_has_neither_row_nor_column_stays_dark() -> None:
-    left = np.random.default_rng(1).random((1, 2, RAYS)).astype(np.float32)
-    left[..., MASK.ravel()] = 0
-    arrays = {
-        "left": left,
-        "strengths": np.ones((1, 2), np.float32),
-    }
-    transport: Transport = LowRankTransport(SHAPE, SHAPE, 1, [], arrays)
-    assert fill_from_transpose(transport, MASK) is transport

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from tests.helpers import dense, picture_error
 
-from rfpipe.blocks import RayDomain
-from rfpipe.methods import options_of
-from rfpipe.methods.adaptive.footprints.functions import chart_of
-from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
+from rfpipe.methods.adaptive.footprints.method import Footprints, in_round
 from rfpipe.scenes import room_scene
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MethodContract, run_method
@@ -41,28 +38,6 @@ def errors(transport: Any, matrix: np.ndarray) -> float:
     return picture_error(transport, matrix, shown)
 
 
-def rounds_of(views: int, *numbers: int) -> int:
-    return sum(in_round(number, views) for number in numbers)
-
-
-def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> None:
-    from scipy.sparse import csr_array
-
-    camera = RayDomain((2, 4, 6))
-    seen = np.zeros((48, 24), np.float32)
-    ray = np.arange(24)
-    seen[ray, ray] = 1  # the first view is the middle one
-    moved = np.flatnonzero(ray % 6 < 4)
-    seen[24 + moved, moved + 2] = 1  # the second looks two pixels to the right, its edge beyond
-    chart = chart_of(camera, csr_array(seen), (4, 6), np.ones(48, np.float32))
-    margin = (chart.shape[1] - 6) // 2
-    row, column = ray // 6 + 0.5, ray % 6 + 0.5
-    assert chart.places is not None
-    np.testing.assert_allclose(chart.places[:24] - margin, np.stack([row, column], axis=1))
-    np.testing.assert_allclose(chart.places[24:] - margin, np.stack([row, column + 2], axis=1))
-    assert chart.shape == (8, 10)
-
-
 class OnViews(MethodContract):
     """The contract where there are views."""
 
@@ -82,7 +57,7 @@ def test_a_state_of_views_is_restored() -> None:
 def test_a_light_field_is_good_after_few_patterns() -> None:
     matrix, target = room(), 0.015
     done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=2e-4, target_error=target)
-    assert sum(done.patterns) <= 1 + 6 + rounds_of(VIEWS, 0, 1)
+    assert sum(done.patterns) <= 1 + 6 + in_round(0, VIEWS) + in_round(1, VIEWS)
     error, told = errors(done.transport, matrix), done.states[-1].estimates[-1].error
     assert error < 1.3 * target
     assert 1 / 2 < told / error < 2
@@ -97,13 +72,3 @@ def test_cameras_that_stand_beside_the_projectors() -> None:
     found, truth = dense(done.transport)[0], matrix[0]
     shown = np.random.default_rng(0).random((360, 5)) < 0.4
     assert relative_rms(found @ shown, truth @ shown) < 0.03
-
-
-def test_the_forecast_grows_with_the_views_and_few_patterns_are_not_tried() -> None:
-    method, domain = Footprints(), RayDomain(SHAPE)
-    assert method.expected_patterns(domain, domain, options_of(method)) == 360
-    large = RayDomain((9, 130, 200))
-    assert method.expected_patterns(large, large, options_of(method)) == most_of(9)
-    done = run_method(method, room(), SHAPE, SHAPE, patterns=12)
-    assert sum(done.patterns) <= 12
-    assert np.isfinite(dense(done.transport)).all()

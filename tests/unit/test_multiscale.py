@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.helpers import dense
 
 from rfpipe.transport.multiscale import (
     REACH,
     MultiscaleBasis,
-    MultiscaleTransport,
     cells,
     functions_over,
 )
 
-ROWS = [{"level": level, "patterns": 3} for level in range(4)]
 SHAPES = [(1, 1), (1, 37), (13, 29), (12, 10), (2, 3, 5)]
 
 
@@ -32,17 +29,6 @@ def some_functions(shape: tuple[int, ...]) -> np.ndarray:
         wanted[0, :2, :2] = True
         parts.append(functions_over(scale, wanted))
     return np.concatenate(parts)
-
-
-def made(shape: tuple[int, ...], channels: int = 3, seed: int = 0) -> MultiscaleTransport:
-    random = np.random.default_rng(seed)
-    basis = MultiscaleBasis(shape, some_functions(shape))
-    arrays = {
-        "factor": random.random((channels, int(np.prod(shape)))).astype(np.float32),
-        "functions": basis.functions,
-        "cores": random.standard_normal((channels, len(basis.first))).astype(np.float32),
-    }
-    return MultiscaleTransport(shape, channels, ROWS, arrays)
 
 
 def spline(distance: float) -> float:
@@ -108,16 +94,3 @@ def test_pairs_are_those_within_reach_each_once(shape: tuple[int, ...]) -> None:
     assert len(pairs) == len(set(pairs))
     assert set(pairs) == expected
     assert basis.first.dtype == basis.second.dtype == np.int32
-
-
-def test_pairs_may_be_some_of_the_basis() -> None:
-    whole = made((6, 7))
-    arrays, _ = whole.pack()
-    pairs = np.stack([whole.basis.first, whole.basis.second])
-    parts = []
-    for chosen in (np.arange(pairs.shape[1]) % 3 == 0, np.arange(pairs.shape[1]) % 3 != 0):
-        own = arrays | {"pairs": pairs[:, chosen], "cores": arrays["cores"][:, chosen]}
-        parts.append(MultiscaleTransport((6, 7), 3, [], own))
-    expected = dense(whole)
-    np.testing.assert_allclose(dense(parts[0]) + dense(parts[1]), expected, atol=1e-5)
-    assert not np.allclose(dense(parts[0]), expected, atol=1e-2)

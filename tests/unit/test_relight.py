@@ -1,7 +1,5 @@
 """Relighting beside the truth, and where along a line the leaves are."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,12 +12,10 @@ from rfpipe.scenes import (
     scene_from_config,
     scene_patterns,
 )
-from rfpipe.stages import relight
 from rfpipe.stages.acquire import acquire
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.relight import NO_LEAF, leaf_levels, relit_arrays
-from rfpipe.store import open_arrays, read_manifest, write_manifest
-from rfpipe.transport import Transport, save_transport
+from rfpipe.transport import Transport
 
 SCENE = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=(9, 12), channels=3)
 
@@ -95,28 +91,3 @@ def test_the_level_map_says_where_entries_are_held(transports, method, row):
 
 def test_a_transport_without_leaves_has_no_level_map(transports):
     assert leaf_levels(transports["brute_force"], 4, 4) is None
-
-
-def acquired(folder: Path, transport: Transport) -> Path:
-    """Write a transport as the assemble stage does."""
-    digest = save_transport(transport, folder / "transport.zarr")
-    manifest = {"scene": "corner", "method": "symmetric", "digest": digest, "patterns": 7}
-    write_manifest(folder / "transport.json", {**manifest, "options": {"tolerance": 1e-3}})
-    return folder
-
-
-def test_the_stage_leaves_images_and_a_manifest_again_the_same(transports, tmp_path):
-    folder = acquired(tmp_path / "corner" / "symmetric", transports["symmetric"])
-    relight.run(folder, SCENE, "code 1")
-    manifest = read_manifest(folder / "relight.json")
-    bundle = open_arrays(folder / "relight.zarr")
-    assert manifest["digest"] == bundle.digest
-    assert manifest["names"] == [*relighting_patterns((9, 12)), CREASE]
-    assert manifest["patterns"] == 7
-    assert manifest["bytes"] == sum(
-        path.stat().st_size for path in (folder / "transport.zarr").rglob("*") if path.is_file()
-    )
-    first = (folder / "relight.json").read_bytes()
-    (folder / "relight.json").unlink()
-    relight.run(folder, SCENE, "code 1")
-    assert (folder / "relight.json").read_bytes() == first

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,9 @@ from tests.helpers import dense, picture_error, scene_matrices
 import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import Method, Pack, get_method, options_of
-from rfpipe.methods.adaptive.descent import nearness
 from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT
-from rfpipe.methods.adaptive.patterns import held_out_strip
-from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.provenance import generator
 from rfpipe.stages.evaluate import relative_rms
-from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
-from rfpipe.stages.plan import Plan
-from rfpipe.store import write_manifest
 from rfpipe.testing.methods import MatrixImages, MethodRun, run_method
 from rfpipe.transport import Transport
 
@@ -33,11 +26,6 @@ BOTH = pytest.mark.parametrize("name", ["symmetric", "dual"])
 def wedge(shape: tuple[int, int] = SHAPE) -> NDArray[np.float64]:
     """Two textured planes, (1, N, N)."""
     return scene_matrices("IV", shape)
-
-
-def aside(shape: tuple[int, int] = SHAPE) -> NDArray[np.float64]:
-    """The same as seen by a camera whose pixels are in another order, and twice as many."""
-    return wedge(shape)[:, generator(5).permutation(2 * shape[0] * shape[1]) // 2]
 
 
 def run(name: str, matrix: NDArray[Any], sigma: float = 0.0, **options: Any) -> MethodRun:
@@ -139,44 +127,6 @@ def test_truncated_it_is_what_the_level_knew(name: str) -> None:
     assert targeted.known(found.states[3]).last_level == 4
     with pytest.raises(rfpipe.errors.InputError):
         found.transport.truncate(7)
-
-
-@pytest.mark.parametrize("matrix", [wedge((24, 24)), aside((24, 24))], ids=["coaxial", "aside"])
-def test_light_stays_near_at_the_crease(matrix: NDArray[np.float64]) -> None:
-    """Whatever the order of the camera's pixels: of scene IV, the middle columns."""
-    camera = (matrix.shape[1] // 24, 24)
-    found = run_method(get_method("dual"), matrix, camera, (24, 24), tolerance=1e-4).transport
-    near = nearness(found)
-    assert near.shape == (24, 24)
-    assert (near >= 0).all()
-    strip = held_out_strip(near)
-    assert strip.sum() == 18
-    assert strip[:, 10:14].sum() >= 17
-
-
-class Choice(Symmetric):
-    """Symmetric photography by way of a choice that is made when the rig is known."""
-
-    def with_options(self, options: Any) -> Method[Any]:
-        return self
-
-    def on_rig(self, coaxial: bool) -> Method[Any]:
-        return Symmetric()
-
-
-def test_what_is_chosen_for_a_rig_knows_the_target(tmp_path: Path) -> None:
-    rig = rfpipe.OperatorRig(wedge()[0], camera_shape=SHAPE, projector_shape=SHAPE)
-    result = rfpipe.acquire(rig, Choice(), progress=False, target_error=0.01)
-    assert result.history["estimated_error"].iloc[-1] <= 0.01
-    assert result.patterns == result.levels["patterns"].sum()
-    plan = Plan("chosen", f"{__file__}:Choice", SHAPE, SHAPE, 1, {"target_error": 0.01})
-    folder = AcquisitionFolder(tmp_path)
-    manifest = folder.manifest(0, "merge")
-    manifest.parent.mkdir()
-    write_manifest(manifest, {SYMMETRY: {"error": 0.0, "standard_error": 0.0}})
-    plan.settle(folder)
-    assert plan.method.estimates_error
-    assert plan.n_levels == 7
 
 
 @BOTH

@@ -96,13 +96,11 @@ def multiscale(shape: tuple[int, ...] = COAXIAL) -> Made:
     basis = MultiscaleBasis(
         shape, np.concatenate([functions_over(4, wanted), functions_over(2, wanted)])
     )
-    held = {
-        "factor": draw(3, 42),
-        "functions": basis.functions,
-        "cores": draw(3, len(basis.first)),
-    }
+    first, second = pairs = np.stack(basis.pairs)[:, ::2]
+    held = {"factor": draw(3, 42), "functions": basis.functions, "pairs": pairs}
+    held["cores"] = draw(3, len(first))
     cores = np.zeros((3, len(basis), len(basis)))
-    cores[:, basis.first, basis.second] = cores[:, basis.second, basis.first] = held["cores"]
+    cores[:, first, second] = cores[:, second, first] = held["cores"]
     weighted = held["factor"][:, :, None] * basis.weights.toarray()
     transport = MultiscaleTransport(shape, 3, ROWS, held)
     return transport, weighted @ cores @ weighted.swapaxes(1, 2)

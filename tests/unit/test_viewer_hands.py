@@ -52,9 +52,10 @@ def slide(page: Any, name: str, value: float) -> None:
 
 def shown(page: Any) -> tuple[np.ndarray, np.ndarray]:
     """The light (C, rays) and the picture (C, rays) of the page."""
-    light, colour, picture = page.evaluate("[[...shown.light], shown.colour, [...shown.picture]]")
-    weights = np.array(light).reshape(-1, len(picture) // 3 if len(light) % 3 else len(light))
-    return np.outer(colour, weights[0]), np.array(picture).reshape(3, -1)
+    found = page.evaluate("[[...shown.light], shown.colour, [...shown.picture]]")
+    light, colour, picture = map(np.array, found)
+    coloured = light.size == picture.size
+    return light.reshape(3, -1) if coloured else np.outer(colour, light), picture.reshape(3, -1)
 
 
 def relit(light: np.ndarray, transport: Any) -> np.ndarray:
@@ -91,23 +92,14 @@ def test_a_dragged_spot_of_any_colour_is_relit(page: Any, canvas: str) -> None:
 
 
 def test_bars_brushes_and_floodlight(page: Any) -> None:
-    transport = transport_of("symmetric")
     lit = {}
     for tool in ("bar", "flood", "brush"):
         page.locator(f"[data-tool={tool}]").click()
         if tool == "brush":
             drag(page, "#light", (0.2, 0.8), (0.5, 0.8))
-            light, picture = (
-                np.array(page.evaluate("[...shown.light]")).reshape(3, -1),
-                shown(page)[1],
-            )
-            expected = relit(light, transport)
-            np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
-        else:
-            settled(page)
-            alike(page, transport)
-            light = shown(page)[0]
-        lit[tool] = np.count_nonzero(light[0])
+        settled(page)
+        alike(page, transport_of("symmetric"))
+        lit[tool] = np.count_nonzero(shown(page)[0][0])
     assert lit["flood"] == 480 > lit["bar"] > lit["brush"] > 10
 
 
@@ -119,7 +111,7 @@ def test_a_picture_is_light(page: Any, tmp_path: Path) -> None:
     page.locator("#file").set_input_files(tmp_path / "light.png")
     wait_until(page, "loadedPicture !== null")
     settled(page)
-    light = np.array(page.evaluate("[...shown.light]")).reshape(3, *SHAPE)
+    light = shown(page)[0].reshape(3, *SHAPE)
     assert light[0, :, :11].min() > 0.95
     assert light[0, :, 13:].max() < 0.05
     assert light[1:].max() < 0.05
@@ -138,22 +130,11 @@ def test_a_pixel_s_row_shows_where_its_light_comes_from(page: Any) -> None:
     assert spearmanr(row.ravel(), expected.ravel()).statistic > 0.9
 
 
-def test_levels_are_those_of_the_acquisition(page: Any) -> None:
-    transport = transport_of("symmetric")
-    levels = page.evaluate("MANIFEST.levels")
-    slide(page, "level", 1)
-    alike(page, transport.truncate(levels[1]))
-    slide(page, "level", len(levels) - 1)
-    alike(page, transport)
-
-
 def test_the_camera_s_side_can_be_lit(page: Any) -> None:
     page.locator("#side").select_option("camera")
     settled(page)
     assert page.inner_text("#seen-name") == "Projector's view"
-    light, picture = shown(page)
-    expected = planar(transport_of("symmetric").T.relight(light.T.reshape(*SHAPE, 3)), SHAPE, 3)
-    np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
+    alike(page, transport_of("symmetric").T)
 
 
 def test_wipe_and_difference_are_those_of_the_two_transports(page: Any) -> None:
@@ -221,12 +202,8 @@ def test_a_path_is_recorded_and_played(page: Any) -> None:
     assert len(path) > 12
     assert "recorded" in page.inner_text("#path")
     page.locator("#play").click()
-    places = []
-    for _ in range(6):
-        page.wait_for_timeout(100)
-        places.append(page.evaluate("state.x"))
-    page.locator("#play").click()
-    assert len(set(places)) > 1
+    wait_until(page, "state.x < 0.3")
+    wait_until(page, "state.x > 0.7")
 
 
 def test_the_picture_is_saved(page: Any, tmp_path: Path) -> None:
@@ -248,16 +225,6 @@ def test_axe_finds_nothing(chromium: Any, symmetric: Path, colours: str, width: 
         found = page.evaluate("axe.run()")["violations"]
         assert [(each["id"], each["nodes"][0]["html"]) for each in found] == []
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    page.context.close()
-
-
-def test_a_phone_s_finger_moves_the_light(chromium: Any, symmetric: Path) -> None:
-    page = opened(chromium, symmetric, has_touch=True, is_mobile=True)
-    page.set_viewport_size({"width": 400, "height": 800})
-    box = page.locator("#light").bounding_box()
-    page.touchscreen.tap(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
-    settled(page)
-    assert page.evaluate("state.x") == pytest.approx(0.25, abs=0.02)
     page.context.close()
 
 
@@ -316,14 +283,6 @@ def test_the_kernel_is_that_of_its_source() -> None:
 
 
 def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
-    transport = transport_of("symmetric")
-    for light, message in (
-        (transport_of("one channel"), "transports of the same rig"),
-        (np.ones((3, 4)), "is no picture of"),
-    ):
-        with pytest.raises(InputError, match=message):
-            write_view(
-                View(transport, "A scene", compared=Compared(light, "other")), tmp_path / "a.html"
-            )
-    with pytest.raises(InputError, match=r"ends in \.html"):
-        write_view(View(transport, "A scene"), tmp_path / "a.png")
+    compared = Compared(transport_of("one channel"), "other")
+    with pytest.raises(InputError, match="transports of the same rig"):
+        write_view(View(transport_of("symmetric"), "", compared=compared), tmp_path / "a.html")

@@ -10,15 +10,9 @@ import pytest
 from tests.browsers import opened, picture_of
 from tests.viewers import KINDS, lights, planar, rounded, transport_of
 
-from rfpipe.transport.base import Transport
 from rfpipe.viewer import View, write_view
 
 KERNELS = ("", "?kernel=javascript")
-
-
-def written(transport: Transport, folder: Path) -> Path:
-    """A page of a transport."""
-    return write_view(View(transport, "A scene"), folder / "scene.html").page
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -26,7 +20,7 @@ def test_pictures_are_python_s(chromium: Any, kind: str, tmp_path: Path) -> None
     transport = transport_of(kind)
     if kind.endswith("uint8"):
         transport = rounded(transport, tmp_path)
-    path = written(transport, tmp_path)
+    path = write_view(View(transport, "A scene"), tmp_path / "scene.html").page
     for kernel in KERNELS:
         page = opened(chromium, path, kernel)
         assert page.evaluate("document.body.dataset.kernel") == ("javascript" if kernel else "wasm")
@@ -37,7 +31,7 @@ def test_pictures_are_python_s(chromium: Any, kind: str, tmp_path: Path) -> None
                 for light in lights(view.projector_shape, view.channels):
                     expected = planar(view.relight(light), view.camera_shape, view.channels)
                     given = planar(light, view.projector_shape, view.channels)
-                    found = picture_of(page, given, level, dual=dual).reshape(expected.shape)
+                    found = picture_of(page, given, level, dual).reshape(expected.shape)
                     limit = 2e-4 * np.abs(expected).max() + 1e-12
                     assert np.abs(found - expected).max() < limit, (level, dual, kernel)
         assert page.said == []

@@ -44,13 +44,6 @@ def test_masks_and_fractions_are_taken(entry: str, dtype: type) -> None:
     np.testing.assert_allclose(ENTRIES[entry](mask.astype(dtype)), ENTRIES[entry](mask), rtol=1e-6)
 
 
-def test_a_schedule_of_masks_holds_and_shows_float32() -> None:
-    schedule = Schedule(0, SHAPE, 1, weights=np.ones((1, *SHAPE), np.uint8))
-    assert schedule.batch(0, 1).dtype == np.float32
-    same = Schedule(0, SHAPE, 1, weights=np.ones((1, *SHAPE), np.float32))
-    assert schedule.digest() == same.digest()
-
-
 @pytest.mark.parametrize("weights", [np.ones(3, complex), np.array(["a"]), np.array([None])])
 def test_no_numbers(weights) -> None:
     with pytest.raises(InputError, match="expected weights, real numbers"):

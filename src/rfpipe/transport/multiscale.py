@@ -222,8 +222,7 @@ class MultiscaleTransport(CoaxialTransport, ArrayTransport):
         ``factor``, float32 (channels, N): F, radiance of the floodlit image. ``functions``, int32
         (n, 4): those of B, see `MultiscaleBasis`. ``cores``, float32 (channels, pairs): S, one
         value a pair of functions, in inverse radiance. ``pairs``, int32 (2, pairs): which
-        functions; left out where they are all pairs of the basis. May be read lazily. Cores
-        cancel, so that no store rounds them.
+        functions. May be read lazily. Cores cancel, so that no store rounds them.
     """
 
     kind = "multiscale"
@@ -235,7 +234,8 @@ class MultiscaleTransport(CoaxialTransport, ArrayTransport):
 
     def _lit(self, light: Float, channel: int) -> Any:
         cores, factor = self._held["cores"][channel], self._held["factor"][channel]
-        return bounced(self.basis, self._pairs, cores, factor, light)
+        first, second = self._held["pairs"]
+        return bounced(self.basis, (first, second), cores, factor, light)
 
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
@@ -249,20 +249,14 @@ class MultiscaleTransport(CoaxialTransport, ArrayTransport):
         scaled = self.basis.sums @ diags_array(self._held["factor"][channel])
         light, back = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
         found = np.empty((received.shape[1], sent.shape[1]), np.float32)
-        for first in range(0, sent.shape[1], _COLUMNS):
-            columns = slice(first, first + _COLUMNS)
+        first, second = self._held["pairs"]
+        for start in range(0, sent.shape[1], _COLUMNS):
+            columns = slice(start, start + _COLUMNS)
             some = np.ascontiguousarray(light[:, columns].toarray())
             arriving = np.zeros_like(some)
-            couple(*self._pairs, self._held["cores"][channel], some, arriving)
+            couple(first, second, self._held["cores"][channel], some, arriving)
             found[:, columns] = back @ arriving
         return found
-
-    @property
-    def _pairs(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        if "pairs" in self._held:
-            first, second = self._held["pairs"]
-            return first, second
-        return self.basis.pairs
 
 
 def bounced(

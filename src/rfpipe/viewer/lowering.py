@@ -160,10 +160,7 @@ def _name_of(part: Transport) -> str:
     if isinstance(part, LowRankTransport):
         return "direct" if part.rank == 0 else "rows filled"
     if isinstance(part, MultiscaleTransport):
-        arrays = part.pack()[0]
-        if "pairs" not in arrays or not len(arrays["functions"]):
-            return "indirect"
-        return "near" if part.basis.is_near(*arrays["pairs"]).all() else "far"
+        return "near" if part.basis.is_near(*part.pack()[0]["pairs"]).all() else "far"
     return "residual"
 
 
@@ -265,8 +262,6 @@ def _lower_low_rank(builder: Builder, transport: LowRankTransport) -> None:
 def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
     """``F B S B^T F``, with B by the pyramid of its scales."""
     arrays, basis = transport.pack()[0], transport.basis
-    if not len(basis):
-        return
     rays = math.prod(transport.shape)
     # near and far range go by the same functions, of which each worker needs one pyramid
     same = digest_of(arrays["functions"], arrays["factor"])
@@ -281,7 +276,7 @@ def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
         builder.csr(grids[-2], grids[-1], step, transposed=True)
     for octave, start, index in places:
         builder.add("gather", grids[octave], given, {"index": index}, target_at=start)
-    first, second = arrays.get("pairs", basis.pairs)
+    first, second = arrays["pairs"]
     order = np.lexsort((second, first))
     for start in range(0, len(order), _SHARE):
         own = order[start : start + _SHARE]
