@@ -101,15 +101,6 @@ def test_light_that_fills_the_dark_leads_no_step_astray(
     assert verdicts["transfer"]["standing"] in ("good", "unknown")
 
 
-def test_blur_is_told_whatever_flare_and_vignetting(tmp_path: Path) -> None:
-    optics = {"psf_sigma": 1.0, "flare": 0.05, "vignetting": 0.4}
-    corners = [[[10, 8], [44, 9], [43, 42], [9, 41]]]
-    bench = on_bench(camera=optics, camera_shape=[50, 54], camera_corners=corners)
-    verdicts, facts, _ = calibrated(tmp_path, UP_TO_RAYS, **bench)
-    assert "The picture is blurred by" in verdicts["rays"]["verdict"]
-    assert facts["rays"]["blur_pixels"] == pytest.approx(1.0, abs=0.1)
-
-
 def test_a_calibration_that_is_not_good_is_not_served(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rfpipe.photometry import CameraModel
-from rfpipe.photometry.defects import DarkFrames, find_defects
 from rfpipe.photometry.normalize import MAXIMUM_GAIN, apply, level_gain
 
 shapes = st.tuples(st.integers(1, 4), st.integers(1, 5), st.sampled_from([1, 3]))
@@ -98,14 +97,3 @@ def test_normalization_is_finite_bounded_and_adds_up_where_it_covers(
     error = np.abs(corrected.sum(axis=0, dtype=np.float64) - wanted) / np.maximum(scale, 1e-30)
     assert (error[covered] < 1e-5).all()
     np.testing.assert_array_equal(corrected[:, ~covered], images[:, ~covered])
-
-
-@given(st.integers(0, 2**31), st.sampled_from([None, "BGGR"]))
-def test_good_pixels_are_not_called_defective(seed: int, bayer: str | None) -> None:
-    camera = CameraModel(bayer=bayer)
-    random = np.random.default_rng(seed)
-    image = random.uniform(0.01, 2, (12, 14, 3)).astype(np.float32)
-    image[random.random((12, 14)) < 0.1] = 0  # of which some stand alone
-    off = np.stack([camera.expose(np.zeros_like(image), seed, (9, i)) for i in range(4)])
-    lit = camera.expose(image, seed, (0, 0))
-    assert not find_defects(DarkFrames.of(off), lit, camera).mask.any()

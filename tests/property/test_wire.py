@@ -18,7 +18,6 @@ SHAPES = npst.array_shapes(min_dims=3, max_dims=4, min_side=1, max_side=6)
 DTYPES = st.sampled_from(
     [np.bool_, np.uint8, np.uint16, np.int32, np.int64, np.float32, np.float64]
 )
-BLOCKS = np.kron(np.arange(36).reshape(6, 6), np.ones((32, 32), int))
 
 
 @st.composite
@@ -86,16 +85,3 @@ def test_a_message_is_an_archive_that_numpy_reads_and_the_same_each_time() -> No
         for name, array in arrays.items():
             np.testing.assert_array_equal(archive[name], array)
         assert json.loads(archive["facts.json"]) == {"a": [1]}
-
-
-@pytest.mark.parametrize(
-    ("shown", "most"),
-    [
-        (np.arange(36)[:, None, None] == BLOCKS, 2000),  # 36 patterns of 192 x 192
-        (np.ones((1, 192, 192)), 1000),
-        (np.linspace(0, 1, 192 * 192).reshape(1, 192, 192), 4 * 192 * 192 + 800),
-    ],
-)
-def test_patterns_travel_compactly(shown: np.ndarray, most: int) -> None:
-    message = encode_patterns(shown.astype(np.float32), [(1, i) for i in range(len(shown))])
-    assert len(message) <= most

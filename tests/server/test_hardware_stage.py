@@ -8,72 +8,51 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.server.harness import TOKEN, ResampledRig, Running, running
+from tests.workflow.stagewise import SHAPE, Acquisition
 
 from rfpipe import acquire
 from rfpipe.errors import CaptureError
-from rfpipe.stages import assemble, captures, merge, normalize, refine, schedule
+from rfpipe.stages import captures
 from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
 from rfpipe.transport import open_transport
 
-CODE = "some code"
-SHAPE = (4, 5)
 
-
-class Acquisition:
-    """Dual photography of a resampled rig, stage by stage."""
+class RemoteAcquisition(Acquisition):
+    """Dual photography of a resampled rig behind a server."""
 
     def __init__(self, path: Path, url: str, camera_shape: tuple[int, ...] = SHAPE) -> None:
-        self.folder = AcquisitionFolder(path / "results")
+        super().__init__(path / "results", None)
         self.plan = Plan("dual", "dual", camera_shape, SHAPE, 3, {"tolerance": 1e-3})
         self.url = url
         self.token = path / "rig.token"
         self.token.write_text(TOKEN)
         self.token.chmod(0o600)
 
-    def capture(self, level: int, **changes: Any) -> None:
+    def capture(self, level: int) -> None:
         rays = {
             "camera_shape": self.plan.camera.shape, "projector_shape": SHAPE, "channels": 3
         }  # fmt: skip
         captures.by_server(
             rays, self.folder, level,
-            **{
-                "url": self.url, "token_file": str(self.token), "patience_seconds": 0.0,
-                "references": (8, 64), **changes,
-            },
+            url=self.url, token_file=str(self.token), patience_seconds=0.0, references=(8, 64),
         )  # fmt: skip
-
-    def schedule(self, level: int) -> None:
-        schedule.run(self.plan, self.folder, level, CODE)
-
-    def level(self, level: int) -> None:
-        self.schedule(level)
-        self.capture(level)
-        merge.run(
-            self.folder, level,
-            mask_defects=True, code=CODE,
-        )  # fmt: skip
-        normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
-        refine.run(self.plan, self.folder, level, CODE)
-
-    def transport(self) -> Any:
-        for level in self.folder.levels():
-            self.level(level)
-        assemble.run(self.plan, self.folder, scene="desk", number_format="float32", code=CODE)
-        return open_transport(self.folder.path / "transport.zarr")
 
 
 @pytest.fixture(scope="module")
-def acquired(tmp_path_factory: pytest.TempPathFactory) -> Acquisition:
+def acquired(tmp_path_factory: pytest.TempPathFactory) -> RemoteAcquisition:
     """Acquire all levels, then stop the server."""
     with running(ResampledRig()) as server:
-        acquisition = Acquisition(tmp_path_factory.mktemp("rig"), server.url)
-        acquisition.transport()
+        acquisition = RemoteAcquisition(tmp_path_factory.mktemp("rig"), server.url)
+        for level in acquisition.folder.levels():
+            acquisition.level(level)
+        acquisition.assemble()
     return acquisition
 
 
-def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(acquired: Acquisition) -> None:
+def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(
+    acquired: RemoteAcquisition,
+) -> None:
     found = open_transport(acquired.folder.path / "transport.zarr").pack("float32")
     expected = acquire(ResampledRig(), "dual", tolerance=1e-3, progress=False).transport.pack(
         "float32"
@@ -92,7 +71,7 @@ def server() -> Any:
 
 
 def test_a_rig_that_is_not_the_plans(tmp_path: Path, server: Running) -> None:
-    acquisition = Acquisition(tmp_path, server.url, camera_shape=(8, 5))
+    acquisition = RemoteAcquisition(tmp_path, server.url, camera_shape=(8, 5))
     acquisition.schedule(0)
     with pytest.raises(CaptureError, match=r"has .*\(4, 5\).* say .*\(8, 5\)"):
         acquisition.capture(0)
@@ -103,7 +82,7 @@ def test_a_rig_that_is_not_the_plans(tmp_path: Path, server: Running) -> None:
 def test_another_rig_than_at_the_beginning(tmp_path: Path) -> None:
     rig = ResampledRig()
     with running(rig) as server:
-        acquisition = Acquisition(tmp_path, server.url)
+        acquisition = RemoteAcquisition(tmp_path, server.url)
         acquisition.level(0)
     rig.raw.seed = 5
     acquisition.schedule(1)

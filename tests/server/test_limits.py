@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,6 +16,7 @@ import pytest
 from tests.ports import free_port
 from tests.server.harness import RIGHT, SlowRig, head_of_capture, running
 from tests.server.test_attacks import crowd
+from tests.waiting import wait_until
 
 from rfpipe.rigs.messages import MEDIA_TYPE, Message, encode_patterns, pack
 
@@ -58,12 +58,7 @@ def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
         server = subprocess.Popen(command, stderr=log)
     try:
         url = f"http://127.0.0.1:{port}"
-        for _ in range(1200):
-            try:
-                httpx.get(f"{url}/v1/health", trust_env=False)
-                break
-            except httpx.TransportError:
-                time.sleep(0.05)
+        wait_until(lambda: "startup complete" in (tmp_path / "log").read_text(), "its start", 0.05)
         yield server, url
     finally:
         server.kill()

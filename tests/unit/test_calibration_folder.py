@@ -175,11 +175,6 @@ def test_the_report_is_one_page(calibrated: Any) -> None:
     assert "http" not in text.replace("http://www.w3.org", "")
 
 
-def test_there_is_no_report_of_nothing(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="holds no calibration"):
-        build_calibration_report(CalibrationFolder(tmp_path))
-
-
 def test_a_simulated_rig_has_nothing_to_calibrate(tmp_path: Path) -> None:
     scene = {"kind": "plane", "surfaces": ["white"]}
     config = parse_rig_config({"kind": "simulated", "scene": scene}, "rig.yaml")

@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 from rfpipe.cli import app
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue
-from rfpipe.report.text import size
 from rfpipe.store.files import hidden_sibling
 
 HEADER = "name,kind,surfaces,shape,channels,about.title\n"
@@ -103,17 +102,6 @@ def test_what_is_left_of_a_scene_that_was_taken_out_is_named(listed: Path) -> No
     (listed.parents[1] / "taken_out/dual/L00").mkdir(parents=True)
     write_catalogue(load_config(settings), listed.parents[1])
     assert "their folders are there: taken_out." in listed.read_text()
-
-
-def test_the_rays_of_a_projector_that_stands_aside_are_told(tmp_path: Path) -> None:
-    run = tmp_path / "run.yaml"
-    run.write_text("collection: scenes.csv\nmethods: {hadamard: {}}\n")
-    rows = "name,kind,surfaces,shape,channels,projector.position,projector.shape\n"
-    rows += 'a,wedge_120,white white,4 x 4,1,"1.72, 0, 0.54",2 x 2\n'
-    (tmp_path / "scenes.csv").write_text(rows)
-    results = tmp_path / "results"
-    write_catalogue(load_config(run), results)
-    assert f"{size(2, 2)} to {size(4, 4)}" in (results / CATALOGUE).read_text()
 
 
 def test_a_small_picture_is_made_again_only_when_its_scene_is(listed: Path) -> None:

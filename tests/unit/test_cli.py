@@ -15,7 +15,6 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import app, main
 from rfpipe.config import Config
 from rfpipe.config.schema import schema_of
-from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.store import write_manifest
@@ -144,13 +143,6 @@ def test_pattern_of_another_size(
     assert not output.exists()
 
 
-def test_picture_that_can_not_be_read(tmp_path: Path) -> None:
-    path = tmp_path / "text.png"
-    path.write_text("no picture")
-    with pytest.raises(InputError, match=r"text\.png: can't be read as a picture"):
-        read_image(path)
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -178,10 +170,6 @@ def test_scenes_are_listed_with_their_options() -> None:
     assert text.startswith("every kind:\n    shape ([62,70]): Rays of the rig")
     assert text.count("    settings ({}): ") == 1
     assert "Undefined" not in text
-
-
-def test_the_version_is_told() -> None:
-    assert run("--version").startswith("rfpipe 0.")
 
 
 @pytest.mark.parametrize("name", ["rig.yaml", "bench.yaml"])
@@ -212,9 +200,6 @@ def test_run_checks_settings_and_names_the_report_of_its_folder(
     report.parent.mkdir(parents=True)
     report.touch()
     Path("Snakefile").write_text("rule all:\n    output: 'done.txt'\n    shell: 'touch {output}'\n")
-    Path("latin.yaml").write_bytes("seed: 1\nreport: {title: Lumière}\n".encode("latin-1"))
-    said = failure("run", "--configfile", "latin.yaml", "-n")
-    assert "latin.yaml: can't be read" in said
     monkeypatch.setattr(sys, "argv", ["rfpipe", "run", "--directory=elsewhere", "--cores", "1"])
     with pytest.raises(SystemExit) as caught:
         main()
@@ -236,7 +221,6 @@ def test_run_looks_for_the_settings_files_in_the_folder_that_it_is_given(
     examples = Path(__file__).parents[1] / "examples"
     glass = (examples / "frosted_glass.py").read_text().replace("FrostedGlass", "Glass")
     Path("elsewhere/glass.py").write_text(glass)
-    assert "glass" in run("plan", "settings.yaml", "--directory", "elsewhere")
     assert "glass" in run("plan", "settings.yaml", "--directory", "elsewhere")
     command = ["rfpipe", "run", *options, "--directory", "elsewhere"]
     monkeypatch.setattr(sys, "argv", command)

@@ -11,7 +11,7 @@ import pytest
 from figures.__main__ import run
 from figures.common import Size
 from figures.growth import line_fit
-from figures.index import ORDER, cost_table, write_index
+from figures.index import cost_table, write_index
 
 ROW = {
     "table": "3.1", "figure": "Fig. 3.4, box", "scene": "two blocks", "camera_rays": 64,
@@ -62,8 +62,3 @@ def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> No
     for shown in ("fig_3_1.png", "Table 3.1", "Table 5.1", "takes 21 patterns", "table_5_1.csv"):
         assert shown in page
     assert pd.read_csv(folder / "table_5_1.csv")["thesis_patterns"].tolist() == [1085]
-
-
-def test_the_page_has_a_place_for_every_script() -> None:
-    names = {path.stem for path in Path("figures").glob("*.py")}
-    assert names - set(ORDER) == {"__init__", "__main__", "common", "hard_scenes", "index", "relit"}

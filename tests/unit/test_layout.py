@@ -24,13 +24,6 @@ def test_a_pattern_becomes_a_picture() -> None:
     assert picture == pytest.approx(np.array([[0, 0, 1], [0.2, 0, 0.8]]))
 
 
-def test_a_layout_can_be_stored() -> None:
-    layout = ProjectorLayout.grid((7, 12), (2, 3))
-    again = ProjectorLayout.from_arrays(layout.arrays())
-    assert again.describe() == layout.describe()
-    assert again.shape == (2, 3)
-
-
 @pytest.mark.parametrize(
     ("shape", "rays", "expected"),
     [

@@ -79,14 +79,6 @@ def test_hot_and_noisy_pixels() -> None:
     assert (found.hot, found.dead) == (2, 0)
 
 
-def test_noise_alone_makes_a_pixel_hot() -> None:
-    off, lit = capture(CAMERA, texture(), 16)
-    off = off.astype(np.int64)
-    off[:, 1, 7, 8, 0] += 12 * np.tile([-1, 1], 8)
-    found = defects_of(off.astype(np.uint16), lit, CAMERA)
-    assert np.argwhere(found.mask).tolist() == [[7, 8]]
-
-
 @pytest.mark.parametrize("value", [0, 64, 4095])
 @pytest.mark.parametrize("pixel", [(5, 6), (0, 0), (39, 20)])
 def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:

@@ -144,13 +144,6 @@ def test_merge_of_no_brackets() -> None:
         assert merged.radiance.shape == merged.variance.shape == (0, *image.shape)
 
 
-def test_a_noiseless_camera_still_has_a_variance() -> None:
-    camera = replace(CAMERA, read_noise_electrons=0.0, dark_current_electrons=0.0)
-    merged = take(camera, flat(0.0, (4, 5, 3)))
-    np.testing.assert_array_equal(merged.radiance, 0)
-    assert (merged.variance > 0).all()  # its converter's steps
-
-
 def test_wrong_frames_are_refused() -> None:
     image = flat(0.1, (4, 5, 3))
     off, bracket = black(CAMERA, image), CAMERA.expose(image, 0, (0, 0))[None]
