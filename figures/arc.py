@@ -22,7 +22,7 @@ from figures.common import (
     size_of,
     white,
 )
-from rfpipe.report.drawing import Error, Panel, draw
+from rfpipe.report.drawing import Panel, difference, draw
 
 _WORLD = "still_life_arc"
 _AREA = (0.6, 0.9)  # of the arc that the area light takes: beside the projector, to show shadows
@@ -69,7 +69,7 @@ def items(size: Size) -> Items:
     rows = [
         [Panel(ours, name, "relit", whites[name]) for name, (ours, _) in pairs.items()],
         [Panel(truth, name, "ground truth", whites[name]) for name, (_, truth) in pairs.items()],
-        [Error(*pair, whites[name]) for name, pair in pairs.items()],
+        [difference(*pair, whites[name]) for name, pair in pairs.items()],
     ]
     area, striped = (error(*pairs[name]) for name in ("area light", "high-resolution matte"))
     patterns = sum(result.patterns for result in results)

@@ -18,7 +18,7 @@ from figures.common import (
     size_of,
     white,
 )
-from rfpipe.report.drawing import Error, Panel, draw
+from rfpipe.report.drawing import Panel, difference, draw
 
 _DIM = 0.1  # of the camera's light: single pixels' inter-reflections sink into noise, as in 2006
 _TO_THE_PIXEL = 1e-9  # tolerance at which nothing is stored at a coarse level but noise
@@ -53,7 +53,7 @@ def items(size: Size) -> Items:
         seen(scene, white(scene.projector_shape)), "primal: the camera's view", "", bright
     )
     top = [primal, *panels, Panel(truth, "dual: ground truth", "", bright)]
-    errors = [None, *(Error(image, truth, bright) for image in duals.values())]
+    errors = [None, *(difference(image, truth, bright) for image in duals.values())]
     ours = duals["hierarchy"]
     caption = (
         f"Inter-reflected light in the dual picture: {percent(kept(duals['pixel level']))} at the "

@@ -23,7 +23,7 @@ from figures.common import (
     size_of,
     white,
 )
-from rfpipe.report.drawing import Error, Panel, draw
+from rfpipe.report.drawing import Panel, difference, draw
 
 _FLARE = 0.03  # of a pixel's light, that the aperture spreads over a star
 _ARMS = 6
@@ -101,7 +101,7 @@ def items(size: Size) -> Items:
             [
                 Panel(truth, "what the camera sees", "", bright),
                 Panel(relit, f"relit: {case}", below, bright),
-                Error(relit, truth, bright),
+                difference(relit, truth, bright),
             ]
         )
     told = ", ".join(f"{row['case']} {percent(row['at_highlights'])}" for row in rows)

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from figures.common import Items, Picture, Size, Table, error, exposure, physical, turned
-from rfpipe.report.drawing import Error, Panel, draw
+from rfpipe.report.drawing import Panel, difference, draw
 from rfpipe.scenes import reference_scene
 
 Double = NDArray[np.float64]
@@ -27,7 +27,7 @@ def items(size: Size) -> Items:
     panels = [
         Panel(one, "transposed matrix", "", bright),
         Panel(other, "projector and camera exchanged", "", bright),
-        Error(one, other, bright),
+        difference(one, other, bright),
     ]
     caption = (
         "The dual picture of a box with two blocks, twice: by the transposed matrix, and by one "

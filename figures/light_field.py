@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from figures.common import Float, Items, Picture, Size, Table, error, percent
-from rfpipe.report.drawing import Error, Panel, draw
+from rfpipe.report.drawing import Panel, difference, draw
 from rfpipe.store import open_arrays
 
 THESIS = (
@@ -67,6 +67,6 @@ def _draw(relit: Float, truth: Float) -> object:
     for image, exact in zip(relit, truth, strict=True):
         ours.append(Panel(image, "", f"error {percent(error(image, exact))}", bright))
         true.append(Panel(exact, "truth", "", bright))
-        errors.append(Error(image, exact, bright))
+        errors.append(difference(image, exact, bright))
     rows = (slice(first, first + side) for first in range(0, len(truth), side))
     return draw([[*ours[row], *true[row], *errors[row]] for row in rows], _GRID / side)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 
 from figures.common import Items, Picture, Size, error, percent, with_errors
-from rfpipe.report.drawing import UNLIT_GAIN, Error, Map, Panel, draw, unlit_gain
+from rfpipe.report.drawing import UNLIT_GAIN, Map, Panel, difference, draw, unlit_gain
 from rfpipe.stages.relight import NO_LEAF, right_half
 from rfpipe.store import open_arrays, read_manifest
 
@@ -42,13 +42,13 @@ class Acquired:
         self.images = {name: images.read(name) for name in images.names}
         self.white = float(self.images["floodlit_truth"].max()) or 1.0
 
-    def compared(self, name: str, gain: Any, index: Any = ...) -> tuple[Panel, Panel, Error]:
+    def compared(self, name: str, gain: Any, index: Any = ...) -> tuple[Panel, Panel, Map]:
         """Return a picture as relit, as it truly is, and the difference."""
         relit, truth = (self.images[f"{name}{of}"][index] for of in self._of(name))
         below = f"error {percent(error(relit, truth))}"
         return (Panel(relit, "relit", below, self.white, gain),
                 Panel(truth, "ground truth", "", self.white, gain),
-                Error(relit, truth, self.white, gain))  # fmt: skip
+                difference(relit, truth, self.white, gain))  # fmt: skip
 
     @staticmethod
     def _of(name: str) -> tuple[str, str]:

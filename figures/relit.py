@@ -17,7 +17,7 @@ from figures.common import (
     seen,
     white,
 )
-from rfpipe.report.drawing import Error, Panel
+from rfpipe.report.drawing import Map, Panel, difference
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Relit:
         """Return the radiance to show as white in a picture."""
         return exposure(self.truths[name])
 
-    def row(self, *names: str) -> list[Panel | Error | None]:
+    def row(self, *names: str) -> list[Panel | Map | None]:
         """Return pictures, each with its truth, and the last one's error."""
         bright, row = self.white(names[0]), []
         for name in names:
@@ -46,7 +46,7 @@ class Relit:
             below = f"error {percent(self.error(name))}"
             row.append(Panel(self.pictures[name], f"{title}, relit", below, bright))
             row.append(Panel(self.truths[name], "ground truth", "", bright))
-        return [*row, Error(self.pictures[names[-1]], self.truths[names[-1]], bright)]
+        return [*row, difference(self.pictures[names[-1]], self.truths[names[-1]], bright)]
 
 
 def relit(scene: Any) -> Relit:

@@ -20,7 +20,7 @@ from figures.common import (
     white,
     with_errors,
 )
-from rfpipe.report.drawing import Error, Panel, draw
+from rfpipe.report.drawing import Panel, difference, draw
 
 _LETTERS = ("EG", "SR")
 _BRIGHTER = 0.6  # of the radiance that is white elsewhere: the letters glow within dark sweets
@@ -47,7 +47,7 @@ def items(size: Size) -> Items:
                 Panel(of_pair, "a projector's pattern"),
                 Panel(relit, name, f"error {percent(errors[-1])}", bright),
                 Panel(truth, "ground truth", "", bright),
-                Error(relit, truth, bright),
+                difference(relit, truth, bright),
             ]
         )
     caption = (

@@ -19,7 +19,7 @@ from figures.common import (
     size_of,
 )
 from figures.light_field import THESIS, arrays_of_views
-from rfpipe.report.drawing import Error, Panel, draw
+from rfpipe.report.drawing import Panel, difference, draw
 
 _SHARE = 3  # of the figures' side: there are 9 x 9 pairs of views
 _LEAST = 12  # pixels a view's side
@@ -53,7 +53,7 @@ def items(size: Size) -> Items:
         Panel(lights[count, 0], "the first projector's pattern", "upper left of the array"),
         Panel(ours, "the middle view, relit", f"error {percent(error(ours, true))}", bright),
         Panel(true, "ground truth", "", bright),
-        Error(ours, true, bright),
+        difference(ours, true, bright),
     ]
     caption = "The middle view when the projector at the array's upper left throws stripes."
     figure = draw([panels])

@@ -42,8 +42,8 @@ def relight(
             metavar="NAME|FILE",
             help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; a picture "
             "of the projector's size, one channel (white light) or RGB, its values taken as linear "
-            "weights, whole numbers as fractions of their largest; a .npy file of weights, (count, "
-            "*rays) or (count, *rays, channels); or a folder of pictures. May be repeated.",
+            "weights, whole numbers as fractions of their largest; or a .npy file of weights, "
+            "(count, *rays) or (count, *rays, channels). May be repeated.",
         ),
     ],
     output: Annotated[
@@ -97,34 +97,20 @@ def relight(
 
 def _patterns(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:
     """Yield all patterns: their names, and what makes or reads their weights."""
+    import numpy as np
+
     for source in sources:
         file = Path(source)
-        if file.is_dir():
-            inside = sorted(str(part) for part in file.iterdir() if part.is_file())
-            if not inside:
-                raise InputError(f"{file}: holds no pictures")
-            yield from _patterns(inside, light)
-        elif file.suffix.lower() == ".npy":
-            for index in range(len(_stack(file))):
-                yield f"{file.stem}_{index:04d}", partial(_one_of, file, index)
+        if file.suffix.lower() == ".npy":
+            try:
+                stack = np.load(file, mmap_mode="r", allow_pickle=False)
+            except (OSError, ValueError) as error:
+                raise InputError(f"{file}: can't be read as .npy: {error}") from error
+            for index in range(len(stack)):
+                yield f"{file.stem}_{index:04d}", partial(stack.__getitem__, index)
         else:
             shape, channels = light.projector_shape, light.channels
             yield file.stem, partial(pattern_weights, source, shape, channels)
-
-
-def _stack(file: Path) -> Float:
-    import numpy as np
-
-    try:
-        stack: Float = np.load(file, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: can't be read as .npy: {error}") from error
-    return stack
-
-
-def _one_of(file: Path, index: int) -> Float:
-    one: Float = _stack(file)[index]
-    return one
 
 
 def pattern_weights(name: str, shape: tuple[int, ...], channels: int) -> Float:

@@ -90,7 +90,7 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
         "picture": picture.name if write_thumbnail(folder, picture) else None,
         "view": f"../{view}" if (results / view).exists() else None,
         "log": f"../{log.relative_to(results).as_posix()}" if log else None,
-        **_numbers(folder if state == "done" else None),
+        **_numbers(folder),
     }
 
 
@@ -153,7 +153,7 @@ def _ended(folder: Path) -> Standing:
     return Standing("failed", errors[-1][:_LONGEST_WHY])
 
 
-def _numbers(folder: Path | None) -> dict[str, Any]:
+def _numbers(folder: Path) -> dict[str, Any]:
     """Return the numbers of an acquisition; what is missing or damaged is None.
 
     Returns
@@ -163,9 +163,6 @@ def _numbers(folder: Path | None) -> dict[str, Any]:
         ``estimate`` and ``verified``: mean relative errors of relit pictures, against the truth,
         by the method's own estimate, and against pictures that no method saw.
     """
-    if folder is None:
-        names = ("patterns", "seconds", "nbytes", "error", "estimate", "verified")
-        return dict.fromkeys(names)
     acquired = _manifest(folder / "transport.json")
     steps = estimates(acquired.get("levels", []))
     times = [seconds for _, seconds in job_times(folder)]

@@ -63,38 +63,26 @@ class Panel:
     white: float = 1.0
     gain: NDArray[Any] | float = 1.0
 
-    def drawn(self, _limit: float) -> Map:
-        """Return it as sRGB."""
+    @property
+    def drawn(self) -> Map:
+        """As sRGB."""
         light = np.atleast_3d(self.image) * np.asarray(self.gain)[..., None]
         return Map(srgb(light, self.white), self.title, self.below)
 
-    def less(self, truth: Panel) -> Error:
+    def less(self, truth: Panel) -> Map:
         """Return its error, brightened as it is."""
-        return Error(self.image, truth.image, self.white, self.gain)
+        return difference(self.image, truth.image, self.white, self.gain)
 
 
-@dataclass(frozen=True)
-class Error:
-    """The difference of a relit picture (H, W, C) from the truth, mean of the channels."""
-
-    image: NDArray[Any]
-    truth: NDArray[Any]
-    white: float = 1.0
-    gain: NDArray[Any] | float = 1.0
-
-    @property
-    def values(self) -> NDArray[np.float64]:
-        """In per cent of white, (H, W)."""
-        difference = (np.asarray(self.image, np.float64) - self.truth).mean(axis=-1)
-        return np.asarray(100 * difference * self.gain / self.white)
-
-    def drawn(self, limit: float) -> Map:
-        """Return it in colours from blue, too dark, to red."""
-        bounds = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
-        return Map(self.values, "error", scale=_ERROR, options=bounds)
+def difference(
+    image: NDArray[Any], truth: NDArray[Any], white: float = 1.0, gain: NDArray[Any] | float = 1.0
+) -> Map:
+    """Return the error of a relit picture (H, W, C), mean of the channels, in per cent of white."""
+    mean = (np.asarray(image, np.float64) - truth).mean(axis=-1)
+    return Map(np.asarray(100 * mean * gain / white), "error", scale=_ERROR)
 
 
-Drawn = Panel | Error | Map | None
+Drawn = Panel | Map | None
 Rows = Sequence[Sequence[Drawn]]
 
 
@@ -103,7 +91,7 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
 
     Parameters
     ----------
-    rows : sequence of sequences of Panel, Error, Map or None
+    rows : sequence of sequences of Panel, Map or None
         None leaves a place empty.
     width : float
         Of a panel, in inches.
@@ -111,23 +99,26 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
         What stands at the left of each row.
     """
     columns = max(map(len, rows))
-    heights = [width * panel_ratio(filter(None, row)) + _TEXT for row in rows]
+    maps = [[panel.drawn if isinstance(panel, Panel) else panel for panel in row] for row in rows]
+    heights = [width * panel_ratio(filter(None, row)) + _TEXT for row in maps]
     size = (width * columns + 0.9, sum(heights))
     figure, axes = new_figure(len(rows), columns, size, "compressed", height_ratios=heights)
-    errors = [panel.values for row in rows for panel in row if isinstance(panel, Error)]
+    errors = [panel.values for row in maps for panel in row if panel and panel.scale == _ERROR]
     limit, scales = _round_limit(errors), {}
+    # from blue, too dark, to red
+    bounds: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
     for axis in axes.flat:
         axis.set_axis_off()
-    for own, row in zip(axes, rows, strict=True):
-        for axis, panel in zip(own, row, strict=False):
-            if panel is not None:
-                made = panel if isinstance(panel, Map) else panel.drawn(limit)
+    for own, row in zip(axes, maps, strict=True):
+        for axis, made in zip(own, row, strict=False):
+            if made is not None:
+                is_error = made.scale == _ERROR
                 axis.set_axis_on()
                 axis.set(xticks=[], yticks=[], xlabel=made.below, facecolor="#d3e3f3")
                 axis.set_title(made.title, fontsize=8.5, pad=3)
-                shown = axis.imshow(made.values, interpolation="nearest", **made.options)
-                beside = own[-1] if isinstance(panel, Error) else axis
-                scales[made.scale] = shown, beside
+                options = bounds if is_error else made.options
+                shown = axis.imshow(made.values, interpolation="nearest", **options)
+                scales[made.scale] = shown, own[-1] if is_error else axis
     for axis, name in zip(axes[:, 0], left, strict=False):
         axis.set_ylabel(name)
     scales.pop("", None)
@@ -138,10 +129,10 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
     return figure
 
 
-def panel_ratio(panels: Iterable[Panel | Error | Map]) -> float:
-    """Return height over width of panels, as the tallest of their images needs, within reason."""
-    images = (panel.image if isinstance(panel, Panel) else panel.values for panel in panels)
-    return float(np.clip(max((it.shape[0] / it.shape[1] for it in images), default=1), *_RATIOS))
+def panel_ratio(maps: Iterable[Map]) -> float:
+    """Return height over width of maps, as the tallest of them needs, within reason."""
+    ratios = (it.values.shape[0] / it.values.shape[1] for it in maps)
+    return float(np.clip(max(ratios, default=1), *_RATIOS))
 
 
 def _round_limit(maps: Sequence[NDArray[Any]]) -> float:

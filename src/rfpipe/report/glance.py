@@ -63,11 +63,10 @@ def results(inputs: Inputs) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        For each run ``scene``, ``method``, ``views``, ``height``, ``width``, ``channels``;
-        ``rays``: patterns of brute force; ``patterns``; ``megabytes`` (10^6 bytes on disk) and
-        ``dense_terabytes`` of T as float32; ``capture_s`` at the rig's stated seconds a pattern,
-        ``capture_jobs_s`` and ``processing_s``: wall seconds of the capture's and of all other
-        jobs, NaN where they left none; ``minutes`` of capture and processing;
+        For each run ``scene``, ``method``; ``rays``: patterns of brute force; ``patterns``;
+        ``megabytes`` (10^6 bytes on disk); ``capture_s`` at the rig's stated seconds a pattern;
+        ``processing_s``: wall seconds of all jobs but the capture's, NaN where they left none;
+        ``minutes`` of capture and processing;
         ``verified_error``, ``verified_worst_error``: of pictures that no method saw. Over the
         relighting patterns ``mean_error`` and ``worst_error`` in total, ``unlit_error``: the mean
         on the unlit pixels, ``psnr_db``: the least, ``ciede2000``: the largest; NaN where the
@@ -87,24 +86,16 @@ def results(inputs: Inputs) -> pd.DataFrame:
 
 
 def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
-    settings, jobs = run.settings, [*job_times(inputs.results / run.scene / run.method)]
+    jobs = [*job_times(inputs.results / run.scene / run.method)]
     capture = run.patterns * inputs.config.capture.seconds_per_pattern
-    captured = sum(seconds for stage, seconds in jobs if stage == "capture")
-    processing = sum(seconds for _, seconds in jobs) - captured if jobs else math.nan
-    entries = run.rays * math.prod(settings.camera_ray_shape) * settings.channels
+    processing = sum(s for stage, s in jobs if stage != "capture") if jobs else math.nan
     return {
         "scene": run.scene,
         "method": run.method,
-        "views": math.prod(settings.view_grid),
-        "height": settings.shape[0],
-        "width": settings.shape[1],
-        "channels": settings.channels,
         "rays": run.rays,
         "patterns": run.patterns,
         "megabytes": run.facts["bytes"] / 1e6,
-        "dense_terabytes": 4 * entries / 1e12,
         "capture_s": capture,
-        "capture_jobs_s": captured if jobs else math.nan,
         "verified_error": run.verified.get("mean_error"),
         "verified_worst_error": run.verified.get("worst_error"),
         "processing_s": processing,

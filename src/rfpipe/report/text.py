@@ -33,9 +33,9 @@ def percent(value: Any) -> str:
     return number(value, ".2f" if small else ".0f", 100)
 
 
-def fixed(digits: int, scale: float = 1.0) -> Callable[[Any], str]:
-    """Return `number` with so many digits behind the point, of numbers times `scale`."""
-    return partial(number, form=f",.{digits}f", scale=scale)
+def fixed(digits: int) -> Callable[[Any], str]:
+    """Return `number` with so many digits behind the point."""
+    return partial(number, form=f",.{digits}f")
 
 
 def words(name: Any) -> str:
