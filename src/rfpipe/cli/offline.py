@@ -57,8 +57,8 @@ def import_(
 
     Pictures are TIFF, PNG, EXR or raw files, which sort by the numbers in their names as they were
     taken, a bracket's exposures together. All are checked before any is kept: number, size,
-    channels, bits, exposure times where the files say them, saturation, and, by the marker frames,
-    order; pictures before and after the markers are left out.
+    channels, bits, exposure times where the files say them, saturation and, by the marker frames,
+    order.
     """
     from rfpipe.config import load_config
     from rfpipe.rigs.offline import read_sheet
