@@ -5,8 +5,6 @@ from struct import unpack, unpack_from
 
 import numpy as np
 
-Bits = np.ndarray
-
 
 class Emulator:
     """What is behind the USB cable: takes packets, decodes images, shows patterns.
@@ -16,22 +14,21 @@ class Emulator:
     shape : (int, int)
         Of the mirrors.
     triggered : callable, optional
-        Is called at each pattern of a sequence with what the mirrors show, and for how long in
-        microseconds.
+        Is called at each pattern of a sequence with how long it is shown, in microseconds.
     """
 
     def __init__(
-        self, shape: tuple[int, int], triggered: Callable[[Bits, int], None] | None = None
+        self, shape: tuple[int, int], triggered: Callable[[int], None] = lambda microseconds: None
     ) -> None:
         self.shape = shape
-        self.triggered = triggered or (lambda picture, microseconds: None)
+        self.triggered = triggered
         self.status = 1
         self.is_silent = self.is_gone = False
         self.refused: set[int] = set()
         self.mode = 1
         self.running = False
         self.definitions: dict[int, bytes] = {}
-        self.entries = 0
+        self.entries = self._shown = 0
         self.order: list[int] = []
         self.images: dict[int, np.ndarray] = {}
         self.commands: list[int] = []
@@ -67,8 +64,16 @@ class Emulator:
 
     @property
     def lit(self) -> np.ndarray | None:
-        """Light of each mirror while the first pattern is shown over and over, 0 to 1."""
-        return self._light(0) if self.running else None
+        """Light of each mirror while a pattern is shown, 0 to 1; the first one over and over."""
+        if not self.running:
+            return None
+        definition = self.definitions[self._shown]
+        depth, colour = (definition[5] >> 1 & 7) + 1, definition[5] >> 4 & 7
+        assert colour == 7, "white"
+        place = unpack("<H", definition[10:])[0]
+        image, bit = place & 0x7FF, place >> 11
+        assert bit + depth <= 24
+        return (self.images[image] >> bit & (1 << depth) - 1) / ((1 << depth) - 1)
 
     def _handle(self, message: bytes) -> None:
         flags, number, _, command = unpack_from("<BBHH", message)
@@ -119,20 +124,9 @@ class Emulator:
         self.running = action == 2
         if self.running and self.order:
             for index in self.order:
-                self.triggered(self._light(index), self._microseconds(index))
-            self.running = False
-
-    def _microseconds(self, index: int) -> int:
-        return int.from_bytes(self.definitions[index][2:5], "little")
-
-    def _light(self, index: int) -> np.ndarray:
-        definition = self.definitions[index]
-        depth, colour = (definition[5] >> 1 & 7) + 1, definition[5] >> 4 & 7
-        assert colour == 7, "white"
-        place = unpack("<H", definition[10:])[0]
-        image, bit = place & 0x7FF, place >> 11
-        assert bit + depth <= 24
-        return (self.images[image] >> bit & (1 << depth) - 1) / ((1 << depth) - 1)
+                self._shown = index
+                self.triggered(int.from_bytes(self.definitions[index][2:5], "little"))
+            self.running, self._shown = False, 0
 
     def _decoded(self, image: bytes) -> np.ndarray:
         """Undo the enhanced run-length encoding: (H, W) of 24 bits."""

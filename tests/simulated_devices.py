@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -12,8 +11,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import check_picture
-
-__all__ = ["SimulatedCamera", "SimulatedProjector"]
 
 Float = NDArray[np.float32]
 
@@ -84,16 +81,13 @@ class SimulatedCamera:
         self._seed = seed
         self._brackets = 0
         self._closed = False
-        self._lock = threading.Lock()
 
     def expose(self) -> NDArray[np.uint16]:
         """Take one bracket; see `rfpipe.rigs.devices.Camera.expose`."""
         if self._closed:
             raise CaptureError("the simulated camera is closed")
-        with self._lock:
-            self._brackets += 1
-            number = self._brackets
-        return self.sensor.expose(self._radiance(), self._seed, (number,))
+        self._brackets += 1
+        return self.sensor.expose(self._radiance(), self._seed, (self._brackets,))
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""

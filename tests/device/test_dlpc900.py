@@ -1,11 +1,11 @@
 """TI's DLPC900 against an emulator of it, byte by byte: its pictures, sequences and faults."""
 
-from collections import deque
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.dlpc900 import Emulator
+from tests.simulated_devices import SimulatedCamera
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
@@ -54,7 +54,7 @@ def test_sequences_are_shown_in_any_order(count: int) -> None:
     pictures = (random.random((count, *SHAPE)) < 0.5).astype(np.float32)
     pictures[0] = np.kron(random.random((3, 4)) < 0.5, np.ones((10, 11)))  # runs and equal rows
     seen: list[np.ndarray] = []
-    emulator = Emulator(SHAPE, lambda light, microseconds: seen.append(light * microseconds))
+    emulator = Emulator(SHAPE, lambda microseconds: seen.append(emulator.lit * microseconds))
     with projector(emulator) as shown:
         shown.load(pictures)
         loads = emulator.commands.count(0x1A2A)
@@ -89,50 +89,35 @@ def test_what_cannot_be_shown_is_explained() -> None:
                 shown.play([0], 150e-6)
 
 
-class TriggeredCamera:
+class TriggeredCamera(SimulatedCamera):
     """Looks at an emulated projector; a frame at each trigger, one a projector pixel."""
 
-    shape = SHAPE
-    channels = 1
     can_be_triggered = True
 
     def __init__(self, emulator: Emulator, missed: set[int]) -> None:
-        self.sensor = CameraModel(exposures=(1 / 512, 1 / 64))
-        self.albedo = np.random.default_rng(0).uniform(0.1, 0.8, SHAPE).astype(np.float32)
         self._emulator, self._missed = emulator, missed
-        self._frames: deque[np.ndarray] = deque()
-        self._number, self._triggers, self._armed = 0, 0, 0
+        self._frames: list[np.ndarray] = []
+        self._triggers, self._armed = 0, 0
+        albedo = np.random.default_rng(0).uniform(0.1, 0.8, SHAPE)
+        sensor = CameraModel(exposures=(1 / 512, 1 / 64))
+        super().__init__(lambda: (albedo * emulator.lit)[..., None], SHAPE, 1, sensor)
 
     def seconds_between(self, exposure: float) -> float:
         return exposure
 
     def arm(self, exposure: float, count: int) -> None:
         self._armed = self.sensor.exposures.index(exposure)
-        self._frames.clear()
+        self._frames = []
         self._emulator.triggered = self._trigger
 
     def collect(self) -> np.ndarray:
         return np.stack(self._frames)
 
-    def expose(self) -> np.ndarray:
-        assert self._emulator.lit is not None
-        return self._bracket(self._emulator.lit)
-
-    def describe(self) -> dict[str, Any]:
-        return {"kind": "triggered"}
-
-    def close(self) -> None:
-        pass
-
-    def _trigger(self, light: np.ndarray, microseconds: int) -> None:
+    def _trigger(self, microseconds: int) -> None:
         assert microseconds >= 1e6 * self.sensor.exposures[self._armed]
         self._triggers += 1
         if self._triggers not in self._missed:
-            self._frames.append(self._bracket(light)[self._armed])
-
-    def _bracket(self, light: np.ndarray) -> np.ndarray:
-        self._number += 1
-        return self.sensor.expose((self.albedo * light)[..., None], 0, (self._number,))
+            self._frames.append(self.expose()[self._armed])
 
 
 @pytest.mark.parametrize("missed", [set(), {13, 31}])

@@ -90,8 +90,6 @@ def test_exposure_times_are_those_that_the_camera_has(
         assert camera.describe()["shutter"] == ["0.0200s", "0.1000s", "1.0000s"]
         assert camera.sensor.exposures == pytest.approx((2 ** (-17 / 3), 2 ** (-10 / 3), 1))
     assert "takes 0.0200s (0.0196863 s) for an exposure of 0.015625 s" in caplog.text
-    with camera_of(sensor, nominal_times=True) as camera:
-        assert camera.sensor.exposures == (0.02, 0.1, 1.0)
     with pytest.raises(InputError, match=r"two times for which the camera's nearest is 1\.0000s"):
         camera_of(replace(SENSOR, exposures=(1.0, 1.1)))
 
@@ -138,14 +136,3 @@ def test_settings_are_made_or_refused(tmp_path: Path) -> None:
         camera_of(settings={"f-number": "f/7"})
     with pytest.raises(CaptureError, match="has no setting whitebalance"):
         camera_of(settings={"whitebalance": "Daylight"})
-
-
-def test_a_mode_other_than_manual_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    get = Photo.get
-    monkeypatch.setattr(
-        Photo, "get", lambda photo, name: "A" if name == "expprogram" else get(photo, name)
-    )
-    with pytest.raises(CaptureError, match="its mode is A; turn the dial to M"):
-        camera_of()

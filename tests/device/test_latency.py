@@ -1,7 +1,6 @@
 """The delay from display to camera: measured, and noticed where settings are too short for it."""
 
-from contextlib import nullcontext
-from typing import Any
+from contextlib import closing, nullcontext
 
 import numpy as np
 import pytest
@@ -17,21 +16,17 @@ from rfpipe.rigs.build import devices_from_config
 pytestmark = pytest.mark.slow
 
 
-def bench_of(projector: Any, camera: Any) -> Bench:
-    return Bench(projector, camera, CalibrationConfig(), None, {}, lambda _: nullcontext())
-
-
-def measured(delay: float, settle: float):  # type: ignore[no-untyped-def]
+def measured(delay: float, settle: float, *, is_covered: bool = False):  # type: ignore[no-untyped-def]
     config = settings(
         bench={"display_delay_seconds": delay},
         projector={"options": {"settle_seconds": settle}},
     )
     projector, camera = devices_from_config(config)
-    try:
-        return projector, measure_latency(bench_of(projector, camera))
-    finally:
-        camera.close()
-        projector.close()
+    with closing(projector), closing(camera):
+        if is_covered:
+            projector.show_now = lambda picture: None  # type: ignore[attr-defined]
+        bench = Bench(projector, camera, CalibrationConfig(), None, {}, lambda _: nullcontext())
+        return projector, measure_latency(bench)
 
 
 def test_a_quick_display_is_good() -> None:
@@ -54,14 +49,8 @@ def test_a_slow_display_is_found_and_what_to_set() -> None:
 
 def test_a_projector_that_is_covered_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.5)
-    projector, camera = devices_from_config(settings())
-    try:
-        projector.show_now = lambda picture: None
-        with pytest.raises(CaptureError, match="doesn't tell a white picture from a black one"):
-            measure_latency(bench_of(projector, camera))
-    finally:
-        camera.close()
-        projector.close()
+    with pytest.raises(CaptureError, match="doesn't tell a white picture from a black one"):
+        measured(0, 0, is_covered=True)
 
 
 @pytest.mark.parametrize("exposures", [(1 / 64,), (1 / 64, 1 / 8)])

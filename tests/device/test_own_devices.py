@@ -101,7 +101,6 @@ def test_calibrate_drives_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     [
         ({"projector": {"driver": f"{EXAMPLE}:DeskProjector", "options": {"brightness": 2}}},
          "projector.options.brightness is 2; it should be less than or equal to 1"),
-        ({"projector": {"driver": "desk.py:DeskProjektor"}}, "projector.driver: there is no file"),
         ({"projector": {"driver": "beamer"}},
          "'beamer' is unknown; expected one of dlpc900, window"),
         ({"bench": {}, "camera": PAIR["camera"]}, "camera.driver should be window and pylon"),

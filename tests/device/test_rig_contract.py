@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.server.harness import transport
 
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig, Rig
@@ -14,14 +15,6 @@ from rfpipe.testing import RigContract
 CAMERA = CameraModel()
 
 SERIAL = count()
-
-
-def transport(rows: int, columns: int) -> np.ndarray:
-    """Diagonal light and a dim rest, in radiance that the camera can take."""
-    random = np.random.default_rng(0)
-    matrix = random.uniform(0, 0.2 / columns, (3, rows, columns))
-    matrix += np.eye(rows, columns) * random.uniform(0.2, 1, (3, 1, columns))
-    return matrix
 
 
 class TestRigWithMosaicAndOptics(RigContract):

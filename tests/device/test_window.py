@@ -96,7 +96,20 @@ def test_it_tells_when_its_picture_was_hidden(
     for _ in range(10):  # never without a reason
         projector.show(white(projector))
         assert projector.undisturbed()
-    cover_for_a_while(x_server)
+    from Xlib.display import Display
+
+    client = Display(x_server.name)
+    screen = client.screen()
+    cover = screen.root.create_window(
+        0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
+    )
+    cover.map()
+    client.sync()
+    wait_until(lambda: not x_server.pixels[:20, :20].any(), "the cover")
+    cover.destroy()
+    client.sync()
+    wait_until(lambda: bool((x_server.pixels == 255).all()), "the picture again")
+    client.close()
     assert not projector.undisturbed()
     projector.show(white(projector))
     assert projector.undisturbed()
@@ -130,14 +143,6 @@ def test_the_window_ends_with_its_owner(projector: WindowProjector) -> None:
     assert process.wait(timeout=60) == 0
 
 
-def test_codes_give_the_nearest_light() -> None:
-    weights = np.arange(65536) / 65535
-    light = (GAMMA - GAMMA[0]) / (GAMMA[-1] - GAMMA[0])
-    off = np.abs(light[code_table(GAMMA)] - weights)
-    best = np.abs(light[:, None] - weights[::97]).min(axis=0)
-    assert off[::97] == pytest.approx(best, abs=1e-12)
-
-
 @pytest.mark.parametrize(
     "light",
     [np.ones(256), np.r_[np.linspace(0, 1, 255), 0.5], np.linspace(0, 1, 100),
@@ -146,21 +151,3 @@ def test_codes_give_the_nearest_light() -> None:
 def test_a_response_must_be_one(light: np.ndarray) -> None:
     with pytest.raises(InputError, match="never fall"):
         code_table(light)
-
-
-def cover_for_a_while(x_server: XServer) -> None:
-    """Hide a part of a white window, until it is drawn again."""
-    from Xlib.display import Display
-
-    client = Display(x_server.name)
-    screen = client.screen()
-    cover = screen.root.create_window(
-        0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
-    )
-    cover.map()
-    client.sync()
-    wait_until(lambda: not x_server.pixels[:20, :20].any(), "the cover")
-    cover.destroy()
-    client.sync()
-    wait_until(lambda: bool((x_server.pixels == 255).all()), "the picture again")
-    client.close()

@@ -64,22 +64,6 @@ def test_a_projector_pixel_appears_where_the_points_say(pixel: tuple[int, int]) 
     assert optics.projector_points(centroid) == pytest.approx(np.array(pixel[::-1]) + 0.5, abs=0.75)
 
 
-def test_views_lie_side_by_side() -> None:
-    shape = (2, 3, 4)
-    scene = as_pattern_operator(np.eye(24), 24, 24)
-    optics = OpticalPath(
-        scene, shape, (30, 80), (20, 60),
-        centred_corners(shape, (30, 80), (1, 2)), tilted_corners(shape, (20, 60), (1, 2)),
-    )  # fmt: skip
-    second = np.zeros(shape, np.float32)
-    second[1] = 1
-    image = optics.radiance(optics.layout.picture(second))[..., 0]
-    assert image[:, :30].max() == 0
-    assert image[:, 30:].max() == pytest.approx(1)
-    rays = optics.layout.ray_of_pixel
-    assert sorted(np.unique(rays[rays >= 0])) == list(range(24))
-
-
 def test_what_cannot_be_laid_out_is_explained() -> None:
     scene = as_pattern_operator(np.eye(RAYS), RAYS, RAYS)
     line = [(0, 0), (10, 0), (20, 0), (30, 0)]

@@ -12,12 +12,6 @@ FOLDER = Path(__file__).parents[2] / "config"
 PLANE = {"kind": "plane", "surfaces": ["white"], "channels": 1}
 
 
-def message(data: object) -> str:
-    with pytest.raises(ConfigError) as caught:
-        parse_rig_config(data, "rig.yaml")
-    return str(caught.value)
-
-
 def test_the_default_file_holds_the_defaults() -> None:
     assert load_rig_config(FOLDER / "rig.yaml") == RigConfig() == parse_rig_config({}, "rig.yaml")
 
@@ -42,6 +36,7 @@ def test_the_default_file_holds_the_defaults() -> None:
     ],
 )  # fmt: skip
 def test_mistakes_are_explained(data: dict[str, Any], expected: str) -> None:
-    text = message(data)
-    assert text.startswith("rig.yaml: ")
-    assert expected in text
+    with pytest.raises(ConfigError) as caught:
+        parse_rig_config(data, "rig.yaml")
+    assert str(caught.value).startswith("rig.yaml: ")
+    assert expected in str(caught.value)

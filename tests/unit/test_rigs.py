@@ -103,7 +103,7 @@ def test_impossible_entries_are_named(wrap: Any, value: float) -> None:
         (MATRICES.astype(complex), "dtype complex128; expected real numbers"),
         ([], "no channels"),
         (MATRICES[:2], "2 channels; expected 1 or 3"),
-        (np.moveaxis(MATRICES, 0, -1), r"\(20, 21, 3\).*numpy\.moveaxis\(matrix, -1, 0\)"),
+        (np.moveaxis(MATRICES, 0, -1), r"shape \(21, 3\).*channels first"),
     ],
 )
 def test_what_is_no_transport(matrix: Any, message: str) -> None:
@@ -147,11 +147,6 @@ def test_descriptions_tell_rigs_apart() -> None:
     assert described[0] == json.dumps(rig_of(list(MATRICES)).describe(), sort_keys=True)
 
 
-@pytest.mark.parametrize("operator", [MATRICES[0], aslinearoperator(MATRICES[0]), np.zeros((3, 4))])
-def test_dot_test_passes_what_is_transposed_right(operator: Any) -> None:
-    assert dot_test(operator) < 1e-12
-
-
 @pytest.mark.parametrize(
     ("matvec", "rmatvec", "message"),
     [
@@ -180,15 +175,9 @@ print(hashlib.sha256(frames.tobytes()).hexdigest())
 def test_frames_do_not_depend_on_the_number_of_threads() -> None:
     digests = set()
     for threads in ("1", "2", "3"):
-        done = subprocess.run(
-            [sys.executable, "-c", THREADS_SCRIPT],
-            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
-            check=True,
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
-        digests.add(done.stdout)
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads}
+        script = [sys.executable, "-c", THREADS_SCRIPT]
+        digests.add(subprocess.check_output(script, env=environment, timeout=60))
     assert len(digests) == 1
 
 

@@ -1,23 +1,24 @@
 """Sequences of patterns in hardware: what is lost or mixed up is found, and taken again."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.sequences import SequenceFaults, SimulatedSequences
 
 from rfpipe import acquire
 from rfpipe.errors import InputError
-from rfpipe.photometry import CameraModel, Sensor
+from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
-from rfpipe.rigs.base import capture_batch, sequence_patterns
+from rfpipe.rigs.base import Key, capture_batch, check_patterns, sequence_patterns
 from rfpipe.stages import capture
 from rfpipe.stages.capture import brackets_of
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
-from rfpipe.units import BLACK_LEVEL_KEY
+from rfpipe.units import BLACK_LEVEL_KEY, SEQUENCE_KEY
+from rfpipe_devices.sequences import Sequencer
 
 RAYS = (12, 14)
 COUNT = 13
@@ -25,7 +26,72 @@ COUNT = 13
 Float = np.ndarray
 
 
-def rig(scene: str = "mixed", seed: int = 0, noise: Sensor | None = None) -> OperatorRig:
+class SimulatedSequences:
+    """A simulated rig that shows and exposes lists of patterns, too.
+
+    A pattern's frames are those of the rig itself, byte for byte: what is captured doesn't depend
+    on whether it was by sequences, nor on their faults.
+
+    Parameters
+    ----------
+    rig : OperatorRig
+    most : int
+        The most patterns of a sequence.
+    seed : int
+    faults : float
+        Probabilities. Of each frame: ``dropped``, its trigger is missed; ``twice``, it comes twice.
+        Of each list: ``late``, its frames come one late, after an old one, and the last one not at
+        all; ``swapped``, two of its frames come in the other's place.
+    """
+
+    def __init__(self, rig: OperatorRig, most: int = 199, seed: int = 0, **faults: float) -> None:
+        self._rig = rig
+        self._chances = {"dropped": 0.0, "late": 0.0, "swapped": 0.0, "twice": 0.0, **faults}
+        self._random = np.random.default_rng(seed)
+        self._shown = 0
+        self._old: Float | None = None
+        self._sequencer = Sequencer(self, rig.sensor, rig.capture, most)
+        self.sequence_patterns = most
+        self.statistics = {"sequences": self._sequencer.statistics}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
+
+    def show_sequence(self, patterns: Float, keys: Sequence[Key]) -> Float:
+        patterns = check_patterns(patterns, keys, self._rig.projector_shape)
+        if not len(patterns):
+            return self._rig.capture(patterns, keys)
+        return self._sequencer.brackets(patterns, keys)
+
+    def load(self, patterns: Float, keys: Sequence[Key]) -> None:
+        self._patterns, self._keys = patterns, list(keys)
+
+    def play(self, order: Sequence[int], exposure: int) -> Float:
+        keys = []
+        for place in order:
+            self._shown += 1  # the words get a new key each time
+            key = self._keys[place]
+            keys.append((*key, self._shown) if key[0] == SEQUENCE_KEY else key)
+        frames = self._rig.capture(self._patterns[list(order)], keys)[:, exposure]
+        came = self._gone_wrong(frames)
+        self._old = frames[-1:]
+        return came
+
+    def _gone_wrong(self, frames: Float) -> Float:
+        random, chances, count = self._random, self._chances, len(frames)
+        order = list(range(count))
+        if random.random() < chances["swapped"]:
+            one, other = random.choice(count, 2, replace=False)
+            order[one], order[other] = order[other], order[one]
+        is_dropped = random.random(count) < chances["dropped"]
+        times = 1 + (random.random(count) < chances["twice"])
+        came = np.repeat(order, np.where(is_dropped, 0, times))
+        if random.random() < chances["late"] and self._old is not None:
+            return np.concatenate([self._old, frames[came]])[:count]
+        return frames[came]
+
+
+def rig(scene: str = "mixed") -> OperatorRig:
     """A scene of direct light, one with as much indirect light, and a cavity full of it."""
     random, rays = np.random.default_rng(7), RAYS[0] * RAYS[1]
     direct = np.diag(random.uniform(0.1, 1, rays))
@@ -35,7 +101,7 @@ def rig(scene: str = "mixed", seed: int = 0, noise: Sensor | None = None) -> Ope
         "cavity": 3 * np.outer(random.random(rays), random.random(rays)) / rays,
     }[scene]
     matrix = (0.3 if scene == "cavity" else 1.0) * direct + indirect
-    return OperatorRig(matrix, RAYS, RAYS, CameraModel() if noise is None else noise, seed)
+    return OperatorRig(matrix, RAYS, RAYS, CameraModel())
 
 
 def patterns(kind: str) -> tuple[Float, list[tuple[int, int]]]:
@@ -79,7 +145,7 @@ def test_without_faults_nothing_is_doubted(scene: str, kind: str) -> None:
 def test_faults_are_found_and_mended(fault: str, scene: str, kind: str) -> None:
     plain, given, lost = rig(scene), patterns(kind), 0
     for seed in range(2):
-        sequences = SimulatedSequences(plain, faults=SequenceFaults(seed=seed, **FAULTS[fault]))
+        sequences = SimulatedSequences(plain, seed=seed, **FAULTS[fault])
         frames = sequences.show_sequence(*given)
         expected = plain.capture(*given)
         differing = (frames != expected).any(axis=tuple(range(2, frames.ndim)))
@@ -102,8 +168,8 @@ def merged(plain: OperatorRig, frames: Float) -> Float:
 
 def test_what_a_sequence_never_gives_is_taken_one_by_one(caplog: pytest.LogCaptureFixture) -> None:
     plain, given = rig(), patterns("half")
-    for faults in (SequenceFaults(dropped=1), SequenceFaults(dropped=0.3, swapped=1)):
-        sequences = SimulatedSequences(plain, faults=faults)
+    for faults in ({"dropped": 1.0}, {"dropped": 0.3, "swapped": 1.0}):
+        sequences = SimulatedSequences(plain, **faults)
         np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
         assert sequences.statistics["sequences"]["one_by_one"] > 0
     assert "does each picture trigger the camera" in caplog.text
@@ -126,7 +192,7 @@ def test_long_lists_are_cut_and_short_ones_are_none() -> None:
 def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:
     plain = rig()
     expected = acquire(plain, "near_far", progress=False, target_error=0.2)
-    sequences = SimulatedSequences(plain, faults=SequenceFaults(dropped=0.002, late=0.2, seed=1))
+    sequences = SimulatedSequences(plain, dropped=0.002, late=0.2, seed=1)
     found = acquire(sequences, "near_far", progress=False, target_error=0.2)
     assert sequences.statistics["sequences"]["played"] > 0
     assert found.patterns == expected.patterns
@@ -138,7 +204,7 @@ def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:
 
 class TestSequencesAsARig(RigContract):
     def make_rig(self) -> SimulatedSequences:
-        return SimulatedSequences(rig(), faults=SequenceFaults(dropped=0.01, late=0.2, seed=1))
+        return SimulatedSequences(rig(), dropped=0.01, late=0.2, seed=1)
 
 
 class Stopping(SimulatedSequences):

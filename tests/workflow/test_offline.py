@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +14,7 @@ import OpenImageIO as oiio
 import pytest
 import yaml
 from tests.dng import dng_bytes
+from tests.examples import photographer
 from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import acquire, contents, symmetric_matrix
 from typer.testing import CliRunner
@@ -23,14 +22,12 @@ from typer.testing import CliRunner
 from rfpipe import OperatorRig, open_transport
 from rfpipe.cli import app
 from rfpipe.config import CameraConfig, load_config, parse_config
-from rfpipe.errors import CaptureError, ConfigError, InputError, RfpipeError
+from rfpipe.errors import ConfigError, InputError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
-from rfpipe.rigs.offline_pictures import check_pictures
 from rfpipe.stages.plan import Plan, plan_of, stages_of
 
-SCRIPT = Path(__file__).parents[1] / "examples" / "photographer.py"
 SHAPE = (4, 5)
 SETTINGS: dict[str, Any] = {
     "scenes": {"desk": {"kind": "captured", "shape": list(SHAPE), "channels": 1}},
@@ -40,15 +37,6 @@ SETTINGS: dict[str, Any] = {
     "offline": {"projector_shape": [26, 33]},
 }
 CAMERA = CameraModel(**CameraConfig(**SETTINGS["camera"]).model_dump())
-
-
-def photographer() -> Any:
-    spec = importlib.util.spec_from_file_location("photographer", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def command(*arguments: object, fails: bool = False) -> str:
@@ -76,18 +64,11 @@ def level_0(tmp_path: Path) -> Path:
     path = settings_file(tmp_path, camera=QUIET)
     command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
     (sheet,) = sheets(tmp_path / "p")
-    photograph = photographer()
-    photograph.photograph(sheet, symmetric_matrix()[None], photograph.counts)
+    photographer.photograph(sheet, symmetric_matrix()[None], photographer.counts)
     return sheet
 
 
 QUIET = {"exposures": [0.5, 2.0], "bits": 16, "black_level_counts": 1000}
-
-
-def check(sheet: Path) -> Any:
-    settings = load_config(sheet.parents[1] / "mine.yaml")
-    rig = offline_rig(settings.offline, settings.camera, SHAPE, SHAPE, 1)
-    return check_pictures(rig, read_sheet(sheet), sheet / "pictures")
 
 
 def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> None:
@@ -113,7 +94,7 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     while "nothing more is asked for" not in output:
         assert re.search(r"level \d asks for \d+ patterns and 3 markers", output)
         sheet = sheets(tmp_path / "p")[-1]
-        photographer().photograph(sheet, symmetric_matrix()[None], expose)
+        photographer.photograph(sheet, symmetric_matrix()[None], expose)
         output = command("import", sheet)
         passes += 1
     assert passes == len(sheets(tmp_path / "p")) > 2
@@ -135,7 +116,9 @@ def test_the_workflow_goes_on_from_pictures_that_a_script_took(tmp_path: Path) -
     command("patterns", workflow.config, "-o", tmp_path / "p", "--results", results)
     (sheet,) = sheets(tmp_path / "p")
     np.save(tmp_path / "matrix.npy", symmetric_matrix()[None])
-    done = subprocess.run([sys.executable, SCRIPT, sheet, tmp_path / "matrix.npy"], check=False)
+    done = subprocess.run(
+        [sys.executable, photographer.__file__, sheet, tmp_path / "matrix.npy"], check=False
+    )
     assert done.returncode == 0
     assert "nothing more is asked for" in command("import", sheet)
     assert "patterns in" not in workflow.run(target)
@@ -157,12 +140,6 @@ def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
     lit = np.zeros((26, 33), bool)
     lit[1:25, 1:31] = True  # 4 x 5 squares of 6 x 6 pixels in the middle
     np.testing.assert_array_equal(white > 0, lit)
-
-
-def turned(pictures: Path) -> None:
-    files = sorted(pictures.iterdir(), key=lambda path: int(path.stem[4:]))
-    for index, path in enumerate(files):
-        path.rename(pictures / f"new_{len(files) - index}.tif")
 
 
 def swapped(pictures: Path) -> None:
@@ -188,8 +165,6 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
     ("spoil", "message"),
     [
         (lambda folder: (folder / "IMG_3.tif").unlink(), "holds 27 pictures; 14 patterns of 2"),
-        (lambda folder: shutil.copy(folder / "IMG_3.tif", folder / "IMG_99.tif"), "holds 29"),
-        (turned, "doesn't begin with the marker"),
         (rewritten("IMG_5.tif", lambda pixels: pixels, 1.0), r"IMG_5.*exposed for 1 s.*0\.5, 2 s"),
         (rewritten("IMG_6.tif", lambda pixels: pixels[:3]), r"3 x 5 pixels.*expected 4 x 5"),
         (rewritten("IMG_7.tif", lambda pixels: pixels.repeat(3, axis=2)), "has 3 channels"),
@@ -210,8 +185,7 @@ def test_counts_beyond_the_camera_s_bits(level_0: Path) -> None:
     settings_file(path.parent, camera={**QUIET, "bits": 12})
     rewrite = rewritten("IMG_8.tif", lambda pixels: pixels >> 4 << 4)
     rewrite(level_0 / "pictures")
-    with pytest.raises(CaptureError, match=r"camera\.bits"):
-        check(level_0)
+    assert "camera.bits" in command("import", level_0, fails=True)
 
 
 def test_a_sheet_with_other_pictures_is_not_replaced(level_0: Path) -> None:
@@ -235,15 +209,10 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
     np.testing.assert_allclose(seen, mean.ravel(), rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"scenes": {"a": {"kind": "captured"}, "b": {"kind": "captured"}}}, "rig offline"),
-    ],
-)
-def test_settings_that_don_t_fit(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        parse_config({**SETTINGS, **changes}, "it")
+def test_one_scene_is_captured_by_files() -> None:
+    scenes = {"a": {"kind": "captured"}, "b": {"kind": "captured"}}
+    with pytest.raises(ConfigError, match="rig offline"):
+        parse_config({**SETTINGS, "scenes": scenes}, "it")
 
 
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:
