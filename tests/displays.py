@@ -39,12 +39,9 @@ class XServer:
         client.close()
         return np.frombuffer(image.data, np.uint8).reshape(height, width, 4)[..., :3]
 
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
-
     def __enter__(self) -> "XServer":
         return self
 
     def __exit__(self, *_: Any) -> None:
-        self.kill()
+        self._process.kill()
+        self._process.wait()

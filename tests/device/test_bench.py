@@ -3,7 +3,6 @@
 And the rig's contract on it, as on any rig of hardware.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +43,6 @@ def bench(**changes: Any) -> DeviceRig:
     return rig
 
 
-@pytest.fixture(scope="module")
-def rig() -> Iterator[DeviceRig]:
-    with bench() as rig:
-        yield rig
-
-
 class TestBenchAsARig(RigContract):
     repeatable = False
 
@@ -67,18 +60,13 @@ class TestBenchProjector(ProjectorContract):
         return projector.scenery.codes.astype(np.float32) / 255
 
 
-def merged(rig: DeviceRig, patterns: np.ndarray):  # type: ignore[no-untyped-def]
-    """Capture patterns, and the black level before them; return the radiance images."""
-    dark = np.zeros((8, *rig.projector_shape), np.float32)
-    black = rig.capture(dark, [(BLACK_LEVEL_KEY, index) for index in range(8)])
-    frames = rig.capture(patterns, [(0, index) for index in range(len(patterns))])
-    mean = black.mean(axis=0, dtype=np.float64).astype(np.float32)
-    return rig.sensor.merge(frames, mean, 8)
-
-
-def test_a_bracket_is_the_simulation_within_its_noise(rig: DeviceRig) -> None:
+def test_a_bracket_is_the_simulation_within_its_noise() -> None:
     patterns = (np.random.default_rng(0).random((6, *RAYS)) < 0.5).astype(np.float32)
-    images = merged(rig, patterns)
+    with bench() as rig:
+        dark = np.zeros((8, *RAYS), np.float32)
+        black = rig.capture(dark, [(BLACK_LEVEL_KEY, index) for index in range(8)])
+        frames = rig.capture(patterns, [(0, index) for index in range(6)])
+        images = rig.sensor.merge(frames, black.mean(axis=0, dtype=float).astype(np.float32), 8)
     config = settings()
     assert config.bench is not None
     path = optical_path(config.bench)

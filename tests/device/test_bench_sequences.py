@@ -1,23 +1,14 @@
 """Sequences through the bench and the real camera driver: its emulated camera, triggered."""
 
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from tests.device.test_bench import RAYS, bench
 
 from rfpipe.errors import CaptureError
-from rfpipe.rigs import DeviceRig
 
-TRIGGERED = {"camera": {"options": {"sequence_line": "Software", "timeout_seconds": 0.5}}}
 COUNT = 9
-
-
-@pytest.fixture(scope="module")
-def rig() -> Iterator[DeviceRig]:
-    with bench(**TRIGGERED) as rig:
-        yield rig
 
 
 def shown() -> tuple[np.ndarray, list[tuple[int, int]]]:
@@ -25,12 +16,12 @@ def shown() -> tuple[np.ndarray, list[tuple[int, int]]]:
     return patterns, [(1, index) for index in range(COUNT)]
 
 
-def test_a_sequence_gives_what_one_by_one_gives(rig: DeviceRig) -> None:
-    one_by_one = rig.capture(*shown()).astype(float)
-    frames = rig.show_sequence(*shown()).astype(float)
-    assert rig.statistics["sequences"] == {
-        "played": 2, "lost": 0, "one_by_one": 0
-    }  # fmt: skip
+def test_a_sequence_gives_what_one_by_one_gives() -> None:
+    camera = {"options": {"sequence_line": "Software", "timeout_seconds": 0.5}}
+    with bench(camera=camera) as rig:
+        one_by_one = rig.capture(*shown()).astype(float)
+        frames = rig.show_sequence(*shown()).astype(float)
+        assert rig.statistics["sequences"] == {"played": 2, "lost": 0, "one_by_one": 0}
     assert frames.shape == one_by_one.shape
     step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()
     assert np.abs(frames - one_by_one).mean() < 0.05 * step
@@ -43,8 +34,8 @@ def test_without_a_line_there_are_no_sequences() -> None:
 
 
 def test_an_input_that_stays_silent_is_given_up_in_time() -> None:
-    line = {"camera": {"options": {"sequence_line": "Line1", "timeout_seconds": 0.2}}}
-    with bench(**line) as rig:
+    camera = {"options": {"sequence_line": "Line1", "timeout_seconds": 0.2}}
+    with bench(camera=camera) as rig:
         assert rig.sequence_patterns == 199
         camera = rig.camera
         camera.arm(1 / 64, 5)

@@ -4,7 +4,6 @@ And always a report, whatever a step made of it.
 """
 
 import json
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +38,8 @@ UP_TO_RAYS = ["scene", "dark", "linearity", "light", "transfer", "correspondence
 
 
 def settings(**changes: Any) -> dict[str, Any]:
-    made = deepcopy(SETTINGS)
-    for name, value in changes.items():
-        made[name] = {**made.get(name, {}), **value}
-    return made
+    changed = {name: {**SETTINGS.get(name, {}), **value} for name, value in changes.items()}
+    return {**SETTINGS, **changed}
 
 
 def calibrated(

@@ -70,12 +70,3 @@ def test_pictures_of_the_pattern_before_are_taken_again(
     step = np.abs(expected[1:] - expected[:-1]).mean()
     assert (noise < 0.1 * step).all()
     assert "slower than its settle_seconds" in caplog.text
-
-
-def test_patterns_that_look_alike_cost_less_and_less() -> None:
-    dark = (1e-3 * np.arange(24)[:, None, None] / 24 * np.ones((24, *RAYS))).astype(np.float32)
-    with bench() as rig:
-        rig.capture(dark, [(0, index) for index in range(24)])
-        counts = rig.statistics["brackets"]
-    assert counts["stale"] == 0
-    assert 0 < counts["doubted"] <= 5

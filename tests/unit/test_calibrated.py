@@ -12,37 +12,29 @@ from rfpipe.rigs.calibrated import ARRAYS, Calibration, load_calibration, write_
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import write_arrays
 
-
-def whole() -> Calibration:
-    return Calibration(
-        ProjectorLayout.grid((6, 8), (2, 3)),
-        Resampling((2, 3), (2, 3), csr_array(np.eye(6, dtype=np.float32))),
-        {"full_well_electrons": 9000.5},
-        np.linspace(0, 1, 256) ** 2,
-        {"dark": {"verdict": "good"}},
-    )
+WHOLE = Calibration(
+    ProjectorLayout.grid((6, 8), (2, 3)),
+    Resampling((2, 3), (2, 3), csr_array(np.eye(6, dtype=np.float32))),
+    {"full_well_electrons": 9000.5},
+    np.linspace(0, 1, 256) ** 2,
+    {"dark": {"verdict": "good"}},
+)
 
 
 def test_comes_back_as_written(tmp_path: Path) -> None:
-    written = whole()
-    write_calibration(tmp_path / "calibration", written)
+    write_calibration(tmp_path / "calibration", WHOLE)
     read = load_calibration(tmp_path / "calibration")
-    assert read.layout is not None
-    assert read.resampling is not None
-    assert np.array_equal(
-        read.layout.ray_of_pixel, ProjectorLayout.grid((6, 8), (2, 3)).ray_of_pixel
-    )
+    assert np.array_equal(read.layout.ray_of_pixel, WHOLE.layout.ray_of_pixel)
     assert read.layout.shape == (2, 3)
-    assert read.resampling.digest() == written.resampling.digest()
-    assert read.camera == {"full_well_electrons": 9000.5}
-    assert np.array_equal(read.projector_response, written.projector_response)
-    assert read.facts == {"dark": {"verdict": "good"}}
+    assert read.resampling.digest() == WHOLE.resampling.digest()
+    assert np.array_equal(read.projector_response, WHOLE.projector_response)
+    assert (read.camera, read.facts) == (WHOLE.camera, WHOLE.facts)
 
 
 def test_none_and_damaged_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="no complete calibration"):
         load_calibration(tmp_path)
-    write_calibration(tmp_path, whole())
+    write_calibration(tmp_path, WHOLE)
     write_arrays(tmp_path / ARRAYS, {"black": np.zeros(3)}, {})
     with pytest.raises(IntegrityError, match="calibrate again"):
         load_calibration(tmp_path)

@@ -4,7 +4,6 @@ import base64
 import hashlib
 import sys
 import zipfile
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
-from rfpipe_publish import addresses
 from rfpipe_publish.run import files_below
 from rfpipe_publish.writing import write_zip
 
@@ -108,20 +106,6 @@ def test_a_store_behind_an_address_opens(run: Path, light: np.ndarray, relit: np
         assert np.array_equal(again.relight(light), relit)
 
 
-@pytest.mark.slow
-def test_a_slow_line_is_waited_for_and_one_that_stalls_asked_again(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert addresses._READING["timeout"] > timedelta(hours=1)  # of a whole file, however large
-    monkeypatch.setitem(addresses._READING, "read_timeout", timedelta(seconds=2.0))
-    with serving(run) as server:
-        server.seconds = 0.3
-        rfpipe.open_transport(f"{server.address}/crate.zip")
-        server.seconds, server.stalls = 0.0, 1
-        rfpipe.open_transport(f"{server.address}/crate.zip")
-        assert len(server.requests) == 3
-
-
 def test_an_address_may_be_encoded_as_browsers_copy_it(run: Path, tmp_path: Path) -> None:
     inside = tmp_path / "a b/100% ü"
     inside.mkdir(parents=True)
@@ -180,7 +164,7 @@ def test_damage_is_found_wherever_it_lies(run: Path, tmp_path: Path) -> None:
         rfpipe.open_transport(tmp_path / "short.zip")
 
 
-def test_a_zip_made_again_by_another_program_is_read_or_said(run: Path, tmp_path: Path) -> None:
+def test_a_zip_made_again_by_another_program_is_read_and_checked(run: Path, tmp_path: Path) -> None:
     light = np.random.default_rng(4).random(SHAPE)
     again = tmp_path / "again.zip"
     with zipfile.ZipFile(again, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -199,11 +183,6 @@ def test_a_zip_made_again_by_another_program_is_read_or_said(run: Path, tmp_path
         with pytest.raises(IntegrityError, match="anew"):
             rfpipe.open_transport(again).relight(light)
         assert "is missing, truncated or altered" in verified(again, status=1)
-    strange = bytearray(whole)
-    strange[whole.rindex(chunk.filename.encode()) - 36] = 93  # how it is compressed
-    again.write_bytes(strange)
-    with pytest.raises(StoreError, match=r"can't be unpacked .*compression.*stored as they are"):
-        rfpipe.open_transport(again).relight(light)
 
 
 def test_a_zip_of_transports_is_verified_where_it_lies(run: Path) -> None:

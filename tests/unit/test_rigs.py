@@ -181,14 +181,6 @@ def test_frames_do_not_depend_on_the_number_of_threads() -> None:
     assert len(digests) == 1
 
 
-@pytest.mark.parametrize("shape", [16, (4, 4.5), "44", (4,), (0, 4), (2, 0, 2, 2)])
-def test_a_shape_that_is_none_says_what_was_meant(shape: Any) -> None:
-    with pytest.raises(
-        InputError, match=r"camera_shape is .*; expected height and width, \(H, W\)"
-    ):
-        OperatorRig(np.eye(16), shape, (4, 4))
-
-
 def test_a_matrix_in_place_of_a_rig_says_how_to_make_one() -> None:
     with pytest.raises(InputError, match=r"ndarray is no rig; .*OperatorRig\(matrix"):
         rfpipe.acquire(np.eye(4))  # type: ignore[arg-type]

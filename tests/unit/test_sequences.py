@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rfpipe import acquire
 from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
@@ -187,19 +186,6 @@ def test_long_lists_are_cut_and_short_ones_are_none() -> None:
     assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     with pytest.raises(InputError, match="weights from 0 to 1"):
         sequences.show_sequence(given[0] + 1, given[1])
-
-
-def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:
-    plain = rig()
-    expected = acquire(plain, "near_far", progress=False, target_error=0.2)
-    sequences = SimulatedSequences(plain, dropped=0.002, late=0.2, seed=1)
-    found = acquire(sequences, "near_far", progress=False, target_error=0.2)
-    assert sequences.statistics["sequences"]["played"] > 0
-    assert found.patterns == expected.patterns
-    pattern = patterns("half")[0][0]
-    np.testing.assert_array_equal(
-        found.transport.relight(pattern), expected.transport.relight(pattern)
-    )
 
 
 class TestSequencesAsARig(RigContract):

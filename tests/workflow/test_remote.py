@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +34,15 @@ pytestmark = pytest.mark.slow
 class Server:
     """``rfpipe serve`` as a process of its own, with a simulated rig."""
 
-    def __init__(self, folder: Path, scene: dict[str, Any], **rig: Any) -> None:
+    def __init__(self, folder: Path) -> None:
         self.port = free_port()
         self.folder = folder
         self.url = f"http://127.0.0.1:{self.port}"
         self.token_file = folder / "rig.token"
         self.token_file.write_text(TOKEN)
         self.token_file.chmod(0o600)
-        self.settings = {"kind": "simulated", "scene": scene, "seed": 1, **rig}
-        self.process: subprocess.Popen[bytes] | None = None
+        self.settings = {"kind": "simulated", "scene": CONFIG["scenes"]["long"], "seed": 1}
+        self.start()
 
     def start(self) -> None:
         (self.folder / "rig.yaml").write_text(yaml.safe_dump(self.settings))
@@ -64,43 +63,32 @@ class Server:
         except httpx.TransportError:
             return False
 
-    def kill(self, number: int = signal.SIGKILL) -> int:
-        assert self.process is not None
-        self.process.send_signal(number)
-        return self.process.wait(120)
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait(120)
 
     def status(self) -> dict[str, Any]:
         headers = {"Authorization": f"Bearer {TOKEN}"}
         answer = httpx.get(f"{self.url}/v1/status", headers=headers, trust_env=False)
         return dict(answer.json())
 
-    def workflow(self, folder: Path, patience_seconds: int = 600, **settings: Any) -> Workflow:
-        """Return a run of the served scene alone, by brute force where nothing else is asked."""
+    def workflow(self, folder: Path, patience_seconds: int = 600, jobs: str = "stage") -> Workflow:
+        """Return a run of the served scene alone, by brute force."""
         capture = {
             "rig": "remote", "url": self.url, "token_file": str(self.token_file),
             "patience_seconds": patience_seconds,
             "watch": "off",  # the same patterns as of a simulated rig
         }  # fmt: skip
-        defaults = {"scenes": {"long": CONFIG["scenes"]["long"]}, "methods": {"brute_force": {}}}
-        return Workflow(folder, {**defaults, **settings, "capture": capture})
-
-
-@contextmanager
-def serving(folder: Path, scene: dict[str, Any], **rig: Any) -> Iterator[Server]:
-    server = Server(folder, scene, **rig)
-    server.start()
-    try:
-        yield server
-    finally:
-        assert server.process is not None
-        server.process.kill()
-        server.process.wait()
+        scenes = {"long": CONFIG["scenes"]["long"]}
+        of_run = {"scenes": scenes, "methods": {"brute_force": {}}, "resources": {"jobs": jobs}}
+        return Workflow(folder, {**of_run, "capture": capture})
 
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Server]:
-    with serving(tmp_path, CONFIG["scenes"]["long"]) as server:
-        yield server
+    server = Server(tmp_path)
+    yield server
+    server.kill()
 
 
 def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
@@ -128,7 +116,7 @@ def test_a_client_killed_in_the_middle_of_a_level_goes_on(
     tmp_path: Path, server: Server, undisturbed: Workflow, jobs: str
 ) -> None:
     """Alone, or with its server."""
-    workflow = server.workflow(tmp_path / "run", resources={"jobs": jobs})
+    workflow = server.workflow(tmp_path / "run", jobs=jobs)
     store = workflow.path(f"{BRUTE}/L00/capture.zarr")
     process = workflow.start(LONG)
     freeze_writer(store, 12)
