@@ -34,7 +34,6 @@ SETTINGS: dict[str, Any] = {
     },
     "calibrate": {"dark_frames": 3, "levels": 5, "codes": 9, "symmetry_patterns": 4},
 }  # fmt: skip
-UP_TO_RAYS = ["scene", "dark", "linearity", "light", "transfer", "correspondence", "rays"]
 
 
 def settings(**changes: Any) -> dict[str, Any]:
