@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
+from tests.unit.test_transports import wavelets
 
 import rfpipe
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
-from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.base import Transport
 
 KINDS = (
@@ -23,7 +22,7 @@ KINDS = (
 def transport_of(kind: str) -> Transport:
     """A small transport of a kind."""
     if kind == "wavelet":
-        return _wavelet()
+        return wavelets()[0]
     if kind == "light field":
         matrix = np.abs(np.random.default_rng(3).standard_normal((48, 48))).astype(np.float32)
         symmetric = matrix + matrix.T + 30 * np.eye(48, dtype=np.float32)
@@ -47,27 +46,6 @@ def transport_of(kind: str) -> Transport:
     }
     name = names.get(kind, kind)
     return rfpipe.acquire(SimulatedRig(scene), method=name, progress=False).transport
-
-
-def rounded(transport: Transport, folder: Path) -> Transport:
-    """The transport as a run's store keeps it."""
-    save_transport(transport, folder / "transport.zarr", "uint8")
-    return open_transport(folder / "transport.zarr")
-
-
-def _wavelet() -> Transport:
-    from rfpipe.transport.wavelet import Cells, WaveletTransport
-
-    random = np.random.default_rng(4)
-    size = Cells((11, 14), 2).haar.size
-    pairs = np.unique(np.sort(random.integers(0, size, (2, 200)), axis=0), axis=1)
-    held = {
-        "side": np.array([2], np.int32),
-        "factor": random.random((3, 154)).astype(np.float32),
-        "pairs": pairs.astype(np.int32),
-        "cores": random.standard_normal((3, pairs.shape[1])).astype(np.float32),
-    }
-    return WaveletTransport((11, 14), 3, [], held)
 
 
 def lights(shape: tuple[int, ...], channels: int) -> list[np.ndarray]:

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from tests.helpers import acquire_matrix
 
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.estimate import Estimate, Held
+from rfpipe.methods.adaptive.footprints.method import Footprints
 from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar, NearFarState
 from rfpipe.methods.adaptive.residual import Residual
+from rfpipe.methods.adaptive.rounds import AdaptiveState
 from rfpipe.methods.base import ErrorOptions
+from rfpipe.methods.images import Pictures
+from rfpipe.methods.states import level_row
 from rfpipe.scenes import reference_scene
 
 METHOD = NearFar()
@@ -84,3 +89,35 @@ def test_the_first_estimate_ends_it_where_nothing_is_indirect(after_a_round: Nea
         assert METHOD.decided(replace(shapes, estimates=(found,))).following == expected
         both = replace(after_a_round, estimates=(found, found))
         assert METHOD.decided(both).following == "done"
+
+
+def stalled(error: float, before: float = 1.01) -> AdaptiveState:
+    """A state of footprints whose last round has hardly helped."""
+    rays = RayDomain((12, 16))
+    state = Footprints().start(rays, rays, 1, ErrorOptions(target_error=0.005))
+    light = np.ones((1, 1, rays.size), np.float32)
+    lit = np.ones((1, rays.size), np.bool_)
+    return replace(
+        state,
+        level=4,
+        rows=tuple(level_row(level, count) for level, count in enumerate((1, 30, 26, 36))),
+        estimates=tuple(Estimate(e, e, e) for e in (2 * error, before * error, error)),
+        held=Held(np.repeat(lit, 6, 0), np.repeat(light, 6, 0)),
+        taken=Pictures(lit, light, 1e-6 * light),
+    )
+
+
+@pytest.mark.parametrize(
+    ("state", "following"),
+    [
+        (stalled(0.0049), "done"),
+        (stalled(0.0058), "done"),
+        (stalled(0.0065), "hierarchy"),
+        (stalled(0.0051, before=1.14), "model"),
+        (replace(stalled(0.0058), unfit=True), "hierarchy"),
+    ],
+)
+def test_footprints_give_way_where_they_do_not_fit_or_have_stalled_clearly_off_the_target(
+    state: AdaptiveState, following: str
+) -> None:
+    assert Footprints().decided(state).following == following

@@ -21,10 +21,10 @@ SHAPE = (VIEWS, *IMAGE)
 
 
 @cache
-def room(channels: int = 1) -> np.ndarray:
-    """The transport of a room seen by three views side by side, (C, N, N)."""
-    scene = room_scene(("texture", "white", "white"), IMAGE, views=(1, VIEWS), channels=channels)
-    matrix = np.stack([scene.dense(channel) for channel in range(channels)])
+def room() -> np.ndarray:
+    """The transport of a room seen by three views side by side, (1, N, N)."""
+    scene = room_scene(("texture", "white", "white"), IMAGE, views=(1, VIEWS), channels=1)
+    matrix = scene.dense(0)[None]
     return matrix / matrix.sum(axis=2).max()
 
 

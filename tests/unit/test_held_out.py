@@ -10,10 +10,10 @@ from rfpipe.provenance import generator
 
 
 def held_out(
-    wrong: float, sigma: float, seed: int, pairs: int = 3, rays: int = 2000
+    wrong: float, sigma: float, seed: int, pairs: int = 3
 ) -> tuple[np.ndarray, Held, float]:
     """Return a prediction, the pictures, and the prediction's true error."""
-    random = np.random.default_rng(seed)
+    random, rays = np.random.default_rng(seed), 2000
     lit = np.repeat(random.random((pairs, rays)) < 0.4, 2, axis=0)
     truth = np.where(lit, random.uniform(0.2, 1, rays), 0.02)[:, None]
     amiss = wrong * np.repeat(random.standard_normal((pairs, 1, rays)), 2, axis=0)

@@ -15,15 +15,9 @@ from rfpipe.transport.multiscale import (
 SHAPES = [(1, 1), (1, 37), (13, 29), (12, 10), (2, 3, 5)]
 
 
-def every_function(shape: tuple[int, ...], scales: list[int]) -> np.ndarray:
-    return np.concatenate(
-        [functions_over(scale, np.ones(cells(shape, scale), np.bool_)) for scale in scales]
-    )
-
-
 def some_functions(shape: tuple[int, ...]) -> np.ndarray:
     """All of scale 4, and of 2 and 1 those of the first cells."""
-    parts = [every_function(shape, [4])]
+    parts = [functions_over(4, np.ones(cells(shape, 4), np.bool_))]
     for scale in (2, 1):
         wanted = np.zeros(cells(shape, scale), np.bool_)
         wanted[0, :2, :2] = True

@@ -32,10 +32,6 @@ def made_up_frames(rays: int, patterns: int) -> Pictures:
     return Pictures(lit, radiance[:, None].astype(np.float32), spread[:, None].astype(np.float32))
 
 
-def observed(basis: MultiscaleBasis, pictures: Pictures) -> Observations:
-    return Observations.of(Patches(basis), Evidence.of(pictures, SHARE))
-
-
 def column_by_column(basis: MultiscaleBasis, pictures: Pictures) -> np.ndarray:
     """What each core alone adds to the pictures, ``F (K F p - p K F 1)``, (M N, pairs)."""
     factor = pictures.floodlit[0].astype(np.float64)
@@ -61,7 +57,7 @@ def test_cores_are_those_of_the_dense_least_squares(
     parts = [functions_over(*part) for part in zip(scales, wanted, strict=True)]
     basis = MultiscaleBasis(shape, np.concatenate(parts))
     pictures = made_up_frames(int(np.prod(shape)), 6)
-    seen = observed(basis, pictures)
+    seen = Observations.of(Patches(basis), Evidence.of(pictures, SHARE))
     deviations = np.random.default_rng(1).uniform(0.1, 0.5, len(basis.first)).astype(np.float32)
 
     probes, factor = pictures.probes, pictures.floodlit[0].astype(np.float64)

@@ -20,12 +20,8 @@ from rfpipe.testing.methods import MatrixImages, MethodRun, run_method
 from rfpipe.transport import Transport
 
 SHAPE = (16, 16)
+WEDGE = scene_matrices("IV", SHAPE)
 BOTH = pytest.mark.parametrize("name", ["symmetric", "dual"])
-
-
-def wedge(shape: tuple[int, int] = SHAPE) -> NDArray[np.float64]:
-    """Two textured planes, (1, N, N)."""
-    return scene_matrices("IV", shape)
 
 
 def run(name: str, matrix: NDArray[Any], sigma: float = 0.0, **options: Any) -> MethodRun:
@@ -62,19 +58,17 @@ def held_out_error(run: MethodRun, matrix: NDArray[Any]) -> float:
 @BOTH
 @pytest.mark.parametrize("target", [0.05, 0.01, 0.002])
 def test_the_target_is_met_and_the_estimate_is_the_error(name: str, target: float) -> None:
-    matrix = wedge()
-    found = run(name, matrix, target_error=target)
+    found = run(name, WEDGE, target_error=target)
     assert last_estimate(found.transport) <= target
-    assert pictures_error(found.transport, matrix) <= target
-    assert last_estimate(found.transport) == pytest.approx(held_out_error(found, matrix), rel=0.05)
+    assert pictures_error(found.transport, WEDGE) <= target
+    assert last_estimate(found.transport) == pytest.approx(held_out_error(found, WEDGE), rel=0.05)
 
 
 @BOTH
 def test_held_out_pictures_are_all_that_it_costs(name: str) -> None:
     """The inner method asks for the same patterns, and its tolerance follows from the target."""
-    matrix = wedge()
-    targeted = run(name, matrix, target_error=0.004)
-    plain = run(name, matrix, tolerance=0.3 * 0.004)
+    targeted = run(name, WEDGE, target_error=0.004)
+    plain = run(name, WEDGE, tolerance=0.3 * 0.004)
     counted = sum(targeted.patterns)
     assert counted == sum(plain.patterns) + MOST_HELD_OUT
     assert counted == sum(row["patterns"] for row in targeted.transport.level_rows)
@@ -89,7 +83,7 @@ def test_held_out_pictures_are_all_that_it_costs(name: str) -> None:
 def test_what_predicts_best_is_returned(name: str) -> None:
     """Where the last level shows another scene, that of an upper level; and it says so."""
     albedo = generator(1).uniform(0.5, 1, 256)
-    matrix = (np.outer(albedo, albedo) + 0.02 * wedge())[:1]
+    matrix = (np.outer(albedo, albedo) + 0.02 * WEDGE)[:1]
     method, rays = get_method(name), RayDomain(SHAPE)
     options = options_of(method, target_error=1e-4)
     targeted: Method[Any] = method.with_options(options)
@@ -115,9 +109,9 @@ def test_what_predicts_best_is_returned(name: str) -> None:
 
 @BOTH
 def test_truncated_it_is_what_the_level_knew(name: str) -> None:
-    matrix, method = wedge(), get_method(name)
+    method = get_method(name)
     targeted = method.with_options(options_of(method, target_error=0.01))
-    found = run(name, matrix, target_error=0.01)
+    found = run(name, WEDGE, target_error=0.01)
     assert [row["block_level"] for row in found.transport.level_rows] == [0, 0, 1, 2, 3, 4, 4]
     for level, block_level in enumerate([0, 0, 1, 2, 3, 4, 4]):
         plain = method.transport(found.states[-1].inner).truncate(block_level)

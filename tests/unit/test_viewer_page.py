@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.browsers import opened, picture_of
-from tests.viewers import KINDS, lights, planar, rounded, transport_of
+from tests.viewers import KINDS, lights, planar, transport_of
 
+from rfpipe.transport import open_transport, save_transport
 from rfpipe.viewer import View, write_view
 
 KERNELS = ("", "?kernel=javascript")
@@ -19,7 +20,8 @@ KERNELS = ("", "?kernel=javascript")
 def test_pictures_are_python_s(chromium: Any, kind: str, tmp_path: Path) -> None:
     transport = transport_of(kind)
     if kind.endswith("uint8"):
-        transport = rounded(transport, tmp_path)
+        save_transport(transport, tmp_path / "transport.zarr", "uint8")
+        transport = open_transport(tmp_path / "transport.zarr")
     path = write_view(View(transport, "A scene"), tmp_path / "scene.html").page
     for kernel in KERNELS:
         page = opened(chromium, path, kernel)
