@@ -22,7 +22,7 @@ def setup_section(inputs: Inputs) -> Section:
     settings = [[name, str(value)] for name, value in _flat(inputs.config.shaping())]
     made = [[name, str(value)] for name, value in versions().items()]
     tables = [
-        Table("Settings", "As config/README.md describes them.", names, settings, 2),
+        Table("Settings", "As config/all.yaml describes them.", names, settings, 2),
         Table("Versions", "", ["package", "version"], made, 2),
     ]
     return Section("setup", "Camera, scenes and versions", tables, [_SOURCE])
