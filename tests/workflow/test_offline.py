@@ -181,10 +181,8 @@ def test_pictures_are_refused_before_any_is_kept(level_0: Path, spoil: Any, mess
 
 
 def test_counts_beyond_the_camera_s_bits(level_0: Path) -> None:
-    path = level_0.parents[1] / "mine.yaml"
-    settings_file(path.parent, camera={**QUIET, "bits": 12})
-    rewrite = rewritten("IMG_8.tif", lambda pixels: pixels >> 4 << 4)
-    rewrite(level_0 / "pictures")
+    settings_file(level_0.parents[1], camera={**QUIET, "bits": 12})
+    rewritten("IMG_8.tif", lambda pixels: pixels >> 4 << 4)(level_0 / "pictures")
     assert "camera.bits" in command("import", level_0, fails=True)
 
 
