@@ -1,9 +1,8 @@
 """The page of `rfpipe aim`: who may see it, and that it tells what the camera sees."""
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
-from typing import Any
 
 import matplotlib.image as mpimg
 import numpy as np
@@ -30,66 +29,49 @@ def watch(bench: Bench) -> Iterator[Watch]:
     watch.close()
 
 
-class Client:
-    """A browser that keeps its cookies."""
-
-    def __init__(self, app: Any) -> None:
-        self._app = app
-        self._cookies: dict[str, str] = {}
-
-    def get(self, path: str, **options: Any) -> Response:
-        async def asked() -> Response:
-            async with AsyncClient(
-                transport=ASGITransport(self._app), base_url="http://127.0.0.1",
-                cookies=self._cookies, follow_redirects=True,
-            ) as client:  # fmt: skip
-                answer = await client.get(path, **options)
-                self._cookies = dict(client.cookies)
-                return answer
-
-        return asyncio.run(asked())
-
-
 @pytest.fixture
-def client(watch: Watch) -> Client:
-    return Client(create_app(watch, TOKEN))
+def get(watch: Watch) -> Callable[..., Response]:
+    """Ask as a browser does, which keeps its cookies."""
+    app = ASGITransport(create_app(watch, TOKEN))
+    browser = AsyncClient(transport=app, base_url="http://127.0.0.1", follow_redirects=True)
+    return lambda path, **options: asyncio.run(browser.get(path, **options))
 
 
 def wait_for(watch: Watch, number: int) -> None:
     wait_until(lambda: watch.look.number >= number, f"look {number}")
 
 
-def test_nothing_is_shown_without_the_token(client: Client) -> None:
+def test_nothing_is_shown_without_the_token(get: Callable[..., Response]) -> None:
     for path in ("/", "/?token=another", "/state.json", "/picture.png"):
-        assert client.get(path).status_code == 401
-    page = client.get(f"/?token={TOKEN}")
+        assert get(path).status_code == 401
+    page = get(f"/?token={TOKEN}")
     assert page.status_code == 200
     assert TOKEN not in str(page.url)
     assert "What the camera sees" in page.text
-    assert client.get("/state.json").status_code == 200
-    assert client.get("/state.json", headers={"Host": "elsewhere.example"}).status_code == 400
+    assert get("/state.json").status_code == 200
+    assert get("/state.json", headers={"Host": "elsewhere.example"}).status_code == 400
 
 
-def test_it_tells_what_the_camera_sees(client: Client, watch: Watch) -> None:
-    client.get(f"/?token={TOKEN}")
+def test_it_tells_what_the_camera_sees(get: Callable[..., Response], watch: Watch) -> None:
+    get(f"/?token={TOKEN}")
     wait_for(watch, 1)
-    state = client.get("/state.json").json()
+    state = get("/state.json").json()
     assert state["standing"] == "poor"
     assert "saturated" in state["verdict"]
     assert 0.5 < state["saturated"] <= 1
     proposed = float(state["proposal"].partition("[")[2].partition(",")[0])
     # the brightest then has three quarters of full scale; now it has some eight times all of it
     assert 1 / 64 / 20 < proposed < 1 / 64 / 5
-    picture = mpimg.imread(BytesIO(client.get("/picture.png").content))[..., :3]
+    picture = mpimg.imread(BytesIO(get("/picture.png").content))[..., :3]
     red = (picture[..., 0] > 0.8) & (picture[..., 1] < 0.2)
     assert red.mean() > 0.3
     assert (np.abs(picture - [1.0, 0.82, 0.12]).max(axis=-1) < 0.02).any()  # the outline
 
 
 def test_a_device_that_fails_is_told_of_and_tried_again(
-    client: Client, watch: Watch, bench: Bench, monkeypatch: pytest.MonkeyPatch
+    get: Callable[..., Response], watch: Watch, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    client.get(f"/?token={TOKEN}")
+    get(f"/?token={TOKEN}")
     wait_for(watch, 1)
     expose = bench.camera.expose
 
@@ -98,13 +80,11 @@ def test_a_device_that_fails_is_told_of_and_tried_again(
 
     monkeypatch.setattr("rfpipe.server.aim.AGAIN_SECONDS", 0.05)
     bench.camera.expose = fail  # type: ignore[method-assign,assignment]
-    wait_until(
-        lambda: "cable is out" in (client.get("/state.json").json()["error"] or ""), "the error"
-    )
+    wait_until(lambda: "cable is out" in (get("/state.json").json()["error"] or ""), "the error")
     bench.camera.expose = expose  # type: ignore[method-assign]
     seen = watch.look.number
     wait_for(watch, seen + 1)
-    assert client.get("/state.json").json()["error"] is None
+    assert get("/state.json").json()["error"] is None
 
 
 def test_devices_that_can_t_be_opened_end_it() -> None:

@@ -40,17 +40,6 @@ def server() -> Iterator[Running]:
         yield server
 
 
-def quiet(examples: int) -> settings:
-    return settings(
-        max_examples=examples,
-        deadline=None,
-        derandomize=True,
-        database=None,
-        phases=[Phase.explicit, Phase.generate],
-        suppress_health_check=list(HealthCheck),
-    )
-
-
 @pytest.mark.filterwarnings("ignore")  # of the generators, about the requests they make
 def test_no_request_makes_the_server_fail(server: Running) -> None:
     schema = schemathesis.openapi.from_url(f"{server.url}/v1/openapi.json")
@@ -69,7 +58,14 @@ def test_no_request_makes_the_server_fail(server: Running) -> None:
 def fuzz(operation: Any, mode: GenerationMode, session: Any, seen: Counter[int]) -> None:
     examples = 20 if operation.label in FEW else 160
 
-    @quiet(examples)
+    @settings(
+        max_examples=examples,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        phases=[Phase.explicit, Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
     @given(operation.as_strategy(generation_mode=mode))
     def send(case: Any) -> None:
         response = case.call(session=session, headers=RIGHT)

@@ -10,7 +10,6 @@ import pytest
 import yaml
 
 from rfpipe.config import Config, RigConfig, load_config, parse_config
-from rfpipe.config.base import Settings
 from rfpipe.config.files import is_rig
 from rfpipe.config.schema import generated, schema_of
 from rfpipe.errors import ConfigError
@@ -85,18 +84,6 @@ def test_an_empty_file_is_refused(tmp_path: Path, text: str) -> None:
         load_config(write(tmp_path, text))
 
 
-@pytest.mark.parametrize("kind", [Config, RigConfig])
-def test_every_setting_has_a_description(kind: type[Settings]) -> None:
-    schema = schema_of(kind)
-    bare = [
-        f"{model}.{name}"
-        for model, node in {kind.__name__: schema, **schema["$defs"]}.items()
-        for name, field in node.get("properties", {}).items()
-        if not re.search(r'"(description|propertyNames|\$ref)"', json.dumps(field))
-    ]
-    assert bare == []
-
-
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
     # YAML 1.1 takes 1e-4, without a dot, for a string
     text = f"{BARE_TEXT}methods: {{symmetric: {{tolerance: 1e-4}}}}"
@@ -124,6 +111,9 @@ scenes: {a: {kind: plane, shpae: 8 x 8}} -> scenes.a.shpae is unknown; did you m
 scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surfaces (left, right), not
 {camera: {bayer: RGGB}, scenes: {a: {kind: plane, channels: 1}}} -> scenes.a.channels is 1; set it
 scenes: {a: {kind: room, methods: {}}} -> scenes.a.methods is {}
+scenes: {a: {kind: captured, shape: 4 x 5}} -> capture.rig should be remote or offline for scenes.a
+{scenes: {a: &a {kind: captured}, b: *a}, capture: {rig: remote}} -> scenes .* capture.rig remote
+{scenes: {a: {kind: captured, camera_shape: 6 x 7}},capture: {rig: remote}} -> a.methods .* any rig
 scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is unknown
 """
 

@@ -26,18 +26,12 @@ def gain(
     return level_gain(floodlit, images.sum(axis=0), NONE, mode, complete, 3.0, NONE)
 
 
-def test_total_energy_distributes_the_floodlit_colour_by_each_images_energy() -> None:
+@pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
+def test_each_channel_is_scaled_for_itself_or_gets_its_part_of_an_images_energy(mode: Mode) -> None:
     images, floodlit = dimmed()
-    corrected, _ = apply(images, np.ones_like(images), gain(images, floodlit, "total_energy"))
-    energy = images.sum(axis=-1)  # E_p
-    share = energy / energy.sum(axis=0)
-    np.testing.assert_allclose(corrected, share[..., None] * floodlit, rtol=1e-5)
-
-
-def test_per_channel_scales_each_channel_for_itself() -> None:
-    images, floodlit = dimmed()
-    corrected, _ = apply(images, np.ones_like(images), gain(images, floodlit, "per_channel"))
-    np.testing.assert_allclose(corrected, images * (floodlit / images.sum(axis=0)), rtol=1e-5)
+    corrected, _ = apply(images, np.ones_like(images), gain(images, floodlit, mode))
+    energy = images if mode == "per_channel" else images.sum(axis=-1, keepdims=True)  # E_p
+    np.testing.assert_allclose(corrected, energy / energy.sum(axis=0) * floodlit, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("mode", "complete"), [("none", True), ("total_energy", False)])

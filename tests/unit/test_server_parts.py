@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from starlette.exceptions import HTTPException
@@ -91,36 +90,12 @@ def test_a_token_file_that_others_may_read_or_that_is_not_there(file: Path) -> N
         read_token(file)
 
 
-DESK = {"desk": {"kind": "captured", "shape": [4, 5]}}
-REMOTE = {"rig": "remote"}
-
-
 def test_a_captured_scene() -> None:
-    scene = parse_config(
-        {"scenes": DESK, "capture": REMOTE, "methods": {"symmetric": {}}}, "test"
-    ).scenes["desk"]
+    desk = {"desk": {"kind": "captured", "shape": [4, 5]}}
+    scene = parse_config({"scenes": desk, "capture": {"rig": "remote"}}, "test").scenes["desk"]
     assert scene.is_captured
     assert scene.camera_ray_shape == scene.ray_shape == (4, 5)
     with pytest.raises(InputError, match="can't be simulated"):
         scene_from_config(scene)
     array = SceneSettings.of("captured", shape=(4, 5), views=(3, 3))
     assert array.ray_shape == (9, 4, 5)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"scenes": DESK}, "capture.rig should be remote or offline for scenes.desk"),
-        (
-            {"scenes": {**DESK, "bowl": DESK["desk"]}, "capture": REMOTE},
-            "scenes should be one with capture.rig remote",
-        ),
-        (
-            {"scenes": {"desk": {**DESK["desk"], "camera_shape": [6, 7]}}, "capture": REMOTE},
-            r"scenes.desk.methods should be methods for any rig",
-        ),
-    ],
-)
-def test_settings_that_do_not_fit_a_rig(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        parse_config(settings, "test")

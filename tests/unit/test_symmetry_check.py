@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.helpers import picture_error
 from tests.knocked import DIM, SHAPE, beside, wedge
+from tests.workflow.stagewise import FaultyRig
 
 import rfpipe
 from rfpipe.errors import CaptureError, InputError
@@ -49,19 +50,6 @@ def test_a_right_rig_is_not(change, camera: CameraModel | None, caplog) -> None:
     assert picture_error(found.transport, matrix, generator(1).random((3, *SHAPE)) < 0.5) < 0.03
 
 
-class Spoilt(rfpipe.OperatorRig):
-    """A rig some of whose camera's pixels are dead."""
-
-    def __init__(self, matrix: np.ndarray, dead: np.ndarray) -> None:
-        super().__init__(matrix, SHAPE, SHAPE, CameraModel())
-        self.dead = dead
-
-    def capture(self, patterns, keys):
-        frames = super().capture(patterns, keys)
-        frames[:, :, self.dead] = 5
-        return frames
-
-
 def test_what_is_accepted_may_be_said(caplog) -> None:
     wrong = rig(beside(wedge(), 0.25)[0], CameraModel())
     with caplog.at_level(logging.WARNING):
@@ -93,5 +81,9 @@ def spreading() -> np.ndarray:
 )
 def test_dead_pixels_are_no_asymmetry(matrix: np.ndarray, share: float) -> None:
     dead = generator(2).random(SHAPE) < share
-    found = rfpipe.acquire(Spoilt(matrix, dead), "symmetric", tolerance=0.1, **FEW)
+    spoilt = FaultyRig(
+        rig(matrix, CameraModel()),
+        lambda _, frames: np.where(dead[..., None], np.uint16(5), frames),
+    )
+    found = rfpipe.acquire(spoilt, "symmetric", tolerance=0.1, **FEW)
     assert np.array_equal(found.masked, dead)

@@ -26,24 +26,22 @@ def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
     return SimpleNamespace(results=folder, runs=[run], run_sources=[])
 
 
-def test_a_report_shows_the_verdicts_on_its_rig(tmp_path: Path) -> None:
-    inputs = inputs_of(tmp_path, {"kind": "devices", VERDICTS_KEY: VERDICTS})
-    section = verdicts_section(inputs)
-    assert section.text == ["desk by auto: Rays: NOT GOOD. Half of them are not seen."]
-    [block] = section.blocks
-    assert block.rows == [
-        ["Black level", "good"], ["Rays", "NOT GOOD"], ["Symmetry", "can't tell"],
-    ]  # fmt: skip
-
-
-def test_a_report_says_where_nothing_is_known_of_the_rig(tmp_path: Path) -> None:
-    section = verdicts_section(inputs_of(tmp_path, {"kind": "devices"}))
-    assert section.blocks[0].rows == [["no calibration", "can't tell"]]
-    assert "without a calibration" in section.text[0]
-
-
-def test_a_simulated_rig_has_no_verdicts(tmp_path: Path) -> None:
-    assert not verdicts_section(inputs_of(tmp_path, {"kind": "simulated"})).blocks
+@pytest.mark.parametrize(
+    ("verdicts", "said", "rows"),
+    [
+        (VERDICTS, "desk by auto: Rays: NOT GOOD. Half of them are not seen.",
+         [["Black level", "good"], ["Rays", "NOT GOOD"], ["Symmetry", "can't tell"]]),
+        ({}, "desk by auto: without a calibration; pictures may not be radiance.",
+         [["no calibration", "can't tell"]]),
+    ],
+)  # fmt: skip
+def test_a_report_shows_the_verdicts_on_its_rig(
+    tmp_path: Path, verdicts: dict[str, Any], said: str, rows: list[list[str]]
+) -> None:
+    section = verdicts_section(inputs_of(tmp_path, {"kind": "devices", VERDICTS_KEY: verdicts}))
+    assert section.text == [said]
+    assert section.blocks[0].rows == rows
+    assert not verdicts_section(inputs_of(tmp_path / "other", {"kind": "simulated"})).blocks
 
 
 def test_a_run_warns_of_a_rig_that_is_not_good(caplog: pytest.LogCaptureFixture) -> None:

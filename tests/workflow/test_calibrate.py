@@ -25,7 +25,6 @@ RIG = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
 def test_calibrate_is_a_target_of_its_own(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path / "run")
     (workflow.folder / "rig.yaml").write_text(yaml.safe_dump(RIG))

@@ -36,48 +36,34 @@ def commands() -> str:
     return f"set -euo pipefail\nset -m\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{script}"
 
 
-def run_commands(folder: Path) -> None:
-    """Run all commands of the document in a checkout of their own."""
+def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
     for name in NEEDED:
         source = ROOT / name
         copy = shutil.copytree if source.is_dir() else shutil.copy2
-        copy(source, folder / name)
-    (folder / ".venv").symlink_to(sys.prefix)
+        copy(source, tmp_path / name)
+    (tmp_path / ".venv").symlink_to(sys.prefix)
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     done = subprocess.run(
         ["bash", "-c", commands()],
-        cwd=folder,
-        env={**environment, "PYTHONPATH": str(folder / "src")},
+        cwd=tmp_path,
+        env={**environment, "PYTHONPATH": str(tmp_path / "src")},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         timeout=600,
         check=False,
     )
-    served = (folder / "server.log").read_text() if (folder / "server.log").exists() else ""
+    served = (tmp_path / "server.log").read_text() if (tmp_path / "server.log").exists() else ""
     assert done.returncode == 0, done.stdout + served
-
-
-@pytest.mark.slow
-def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
-    run_commands(tmp_path)
-    check_pictures(tmp_path)
-    check_numbers(tmp_path)
-
-
-def check_pictures(bench: Path) -> None:
-    scene = scene_from_config(load_rig_config(ROOT / "config/bench.yaml").bench.scene)
-    transport = open_transport(bench / "captured/results/bench/auto/transport.zarr")
+    config = load_rig_config(ROOT / "config/bench.yaml")
+    scene = scene_from_config(config.bench.scene)
+    transport = open_transport(tmp_path / "captured/results/bench/auto/transport.zarr")
     for name, pattern in relighting_patterns(scene.shape).items():
         truth = images_of(scene, pattern[None])[0]
         assert relative_rms(transport.relight(pattern), truth) < 0.02, name
-    assert (bench / "bar.png").stat().st_size > 0
-    assert (bench / "captured/results/report/index.html").exists()
-
-
-def check_numbers(bench: Path) -> None:
-    config = load_rig_config(ROOT / "config/bench.yaml")
-    found = json.loads((bench / "calibration/calibration.json").read_text())
+    assert (tmp_path / "bar.png").stat().st_size > 0
+    assert (tmp_path / "captured/results/report/index.html").exists()
+    found = json.loads((tmp_path / "calibration/calibration.json").read_text())
     assert {step["standing"] for step in found["facts"].values()} == {"good"}
     true = config.sensor
     for name in ("read_noise_electrons", "full_well_electrons", "dark_current_electrons"):
