@@ -1,6 +1,5 @@
 """What a captured run's report says of its rig's calibration, and what a run warns of."""
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +9,7 @@ import pytest
 from rfpipe.errors import ConfigError
 from rfpipe.report.verification import verdicts_section
 from rfpipe.rigs.calibrated import VERDICTS_KEY, check_verdicts, warn_of
+from rfpipe.store import write_manifest
 
 VERDICTS = {
     "dark": {"title": "Black level", "standing": "good", "verdict": "64 counts."},
@@ -22,8 +22,8 @@ def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
     run = SimpleNamespace(scene="desk", method="auto")
     place = folder / "desk" / "auto" / "L00"
     place.mkdir(parents=True)
-    (place / "capture.json").write_text(json.dumps({"rig": rig}))
-    return SimpleNamespace(results=folder, runs=[run], run_sources=[])
+    write_manifest(place / "capture.json", {"rig": rig})
+    return SimpleNamespace(results=folder, runs=[run])
 
 
 @pytest.mark.parametrize(

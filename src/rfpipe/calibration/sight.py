@@ -133,20 +133,17 @@ def measure_sight(
     return Findings.of("scene", facts, arrays)
 
 
-def sight_picture(
-    white: NDArray[Any], saturated: Mask, dark: Mask, outline_of: Mask | None = None
-) -> Double:
+def sight_picture(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -> Double:
     """Return the scene as RGB in [0, 1]: what is saturated in red, what is too dark in blue.
 
-    The brightest half per cent of the light are white. An area may have its outline in yellow.
+    The brightest half per cent of the light are white. Around what is lit lies a yellow outline.
     """
     from scipy.ndimage import binary_dilation
 
     light = np.maximum(white, 0)
     picture = np.array(srgb(light[..., None], float(np.percentile(light, 99.5)) or 1.0))
     picture[saturated], picture[dark] = RED, BLUE
-    if outline_of is not None:
-        picture[binary_dilation(outline_of, np.ones((3, 3), bool)) & ~outline_of] = YELLOW
+    picture[binary_dilation(lit, np.ones((3, 3), bool)) & ~lit] = YELLOW
     return picture
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.folder import STEPS, CalibrationFolder
-from rfpipe.calibration.sight import YELLOW, sight_picture
+from rfpipe.calibration.sight import sight_picture
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import StoreError
 from rfpipe.report.drawing import Map, draw, new_figure
@@ -112,14 +112,11 @@ def _latency(one: Findings) -> Figure:
 
 
 def _scene(one: Findings) -> Figure:
-    sight = Map(sight_picture(one["white"], one["saturated"], one["dark"]), "white, less black")
+    picture = sight_picture(*(one[name] for name in ("white", "saturated", "dark", "lit")))
+    sight = Map(picture, "white, less black")
     dark = Map(one["black"], "all off", scale="counts")
     focus = Map(one["focus"], "contrast of stripes", scale="contrast")
-    figure = draw([[sight, dark, focus]], 2.6)
-    left, lit = figure.axes[0], one["lit"]
-    if lit.any() and not lit.all():
-        left.contour(lit.astype(float), levels=[0.5], colors=[YELLOW], linewidths=1.2)
-    return figure
+    return draw([[sight, dark, focus]], 2.6)
 
 
 def _dark(one: Findings) -> Figure:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -223,7 +222,4 @@ def job_times(folder: Path) -> Iterator[tuple[str, float]]:
 
 def rig_of(results: Path, run: Run) -> dict[str, Any]:
     """Return the description of the rig that captured a run, or {}."""
-    manifest = results / run.scene / run.method / "L00" / "capture.json"
-    if not manifest.is_file():
-        return {}
-    return dict(json.loads(manifest.read_text(encoding="utf-8")).get("rig", {}))
+    return dict(read_json(results / run.scene / run.method / "L00/capture.json").get("rig", {}))
