@@ -16,7 +16,8 @@ acquisition, a single job takes an acquisition through the same stages, to the s
 import os
 from pathlib import Path
 
-from rfpipe.stages.jobs.ends import notify, write_run
+from rfpipe.stages.jobs.ends import notify, say_failed_jobs, write_run
+from snakemake.logging import logger
 from snakemake.utils import min_version
 
 min_version("9.27")
@@ -69,6 +70,8 @@ rule all:
 
 
 onstart:
+    if workflow.non_local_exec:
+        say_failed_jobs(logger)
     write_run(
         Path("results"),
         Path(workflow.main_snakefile),

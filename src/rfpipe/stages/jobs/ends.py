@@ -1,7 +1,8 @@
-"""Where Snakemake itself runs: how a run was started, and who is told of its end."""
+"""Where Snakemake itself runs: how a run was started, and what is said when jobs or a run end."""
 
 from __future__ import annotations
 
+import logging
 import os
 import shlex
 import shutil
@@ -67,3 +68,15 @@ def notify(command: str | None, status: Literal["done", "failed"], log: str) -> 
         subprocess.run(shlex.split(command), env=environment, timeout=_PATIENCE_SECONDS, check=True)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         print(f"rfpipe: notify: {command!r} failed: {error}", file=sys.stderr)
+
+
+def say_failed_jobs(logger: logging.Logger) -> None:
+    """Let Snakemake say by what jobs failed on other machines, of which its profile is quiet."""
+    from snakemake.logging import DefaultFormatter
+    from snakemake_interface_logger_plugins.common import LogEvent
+
+    failures = (LogEvent.JOB_ERROR, LogEvent.GROUP_ERROR)
+    handler = logging.StreamHandler()
+    handler.setFormatter(DefaultFormatter(show_failed_logs=True))
+    handler.addFilter(lambda record: getattr(record, "event", None) in failures)
+    logger.addHandler(handler)
