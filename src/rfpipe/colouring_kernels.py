@@ -38,18 +38,18 @@ def by_saturation(row_starts, blocks, block_starts, rows):  # type: ignore[no-un
     saturation = np.zeros(n, np.int64)
     # blocks of one saturation form a list; those of none are taken by `neighbours`
     latest, after, before = np.full(n + 1, _NONE), np.full(n, _NONE), np.full(n, _NONE)
-    unsaturated, taken, most = np.argsort(-neighbours, kind="mergesort"), 0, 0
+    unsaturated, taken, highest = np.argsort(-neighbours, kind="mergesort"), 0, 0
     for _ in range(n):
-        while most > 0 and latest[most] == _NONE:
-            most -= 1
-        block = latest[most] if most > 0 else _NONE
+        while highest > 0 and latest[highest] == _NONE:
+            highest -= 1
+        block = latest[highest] if highest > 0 else _NONE
         if block == _NONE:
             while colours[unsaturated[taken]] != _NONE or saturation[unsaturated[taken]] > 0:
                 taken += 1
             block = unsaturated[taken]
         else:
             block = _with_most(block, neighbours, after)
-            _unlink(block, most, latest, after, before)
+            _unlink(block, highest, latest, after, before)
         colour = _first_zero(beside[block])
         colours[block] = colour
         if colour == _WORD * beside.shape[1]:
@@ -68,7 +68,7 @@ def by_saturation(row_starts, blocks, block_starts, rows):  # type: ignore[no-un
                 if latest[level] != _NONE:
                     before[latest[level]] = other
                 latest[level] = other
-                most = max(most, level)
+                highest = max(highest, level)
     return colours
 
 

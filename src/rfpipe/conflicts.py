@@ -114,11 +114,11 @@ def colour_seen(sees: csr_array) -> Colours:
     ndarray of int32, shape (n,)
         Colours 0, 1, ...; deterministic for a given matrix.
     """
-    seen = sees.T.tocsr().astype(np.int32)
+    by_block = sees.T.tocsr().astype(np.int32)
     both = sees.tocsr().astype(np.int32)
 
     def joined(rows: slice) -> csr_array:
-        together: csr_array = seen[rows] @ both
+        together: csr_array = by_block[rows] @ both
         together.sort_indices()
         return together
 
@@ -127,11 +127,11 @@ def colour_seen(sees: csr_array) -> Colours:
 
 def _coloured(sees: csc_array, by_row: csr_array, joined: Callable[[slice], csr_array]) -> Colours:
     """Colour the columns; `joined` gives rows of the adjacency, of which the diagonal is left."""
-    n_blocks, left = sees.shape[1], _MOST_EDGES
+    n_blocks, budget = sees.shape[1], _MOST_EDGES
     edges = []
     for some in _edges(n_blocks, joined):
-        left -= len(some[0])
-        if left < 0:
+        budget -= len(some[0])
+        if budget < 0:
             return _by_rows(sees, by_row)
         edges.append(some)
     return _by_heuristics(n_blocks, edges)
@@ -159,9 +159,9 @@ def _by_heuristics(n_blocks: int, edges: Iterable[_Edges]) -> Colours:
     fewest = n_blocks + 1
     for strategy in (rustworkx.ColoringStrategy.Saturation, rustworkx.ColoringStrategy.Degree):
         colours = rustworkx.graph_greedy_color(network, strategy=strategy)
-        found = np.fromiter((colours[block] for block in range(n_blocks)), np.int32, n_blocks)
-        if found.max(initial=-1) + 1 < fewest:
-            best, fewest = found, int(found.max(initial=-1)) + 1
+        colouring = np.fromiter((colours[block] for block in range(n_blocks)), np.int32, n_blocks)
+        if colouring.max(initial=-1) + 1 < fewest:
+            best, fewest = colouring, int(colouring.max(initial=-1)) + 1
     return best
 
 
@@ -194,6 +194,6 @@ def _by_rows(sees: csc_array, by_row: csr_array) -> Colours:
         else:
             rank = random.permutation(fewest)
         colours = group_columns(sees, np.argsort(rank[colours], kind="stable"))
-        found = int(colours.max()) + 1
-        fewest, in_vain = found, 0 if found < fewest else in_vain + 1
+        count = int(colours.max()) + 1
+        fewest, in_vain = count, 0 if count < fewest else in_vain + 1
     return np.asarray(colours, np.int32)

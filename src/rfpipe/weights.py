@@ -43,13 +43,13 @@ def as_weights(weights: ArrayLike, name: str = "the pattern") -> NDArray[Any]:
     if weights.dtype.kind not in "biu":
         raise InputError(f"{name} holds {weights.dtype} values; expected weights, real numbers")
     if weights.dtype.kind != "b" and weights.size:
-        least, most = int(weights.min()), int(weights.max())
-        if least < -1 or most > 1:
+        least, largest = int(weights.min()), int(weights.max())
+        if least < -1 or largest > 1:
             raise InputError(
-                f"{name} is {weights.dtype} with values from {least} to {most}, and weights are "
+                f"{name} is {weights.dtype} with values from {least} to {largest}, and weights are "
                 "fractions, 1 for fully on; give rfpipe.picture_weights(picture) for a picture, "
                 "which divides by its largest number, or picture.astype(float) if weights of "
-                f"{most} are meant"
+                f"{largest} are meant"
             )
     return weights.astype(np.float32)
 

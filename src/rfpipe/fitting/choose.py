@@ -123,8 +123,8 @@ def _held_out(series: Series) -> NDArray[np.int64]:
 
 def _error(found: Transport, held: Series) -> float:
     """Return the mean error of pictures that aren't black, less their own noise."""
-    left = relit(found, held.patterns) - held.radiance
-    wrong = np.square(left, dtype=np.float64).sum(axis=(1, 2))
+    residual = relit(found, held.patterns) - held.radiance
+    wrong = np.square(residual, dtype=np.float64).sum(axis=(1, 2))
     wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
     light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
     there = light > 0

@@ -123,8 +123,8 @@ def read_series(
     InputError
         When a picture can't be read, or number, size or channels don't fit together.
     """
-    own, step = folder / "pictures", len(camera.exposures) if camera else 1
-    brackets = _brackets(own if own.is_dir() else folder, step)
+    subfolder, step = folder / "pictures", len(camera.exposures) if camera else 1
+    brackets = _brackets(subfolder if subfolder.is_dir() else folder, step)
     weights = _weights(folder, lights, transfer)
     if weights.ndim != 3 or len(weights) != len(brackets):
         raise InputError(
@@ -171,19 +171,19 @@ def _weights(folder: Path, lights: tuple[int, int] | None, transfer: Curve) -> N
     """Return patterns as (K, H, W)."""
     if lights:
         return np.eye(prod(lights), dtype=np.float32).reshape(-1, *lights)
-    own, array = folder / "patterns", folder / "patterns.npy"
+    subfolder, array = folder / "patterns", folder / "patterns.npy"
     if array.is_file():
         return np.asarray(np.load(array, allow_pickle=False))
-    if not own.is_dir():
+    if not subfolder.is_dir():
         raise InputError(
-            f"{folder}: has no patterns; expected a folder {own.name} of pictures, or "
+            f"{folder}: has no patterns; expected a folder {subfolder.name} of pictures, or "
             f"{array.name}, or --lights for one light at a time"
         )
-    pictures = [_linear(read_picture(path), transfer) for path in picture_files(own, _OTHERS)]
+    pictures = [_linear(read_picture(path), transfer) for path in picture_files(subfolder, _OTHERS)]
     if len({picture.shape[:2] for picture in pictures}) > 1:
-        raise InputError(f"{own}: holds pictures of several sizes; patterns have one")
+        raise InputError(f"{subfolder}: holds pictures of several sizes; patterns have one")
     if any(np.ptp(picture, axis=-1).any() for picture in pictures):
-        raise InputError(f"{own}: holds coloured pictures; patterns are of white light")
+        raise InputError(f"{subfolder}: holds coloured pictures; patterns are of white light")
     return np.stack([picture[..., 0] for picture in pictures])
 
 

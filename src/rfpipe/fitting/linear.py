@@ -49,14 +49,14 @@ def solve_linear(series: Series, rows: list[dict[str, Any]]) -> Transport:
     spread = series.variance[:, :, looked] * np.square(weights)[:, None, None]
     noise = spread.mean(axis=0, dtype=np.float64)
     longest = max(RayDomain(series.projector_shape).image_shape)
-    found = []
+    fits = []
     for scale in [0.0, *(2.0**power for power in range(8) if 2 ** (power + 1) <= longest)]:
         basis = _Basis.of(series, weights, scale)
         scores = basis.scores(observed, gain[:, looked], noise)
         # cross-validation takes the least ridge whose score is about the best one's
         index = int(np.argmax(scores <= (1 if is_known else 1.02) * scores.min()))
-        found.append((float(scores[index]), basis, float(_RIDGES[index])))
-    _, basis, ridge = min(found, key=lambda each: each[0])
+        fits.append((float(scores[index]), basis, float(_RIDGES[index])))
+    _, basis, ridge = min(fits, key=lambda each: each[0])
     return basis.solved(series, weights, gain, ridge, rows)
 
 
@@ -100,22 +100,22 @@ class _Basis:
             len(self.vectors) - len(self.values),
         )
         shining, is_known = noise > 0, bool(noise.any())
-        found = np.empty(len(_RIDGES))
+        scores = np.empty(len(_RIDGES))
         for index, ridge in enumerate(_RIDGES):
-            own = ridge * gain
-            variance = self.values[:, None, None] + own
+            penalty = ridge * gain
+            variance = self.values[:, None, None] + penalty
             if is_known:
-                unit = np.where(shining, noise, 1) / own
-                misfit = (along / variance).sum(axis=0) + (rest / own if silent else 0)
-                logs = np.log(variance).sum(axis=0) + silent * np.log(own)
+                unit = np.where(shining, noise, 1) / penalty
+                misfit = (along / variance).sum(axis=0) + (rest / penalty if silent else 0)
+                logs = np.log(variance).sum(axis=0) + silent * np.log(penalty)
                 score = len(observed) * np.log(unit) + logs + misfit / unit
-                found[index] = float(score[shining].sum())
+                scores[index] = float(score[shining].sum())
             else:
-                left = own / variance
-                missed = (np.square(left) * along).sum(axis=0) + rest
-                free = np.square(left.sum(axis=0) + silent)
-                found[index] = float((missed / free / np.maximum(light, _TINY)).mean())
-        return found
+                share = penalty / variance
+                missed = (np.square(share) * along).sum(axis=0) + rest
+                free = np.square(share.sum(axis=0) + silent)
+                scores[index] = float((missed / free / np.maximum(light, _TINY)).mean())
+        return scores
 
     def solved(
         self,
@@ -130,9 +130,9 @@ class _Basis:
         terms, right = len(self.values), self.right.astype(np.float32)
         left = np.empty((channels, terms, rays), np.float32)
         for channel in range(channels):
-            own = 1 / (self.values[:, None] + ridge * gain[channel])
+            inverse = 1 / (self.values[:, None] + ridge * gain[channel])
             observed = series.radiance[:, channel].astype(np.float64) * weights[:, None]
-            left[channel] = own * (self.vectors.T @ observed)
+            left[channel] = inverse * (self.vectors.T @ observed)
         shapes = series.camera_shape, series.projector_shape
         if terms * (rays + lights) >= rays * lights:
             matrix = np.stack([each.T @ right for each in left])
@@ -165,8 +165,8 @@ def _spread(patterns: Double, shape: tuple[int, ...], scale: float) -> Double:
         images = patterns.reshape(len(patterns), *RayDomain(shape).stack_shape)
         sigma = (0, 0, scale, scale)
         filtered = gaussian_filter(images, sigma, mode="constant", truncate=6)
-        own = np.zeros(tuple(2 * int(6 * scale) + 1 for _ in range(2)))
-        own[own.shape[0] // 2, own.shape[1] // 2] = 1
-        peak = gaussian_filter(own, scale, mode="constant", truncate=6).max()
+        impulse = np.zeros(tuple(2 * int(6 * scale) + 1 for _ in range(2)))
+        impulse[impulse.shape[0] // 2, impulse.shape[1] // 2] = 1
+        peak = gaussian_filter(impulse, scale, mode="constant", truncate=6).max()
         spread = filtered.reshape(patterns.shape) / peak
     return np.asarray(spread + patterns.sum(axis=1, keepdims=True))

@@ -263,17 +263,17 @@ def get_method(method: str | Method[Any] | type[Method[Any]]) -> Method[Any]:
     """
     if isinstance(method, Method):
         return method
-    found = plugins.find(plugins.METHODS, method) if isinstance(method, str) else method
-    if not (inspect.isclass(found) and issubclass(found, Method)):
+    entry = plugins.find(plugins.METHODS, method) if isinstance(method, str) else method
+    if not (inspect.isclass(entry) and issubclass(entry, Method)):
         raise InputError(
             f"method {method!r} is no acquisition method; expected a class derived from "
             "rfpipe.methods.Method"
         )
-    missing = [name for name in ("name", "title", "colour") if not hasattr(found, name)]
-    if missing or inspect.isabstract(found):
-        missing += sorted(found.__abstractmethods__)
+    missing = [name for name in ("name", "title", "colour") if not hasattr(entry, name)]
+    if missing or inspect.isabstract(entry):
+        missing += sorted(entry.__abstractmethods__)
         raise InputError(f"method {method!r} lacks {', '.join(missing)}; see rfpipe.methods.Method")
-    return found()
+    return entry()
 
 
 def options_of(method: Method[Any], **options: Any) -> Options:

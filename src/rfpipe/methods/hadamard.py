@@ -94,8 +94,8 @@ def decode(coded: NDArray[Any], rays: int) -> Float:
 
     order = coded.shape[1]
     inverse = fft.rfft(4.0 / (order + 1) * s_matrix_row(order) - 2.0 / (order + 1))
-    found = np.empty((len(coded), rays), np.float32)
+    transport = np.empty((len(coded), rays), np.float32)
     for first, last in batches(len(coded), 4 * order):  # complex128
         spectrum = fft.rfft(coded[first:last].astype(np.float64), axis=1)
-        found[first:last] = fft.irfft(inverse * spectrum.conj(), order, axis=1)[:, :rays]
-    return found
+        transport[first:last] = fft.irfft(inverse * spectrum.conj(), order, axis=1)[:, :rays]
+    return transport

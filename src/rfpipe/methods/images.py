@@ -133,8 +133,8 @@ class Pictures:
 
     def channel(self, index: int) -> Pictures:
         """Return one channel."""
-        own = slice(index, index + 1)
-        return Pictures(self.lit, self.radiance[:, own], self.variance[:, own])
+        part = slice(index, index + 1)
+        return Pictures(self.lit, self.radiance[:, part], self.variance[:, part])
 
     def grey(self) -> Pictures:
         """Return the sum of the channels as one."""

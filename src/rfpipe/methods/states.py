@@ -127,36 +127,36 @@ class PackingMethod(Method[State]):
 
     def restore(self, start: Any, packs: Sequence[Pack]) -> Any:
         """Return the state after the last of `packs`, one a level from level 0 on."""
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for each in fields(start):
             name = each.name
             kind: Any = each.metadata.get("kind")
-            own = [pack for pack in packs if name in pack.attributes or name in pack.arrays]
-            if not own:
+            log = [pack for pack in packs if name in pack.attributes or name in pack.arrays]
+            if not log:
                 continue
-            value = own[-1].attributes.get(name)
+            value = log[-1].attributes.get(name)
             if "grows" in each.metadata:
-                sets = [(pack, plain) for pack in own for plain in pack.attributes[name]]
+                sets = [(pack, plain) for pack in log for plain in pack.attributes[name]]
                 numbered = [(f"{name}_{n:03d}_", *one) for n, one in enumerate(sets)]
-                found[name] = SetsOnDemand(numbered, partial(_whole, kind), keep=True)
+                values[name] = SetsOnDemand(numbered, partial(_whole, kind), keep=True)
             elif "lengthens" in each.metadata:
-                parts = [_whole(kind, (f"{name}_", pack, pack.attributes[name])) for pack in own]
-                found[name] = joined(parts, axis=0)
-            elif name in own[-1].arrays:
-                found[name] = _array(own[-1], name)
+                parts = [_whole(kind, (f"{name}_", pack, pack.attributes[name])) for pack in log]
+                values[name] = joined(parts, axis=0)
+            elif name in log[-1].arrays:
+                values[name] = _array(log[-1], name)
             elif kind is not None and value is not None:
-                found[name] = _whole(kind, (f"{name}_", own[-1], value))
+                values[name] = _whole(kind, (f"{name}_", log[-1], value))
             else:
-                found[name] = tuple(value) if isinstance(value, list) else value
-        return replace(start, **found)
+                values[name] = tuple(value) if isinstance(value, list) else value
+        return replace(start, **values)
 
 
 def _split(group: Any, prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Write the arrays of a dataclass, or a mapping, by their names; return its plain data."""
     values: dict[str, Any] = group if isinstance(group, dict) else _values(group)
-    own = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-    arrays |= {f"{prefix}{name}": array for name, array in own.items()}
-    return {name: value for name, value in values.items() if name not in own}
+    members = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    arrays |= {f"{prefix}{name}": array for name, array in members.items()}
+    return {name: value for name, value in values.items() if name not in members}
 
 
 def _values(group: Any) -> dict[str, Any]:
@@ -179,12 +179,12 @@ def joined(parts: Sequence[S], axis: int = -1) -> S:
     """Put the arrays of dataclasses, one after the other, together; `parts` isn't empty."""
     if len(parts) == 1:
         return parts[0]
-    held = [_values(part) for part in parts]
-    names = [name for name, value in held[0].items() if isinstance(value, np.ndarray)]
-    return replace(parts[0], **{n: np.concatenate([own[n] for own in held], axis) for n in names})
+    groups = [_values(part) for part in parts]
+    names = [name for name, value in groups[0].items() if isinstance(value, np.ndarray)]
+    return replace(parts[0], **{n: np.concatenate([g[n] for g in groups], axis) for n in names})
 
 
 def unprefixed(prefix: str, arrays: Arrays) -> Arrays:
     """Return the arrays whose names begin with a prefix, by the rest of their names."""
-    own = [name for name in arrays if name.startswith(prefix)]
-    return {name.removeprefix(prefix): arrays[name] for name in own}
+    names = [name for name in arrays if name.startswith(prefix)]
+    return {name.removeprefix(prefix): arrays[name] for name in names}

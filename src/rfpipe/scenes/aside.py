@@ -84,21 +84,21 @@ def aside_scene(
     """
     from scipy.sparse import csr_array, eye_array
 
-    seen, lit = (
+    view, lit = (
         _side(one, other, tuple(surfaces), tuple(occluders), albedo)
         for one, other in ((camera, projector), (projector, camera))
     )
-    mean = float((seen.seen_areas.mean() + lit.seen_areas.mean()) / 2)
-    joined = [np.concatenate(pair) for pair in zip(seen[:4], lit[:4], strict=True)]
+    mean = float((view.seen_areas.mean() + lit.seen_areas.mean()) / 2)
+    joined = [np.concatenate(pair) for pair in zip(view[:4], lit[:4], strict=True)]
     surface, positions, areas, values = joined
     points = Points(tuple(surfaces), surface, positions, areas, least_squared(surfaces, mean))
     scale = float(min(lit.seen_areas.mean(), contrast * lit.seen_areas.min()))
     direct = [
-        csr_array(there.multiply(1 / lit.areas) + back.T.multiply(1 / seen.areas[:, None]))
+        csr_array(there.multiply(1 / lit.areas) + back.T.multiply(1 / view.areas[:, None]))
         * (scale / 2)
-        for there, back in zip(seen.common, lit.common, strict=True)
+        for there, back in zip(view.common, lit.common, strict=True)
     ]
-    count, rays = len(points.areas), len(seen.areas)
+    count, rays = len(points.areas), len(view.areas)
     return RadiosityScene(
         points,
         values,

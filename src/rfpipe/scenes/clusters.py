@@ -105,15 +105,15 @@ def cluster_pairs(pair: FacingPair, one: ClusterTree, two: ClusterTree) -> tuple
     a = b = np.zeros(1, np.int64)
     done = []
     while len(a):
-        seen = _visibility(a, b, tests)
+        visibility = _visibility(a, b, tests)
         larger = np.maximum(one.radius[a], two.radius[b])
         gap = np.linalg.norm(one.centre[a] - two.centre[b], axis=1) - one.radius[a] - two.radius[b]
         least = np.maximum(2 * _SEPARATION * larger, np.sqrt(pair.least_squared_distance))
-        smooth = (seen == VISIBLE) & (gap >= least)
+        smooth = (visibility == VISIBLE) & (gap >= least)
         leaf_a, leaf_b = one.is_leaf(a), two.is_leaf(b)
-        kept = (smooth | (leaf_a & leaf_b)) & (seen != HIDDEN)
+        kept = (smooth | (leaf_a & leaf_b)) & (visibility != HIDDEN)
         done.append((a[kept], b[kept], smooth[kept]))
-        cut = ~kept & (seen != HIDDEN)
+        cut = ~kept & (visibility != HIDDEN)
         of_a = (~leaf_a & (leaf_b | (one.radius[a] >= two.radius[b])))[cut]
         a, b = a[cut], b[cut]
         a, b = (

@@ -120,8 +120,8 @@ def panels_scene(
     part: light that falls elsewhere is lost. `domain` is the shape of all pinholes' rays.
     """
     grid = TexelGrid(panels, DISTANCE * pinholes[0].pitch)
-    seen, footprint = sightings(pinholes, grid)
-    texels = np.unique(seen.indices).astype(np.int64)
+    visibility, footprint = sightings(pinholes, grid)
+    texels = np.unique(visibility.indices).astype(np.int64)
     albedo = [
         surface_albedo(panel.surface, shape, channels, seed, index, panel.tint)
         for index, (panel, shape) in enumerate(zip(panels, grid.shapes.tolist(), strict=True))
@@ -131,7 +131,7 @@ def panels_scene(
         np.concatenate([each.reshape(-1, channels) for each in albedo])[texels],
         bounces=bounces,
         scale=float(footprint.mean()) / len(pinholes),
-        rays=Rays(domain, domain, seen[:, texels]),
+        rays=Rays(domain, domain, visibility[:, texels]),
         patches=grid.patches(texels, _PATCH),
         name=name,
         about={

@@ -161,8 +161,8 @@ class RadiosityScene(Scene):
     @property
     def albedo(self) -> NDArray[np.float32]:
         """Albedo float32 (*camera_shape, C) in [0, 1); 0 of an occluder."""
-        seen = self._values if self.rays is None else np.asarray(self.rays.seen @ self._values)
-        return seen.reshape(*self.camera_shape, self.channels).astype(np.float32)
+        albedo = self._values if self.rays is None else np.asarray(self.rays.seen @ self._values)
+        return albedo.reshape(*self.camera_shape, self.channels).astype(np.float32)
 
     @cached_property
     def form_factors(self) -> FormFactors:
@@ -181,11 +181,11 @@ class RadiosityScene(Scene):
         if self.rays is None:
             return self._radiosity(weights, albedo)
         light = self._radiosity(np.asarray(self.rays.spread @ weights), albedo)
-        seen = np.asarray(self.rays.seen @ light.reshape(len(light), -1))
-        seen = seen.reshape(-1, *light.shape[1:])
+        radiance = np.asarray(self.rays.seen @ light.reshape(len(light), -1))
+        radiance = radiance.reshape(-1, *light.shape[1:])
         for place, direct in enumerate(self.rays.direct[channels]):
-            seen[..., place] += direct @ weights
-        return seen
+            radiance[..., place] += direct @ weights
+        return radiance
 
     def _radiosity(self, flux: Double, albedo: Double) -> Double:
         """Light that leaves points of albedo (n, 1, C) under flux (n, B): float64 (n, B, C)."""
@@ -229,8 +229,8 @@ class RadiosityScene(Scene):
             )
         rays = np.eye(math.prod(self.projector_shape))
         columns = np.array_split(rays, 1 + len(rays) // _COLUMNS_AT_A_TIME, axis=1)
-        own = slice(channel, channel + 1)
-        matrix = np.concatenate([self._radiance(each, own)[..., 0] for each in columns], axis=1)
+        part = slice(channel, channel + 1)
+        matrix = np.concatenate([self._radiance(each, part)[..., 0] for each in columns], axis=1)
         coaxial = self.rays is None or self.rays.lit is None
         return (matrix + matrix.T) / 2 if coaxial else matrix  # products round
 

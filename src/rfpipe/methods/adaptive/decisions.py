@@ -28,9 +28,9 @@ def smooth_light(state: AdaptiveState, just: str, slot: str, depth: int) -> str:
     `just` is what the last level was for, `slot` what the next one is for, `depth` the levels of
     the block tree.
     """
-    found, limit = state.estimates[-1], state.options.patterns
+    estimate, limit = state.estimates[-1], state.options.patterns
     # the first estimate knows neither strip nor spots: it bounds the error if nothing is indirect
-    reached = state.reached and (state.all_held or found.indirect <= state.options.target_error)
+    reached = state.reached and (state.all_held or estimate.indirect <= state.options.target_error)
     before_hierarchy = just == "residual" and state.inner is None
     share = _STALLED
     if just == "residual":
@@ -42,11 +42,11 @@ def smooth_light(state: AdaptiveState, just: str, slot: str, depth: int) -> str:
     stalled = slot != just or costly or (slow and not nearly)
     # a model that leaves so much of the indirect light unexplained is the wrong one; the first
     # round's probes are few
-    unexplained = found.dark > (0.5 if len(state.estimates) == 1 else 0.25) * found.indirect
+    unexplained = estimate.dark > (0.5 if len(state.estimates) == 1 else 0.25) * estimate.indirect
     lost = just == "model" and unexplained
     table = (
         (reached or (limit and state.shown >= limit), "done"),
-        ((stalled or slow) and found.is_noise, "done"),
+        ((stalled or slow) and estimate.is_noise, "done"),
         (
             not limit and state.inner is None and (lost or (stalled and just == "residual")),
             "hierarchy",
@@ -67,12 +67,12 @@ def is_unfit(state: AdaptiveState) -> bool:
 
 def footprints(state: AdaptiveState, rounds: int) -> str:
     """Tell what follows a round of footprints, of so many there may be."""
-    found, limit = state.estimates[-1], state.options.patterns
+    estimate, limit = state.estimates[-1], state.options.patterns
     part = 1 - state.rows[-1]["patterns"] / state.shown
     stalled = state.level > rounds or state.leaves(part**_STALLED_FOOTPRINTS)
     # a model that has stalled about at the target is not given up for dual photography, which
     # begins with nothing: on fields of 9 x 12 x 16 rays, 680 more patterns gained nothing
-    nearly = not state.unfit and found.error <= 1.2 * state.options.target_error
+    nearly = not state.unfit and estimate.error <= 1.2 * state.options.target_error
     table = (
         ((state.all_held and state.reached) or (limit and state.shown >= limit), "done"),
         (
@@ -94,12 +94,12 @@ def hierarchy(state: AdaptiveState, depth: int) -> str:
 
 def _costly(state: AdaptiveState, depth: int) -> bool:
     """Tell whether the target would take more blocks than a hierarchy, as errors fall so far."""
-    errors = [found.error for found in state.estimates[-3:]]
+    errors = [estimate.error for estimate in state.estimates[-3:]]
     # the first estimate is of other held-out pictures
     if len(state.estimates) < 4:
         return False
-    asked = [row["patterns"] for row in state.rows if row["patterns"]]
-    before = state.shown - sum(asked[-2:])
+    patterns = [row["patterns"] for row in state.rows if row["patterns"]]
+    before = state.shown - sum(patterns[-2:])
     power = _STALLED_BLOCKS
     if errors[0] > errors[-1] > 0:
         power = max(power, np.log(errors[0] / errors[-1]) / np.log(state.shown / before))

@@ -116,11 +116,11 @@ class Targeted(Adaptive):
 
         The tolerance follows from the target: relit pictures are off by some three tolerances.
         """
-        own: Any = options
-        tolerance = own.tolerance
-        if own.target_error is not None:
-            default = type(own).model_fields["tolerance"].default
-            follows = 0.3 * own.target_error
+        target: Any = options
+        tolerance = target.tolerance
+        if target.target_error is not None:
+            default = type(target).model_fields["tolerance"].default
+            follows = 0.3 * target.target_error
             tolerance = follows if tolerance == default else min(tolerance, follows)
         state = TargetedState(camera, projector, channels, options, tolerance=tolerance)
         begun = self._inner_start(state)
@@ -136,8 +136,8 @@ class Targeted(Adaptive):
     def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
         """Return the next level's row: ``block_level`` is that which the hierarchy has reached."""
         alike = dict.fromkeys(state.inner.rows[0], 0) if state.inner.rows else {}
-        own = level_row(state.level, patterns, block_level=len(state.descended) - 1)
-        return {**alike, **own}
+        row = level_row(state.level, patterns, block_level=len(state.descended) - 1)
+        return {**alike, **row}
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         taken = super()._begun(state, images).taken
@@ -154,18 +154,18 @@ class Targeted(Adaptive):
     def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield the transport of the inner method's best state."""
         assert isinstance(state, TargetedState)
-        found = self.hierarchy.transport(state.best)
-        found.level_rows = list(state.rows)
-        yield found
+        transport = self.hierarchy.transport(state.best)
+        transport.level_rows = list(state.rows)
+        yield transport
 
     def _judged(self, state: AdaptiveState) -> AdaptiveState:
         """Take the inner method's transport for the best where it is no worse."""
         assert isinstance(state, TargetedState)
         states = [state.inner] if state.best is state.inner else [state.inner, state.best]
         estimates = [self._estimate(state, self.hierarchy.transport(each)) for each in states]
-        found, best = min(zip(estimates, states, strict=True), key=lambda each: each[0].error)
-        after = replace(state, best=best).changed(best_level=best.level, estimates=[found])
-        return after.counted(estimated_error=found.error)
+        estimate, best = min(zip(estimates, states, strict=True), key=lambda each: each[0].error)
+        after = replace(state, best=best).changed(best_level=best.level, estimates=[estimate])
+        return after.counted(estimated_error=estimate.error)
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return what predicts the held-out pictures best, of the inner method's kind."""

@@ -128,9 +128,9 @@ class NearFar(Adaptive):
         state = state.changed(others=canvas.read(images, first))
         bases = self._bases(state)
         of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
-        left = self._left_by(state, base, canvas)
-        counted = state.counted(nodes=left.pairs.shape[1])
-        return counted.changed(residual=left, of_hierarchy=of_hierarchy)
+        residual = self._left_by(state, base, canvas)
+        counted = state.counted(nodes=residual.pairs.shape[1])
+        return counted.changed(residual=residual, of_hierarchy=of_hierarchy)
 
     def _if_it_helps(self, state: AdaptiveState) -> Residual | None:
         """Find what smooth light leaves where the target isn't met and a rough look says it helps.
@@ -141,19 +141,19 @@ class NearFar(Adaptive):
         shape, error = state.projector.shape, self._estimate(state, base).error
         if error <= state.options.target_error:
             return None
-        roughly, canvas = (Canvas.of(shape, state.pictures, most) for most in (1024, MOST_CELLS))
-        left = self._left_by(state, base, roughly)
-        both = self._with_rest(state, left.transport(roughly), of_hierarchy=False)
+        roughly, canvas = (Canvas.of(shape, state.pictures, cells) for cells in (1024, MOST_CELLS))
+        residual = self._left_by(state, base, roughly)
+        both = self._with_rest(state, residual.transport(roughly), of_hierarchy=False)
         if self._estimate(state, both).error >= 0.95 * error:
             return None
         # of small pictures, the rough look is the close one
         same = roughly.cells.side == canvas.cells.side
-        return left if same else self._left_by(state, base, canvas)
+        return residual if same else self._left_by(state, base, canvas)
 
     def _left_by(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Residual:
         """Find what a model leaves of all pictures."""
-        own = state.pictures
-        pictures = canvas.taken(own.lit, own.radiance, own.variance)
+        series = state.pictures
+        pictures = canvas.taken(series.lit, series.radiance, series.variance)
         if state.others is not None:
             pictures = joined([pictures, state.others], axis=0)
         return residual_of(canvas, pictures, base)

@@ -69,9 +69,9 @@ def held_out_spots(shape: tuple[int, ...]) -> Bools:
     """Return eight small spots in each view, of 2 pixels to a twelfth of a side; bool (*shape)."""
     views, height, width = RayDomain(shape).stack_shape
     spots, random = np.zeros((views, height, width), np.bool_), generator(SEED, 0, 1)
-    most = max(2.0, 1 / 12 * min(height, width))
+    largest = max(2.0, 1 / 12 * min(height, width))
     for view, _ in product(range(views), range(8)):
-        side = min(round(np.exp(random.uniform(np.log(2), np.log(most)))), height, width)
+        side = min(round(np.exp(random.uniform(np.log(2), np.log(largest)))), height, width)
         top, left = random.integers(0, height - side + 1), random.integers(0, width - side + 1)
         spots[view, top : top + side, left : left + side] = True
     return spots.reshape(shape)

@@ -97,18 +97,18 @@ class Canvas:
             self._over(weight**2, variance[:, c], np.square(self.factor[c]))
             for c, weight in enumerate(self.weight)
         ]
-        own = np.where(self.weight > 0, np.stack(spread, axis=1), np.float32(np.inf))
-        return CellPictures(lit, self.reduced(radiance), own)
+        summed = np.where(self.weight > 0, np.stack(spread, axis=1), np.float32(np.inf))
+        return CellPictures(lit, self.reduced(radiance), summed)
 
     def read(self, images: LevelImages, first: int = 0) -> CellPictures:
         """Read a level's images from one on, a few at a time, summed over cells."""
         channels, rays = self.factor.shape
         lit = images.schedule.batch(first, images.schedule.count).reshape(-1, rays) > 0
-        found = [
+        parts = [
             self.taken(lit[part], np.moveaxis(radiance, 0, 1), np.moveaxis(variance, 0, 1))
             for part, radiance, variance in planar_batches(images, channels, rays, first)
         ]
-        return joined(found, axis=0)
+        return joined(parts, axis=0)
 
     def _over(self, weight: Float, images: Float, factor: Float) -> Float:
         sums = self.cells.total(images * factor).T
@@ -140,13 +140,13 @@ def residual_of(canvas: Canvas, pictures: CellPictures, model: Transport) -> Res
     The model need not be good.
     """
     channels, haar = len(canvas.factor), canvas.cells.haar
-    left = pictures.radiance - _predicted(canvas, pictures.lit, model)
+    residual = pictures.radiance - _predicted(canvas, pictures.lit, model)
     # a picture may be wrong by a part of the brightest light in any case
     expected = np.square(np.float32(5e-4) * canvas.brightest)
     variance = pictures.variance + expected[:, None]
-    telling = _telling(left, variance)
+    telling = _telling(residual, variance)
     lit, observed = pictures.lit[telling], pictures.radiance[telling]
-    left, variance = left[telling], variance[telling]
+    residual, variance = residual[telling], variance[telling]
     cores = np.zeros((channels, haar.size, haar.size), np.float32)
     weights = np.zeros((channels, haar.size))
     prior: Float | None = None
@@ -157,15 +157,15 @@ def residual_of(canvas: Canvas, pictures: CellPictures, model: Transport) -> Res
         if not share > 0:
             continue
         light = canvas.cells.total(lit * canvas.factor[channel])
-        posterior = Posterior(haar, light, left[:, channel].T, variance[:, channel].T)
+        posterior = Posterior(haar, light, residual[:, channel].T, variance[:, channel].T)
         if prior is None:
             prior = posterior.guessed()
             for _ in range(2):
                 posterior.prepare(prior)
                 posterior.solve(posterior.observed, _ITERATIONS)
                 prior = posterior.relearned()
-        found = _not_negative(posterior, prior * share**2, _between(canvas, model, channel))
-        half = haar.forward(found)
+        matrix = _not_negative(posterior, prior * share**2, _between(canvas, model, channel))
+        half = haar.forward(matrix)
         cores[channel] = haar.forward(np.ascontiguousarray(half.T))
         energy = np.square(observed[:, channel], dtype=np.float64).sum(axis=1).mean()
         weights[channel] = np.square(posterior.light, dtype=np.float64).mean(axis=1) / energy
@@ -190,16 +190,16 @@ def _not_negative(posterior: Posterior, prior: Float, model: Float) -> Float:
     """
     posterior.prepare(prior)
     posterior.solve(posterior.observed, 2 * _ITERATIONS)
-    found, direct = posterior.matrix(), posterior.direct
+    matrix, direct = posterior.matrix(), posterior.direct
     posterior.prepare(prior, _CLIPPED)
-    between = ~np.eye(len(found), dtype=np.bool_)
+    between = ~np.eye(len(matrix), dtype=np.bool_)
     for _ in range(_CLIPPED):
-        np.maximum(found, -model, out=found, where=between)
-        predicted = found @ posterior.cells + direct[:, None] * posterior.cells
+        np.maximum(matrix, -model, out=matrix, where=between)
+        predicted = matrix @ posterior.cells + direct[:, None] * posterior.cells
         posterior.solve(posterior.left(predicted), _ITERATIONS)
-        found += posterior.matrix()
+        matrix += posterior.matrix()
         direct = direct + posterior.direct
-    return found
+    return matrix
 
 
 def _between(canvas: Canvas, model: Transport, channel: int) -> Float:
@@ -208,8 +208,8 @@ def _between(canvas: Canvas, model: Transport, channel: int) -> Float:
     light = cells.total(np.square(factor)[None])[:, 0]
     sent = cells.shared_out(factor, light)
     received = cells.shared_out(factor * canvas.known, weight)
-    found = model.between(received, sent, channel)
-    return np.float32(0.5) * (found + found.T)
+    matrix = model.between(received, sent, channel)
+    return np.float32(0.5) * (matrix + matrix.T)
 
 
 def _predicted(canvas: Canvas, lit: NDArray[np.bool_], model: Transport) -> Float:
@@ -260,8 +260,8 @@ class Posterior:
 
     def left(self, predicted: Float) -> Float:
         """Return what predicted pictures (cells, P) leave of those taken; 0 if unknown."""
-        left: Float = np.where(self._known, self.observed - predicted, 0)
-        return left
+        residual: Float = np.where(self._known, self.observed - predicted, 0)
+        return residual
 
     def guessed(self) -> Float:
         """Return variances of C before any fit, (size, size): falling with the distance's square.
@@ -310,9 +310,9 @@ class Posterior:
             energy[rows] = np.square(root @ self.light.T).sum(axis=0)
         # rows tell of an entry, and so do columns: either leaves a part of its variance, at least
         # a ten-thousandth, and certainties add up
-        left = 1 / (self.prior * np.maximum(1 - self.prior * energy, np.float32(1e-4)))
+        certainty = 1 / (self.prior * np.maximum(1 - self.prior * energy, np.float32(1e-4)))
         before = 1 / self.prior
-        energy = np.square(self.core) + 1 / np.maximum(left + left.T - before, before)
+        energy = np.square(self.core) + 1 / np.maximum(certainty + certainty.T - before, before)
         variance = np.empty_like(energy)
         for one, other in _pairs(self.haar):
             part = energy[one.rows, other.rows].reshape(
@@ -363,10 +363,10 @@ class Posterior:
         return pictures
 
     def _preconditioned(self, rest: Float) -> Float:
-        found = self.haar.forward(rest)
+        coefficients = self.haar.forward(rest)
         for inverse, rows in zip(self._inverses, self._alike, strict=True):
-            found[rows] = found[rows] @ inverse
-        return self.haar.inverse(found) * self._known
+            coefficients[rows] = coefficients[rows] @ inverse
+        return self.haar.inverse(coefficients) * self._known
 
 
 def _pairs(haar: Haar) -> Iterator[tuple[Group, Group]]:

@@ -115,8 +115,8 @@ class AdaptiveState(MethodState):
         # by other held-out pictures, errors don't compare
         if self.news.get("held") or len(self.estimates) < 3:
             return False
-        before, found = self.estimates[-2:]
-        return bool(found.error > share * before.error)
+        before, estimate = self.estimates[-2:]
+        return bool(estimate.error > share * before.error)
 
 
 class Adaptive(PackingMethod[AdaptiveState]):
@@ -259,8 +259,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
     ) -> AdaptiveState:
         """Let the hierarchy refine a level of its own; `new` are other fields that change."""
-        own = ImagesAs(replace(images.schedule, level=state.inner.level), images.read)
-        inner = self.hierarchy.refine(state.inner, own, memory_bytes)
+        pictures = ImagesAs(replace(images.schedule, level=state.inner.level), images.read)
+        inner = self.hierarchy.refine(state.inner, pictures, memory_bytes)
         levels = (*state.descended, state.level)
         state = replace(state, descended=levels)
         rows = [*state.rows, self._row(state, images.schedule.count)]
@@ -306,8 +306,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def _judged(self, state: AdaptiveState) -> AdaptiveState:
         """Estimate the error of what would be returned after the last level."""
-        found = self._best(state)[1]
-        return state.counted(estimated_error=found.error).changed(estimates=[found])
+        estimate = self._best(state)[1]
+        return state.counted(estimated_error=estimate.error).changed(estimates=[estimate])
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return what predicts the held-out pictures best."""
@@ -322,12 +322,12 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def pack(self, state: AdaptiveState) -> Pack:
         """Return what the last level changed, the hierarchy's changes among it."""
         news = {name: count for name, count in state.news.items() if name != "inner"}
-        own = super().pack(replace(state, news=news))
+        pack = super().pack(replace(state, news=news))
         if "inner" not in state.news:
-            return own
+            return pack
         inner = self.hierarchy.pack(state.inner)
         arrays = {f"inner_{name}": array for name, array in inner.arrays.items()}
-        return own | Pack(arrays, {"hierarchy": dict(inner.attributes)})
+        return pack | Pack(arrays, {"hierarchy": dict(inner.attributes)})
 
     def restore(self, start: AdaptiveState, packs: Sequence[Pack]) -> AdaptiveState:
         """Return the state after the last of `packs`, one a level from level 0 on."""

@@ -81,16 +81,16 @@ def fit(shape: tuple[int, ...], pictures: Pictures) -> Smooth:
     # from nothing: cores that fewer pictures told keep the prior that is learned from drawing near
     near = solve(observed, deviations, 1e-3, 120)
     deviations = learned(group, near)
-    found = solve(observed, deviations, 1.5e-4, 300, near)
+    estimate = solve(observed, deviations, 1.5e-4, 300, near)
     for index in range(pictures.channels):
         channel = pictures.channel(index)
         if pictures.channels == 1:
-            cores[index] = found
+            cores[index] = estimate
         elif channel.shine():
-            own = Evidence.of(channel, _WEIGHED_AT)
-            scale = np.float32(own.core / evidence.core if evidence.core else 0)
+            single = Evidence.of(channel, _WEIGHED_AT)
+            scale = np.float32(single.core / evidence.core if evidence.core else 0)
             cores[index] = solve(
-                Observations.of(patches, own), scale * deviations, 3e-4, 300, scale * found
+                Observations.of(patches, single), scale * deviations, 3e-4, 300, scale * estimate
             )
     return Smooth(shape, basis.functions, cores)
 
@@ -177,17 +177,17 @@ def light_range(shape: tuple[int, ...], model: Smooth, floodlit: Float) -> Light
     total = light * square + squares - 2 * (row * down + column * across)
     diagonal = float(height**2 + width**2)
     there = light > 0
-    found = np.divide(total, light, out=np.full(len(row), diagonal), where=there)
-    reach = np.sqrt(np.clip(found, 0.25, diagonal))
+    values = np.divide(total, light, out=np.full(len(row), diagonal), where=there)
+    reach = np.sqrt(np.clip(values, 0.25, diagonal))
     white = floodlit.sum(axis=0, dtype=np.float64)
     share = np.divide(light, white, out=np.zeros_like(light), where=white > 0)
-    found = (
+    values = (
         reach,
         np.clip(share, 0, 1) / reach,
         np.where(there, down - row * light, 0),
         np.where(there, across - column * light, 0),
     )
-    return LightRange(*(image.astype(np.float32).reshape(shape) for image in found))
+    return LightRange(*(image.astype(np.float32).reshape(shape) for image in values))
 
 
 def as_transport(
@@ -222,13 +222,13 @@ def _parts(shape: tuple[int, ...], model: Smooth, pictures: Pictures) -> Iterato
     basis = model.basis
     near = basis.is_near(*basis.pairs)
     for chosen in (near, ~near):
-        found: NDArray[np.bool_] = chosen & model.cores.any(axis=0)
-        if not found.any():
+        mask: NDArray[np.bool_] = chosen & model.cores.any(axis=0)
+        if not mask.any():
             continue
         arrays = {
             "factor": pictures.floodlit,
             "functions": basis.functions,
-            "pairs": np.stack([basis.first[found], basis.second[found]]),
-            "cores": np.ascontiguousarray(model.cores[:, found]),
+            "pairs": np.stack([basis.first[mask], basis.second[mask]]),
+            "cores": np.ascontiguousarray(model.cores[:, mask]),
         }
         yield MultiscaleTransport(shape, pictures.channels, [], arrays)

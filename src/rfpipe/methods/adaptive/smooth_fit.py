@@ -237,8 +237,8 @@ def solve(
     scaling = np.float32(1) / (1 + observed.diagonal() * np.square(deviations))
     if start is not None:
         start = np.divide(start, deviations, out=np.zeros_like(goal), where=deviations > 0)
-    found = conjugate_gradients(normal, goal, scaling.__mul__, start, tolerance, most)
-    return deviations * found
+    solution = conjugate_gradients(normal, goal, scaling.__mul__, start, tolerance, most)
+    return deviations * solution
 
 
 def conjugate_gradients(

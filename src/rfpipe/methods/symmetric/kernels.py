@@ -49,12 +49,12 @@ def collect_pieces(starts, pairs, pattern_of_block, first, residuals, spreads, v
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
         for side in range(1 if a == b else 2):
-            seen, lit = (a, b) if side == 0 else (b, a)
+            block, lit = (a, b) if side == 0 else (b, a)
             at = offset_a[n] if side == 0 else offset_b[n]
             pattern = pattern_of_block[lit] - first
             if pattern < 0 or pattern >= residuals.shape[0]:
                 continue
-            begin, end = starts[seen], starts[seen + 1]
+            begin, end = starts[block], starts[block + 1]
             for c in range(values.shape[0]):
                 values[c, at : at + end - begin] = residuals[pattern, c, begin:end]
                 variances[c, at : at + end - begin] = spreads[pattern, c, begin:end]
@@ -212,9 +212,9 @@ def _reconcile_block(size, offsets, values, variances, whole, noise):  # type: i
             continue
         lacking = np.float32((whole[k] - total) / variance)
         for at in offsets:
-            own = variances[at + k]
-            values[at + k] += lacking * own
-            variances[at + k] = own * np.float32(1.0 - own / variance)
+            part = variances[at + k]
+            values[at + k] += lacking * part
+            variances[at + k] = part * np.float32(1.0 - part / variance)
 
 
 @numba.njit(cache=True, parallel=True)
@@ -233,10 +233,10 @@ def reconcile(divided):  # type: ignore[no-untyped-def]
         a, b = block_a[n], block_b[n]
         offsets = np.empty(2 * (first_pair[n + 1] - first_pair[n]), np.int64)
         for side in range(1 if a == b else 2):
-            seen, at = (a, offset_a[n]) if side == 0 else (b, offset_b[n])
-            start = child_starts[children[seen]]
-            pixels = child_starts[children[seen + 1]] - start
-            for child in range(children[seen], children[seen + 1]):
+            block, at = (a, offset_a[n]) if side == 0 else (b, offset_b[n])
+            start = child_starts[children[block]]
+            pixels = child_starts[children[block + 1]] - start
+            for child in range(children[block], children[block + 1]):
                 count = 0
                 for pair in range(first_pair[n], first_pair[n + 1]):
                     if pair_a[pair] == child and (side == 0 or a == b):

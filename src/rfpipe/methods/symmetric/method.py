@@ -113,14 +113,14 @@ class Symmetric(Descent[SymmetricState]):
             return Schedule.floodlit(state.tree.domain.shape)
         tree, level = state.tree, state.level
         first, second = child_blocks(tree, level - 1, state.frontier)
-        asked = np.zeros(tree.n_blocks(level), np.bool_)
-        asked[first] = asked[second] = True
+        mask = np.zeros(tree.n_blocks(level), np.bool_)
+        mask[first] = mask[second] = True
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
-        if asked.any():
-            number = np.cumsum(asked, dtype=np.int32) - 1
+        if mask.any():
+            number = np.cumsum(mask, dtype=np.int32) - 1
             graph = conflict_graph(int(number[-1]) + 1, number[first], number[second])
             del first, second
-            pattern_of_block[asked] = colour_apart(graph)
+            pattern_of_block[mask] = colour_apart(graph)
         lit = pattern_of_block[tree.block_of_position(level)] >= 0
         return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
 
@@ -134,7 +134,7 @@ class Symmetric(Descent[SymmetricState]):
         if not images.schedule.count:
             return state.after(level_row(level, 0, rank_k=0))
         limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
-        rank1, rank_k, found, counts, above = zip(
+        rank1, rank_k, parts, counts, above = zip(
             *(
                 _refine_nodes(
                     state, select(tree, level - 1, nodes, run), images, limits, memory_bytes
@@ -149,8 +149,8 @@ class Symmetric(Descent[SymmetricState]):
         row = level_row(level, images.schedule.count, rank_k=0, **_total(counts))
         return replace(state, rows=(*state.rows[:-1], {**before, **outcome})).after(
             row,
-            known=(joined([*rank1, *rank_k]), joined([part.leaves for part in found])),
-            frontier=joined([part.frontier for part in found]),
+            known=(joined([*rank1, *rank_k]), joined([part.leaves for part in parts])),
+            frontier=joined([part.frontier for part in parts]),
         )
 
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
@@ -164,12 +164,12 @@ class Symmetric(Descent[SymmetricState]):
         state = replace(state, floodlit_maximum=maximum, floodlit_rms=rms)
         first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
         limits = _limits(state, tests=1)
-        found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, limits)
-        row = level_row(0, 1, nodes=1, rank_k=0, **found.counts)
+        outcome = classify(state.tree, 0, pieces, first, unsettled, nothing, first, limits)
+        row = level_row(0, 1, nodes=1, rank_k=0, **outcome.counts)
         return state.after(
             row,
-            known=(found.leaves,),
-            frontier=found.frontier,
+            known=(outcome.leaves,),
+            frontier=outcome.frontier,
             floodlit_maximum=maximum,
             floodlit_rms=rms,
             dark=dark,
@@ -197,8 +197,8 @@ def _limits(state: SymmetricState, tests: int) -> Limits:
         return Limits(of_one, options.noise_significance, tests)
     compared = float(compared_pixels(tree, level - 1, state.frontier).sum())
     of_all = 2 * (_TOGETHER * options.tolerance * state.floodlit_rms) ** 2
-    asked = min(of_one, of_all * tree.domain.size / compared)
-    return Limits(asked, options.noise_significance, tests)
+    bound = min(of_one, of_all * tree.domain.size / compared)
+    return Limits(bound, options.noise_significance, tests)
 
 
 def _total(parts: Sequence[dict[str, int]]) -> dict[str, int]:
@@ -235,7 +235,7 @@ def _refine_nodes(
     settled = verdict[above] == AGREES
     kernels.reconcile(divided.arrays)
     rank_k = rank_k_leaves(divided, smooth)
-    found = classify(tree, level, pieces, chosen, settled, nodes, above, limits)
+    outcome = classify(tree, level, pieces, chosen, settled, nodes, above, limits)
     smooth_nodes, divided_nodes = (int(np.count_nonzero(each)) for each in (smooth, subdivided))
     counts = {"rank1": len(rank1), "rank_k": smooth_nodes, "subdivided": divided_nodes}
-    return rank1, rank_k, found, {"nodes": len(chosen), **found.counts}, counts
+    return rank1, rank_k, outcome, {"nodes": len(chosen), **outcome.counts}, counts

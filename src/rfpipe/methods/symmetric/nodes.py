@@ -126,11 +126,11 @@ def child_blocks(tree: BlockTree, level: int, nodes: Frontier) -> tuple[Blocks, 
     if level >= tree.n_levels - 1 or not len(nodes):
         return np.zeros(0, np.int32), np.zeros(0, np.int32)
     starts = range(0, len(nodes), _NODES_AT_A_TIME)
-    found = [
+    blocks = [
         _child_blocks(tree.child_starts[level], nodes.block_a[run], nodes.block_b[run])
         for run in (slice(start, start + _NODES_AT_A_TIME) for start in starts)
     ]
-    first, second = (np.concatenate(part) for part in zip(*found, strict=True))
+    first, second = (np.concatenate(part) for part in zip(*blocks, strict=True))
     return first, second
 
 

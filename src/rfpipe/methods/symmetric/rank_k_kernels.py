@@ -90,9 +90,9 @@ def _carried(rotated, vectors, limit, amplified, of_columns, of_rows, carried): 
         if carried[r]:
             # squared, and what is rotated is s u
             quotient[r] = max(images_a, 0.0) / square[r] * (max(images_b, 0.0) / square[r] ** 2)
-    most = amplified * amplified * quotient[np.argmax(square)]
+    largest = amplified * amplified * quotient[np.argmax(square)]
     for r in range(columns):
-        carried[r] &= quotient[r] <= most
+        carried[r] &= quotient[r] <= largest
 
 
 @numba.njit(cache=True)

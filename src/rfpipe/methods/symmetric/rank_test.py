@@ -158,16 +158,16 @@ def classify(
         leaves = LeafSet(level, block_a, block_b, energy.astype(np.float32))
         return Found(leaves, no_nodes(channels), {"empty": empty, "scalar": len(leaves)})
     starts = tree.starts[level]
-    own, n_values = Pairs.of(starts, block_a, block_b)
+    layout, n_values = Pairs.of(starts, block_a, block_b)
     sources = np.stack([pairs.at_a[chosen], pairs.at_b[chosen]])
     spread = np.empty((channels, 2, len(chosen)))
     kernels.sum_pieces(starts, Pairs(block_a, block_b, *sources), pieces.variances, spread)
-    nodes = Nodes(own, np.empty((channels, n_values), np.float32), energy, spread)
+    nodes = Nodes(layout, np.empty((channels, n_values), np.float32), energy, spread)
     worst = np.empty((channels, len(block_a)))
     lit = np.empty_like(worst)
     kernels.take_pieces(
         Grid.of(tree, level), nodes, sources, pieces.values, pieces.variances,
-        _profiles(tree, level, own, above, node), above.pieces, limits.significance, worst, lit,
+        _profiles(tree, level, layout, above, node), above.pieces, limits.significance, worst, lit,
     )  # fmt: skip
     sizes = np.diff(starts)
     pixels = np.where(block_a == block_b, sizes[block_a], sizes[block_a] + sizes[block_b])
@@ -178,9 +178,9 @@ def classify(
     lit = np.maximum(lit, 1.0)
     certain = (worst / lit <= limits.allowed(noise, lit)).all(axis=0)
     certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1) | settled
-    found = Frontier(block_a, block_b, *nodes[1:])
-    leaves = as_leaves(tree, level, select(tree, level, found, certain))
-    frontier = select(tree, level, found, ~certain)
+    entries = Frontier(block_a, block_b, *nodes[1:])
+    leaves = as_leaves(tree, level, select(tree, level, entries, certain))
+    frontier = select(tree, level, entries, ~certain)
     return Found(leaves, frontier, {"empty": empty, "rank1": len(leaves)})
 
 
@@ -190,12 +190,12 @@ def _profiles(
     """Find the pictures of two blocks among the factors of the nodes above; -1 where none are."""
     if not len(above):
         return np.full((2, len(pairs.a)), -1, np.int64)
-    starts, own = tree.starts[level - 1], tree.starts[level]
+    starts, finer = tree.starts[level - 1], tree.starts[level]
     outer = above.nodes(tree, level - 1).pairs
     return np.stack(
         [
-            outer.at_a[node] + own[pairs.a] - starts[outer.a[node]],
-            outer.at_b[node] + own[pairs.b] - starts[outer.b[node]],
+            outer.at_a[node] + finer[pairs.a] - starts[outer.a[node]],
+            outer.at_b[node] + finer[pairs.b] - starts[outer.b[node]],
         ]
     )
 
@@ -234,23 +234,23 @@ def rank_k_leaves(divided: Subdivided, chosen: Flags) -> LeafSet:
     from rfpipe.methods.symmetric.kernels import sum_pieces
 
     tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
-    arrays, own = divided.arrays, np.flatnonzero(chosen)
-    block_a, block_b = nodes.block_a[own], nodes.block_b[own]
-    channels, count = len(pieces.values), len(own)
+    arrays, node = divided.arrays, np.flatnonzero(chosen)
+    block_a, block_b = nodes.block_a[node], nodes.block_b[node]
+    channels, count = len(pieces.values), len(node)
     children = np.diff(arrays.grid.children)
-    most = int(children[np.concatenate([block_a, block_b])].max(initial=0))
-    left, right = np.zeros((2, channels, count, most, most))
+    largest = int(children[np.concatenate([block_a, block_b])].max(initial=0))
+    left, right = np.zeros((2, channels, count, largest, largest))
     rank = np.empty((channels, count), np.int64)
     sums = np.empty_like(pieces.sums)
     sum_pieces(arrays.grid.below, pieces.pairs, pieces.values, sums)
-    kernels.invert_cores(arrays, own, AMPLIFIED, sums, left, right, rank)
-    without = (rank == 0) & (nodes.energy[:, own] > 0)
+    kernels.invert_cores(arrays, node, AMPLIFIED, sums, left, right, rank)
+    without = (rank == 0) & (nodes.energy[:, node] > 0)
     terms = np.maximum(rank.max(axis=0), without.any(axis=0))
     term_a, term_b = np.repeat(block_a, terms), np.repeat(block_b, terms)
     begin, _, n_values = factor_offsets(arrays.grid.starts, term_a, term_b)
     factors = np.zeros((channels, n_values), np.float32)
     first_term = np.append(0, np.cumsum(terms))
-    kernels.combine_pieces(arrays, own, left, right, first_term, begin, factors)
+    kernels.combine_pieces(arrays, node, left, right, first_term, begin, factors)
     if without.any():
         rank_1 = as_leaves(tree, level, select(tree, level, nodes, chosen)).values
         at, _, n_values = factor_offsets(arrays.grid.starts, block_a, block_b)

@@ -67,8 +67,8 @@ class Candidates:
         """Drop candidates that turned out to give no light."""
         floodlit = series.floodlit[self.pixels(len(series.lit))]
         held = self.weights > 0.005 * floodlit
-        left = Candidates(self.keys[held], self.variance[held], self.weights[held])
-        return left.uncertain(series, 1.0, 0.02)
+        rest = Candidates(self.keys[held], self.variance[held], self.weights[held])
+        return rest.uncertain(series, 1.0, 0.02)
 
     def looked_at(self, series: Series, chosen: Int64 | None) -> tuple[Series, Candidates]:
         """Return the pictures and candidates of chosen camera pixels, ascending; None for all."""
@@ -99,10 +99,10 @@ class Candidates:
         lit, certainty, observed = (
             np.ascontiguousarray(each) for each in (lit, certainty, observed)
         )
-        own = (self.keys % rays).astype(np.int32)
+        ray = (self.keys % rays).astype(np.int32)
         starts = self.starts(len(observed), rays)
         about = np.zeros_like(ridge) if expected is None else expected
-        weights = solve_weights(starts, own, ridge, about, lit, certainty, observed, _EVIDENCE)
+        weights = solve_weights(starts, ray, ridge, about, lit, certainty, observed, _EVIDENCE)
         return replace(self, weights=weights)
 
 
@@ -127,12 +127,12 @@ class Precision:
 
         rays, pixels = len(series.lit), len(series.observed)
         starts = found.starts(pixels, rays)
-        own = (found.keys % rays).astype(np.int32)
+        ray = (found.keys % rays).astype(np.int32)
         least = np.square(1e-3 * series.floodlit[found.pixels(rays)])
         # of a pixel that is black, too, which only the other way has made a candidate
         variance = np.maximum(found.variance, np.maximum(least, _TINY)).astype(np.float32)
         certainty = series.certainty()
-        factors, trace = marginal(starts, own, variance, series.lit, certainty)
+        factors, trace = marginal(starts, ray, variance, series.lit, certainty)
         return cls(starts, factors, certainty, trace)
 
     def applied(self, observed: Float) -> Float:
@@ -152,11 +152,11 @@ def first_footprints(series: Series, camera: RayDomain, templates: Templates) ->
     floodlit, there = series.floodlit, series.shining
     shining = np.flatnonzero(there)
     whitener = templates.whitener(lit, series.relative_noise())
-    own = series.observed[shining] / floodlit[shining, None]
-    best, score = templates.match_views(own, whitener, camera, there)
+    share = series.observed[shining] / floodlit[shining, None]
+    best, score = templates.match_views(share, whitener, camera, there)
     keys = templates.windows(shining[score > 0], best[score > 0])
     variance = np.square(1 / 4 * floodlit[keys // rays])
-    found = Candidates(keys, variance.astype(np.float32), np.zeros(len(keys), np.float32))
+    candidates = Candidates(keys, variance.astype(np.float32), np.zeros(len(keys), np.float32))
     # what smooth light does over time, and how strongly: pictures are turned into its axes
     cells = coarse_light(templates.projector, lit) + 0.5
     strength, axes = np.linalg.eigh(cells.T @ cells / len(cells))
@@ -165,7 +165,7 @@ def first_footprints(series: Series, camera: RayDomain, templates: Templates) ->
     noise = np.where(known, 1 / np.maximum(series.certainty(_WRONG), _TINY), 1)
     certainty = np.where(known, 1 / (noise.mean(axis=1, keepdims=True) + smooth), 0)
     turned = (x.astype(np.float32) for x in (lit @ axes, certainty, series.observed @ axes))
-    return found.weighed(floodlit, *turned)
+    return candidates.weighed(floodlit, *turned)
 
 
 def reweighted(
@@ -175,8 +175,8 @@ def reweighted(
 
     They lie about what is `expected` (candidates,), or 0, as uncertain as `found` has it.
     """
-    left = (series.observed - indirect).astype(np.float32)
-    again = found.weighed(series.floodlit, series.lit, series.certainty(_WRONG), left, expected)
+    residual = (series.observed - indirect).astype(np.float32)
+    again = found.weighed(series.floodlit, series.lit, series.certainty(_WRONG), residual, expected)
     return again.uncertain(series, 1.0, 0.03)
 
 
@@ -187,20 +187,20 @@ def found_anew(
     rays, pixels, floodlit = len(series.lit), len(series.observed), series.floodlit
     strong = found.weights > 0.01 * floodlit[found.pixels(rays)]
     keys = [_surroundings(found.keys[strong], templates.projector)]
-    left = series.observed - indirect - found.matrix(pixels, rays) @ series.lit
+    residual = series.observed - indirect - found.matrix(pixels, rays) @ series.lit
     certainty = series.certainty(_WRONG)
-    rest = np.einsum("im,im,im->i", certainty, left, left)
-    asked = np.flatnonzero(series.shining & (rest > max(_ANOTHER, left.shape[1] / 2)))
-    if len(asked) > templates.most_pixels:
-        asked = np.sort(asked[np.argsort(-rest[asked], kind="stable")[: templates.most_pixels]])
-    if len(asked):
+    rest = np.einsum("im,im,im->i", certainty, residual, residual)
+    pixel = np.flatnonzero(series.shining & (rest > max(_ANOTHER, residual.shape[1] / 2)))
+    if len(pixel) > templates.most_pixels:
+        pixel = np.sort(pixel[np.argsort(-rest[pixel], kind="stable")[: templates.most_pixels]])
+    if len(pixel):
         whitener = templates.whitener(series.lit, series.relative_noise())
-        best, score = templates.match(left[asked] / floodlit[asked, None], whitener)
-        box, weight = templates.seen[best], certainty[asked]
-        gain = np.square(np.einsum("im,im,im->i", weight, left[asked], box))
+        best, score = templates.match(residual[pixel] / floodlit[pixel, None], whitener)
+        box, weight = templates.seen[best], certainty[pixel]
+        gain = np.square(np.einsum("im,im,im->i", weight, residual[pixel], box))
         gain /= np.maximum(np.einsum("im,im,im->i", weight, box, box), _TINY)
-        there = (score > 0) & (gain > _ANOTHER) & (gain > 0.25 * rest[asked])
-        keys.append(templates.windows(asked[there], best[there]))
+        there = (score > 0) & (gain > _ANOTHER) & (gain > 0.25 * rest[pixel])
+        keys.append(templates.windows(pixel[there], best[there]))
     together = distinct(np.concatenate(keys))
     weights = np.zeros(len(together), np.float32)
     weights[np.searchsorted(together, found.keys[strong])] = found.weights[strong]
@@ -248,10 +248,10 @@ def split(found: Candidates, views: int, rays: int) -> list[Candidates]:
     of_view = (found.keys % (views * rays) // rays).astype(np.int16)
     parts = []
     for view in range(views):
-        own = of_view == view
-        keys = found.keys[own]
+        mask = of_view == view
+        keys = found.keys[mask]
         keys -= (keys // (views * rays) * (views - 1) + view) * rays
-        parts.append(Candidates(keys, found.variance[own], found.weights[own]))
+        parts.append(Candidates(keys, found.variance[mask], found.weights[mask]))
     return parts
 
 
@@ -300,11 +300,11 @@ def _both_ways(found: Candidates, rays: int) -> tuple[Candidates, Float]:
     order = np.argsort(back)
     back, weights, spread = back[order], found.weights[order], found.variance[order]
     keys = distinct(np.concatenate([found.keys, back[weights > 0]]))
-    own, other = np.searchsorted(keys, found.keys), np.searchsorted(keys, back)
+    place, other = np.searchsorted(keys, found.keys), np.searchsorted(keys, back)
     known = keys[np.minimum(other, len(keys) - 1)] == back
     other = other[known]
     variance, there, light = np.zeros((3, len(keys)), np.float32)
-    there[own], light[other] = found.weights, weights[known]
-    variance[own] = found.variance
+    there[place], light[other] = found.weights, weights[known]
+    variance[place] = found.variance
     variance[other] = np.maximum(variance[other], spread[known])
     return Candidates(keys, variance, there), light

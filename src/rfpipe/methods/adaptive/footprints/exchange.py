@@ -75,8 +75,8 @@ class Exchange:
     def indirect(self) -> list[Float]:
         """Return the indirect light of each series' patterns on all camera rays, (rays, M)."""
         everywhere = replace(self, looked_at=None)
-        found = everywhere._forward(self.unknowns, self._light(self.projector))
-        return self._parts(found)
+        light = everywhere._forward(self.unknowns, self._light(self.projector))
+        return self._parts(light)
 
     def fitted(self, deviations: Float, accuracy: tuple[float, int]) -> Exchange:
         """Find S by conjugate gradients from where it is; `deviations` are those of unknowns."""
@@ -92,8 +92,8 @@ class Exchange:
         np.divide(self.unknowns, deviations, out=start, where=deviations > 0)
         scaling = np.float32(1) / (1 + self._diagonal(light) * np.square(deviations))
         goal = back(self._observed)
-        found = conjugate_gradients(normal, goal, scaling.__mul__, start, *accuracy)
-        return replace(self, unknowns=deviations * found)
+        solution = conjugate_gradients(normal, goal, scaling.__mul__, start, *accuracy)
+        return replace(self, unknowns=deviations * solution)
 
     def beyond(self, allowed: float) -> tuple[Float, Float, Float]:
         """Return what each looked-at pixel's pictures are wrong by, and what they may be.
@@ -101,17 +101,17 @@ class Exchange:
         Three arrays (rays,): squared standard deviations; how many noise alone would make; how
         many an error of `allowed` of the floodlit image makes.
         """
-        told = self._parts(self._forward(self.unknowns, self._light(self.projector)))
+        predicted = self._parts(self._forward(self.unknowns, self._light(self.projector)))
         sums = []
-        for series, precision, light in zip(self.series, self.precision, told, strict=True):
+        for series, precision, light in zip(self.series, self.precision, predicted, strict=True):
             wrong = series.observed - light
             count = series.lit.shape[1]
             known = np.minimum(np.diff(precision.starts), count // 2)
             free = np.where(series.known, count - known, 0)
             excess = np.einsum("im,im->i", wrong, precision.applied(wrong))
             sums.append((excess, free, precision.trace * np.square(allowed * series.floodlit)))
-        excess, free, most = (sum(each[1:], each[0]) for each in zip(*sums, strict=True))
-        return excess, free, most
+        excess, free, limit = (sum(each[1:], each[0]) for each in zip(*sums, strict=True))
+        return excess, free, limit
 
     def learned(self) -> Float:
         """Return deviations by group, as the root of the mean square of what was found."""
@@ -128,35 +128,35 @@ class Exchange:
 
     def _with_projector_gains(self) -> Exchange:
         functions = self.functions
-        own = np.where(functions.carry.seen > 1 / 2, 0.05, 0.3).astype(np.float32)
+        spread = np.where(functions.carry.seen > 1 / 2, 0.05, 0.3).astype(np.float32)
         cores = functions.cores(self.unknowns)
         factor, camera = self.factors[1], self.camera
 
         def forward(gain: Float) -> Float:
             sent = self._light(gain * factor)
-            told: Float = (functions.left @ (cores @ sent)) * camera[:, None]
-            return told
+            light: Float = (functions.left @ (cores @ sent)) * camera[:, None]
+            return light
 
         def back(observed: Float) -> Float:
-            taken = functions.left.T @ (self._applied(observed) * camera[:, None])
-            told = zip(self._rights, self._parts(cores.T @ taken), self.series, strict=True)
-            change = [np.einsum("jm,jm->j", each.lit, right @ part) for right, part, each in told]
-            found: Float = own * factor * np.concatenate(change)
-            return found
+            received = functions.left.T @ (self._applied(observed) * camera[:, None])
+            light = zip(self._rights, self._parts(cores.T @ received), self.series, strict=True)
+            change = [np.einsum("jm,jm->j", each.lit, right @ part) for right, part, each in light]
+            gradient: Float = spread * factor * np.concatenate(change)
+            return gradient
 
         def normal(change: Float) -> Float:
-            return back(forward(own * change)) + change
+            return back(forward(spread * change)) + change
 
-        goal = back(self._observed - forward(np.ones_like(own)))
-        start = ((self.gains[1] - 1) / own).astype(np.float32)
+        goal = back(self._observed - forward(np.ones_like(spread)))
+        start = ((self.gains[1] - 1) / spread).astype(np.float32)
         change = conjugate_gradients(normal, goal, np.copy, start, 1e-2, 25)
-        gain = np.clip(1 + own * change, _LEAST, _MOST)
+        gain = np.clip(1 + spread * change, _LEAST, _MOST)
         return replace(self, gains=(self.gains[0], gain))
 
     def _with_camera_gains(self) -> Exchange:
-        told = np.concatenate(self.indirect(), axis=1) / self.gains[0][:, None]
-        weighed, stiff = self._applied(told), np.float32(1 / 0.1**2)
-        least = np.einsum("im,im->i", weighed, told) + stiff
+        predicted = np.concatenate(self.indirect(), axis=1) / self.gains[0][:, None]
+        weighed, stiff = self._applied(predicted), np.float32(1 / 0.1**2)
+        least = np.einsum("im,im->i", weighed, predicted) + stiff
         gain = (np.einsum("im,im->i", weighed, self._observed) + stiff) / least
         return replace(self, gains=(np.clip(gain, _LEAST, _MOST), self.gains[1]))
 
@@ -169,8 +169,8 @@ class Exchange:
     def _left(self) -> csr_array[np.float32]:
         """The functions over the rays that the fit looks at."""
         left = self.functions.left
-        found: csr_array[np.float32] = left if self.looked_at is None else left[self.looked_at]
-        return found
+        rows: csr_array[np.float32] = left if self.looked_at is None else left[self.looked_at]
+        return rows
 
     @cached_property
     def _rights(self) -> list[csr_array[np.float32]]:
@@ -207,12 +207,12 @@ class Exchange:
         functions = self.functions
         basis, pairs = functions.camera, len(functions.camera.first)
         received = np.zeros((len(basis), light.shape[1]), np.float32)
-        even, odd, own = np.split(unknowns, [pairs, 2 * pairs])
+        even, odd, one_way = np.split(unknowns, [pairs, 2 * pairs])
         couple(basis.first, basis.second, even, odd, light, received)
         first, second, _ = functions.from_own
-        couple_one_way(first, second, own, light[len(basis) :], received)
-        told: Float = (self._left @ received) * self._looked(self.camera)[:, None]
-        return told
+        couple_one_way(first, second, one_way, light[len(basis) :], received)
+        predicted: Float = (self._left @ received) * self._looked(self.camera)[:, None]
+        return predicted
 
     def _adjoint(self, observed: Float, light: Float) -> Float:
         from rfpipe.methods.adaptive.footprints.kernels import correlate, correlate_one_way
@@ -222,10 +222,10 @@ class Exchange:
         arriving = self._left.T @ (observed * self._looked(self.camera)[:, None])
         arriving = np.ascontiguousarray(arriving, np.float32)
         out = np.empty(functions.count, np.float32)
-        even, odd, own = np.split(out, [pairs, 2 * pairs])
+        even, odd, one_way = np.split(out, [pairs, 2 * pairs])
         correlate(basis.first, basis.second, arriving, light, even, odd)
         first, second, _ = functions.from_own
-        correlate_one_way(first, second, arriving, light[len(basis) :], own)
+        correlate_one_way(first, second, arriving, light[len(basis) :], one_way)
         return out
 
     def _diagonal(self, light: Float) -> Float:

@@ -68,8 +68,8 @@ def carry_of(direct: csr_array[np.float32], floodlit: Float) -> Carry:
     # where a camera pixel covers several projector pixels each gets a part of its light
     usual = float(np.median(share[share > 0])) if (share > 0).any() else 1.0
     share = share / usual
-    seen = np.where(share > 0.05, share / (share + 0.15), 0)
-    return Carry(means, seen.astype(np.float32))
+    visibility = np.where(share > 0.05, share / (share + 0.15), 0)
+    return Carry(means, visibility.astype(np.float32))
 
 
 def shared_rays(size: int) -> Carry:
@@ -87,10 +87,10 @@ def camera_factor(direct: csr_array[np.float32], floodlit: Float) -> Float:
     """
     lit: Float = np.asarray(direct.sum(axis=1)).ravel()
     rest = np.maximum(floodlit - lit, 1e-6 * floodlit)
-    own = (lit > 0.5 * floodlit) & (rest > 0)
-    ratio = np.clip(np.median(floodlit[own] / rest[own]), 1, 20.0) if own.any() else 1.0
-    found: Float = (np.clip(rest, 0.03 * floodlit, floodlit) * ratio).astype(np.float32)
-    return found
+    mask = (lit > 0.5 * floodlit) & (rest > 0)
+    ratio = np.clip(np.median(floodlit[mask] / rest[mask]), 1, 20.0) if mask.any() else 1.0
+    factor: Float = (np.clip(rest, 0.03 * floodlit, floodlit) * ratio).astype(np.float32)
+    return factor
 
 
 def projector_factor(carry: Carry, factor: Float, floodlit: Float) -> Float:
@@ -100,8 +100,8 @@ def projector_factor(carry: Carry, factor: Float, floodlit: Float) -> Float:
     """
     shining = floodlit[floodlit > 0]
     typical = float(np.median(shining)) if len(shining) else 0.0
-    found: Float = carry.seen * (carry.means @ factor) + (1 - carry.seen) * np.float32(typical)
-    return found.astype(np.float32)
+    light: Float = carry.seen * (carry.means @ factor) + (1 - carry.seen) * np.float32(typical)
+    return light.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -127,17 +127,17 @@ class Functions:
         """Those functions and then the projector's own, (projector rays, n + own)."""
         from scipy.sparse import diags_array, hstack
 
-        seen = self.carry.seen
+        visibility = self.carry.seen
         if isinstance(self.camera, ChartBasis):
             arriving = self.camera.at(np.asarray(self.carry.means @ self.camera.places))
         else:
             arriving = self.carry.means @ self.left
-        carried = diags_array(seen) @ arriving
+        carried = diags_array(visibility) @ arriving
         together: Any = carried
         if len(self.own):
-            together = hstack([carried, diags_array(1 - seen) @ self.own.weights])
-        found: csr_array[np.float32] = together.tocsr().astype(np.float32)
-        return found
+            together = hstack([carried, diags_array(1 - visibility) @ self.own.weights])
+        matrix: csr_array[np.float32] = together.tocsr().astype(np.float32)
+        return matrix
 
     @cached_property
     def density(self) -> float:
@@ -187,8 +187,8 @@ class Functions:
         )
         mass = np.asarray(carried.sum(axis=0), np.float64).ravel()
         arrives = mass > 1e-6 * mass.max(initial=0)
-        found = (carried.T @ place) / np.where(arrives, mass, 1)[:, None]
-        return found[:, :2], np.rint(found[:, 2]).astype(np.int64), arrives
+        centre = (carried.T @ place) / np.where(arrives, mass, 1)[:, None]
+        return centre[:, :2], np.rint(centre[:, 2]).astype(np.int64), arrives
 
     def deviations(self, indirect: float, floodlit: float) -> Float:
         """Return how large cores are expected to be before any fit, (count,).
@@ -211,8 +211,8 @@ class Functions:
             # in quarters of an octave; scales of the other side may lie below one camera pixel
             key = key * 1024 + np.rint(4 * np.log2(scale)).astype(np.int64)
         place = np.minimum(2 * distance / coarser, 255).astype(np.int64)
-        found: Int64 = np.unique(key * 256 + place, return_inverse=True)[1]
-        return found
+        group: Int64 = np.unique(key * 256 + place, return_inverse=True)[1]
+        return group
 
     def _places(self) -> tuple[Int64, Double, Double, Double, NDArray[np.bool_]]:
         """Return kind, finer and coarser scale, and distance of all unknowns; which are odd."""
@@ -232,12 +232,12 @@ class Functions:
         from scipy.sparse import coo_array
 
         basis, pairs = self.camera, len(self.camera.first)
-        even, odd, own = unknowns[:pairs], unknowns[pairs : 2 * pairs], unknowns[2 * pairs :]
+        even, odd, one_way = unknowns[:pairs], unknowns[pairs : 2 * pairs], unknowns[2 * pairs :]
         first, second, _ = self.from_own
         off = basis.first != basis.second
         rows = np.concatenate([basis.first, basis.second[off], first])
         columns = np.concatenate([basis.second, basis.first[off], second + len(basis)])
-        values = np.concatenate([even + odd, (even - odd)[off], own]).astype(np.float32)
+        values = np.concatenate([even + odd, (even - odd)[off], one_way]).astype(np.float32)
         shape = (len(basis), len(basis) + len(self.own))
         return coo_array((values, (rows, columns)), shape=shape).tocsr()
 
@@ -263,8 +263,8 @@ class Chart:
         _, down, across = cells(self.shape, scale)
         if self.places is None:
             view, row, column = np.indices(RayDomain(self.shape).stack_shape).reshape(3, -1)
-            found: Int64 = (view * down + row // scale) * across + column // scale
-            return found
+            cell: Int64 = (view * down + row // scale) * across + column // scale
+            return cell
         row, column = (self.places.T // scale).astype(np.int64)
         inside: Int64 = np.clip(row, 0, down - 1) * across + np.clip(column, 0, across - 1)
         return inside
@@ -292,8 +292,8 @@ class ChartBasis(MultiscaleBasis):
             (down, y), (across, x) = (
                 along(axis, int(scale)) for axis in np.clip(places, 0, last).T
             )
-            own = numbers(self.functions, self.shape, int(scale))[0]
-            number = own[down[:, :, None], across[:, None, :]]
+            table = numbers(self.functions, self.shape, int(scale))[0]
+            number = table[down[:, :, None], across[:, None, :]]
             value = y[:, :, None] * x[:, None, :]
             there = number >= 0
             rays.append(np.nonzero(there)[0])
@@ -316,9 +316,9 @@ def chart_of(
     """
     height, width = shape
     ray = np.arange(height * width)
-    own = np.stack([ray // width + 0.5, ray % width + 0.5], axis=1)
+    centre = np.stack([ray // width + 0.5, ray % width + 0.5], axis=1)
     light = np.asarray(middle.sum(axis=1), np.float64).ravel()
-    places = (middle @ own) / np.maximum(light, np.finfo(np.float32).tiny)[:, None]
+    places = (middle @ centre) / np.maximum(light, np.finfo(np.float32).tiny)[:, None]
     usual = float(np.median(light[light > 0])) if (light > 0).any() else 0.0
     known = (light > 0.3 * floodlit) & (light > 0.2 * usual)
     places = _carried_on(camera, places, known, np.array(shape))
@@ -336,14 +336,14 @@ def _carried_on(
     views, height, width = camera.stack_shape
     # a camera's pixel as a place on the projector's image, were there no parallax
     row, column = np.indices((height, width)).astype(np.float64) + 0.5
-    own = np.stack([row * shape[0] / height, column * shape[1] / width], axis=-1)
-    aside = places.reshape(views, height, width, 2) - own
-    found = np.empty_like(aside)
+    expected = np.stack([row * shape[0] / height, column * shape[1] / width], axis=-1)
+    aside = places.reshape(views, height, width, 2) - expected
+    place = np.empty_like(aside)
     for view, there in enumerate(known.reshape(views, height, width)):
         if not there.any():
-            found[view] = own
+            place[view] = expected
             continue
         nearest = distance_transform_edt(~there, return_distances=False, return_indices=True)
-        found[view] = own + aside[view][tuple(nearest)]
-    carried: Double = found.reshape(-1, 2)
+        place[view] = expected + aside[view][tuple(nearest)]
+    carried: Double = place.reshape(-1, 2)
     return carried

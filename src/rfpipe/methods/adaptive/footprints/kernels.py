@@ -53,22 +53,22 @@ def solve_weights(
         count = last - first
         if count == 0:
             continue
-        own = rays[first:last]
-        gram = _gram(own, lit, certainty[pixel])
+        pixel_rays = rays[first:last]
+        gram = _gram(pixel_rays, lit, certainty[pixel])
         goal = np.zeros(count)
         for a in range(count):
             for m in range(lit.shape[1]):
-                goal[a] += certainty[pixel, m] * lit[own[a], m] * seen[pixel, m]
-        found, rest = np.zeros(count), goal.copy()
+                goal[a] += certainty[pixel, m] * lit[pixel_rays[a], m] * seen[pixel, m]
+        estimate, rest = np.zeros(count), goal.copy()
         for _ in range(_SWEEPS):
             change, largest = 0.0, 0.0
             for a in range(count):
                 stiff = gram[a, a] + ridge[first + a]
-                pulled = ridge[first + a] * (expected[first + a] - found[a])
-                new = max(0.0, found[a] + (rest[a] + pulled) / stiff)
-                step = new - found[a]
+                pulled = ridge[first + a] * (expected[first + a] - estimate[a])
+                new = max(0.0, estimate[a] + (rest[a] + pulled) / stiff)
+                step = new - estimate[a]
                 if step != 0.0:
-                    found[a] = new
+                    estimate[a] = new
                     for b in range(count):
                         rest[b] -= gram[a, b] * step
                 change, largest = max(change, abs(step)), max(largest, new)
@@ -76,9 +76,9 @@ def solve_weights(
                 break
         gain = 0.0
         for a in range(count):
-            gain += found[a] * (goal[a] + rest[a])
+            gain += estimate[a] * (goal[a] + rest[a])
         if gain >= least:
-            weights[first:last] = found
+            weights[first:last] = estimate
     return weights
 
 
@@ -97,19 +97,19 @@ def marginal(
     trace = np.empty(len(starts) - 1, np.float32)
     for pixel in range(len(starts) - 1):
         first, last = starts[pixel], starts[pixel + 1]
-        own, count = rays[first:last], last - first
+        pixel_rays, count = rays[first:last], last - first
         total = 0.0
         for m in range(lit.shape[1]):
             total += certainty[pixel, m]
         if count:
-            gram = _gram(own, lit, certainty[pixel])
+            gram = _gram(pixel_rays, lit, certainty[pixel])
             for a in range(count):
                 gram[a, a] += 1 / variance[first + a]
             lower = np.linalg.cholesky(gram)
             for a in range(count):
                 row = factors[first + a]
                 for m in range(lit.shape[1]):
-                    row[m] = np.float64(lit[own[a], m]) * certainty[pixel, m]
+                    row[m] = np.float64(lit[pixel_rays[a], m]) * certainty[pixel, m]
                 for b in range(a):
                     for m in range(lit.shape[1]):
                         row[m] -= lower[a, b] * factors[first + b, m]
@@ -162,11 +162,11 @@ def apply_precision(starts: Int64, factors: Double, certainty: Float, seen: Floa
     for pixel in range(len(starts) - 1):
         back[:] = 0
         for candidate in range(starts[pixel], starts[pixel + 1]):
-            told = 0.0
+            total = 0.0
             for m in range(count):
-                told += factors[candidate, m] * seen[pixel, m]
+                total += factors[candidate, m] * seen[pixel, m]
             for m in range(count):
-                back[m] += told * factors[candidate, m]
+                back[m] += total * factors[candidate, m]
         for m in range(count):
             out[pixel, m] = np.float64(certainty[pixel, m]) * seen[pixel, m] - back[m]
     return out

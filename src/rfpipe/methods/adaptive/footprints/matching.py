@@ -31,8 +31,8 @@ def coarse_light(projector: RayDomain, lit: Float) -> Double:
     size = np.bincount(cell)
     sums = np.zeros((len(size), lit.shape[1]))
     np.add.at(sums, cell, lit)
-    found: Double = sums / size[:, None] - 0.5
-    return found
+    part: Double = sums / size[:, None] - 0.5
+    return part
 
 
 @dataclass(frozen=True)
@@ -69,17 +69,17 @@ class Templates:
         """
         height, width = projector.image_shape
         image = lit.reshape(height, width, -1)
-        seen, centre, widths = [], [], []
+        series, centre, widths = [], [], []
         for side in sorted({1.6 * max(1.0, density) * part for part in (1.0, 2.0)}):
             down, across = _boxes(height, side), _boxes(width, side)
             rows = np.einsum("ay,yxm->axm", down, image, optimize=True)
-            found = np.einsum("bx,axm->abm", across, rows, optimize=True)
-            seen.append(found.reshape(-1, lit.shape[1]))
-            centre.append((np.indices(found.shape[:2]).reshape(2, -1).T + 1) / 2)
-            widths.append(np.full(len(seen[-1]), side))
+            response = np.einsum("bx,axm->abm", across, rows, optimize=True)
+            series.append(response.reshape(-1, lit.shape[1]))
+            centre.append((np.indices(response.shape[:2]).reshape(2, -1).T + 1) / 2)
+            widths.append(np.full(len(series[-1]), side))
         return cls(
             projector,
-            np.concatenate(seen).astype(np.float32),
+            np.concatenate(series).astype(np.float32),
             np.concatenate(centre),
             np.concatenate(widths),
         )
@@ -104,11 +104,11 @@ class Templates:
         The latter is -1 to 1; 0 of a black series.
         """
         boxes = _normalised(self.seen @ whitener).T
-        own = _normalised(series @ whitener)
-        best, score = np.zeros(len(own), np.int64), np.zeros(len(own), np.float32)
+        whitened = _normalised(series @ whitener)
+        best, score = np.zeros(len(whitened), np.int64), np.zeros(len(whitened), np.float32)
         step = max(1, 2**24 // boxes.shape[1])
-        for first in range(0, len(own), step):
-            part = own[first : first + step] @ boxes
+        for first in range(0, len(whitened), step):
+            part = whitened[first : first + step] @ boxes
             chosen = part.argmax(axis=1)
             best[first : first + step] = chosen
             score[first : first + step] = part[np.arange(len(part)), chosen]
@@ -142,11 +142,11 @@ class Templates:
                 near = row // step + down, column // step + right
                 aside = np.stack([row - near[0] * step, column - near[1] * step], axis=1)
                 guesses.append(grid[view, near[0], near[1]] + aside * scale)
-        boxes, own = _normalised(self.seen @ whitener), _normalised(series @ whitener)
+        boxes, whitened = _normalised(self.seen @ whitener), _normalised(series @ whitener)
         reach = step / 2 * float(scale.max()) + 1.5
         tables = len(self.seen) // len(np.unique(self.width))
         across = 2 * self.projector.image_shape[1] - 1
-        return match_near(own, boxes, np.stack(guesses, axis=1), reach, tables, across)
+        return match_near(whitened, boxes, np.stack(guesses, axis=1), reach, tables, across)
 
     def windows(self, pixels: Int64, boxes: Int64) -> Int64:
         """Return the projector pixels about some pixels' boxes, as sorted keys.
@@ -155,10 +155,10 @@ class Templates:
         """
         height, width = self.projector.image_shape
         half = self.width[boxes] / 2 + 0.5
-        most = int(2 * half.max(initial=0)) + 1
+        widest = int(2 * half.max(initial=0)) + 1
         low = np.ceil(self.centre[boxes] - 0.5 - half[:, None]).astype(np.int64)
         high = np.floor(self.centre[boxes] - 0.5 + half[:, None]).astype(np.int64)
-        offset = np.arange(most)
+        offset = np.arange(widest)
         row, column = (low[:, [axis]] + offset for axis in (0, 1))
         row_fits = (row >= 0) & (row <= high[:, :1]) & (row < height)
         column_fits = (column >= 0) & (column <= high[:, 1:]) & (column < width)
@@ -179,5 +179,5 @@ def _boxes(length: int, side: float) -> Double:
 
 def _normalised(series: Float) -> Float:
     length = np.linalg.norm(series, axis=1, keepdims=True)
-    found: Float = np.divide(series, length, out=np.zeros_like(series), where=length > 0)
-    return found
+    unit: Float = np.divide(series, length, out=np.zeros_like(series), where=length > 0)
+    return unit

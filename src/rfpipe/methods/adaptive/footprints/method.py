@@ -101,8 +101,8 @@ class Footprints(Adaptive):
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
         """Return those of a scene for which all blocks are lit one by one, after all rounds."""
-        own = options_of(self.hierarchy)
-        return most_of(projector.views) + self.hierarchy.most_patterns(camera, projector, own)
+        inner = options_of(self.hierarchy)
+        return most_of(projector.views) + self.hierarchy.most_patterns(camera, projector, inner)
 
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return rounds, then the levels of dual photography below its floodlit one."""
@@ -141,8 +141,8 @@ class Footprints(Adaptive):
         pictures, views = state.pictures, state.projector.views
         unit = unit_of(pictures)
         grey = series_of(pictures.grey() if channels > 1 else pictures, unit, views)
-        own = range(channels if channels > 1 else 0)
-        parts = (series_of(pictures.channel(index), unit, views) for index in own)
+        indices = range(channels if channels > 1 else 0)
+        parts = (series_of(pictures.channel(index), unit, views) for index in indices)
         model = find(state.camera, state.projector, grey, parts, state.found)
         arrays = _arrays_of(model, state.camera, state.projector, unit)
         nodes, scalar = len(arrays["cores_columns"]), len(arrays["footprints_columns"])
@@ -187,8 +187,8 @@ class Footprints(Adaptive):
         there = (weight > 0) & (direct[0] > 0)
         mean = np.divide(distance, weight, out=np.ones_like(weight), where=there)
         reach = np.sqrt(np.clip(mean, 0.25, height**2 + width**2))
-        found = np.where(there, weight / reach, 0)
-        return found.astype(np.float32).reshape(state.projector.shape)
+        nearness = np.where(there, weight / reach, 0)
+        return nearness.astype(np.float32).reshape(state.projector.shape)
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on, go another way, or end."""
@@ -230,7 +230,7 @@ def _arrays_of(
     """Return the arrays of a `FootprintTransport`; the model is in units of so much radiance."""
     exchanges = [exchange for _, exchange in model.channels]
     functions = exchanges[0].functions
-    direct = [found.matrix(camera.size, projector.size) for found, _ in model.channels]
+    direct = [candidates.matrix(camera.size, projector.size) for candidates, _ in model.channels]
     cores = [functions.cores(each.unknowns) for each in exchanges]
     return {
         **_arrays("footprints", direct[0], [each.data * np.float32(unit) for each in direct]),

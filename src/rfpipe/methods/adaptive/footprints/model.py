@@ -90,40 +90,40 @@ def find(
     """
     rays, view = projector.rays_per_image, RayDomain(projector.image_shape)
     templates = []
-    for each in grey:
+    for series in grey:
         # projector pixels of a view that a shining camera pixel spans a side, about
-        density = np.sqrt(rays / max(1.0, float(each.shining.sum()) / camera.views))
-        templates.append(Templates.of(view, each.lit, float(density)))
+        density = np.sqrt(rays / max(1.0, float(series.shining.sum()) / camera.views))
+        templates.append(Templates.of(view, series.lit, float(density)))
     fresh = before is None
     if before is not None:
         parts = split(before, projector.views, rays)
     else:
         pairs = zip(grey, templates, strict=True)
-        parts = [first_footprints(each, camera, own) for each, own in pairs]
+        parts = [first_footprints(series, camera, template) for series, template in pairs]
     for number in range(2 if fresh else 1):
         exchange = _refined(camera, projector, grey, joined(parts, rays))
         sides = zip(grey, parts, exchange.indirect(), templates, strict=True)
         parts = [
-            reweighted(each, found_anew(each, part, light, own), light)
-            for each, part, light, own in sides
+            reweighted(series, found_anew(series, part, light, template), light)
+            for series, part, light, template in sides
         ]
         if exchange.shares_rays:
             together = with_other_way(joined(parts, rays), projector.size)
             together = _reweighted(grey, together, exchange.indirect())
             parts = split(together, projector.views, rays)
         if number or not fresh:
-            parts = [part.pruned(each) for each, part in zip(grey, parts, strict=True)]
-    found, exchange = _settled(grey, joined(parts, rays), exchange)
-    fitted = tuple(_of_channel(each, grey, found, exchange) for each in channels)
-    return Model(found, fitted or ((found, exchange),))
+            parts = [part.pruned(series) for series, part in zip(grey, parts, strict=True)]
+    candidates, exchange = _settled(grey, joined(parts, rays), exchange)
+    fitted = tuple(_of_channel(series, grey, candidates, exchange) for series in channels)
+    return Model(candidates, fitted or ((candidates, exchange),))
 
 
 def _settled(series: Views, found: Candidates, exchange: Exchange) -> Channel:
     """Find weights and exchange once more, with the footprints' last candidates."""
     if exchange.shares_rays:
         return _agreed(series, found, exchange)
-    own = replace(exchange, precision=_precisions(series, found, exchange.looked_at))
-    fitted = own.fitted(own.learned(), FULLY).with_gains()
+    start = replace(exchange, precision=_precisions(series, found, exchange.looked_at))
+    fitted = start.fitted(start.learned(), FULLY).with_gains()
     return _reweighted(series, found, fitted.indirect()), fitted
 
 
@@ -141,20 +141,20 @@ def _agreed(series: Views, found: Candidates, exchange: Exchange) -> Channel:
         mean = averaged(found, everywhere)
         sides = zip(series, split(mean, views, rays), strict=True)
         # footprints that agree have small deviations left
-        known = [
+        pairs = [
             part.uncertain(each, 0.05, 0.003).looked_at(each, looked_at) for each, part in sides
         ]
-        own = replace(
+        start = replace(
             exchange,
-            precision=tuple(Precision.of(*each) for each in known),
+            precision=tuple(Precision.of(*each) for each in pairs),
             series=tuple(
                 replace(
                     each, observed=each.observed - part.matrix(len(each.observed), rays) @ each.lit
                 )
-                for each, part in known
+                for each, part in pairs
             ),
         )
-        exchange = own.fitted(own.learned(), NEARLY)
+        exchange = start.fitted(start.learned(), NEARLY)
     return reconciled(series, found, exchange.indirect()), exchange
 
 
@@ -177,9 +177,9 @@ def _of_channel(series: Views, grey: Views, found: Candidates, exchange: Exchang
     if not any(each.shines() for each in series):
         share[:] = 0
     rays = len(series[0].lit) * len(series)
-    own = found.pixels(rays)
+    pixel = found.pixels(rays)
     start = Candidates(
-        found.keys, found.variance * np.square(share[own]), found.weights * share[own]
+        found.keys, found.variance * np.square(share[pixel]), found.weights * share[pixel]
     )
     carry = exchange.functions.carry
     usual = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
@@ -202,10 +202,10 @@ def _of_channel(series: Views, grey: Views, found: Candidates, exchange: Exchang
 
 def _floodlit(series: Views) -> Float:
     """Return what pixels show when all views are lit, at least 0, (pixels,)."""
-    found = series[0].floodlit
+    radiance = series[0].floodlit
     for each in series[1:]:
-        found = found + each.floodlit
-    return found
+        radiance = radiance + each.floodlit
+    return radiance
 
 
 def _refined(camera: RayDomain, projector: RayDomain, series: Views, found: Candidates) -> Exchange:
@@ -269,10 +269,10 @@ def _from_nothing(exchange: Exchange, expected: float, mean: float) -> Exchange:
 def _own(projector: RayDomain, carry: Carry, scale: int, least: float) -> NDArray[np.int32]:
     """Return the functions of a scale of the projector's own, where it isn't well seen."""
     unseen = 1 - carry.seen > max(least, 0.15)
-    found = np.zeros(cells(projector.shape, scale), np.bool_)
+    mask = np.zeros(cells(projector.shape, scale), np.bool_)
     view, row, column = np.nonzero(unseen.reshape(projector.stack_shape))
-    found[view, row // scale, column // scale] = True
-    return functions_over(scale, found)
+    mask[view, row // scale, column // scale] = True
+    return functions_over(scale, mask)
 
 
 def _indirect(series: Views, floodlit: Float, direct: csr_array[np.float32]) -> float:
@@ -286,8 +286,8 @@ def _indirect(series: Views, floodlit: Float, direct: csr_array[np.float32]) -> 
     share = (direct @ only.lit[:, 1:]) / np.maximum(lit, np.finfo(np.float32).tiny)[:, None]
     dark = (1 - np.clip(4 * share, 0, 1)) * only.known[:, None]
     # patterns light half of the projector
-    seen = 2 * float((np.where(dark > 0, only.observed[:, 1:], 0) * dark).sum(dtype=np.float64))
-    return max(seen, 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
+    light = 2 * float((np.where(dark > 0, only.observed[:, 1:], 0) * dark).sum(dtype=np.float64))
+    return max(light, 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
 
 
 def _wanting(chart: Chart, scale: int, exchange: Exchange) -> NDArray[np.bool_]:
@@ -303,5 +303,5 @@ def _wanting(chart: Chart, scale: int, exchange: Exchange) -> NDArray[np.bool_]:
 
     over, chance = total(excess) - total(free), np.sqrt(2 * total(free))
     wanted = (over > SIGNIFICANT * chance) & (over > total(allowed))
-    found: NDArray[np.bool_] = wanted.reshape(shape)
-    return found
+    mask: NDArray[np.bool_] = wanted.reshape(shape)
+    return mask

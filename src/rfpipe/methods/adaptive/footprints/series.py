@@ -79,18 +79,18 @@ class Series:
         floodlit = self.floodlit[:, None]
         least = 1e-5 * float(floodlit.mean(dtype=np.float64))
         spread = (0.002**2 + wrong**2) * np.square(floodlit) + least**2
-        found: Float = (1 / (self.variance + spread)).astype(np.float32)
-        return found
+        precision: Float = (1 / (self.variance + spread)).astype(np.float32)
+        return precision
 
     def relative_noise(self) -> float:
         """Return the typical variance of a picture relative to its pixel's floodlit radiance."""
-        own = self.shining
-        if not own.any():
+        lit = self.shining
+        if not lit.any():
             return 1.0
         share = (
-            self.variance[own, 1:].mean(axis=1) if self.lit.shape[1] > 1 else self.variance[own, 0]
+            self.variance[lit, 1:].mean(axis=1) if self.lit.shape[1] > 1 else self.variance[lit, 0]
         )
-        return float(np.median(share / np.square(self.floodlit[own])))
+        return float(np.median(share / np.square(self.floodlit[lit])))
 
 
 def unit_of(pictures: Pictures) -> float:
@@ -110,12 +110,12 @@ def series_of(pictures: Pictures, unit: float, views: int) -> tuple[Series, ...]
         pictures = pictures.probes
     series = []
     for view, lit in enumerate(np.split(pictures.lit, views, axis=1)):
-        own = lit.any(axis=1)
-        observed, variance = pictures.radiance[own, 0], pictures.variance[own, 0]
-        assert lit[own][0].all(), f"view {view} was not lit whole at first"
+        pattern = lit.any(axis=1)
+        observed, variance = pictures.radiance[pattern, 0], pictures.variance[pattern, 0]
+        assert lit[pattern][0].all(), f"view {view} was not lit whole at first"
         series.append(
             Series(
-                np.ascontiguousarray(lit[own].T, np.float32),
+                np.ascontiguousarray(lit[pattern].T, np.float32),
                 np.ascontiguousarray(np.where(known, observed / unit, 0).T, np.float32),
                 np.ascontiguousarray(np.where(known, variance / unit / unit, np.inf).T, np.float32),
             )
