@@ -38,19 +38,19 @@ def rays_at(text: str, shape: tuple[int, ...]) -> Index:
         )
     numbers = np.arange(RayDomain(shape).size).reshape(shape)
     try:
-        found = np.asarray(numbers[tuple(_place(part, text) for part in parts)]).reshape(-1)
+        rays = np.asarray(numbers[tuple(_place(part, text) for part in parts)]).reshape(-1)
     except IndexError:
         raise InputError(f"rays {text!r}: outside the rays, whose shape is {shape}") from None
     except ValueError as error:
         raise InputError(f"rays {text!r}: {error}") from None
-    if not found.size:
+    if not rays.size:
         raise InputError(f"rays {text!r}: no ray of {shape} is there")
-    return found
+    return rays
 
 
 def _place(part: str, text: str) -> int | slice:
-    found = re.fullmatch(r"([+-]?\d+)|([+-]?\d+)?:([+-]?\d+)?(?::([+-]?\d+)?)?", part)
-    if found is None:
+    match = re.fullmatch(r"([+-]?\d+)|([+-]?\d+)?:([+-]?\d+)?(?::([+-]?\d+)?)?", part)
+    if match is None:
         raise InputError(f"rays {text!r}: {part!r} is neither a number nor a slice such as 10:20")
-    number, *ends = (None if end is None else int(end) for end in found.groups())
+    number, *ends = (None if end is None else int(end) for end in match.groups())
     return slice(*ends) if number is None else number

@@ -84,17 +84,17 @@ def filling(shape: tuple[int, int], pattern: str) -> tuple[csr_array[Any], ...]:
 
     height, width = shape
     photosite = np.pad(np.arange(height * width).reshape(shape), 1, mode="reflect")
-    found = []
-    for own, weights in zip(_sampled(shape, pattern), _WEIGHTS, strict=True):
+    matrices = []
+    for mask, weights in zip(_sampled(shape, pattern), _WEIGHTS, strict=True):
         parts = []
         for y, x in product(range(3), repeat=2):
             source = photosite[y : y + height, x : x + width].ravel()
             weight = weights[abs(y - 1) + abs(x - 1)]
-            used = np.flatnonzero(own.ravel()[source]) if weight else np.zeros(0, np.int64)
+            used = np.flatnonzero(mask.ravel()[source]) if weight else np.zeros(0, np.int64)
             parts.append((np.full(len(used), weight, np.float32), used, source[used]))
         values, rows, columns = map(np.concatenate, zip(*parts, strict=True))
-        found.append(csr_array((values, (rows, columns)), shape=(height * width,) * 2))
-    return tuple(found)
+        matrices.append(csr_array((values, (rows, columns)), shape=(height * width,) * 2))
+    return tuple(matrices)
 
 
 def weighed(matrices: Sequence[csr_array[Any]], images: NDArray[Any]) -> Float:

@@ -75,13 +75,13 @@ def level_gain(
     if mode == "none" or not complete:
         nowhere = np.zeros(floodlit.shape, bool)
         return Normalization(np.ones(floodlit.shape, np.float32), nowhere, mode)
-    wanted = floodlit
+    target = floodlit
     if mode == "total_energy":
         # channels without light are noise about zero; light is not negative
-        wanted = np.maximum(floodlit, 0)
+        target = np.maximum(floodlit, 0)
         floodlit, floodlit_variance, total, total_variance = (
             array.sum(axis=-1, keepdims=True)
-            for array in (wanted, floodlit_variance, total, total_variance)
+            for array in (target, floodlit_variance, total, total_variance)
         )
     known = np.isfinite(floodlit_variance) & np.isfinite(total_variance)
     floodlit_noise, total_noise = (
@@ -93,7 +93,7 @@ def level_gain(
         & (floodlit > significance * floodlit_noise)
         & (total > floodlit / MAXIMUM_GAIN)
     )
-    gain = np.divide(wanted, total, out=np.ones_like(wanted), where=covered)
+    gain = np.divide(target, total, out=np.ones_like(target), where=covered)
     return Normalization(
         gain.astype(np.float32), np.array(np.broadcast_to(covered, gain.shape)), mode
     )

@@ -73,18 +73,18 @@ def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; expected one of pictures")
-    known = {*_PLAIN, *RAW, *more}
-    found = [
+    suffixes = {*_PLAIN, *RAW, *more}
+    files = [
         path
         for path in folder.iterdir()
-        if path.suffix.lower() in known and not path.name.startswith(".")
+        if path.suffix.lower() in suffixes and not path.name.startswith(".")
     ]
-    if not found:
+    if not files:
         raise InputError(
             f"{folder}: holds no pictures; expected files that end in "
             f"{', '.join([*_PLAIN, *more])} or, raw, in {', '.join(RAW)}"
         )
-    return sorted(found, key=_natural)
+    return sorted(files, key=_natural)
 
 
 def read_header(path: Path) -> Header:

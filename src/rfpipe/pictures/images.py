@@ -127,8 +127,8 @@ def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
         In [0, 1], with the transfer curve of sRGB (IEC 61966-2-1).
     """
     linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    rgb: NDArray[np.float64] = np.broadcast_to(encoded, (*encoded.shape[:-1], 3))
     return rgb
 
 
@@ -139,10 +139,10 @@ def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.
     source = oiio.ImageBuf(np.ascontiguousarray(np.atleast_3d(picture), np.float32))
     height, width = shape
     roi = oiio.ROI(0, width, 0, height, 0, 1, 0, source.nchannels)
-    found = oiio.ImageBufAlgo.resize(source, "triangle", 0.0, roi)
-    if found.has_error:
-        raise InputError(f"a picture can't be resized to {height} x {width}: {found.geterror()}")
-    pixels = np.asarray(found.get_pixels(oiio.FLOAT), np.float32)
+    target = oiio.ImageBufAlgo.resize(source, "triangle", 0.0, roi)
+    if target.has_error:
+        raise InputError(f"a picture can't be resized to {height} x {width}: {target.geterror()}")
+    pixels = np.asarray(target.get_pixels(oiio.FLOAT), np.float32)
     return pixels.reshape(height, width, *picture.shape[2:])
 
 

@@ -90,5 +90,5 @@ def _mosaic(raw: object) -> str | None:
         return None
     colors = raw.raw_colors_visible[:2, :2].ravel()  # type: ignore[attr-defined]
     names = raw.color_desc.decode()  # type: ignore[attr-defined]
-    found = "".join(names[index] for index in colors)
-    return found if sorted(found) == sorted("RGGB") else None
+    letters = "".join(names[index] for index in colors)
+    return letters if sorted(letters) == sorted("RGGB") else None

@@ -79,8 +79,8 @@ class ArrayBundle:
         part = object.__new__(ArrayBundle)
         part.__dict__ |= self.__dict__
         part.attributes, part._prefix = attributes, self._prefix + prefix
-        found = (name.removeprefix(prefix) for name in self.names if name.startswith(prefix))
-        part.names = tuple(found)
+        names = (name.removeprefix(prefix) for name in self.names if name.startswith(prefix))
+        part.names = tuple(names)
         return part
 
     def shape(self, name: str) -> tuple[int, ...]:
@@ -142,11 +142,11 @@ class ArrayBundle:
     def nbytes_stored(self) -> int:
         """Bytes on disk, or where it lies; those in memory where a web server doesn't tell."""
         names = [self._prefix + name for name in self.names] if self._prefix else [""]
-        found = [
+        sizes = [
             bytes_on_disk(place) if isinstance(place, Path) else place.nbytes()
             for place in (self.path / name for name in names)
         ]
-        return self.nbytes if None in found else sum(filter(None, found))
+        return self.nbytes if None in sizes else sum(filter(None, sizes))
 
     def _entry(self, name: str) -> dict[str, Any]:
         if name not in self.names:
@@ -275,17 +275,17 @@ def _write_group(
 def _grid(array: NDArray[Any], by_parts: bool) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
     """Return the shapes of an array's chunks and of its shards, which it may have none of."""
     shape = tuple(max(1, length) for length in array.shape)
-    whole, fine = _WHOLE_BYTES, _CHUNK_BYTES
+    small, fine = _WHOLE_BYTES, _CHUNK_BYTES
     if by_parts:
-        whole, fine = _FINE_WHOLE_BYTES, _FINE_CHUNK_BYTES
-    if array.nbytes <= whole:
+        small, fine = _FINE_WHOLE_BYTES, _FINE_CHUNK_BYTES
+    if array.nbytes <= small:
         return shape, None
     axis = int(np.argmax(shape))
     slice_bytes = array.nbytes // shape[axis]
     step = max(1, fine // slice_bytes)
-    held = min(-(-shape[axis] // step), max(1, _SHARD_BYTES // (step * slice_bytes)))
-    chunk, shard = ((*shape[:axis], n * step, *shape[axis + 1 :]) for n in (1, held))
-    return chunk, shard if held > 1 else None
+    slices = min(-(-shape[axis] // step), max(1, _SHARD_BYTES // (step * slice_bytes)))
+    chunk, shard = ((*shape[:axis], n * step, *shape[axis + 1 :]) for n in (1, slices))
+    return chunk, shard if slices > 1 else None
 
 
 def _refuse_foreign(path: Path) -> None:

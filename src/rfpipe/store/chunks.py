@@ -72,11 +72,11 @@ def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
         raise StoreError(f"{path}: no store of {kind} here; {advice}")
     try:
         attributes = json.loads(content)["attributes"]
-        found = attributes["kind"]
+        stored = attributes["kind"]
     except (ValueError, KeyError, TypeError) as error:
         raise damaged_metadata(path, error) from error
-    if found != kind:
-        raise StoreError(f"{path}: a store of {found!r}; expected one of {kind!r}")
+    if stored != kind:
+        raise StoreError(f"{path}: a store of {stored!r}; expected one of {kind!r}")
     return dict(attributes)
 
 

@@ -319,10 +319,10 @@ class FrameStore:
 
     def _refuse_other(self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str) -> None:
         made = {"fingerprint": self.fingerprint, "shape": self.shape, "dtype": self.dtype}
-        wanted = {"fingerprint": fingerprint, "shape": tuple(shape), "dtype": dtype}
-        if made != wanted:
+        expected = {"fingerprint": fingerprint, "shape": tuple(shape), "dtype": dtype}
+        if made != expected:
             raise StaleStoreError(
-                f"{self.path}: made with another configuration ({made} instead of {wanted}), "
+                f"{self.path}: made with another configuration ({made} instead of {expected}), "
                 f"{len(self._digests)} items captured; restore the settings that it was made "
                 "with, or discard it to start anew"
             )

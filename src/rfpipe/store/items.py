@@ -85,10 +85,10 @@ class ItemArray(ChunkedArray):
                 self.read_chunk(start - before + first, block[first : first + step])
         except DAMAGE:
             return None
-        found = block[before:]
-        if [digest_of(item) for item in found] != [digests[n] for n in range(start, stop)]:
+        items = block[before:]
+        if [digest_of(item) for item in items] != [digests[n] for n in range(start, stop)]:
             return None
-        return found
+        return items
 
     def damaged(self, start: int, stop: int, digests: Mapping[int, str]) -> list[int]:
         """Return those of the items [start, stop) in `digests` that aren't as they were written."""
@@ -105,8 +105,8 @@ class ItemArray(ChunkedArray):
     def whole_files(self, digests: Mapping[int, str]) -> dict[int, str]:
         """Return what covers files wholly, since they are written whole."""
         step, n_items = self.items_per_file, self.shape[0]
-        held = np.bincount([item // step for item in digests], minlength=-(-n_items // step))
-        full = {file for file, n in enumerate(held) if n == min(step, n_items - int(file) * step)}
+        counts = np.bincount([item // step for item in digests], minlength=-(-n_items // step))
+        full = {file for file, n in enumerate(counts) if n == min(step, n_items - int(file) * step)}
         return {item: digest for item, digest in digests.items() if item // step in full}
 
     def _check(self, block: NDArray[Any]) -> None:
@@ -132,10 +132,10 @@ class ItemWriter(ItemArray):
 
     def __init__(self, path: Path, fingerprint: str) -> None:
         self._made_with = fingerprint
-        found = read_attributes(path, KIND).get("fingerprint")
-        if found != fingerprint:
+        stored = read_attributes(path, KIND).get("fingerprint")
+        if stored != fingerprint:
             raise StaleStoreError(
-                f"{path}: made with another configuration (fingerprint {found} instead of "
+                f"{path}: made with another configuration (fingerprint {stored} instead of "
                 f"{fingerprint}); run the stage that writes it again"
             )
         super().__init__(path)

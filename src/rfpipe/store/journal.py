@@ -27,7 +27,7 @@ def read_journal(path: Path, n_items: int) -> dict[int, str]:
     """
     with storage_errors(path, "reading"):
         content = content_of(path) or b""
-    entries = ((int(found[1]), found[2].decode(), found[0]) for found in _LINE.finditer(content))
+    entries = ((int(match[1]), match[2].decode(), match[0]) for match in _LINE.finditer(content))
     return {
         item: digest
         for item, digest, line in entries

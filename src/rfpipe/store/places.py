@@ -93,8 +93,8 @@ def as_address(path: str | Path) -> str | None:
 
     A `Path` made of an address has lost one of its slashes; it counts as well.
     """
-    found = _ADDRESS.match(str(path))
-    return None if found is None else _ADDRESS.sub(r"\1://", str(path))
+    match = _ADDRESS.match(str(path))
+    return None if match is None else _ADDRESS.sub(r"\1://", str(path))
 
 
 def locate(path: str | Path | Place) -> Path | Place:

@@ -143,12 +143,12 @@ class MatrixAlgebra(ABC):
             one_each = np.zeros((len(part), 1, size_lit), np.float32)
             one_each[np.arange(len(part)), 0, part] = 1
             light = np.broadcast_to(one_each, (len(part), len(chosen), size_lit))
-            found = apply(light, chosen)[..., seen]
+            entries = apply(light, chosen)[..., seen]
             of_lit, of_seen = slice(first, first + len(part)), slice(0, len(seen))
             if by_rows:
-                yield of_lit, of_seen, found.swapaxes(0, 1)
+                yield of_lit, of_seen, entries.swapaxes(0, 1)
             else:
-                yield of_seen, of_lit, np.moveaxis(found, 0, -1)
+                yield of_seen, of_lit, np.moveaxis(entries, 0, -1)
 
     def _product(self, x: ArrayLike, axis: int, product: str, expected: str) -> Float:
         """Return ``T @ x``, whose rays are x's axis -2, or ``x @ T``, where they are its last."""
@@ -178,16 +178,16 @@ class MatrixAlgebra(ABC):
 def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
     """Return the numbers of some rays of a domain; InputError, by `name`, if there are none."""
     every = np.arange(prod(shape))
-    given = rays if rays is None or isinstance(rays, slice) else np.asarray(rays)
-    if isinstance(given, np.ndarray) and given.size:
-        given = given.ravel()
+    index = rays if rays is None or isinstance(rays, slice) else np.asarray(rays)
+    if isinstance(index, np.ndarray) and index.size:
+        index = index.ravel()
     try:
-        found: Index = every if given is None else every[given]
+        numbers: Index = every if index is None else every[index]
     except IndexError as error:
         raise InputError(f"{name}: {error}; expected numbers or a mask of rays {shape}") from error
-    if not len(found):
+    if not len(numbers):
         raise InputError(f"{name}: no rays are chosen of {len(every):,}")
-    return found
+    return numbers
 
 
 def gibibytes(size: int) -> str:

@@ -153,8 +153,8 @@ class LevelTransport(Transport):
         super().truncate(level)  # refuses a level that there isn't
         if level == self.last_level:
             return self
-        held = self._truncated(self._block_levels.get(level, level))
-        return self.holding([row for row in self.level_rows if row["level"] <= level], held)
+        content = self._truncated(self._block_levels.get(level, level))
+        return self.holding([row for row in self.level_rows if row["level"] <= level], content)
 
     @abstractmethod
     def _truncated(self, level: int) -> Sequence[Any]:
@@ -227,6 +227,6 @@ def rounded(values: Float, number_format: NumberFormat) -> Float:
     dropped = _FLOAT32_BITS - _SIGNIFICANT[number_format]
     bits = np.ascontiguousarray(values).view(np.uint32)
     half, mask = np.uint32(1 << (dropped - 1)), np.uint32(2**32 - (1 << dropped))
-    found = ((bits + half) & mask).view(np.float32)
-    result: Float = np.where(np.isfinite(values) & np.isfinite(found), found, values)
+    nearest = ((bits + half) & mask).view(np.float32)
+    result: Float = np.where(np.isfinite(values) & np.isfinite(nearest), nearest, values)
     return result

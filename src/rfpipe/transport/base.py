@@ -170,10 +170,10 @@ class Transport(Light):
     def __repr__(self) -> str:
         channels = f"{self.channels} channel{'s' if self.channels > 1 else ''}"
         count = sum(int(row.get("patterns", 0)) for row in self.level_rows)
-        shown = f"{count:,} patterns, " if count else ""
+        patterns = f"{count:,} patterns, " if count else ""
         return (
             f"{type(self).__name__}(camera {self.camera_shape}, projector {self.projector_shape}, "
-            f"{channels}, {shown}{self.nbytes / 1e6:.3g} MB)"
+            f"{channels}, {patterns}{self.nbytes / 1e6:.3g} MB)"
         )
 
     def holding(self, level_rows: list[dict[str, Any]], held: Any) -> Self:
@@ -225,12 +225,12 @@ class Transport(Light):
 
         R (camera rays, Q) is how the light that arrives is weighed, S (projector rays, P) patterns.
         """
-        found = np.empty((received.shape[1], sent.shape[1]), np.float32)
+        matrix = np.empty((received.shape[1], sent.shape[1]), np.float32)
         for first in range(0, sent.shape[1], _BATCH):
             patterns = np.ascontiguousarray(sent[:, first : first + _BATCH].toarray().T)
             images = self.forward(patterns[:, None], [channel])[:, 0]
-            found[:, first : first + _BATCH] = received.T @ images.T
-        return found
+            matrix[:, first : first + _BATCH] = received.T @ images.T
+        return matrix
 
     def truncate(self, level: int) -> Transport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).
@@ -240,12 +240,12 @@ class Transport(Light):
         InputError
             If `level` is none of `known_levels`.
         """
-        known = self.known_levels
-        if level not in known:
-            when = f"{known[0]} to {known[-1]}"
-            if len(known) == 1:
+        levels = self.known_levels
+        if level not in levels:
+            when = f"{levels[0]} to {levels[-1]}"
+            if len(levels) == 1:
                 when = (
-                    f"{known[0]} alone, since all its pictures are fitted together. To see what "
+                    f"{levels[0]} alone, since all its pictures are fitted together. To see what "
                     "fewer make of it, acquire it again with a limit of patterns"
                 )
             raise InputError(f"level {level} of a {type(self).__name__}, known after level {when}")
@@ -337,9 +337,9 @@ def save_transport(
     if number_format not in get_args(NumberFormat):
         expected = ", ".join(get_args(NumberFormat))
         raise InputError(f"number format {number_format!r}; expected one of {expected}")
-    arrays, own = transport.pack(number_format)
+    arrays, packed = transport.pack(number_format)
     by_parts = len(transport.camera_shape) > 2
-    return write_arrays(Path(path), arrays, {**attributes, **own}, small=True, by_parts=by_parts)
+    return write_arrays(Path(path), arrays, {**attributes, **packed}, small=True, by_parts=by_parts)
 
 
 class TransposedTransport(Light):
@@ -396,10 +396,10 @@ def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: in
 
 def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return `HISTORY_COLUMNS` of the rows of levels that have an ``estimated_error``."""
-    found, shown = [], 0
+    errors, count = [], 0
     for row in level_rows:
-        shown += int(row["patterns"])
+        count += int(row["patterns"])
         if "estimated_error" in row:
             error = float(row["estimated_error"])
-            found.append({"level": int(row["level"]), "patterns": shown, "estimated_error": error})
-    return found
+            errors.append({"level": int(row["level"]), "patterns": count, "estimated_error": error})
+    return errors

@@ -42,8 +42,8 @@ class Collection(Mapping[str, Transport]):
         """Positions, camera rays, projector rays; InputError when transports' rays differ."""
         shapes = {(it.camera_shape, it.projector_shape): name for name, it in self.items()}
         if len(shapes) > 1:
-            said = "; ".join(f"{name}: {camera}, {lit}" for (camera, lit), name in shapes.items())
-            raise InputError(f"the transports' rays differ, so that they are no field: {said}")
+            sizes = "; ".join(f"{name}: {camera}, {lit}" for (camera, lit), name in shapes.items())
+            raise InputError(f"the transports' rays differ, so that they are no field: {sizes}")
         (camera, projector), *_ = shapes
         return (len(self), *camera, *projector)
 

@@ -52,10 +52,10 @@ class LowRankTransport(ArrayTransport):
         # terms cancel over many rays: float64 until the sum is there
         arriving = received.T @ self._held["left"][channel].T.astype(np.float64)
         shares = sent.T @ self._right[channel].T.astype(np.float64)
-        found = (arriving * self._held["strengths"][channel]) @ shares.T
+        matrix = (arriving * self._held["strengths"][channel]) @ shares.T
         if "diagonal" in self._held:
-            found += (received.T @ diags_array(self._held["diagonal"][channel]) @ sent).toarray()
-        return np.asarray(found, np.float32)
+            matrix += (received.T @ diags_array(self._held["diagonal"][channel]) @ sent).toarray()
+        return np.asarray(matrix, np.float32)
 
     @property
     def _right(self) -> Float:

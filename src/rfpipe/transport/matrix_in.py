@@ -144,12 +144,12 @@ def _of_group(path: Path, group: Any, name: str | None) -> Any:
 
 def _chosen(path: Path, names: Iterable[str], name: str | None) -> str:
     """Return the dataset to read: the one that is named, or the only one there is."""
-    held = sorted(names)
-    if name is None and len(held) == 1:
-        return held[0]
-    if name not in held:
-        asked = "name one as dataset" if name is None else f"there is no {name}"
-        raise InputError(f"{path}: holds {', '.join(held) or 'nothing'}; {asked}")
+    datasets = sorted(names)
+    if name is None and len(datasets) == 1:
+        return datasets[0]
+    if name not in datasets:
+        remedy = "name one as dataset" if name is None else f"there is no {name}"
+        raise InputError(f"{path}: holds {', '.join(datasets) or 'nothing'}; {remedy}")
     return name
 
 
@@ -159,9 +159,9 @@ def _channels(held: Any, camera: Shape, projector: Shape, name: str, order: RayO
 
     shape = prod(camera), prod(projector)
     if isinstance(held, Transport):
-        found = held.camera_shape, held.projector_shape
-        if found != (camera, projector):
-            raise _misfit(name, tuple(map(prod, found)), camera, projector)
+        shapes = held.camera_shape, held.projector_shape
+        if shapes != (camera, projector):
+            raise _misfit(name, tuple(map(prod, shapes)), camera, projector)
         return [held.channel(index) for index in range(held.channels)]
     if sparse.issparse(held):
         matrices: list[Any] = [sparse.csr_array(held)]  # type: ignore[call-overload]

@@ -160,8 +160,8 @@ def _hdf5(path: Path, contents: Contents) -> None:
 
 def _matlab_header() -> bytes:
     """Return the block before the HDF5 part, by which MATLAB knows the version."""
-    said = f"MATLAB 7.3 MAT-file, Platform: rfpipe {__version__}, HDF5 schema 1.00 ."
-    header = said.encode()[:_MATLAB_TEXT].ljust(_MATLAB_TEXT)
+    text = f"MATLAB 7.3 MAT-file, Platform: rfpipe {__version__}, HDF5 schema 1.00 ."
+    header = text.encode()[:_MATLAB_TEXT].ljust(_MATLAB_TEXT)
     header += bytes(8) + b"\x00\x02" + b"IM"  # no subsystem; version 2.0; little-endian
     return header.ljust(_MATLAB_HEADER, b"\0")
 

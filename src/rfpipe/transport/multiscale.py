@@ -177,8 +177,8 @@ def numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functio
     views, down, across = cells(shape, scale)
     outside = 2 if scale > 1 else 0
     grid = np.full((views, down + outside, across + outside), -1, np.int32)
-    own = np.flatnonzero(functions[:, SCALE] == scale)
-    grid[tuple(functions[own, 1:].T)] = own
+    members = np.flatnonzero(functions[:, SCALE] == scale)
+    grid[tuple(functions[members, 1:].T)] = members
     return grid
 
 
@@ -192,21 +192,21 @@ def _pairs(
     top = scale.max(initial=0)
     # views apart, so that no function is within reach of another view's
     place = np.column_stack([centres, view * 4.0 * (max(shape) + top)])
-    found = []
+    near_pairs = []
     for coarse in np.unique(scale):
-        finer, own = np.flatnonzero(scale <= coarse), np.flatnonzero(scale == coarse)
+        finer, coarser = np.flatnonzero(scale <= coarse), np.flatnonzero(scale == coarse)
         if coarse == top:
-            a, b = (grid.ravel() for grid in np.meshgrid(finer, own, indexing="ij"))
+            a, b = (grid.ravel() for grid in np.meshgrid(finer, coarser, indexing="ij"))
             near = (scale[a] == top) | (view[a] == view[b])
         else:
-            trees = cKDTree(place[finer]), cKDTree(place[own])
+            trees = cKDTree(place[finer]), cKDTree(place[coarser])
             pairs = trees[0].sparse_distance_matrix(
                 trees[1], REACH * float(coarse), p=np.inf, output_type="ndarray"
             )
-            a, b = finer[pairs["i"]], own[pairs["j"]]
+            a, b = finer[pairs["i"]], coarser[pairs["j"]]
             near = np.ones(len(a), np.bool_)
-        found.append(np.stack([a, b])[:, near & (a <= b)])
-    a, b = np.concatenate([np.zeros((2, 0), np.int64), *found], axis=1)
+        near_pairs.append(np.stack([a, b])[:, near & (a <= b)])
+    a, b = np.concatenate([np.zeros((2, 0), np.int64), *near_pairs], axis=1)
     order = np.lexsort((b, a, scale[b], scale[a]))
     return a[order].astype(np.int32), b[order].astype(np.int32)
 
@@ -248,15 +248,15 @@ class MultiscaleTransport(CoaxialTransport, ArrayTransport):
         # no image is made: functions are many fewer than rays
         scaled = self.basis.sums @ diags_array(self._held["factor"][channel])
         light, back = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
-        found = np.empty((received.shape[1], sent.shape[1]), np.float32)
+        matrix = np.empty((received.shape[1], sent.shape[1]), np.float32)
         first, second = self._held["pairs"]
         for start in range(0, sent.shape[1], _COLUMNS):
             columns = slice(start, start + _COLUMNS)
             some = np.ascontiguousarray(light[:, columns].toarray())
             arriving = np.zeros_like(some)
             couple(first, second, self._held["cores"][channel], some, arriving)
-            found[:, columns] = back @ arriving
-        return found
+            matrix[:, columns] = back @ arriving
+        return matrix
 
 
 def bounced(

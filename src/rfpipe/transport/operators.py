@@ -60,10 +60,10 @@ def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> Patter
         return operator
     if isinstance(matrix, np.ndarray) and matrix.ndim == 3:
         matrix = list(matrix)
-    given = list(matrix) if isinstance(matrix, list | tuple) else [matrix]
-    if not given:
+    matrices = list(matrix) if isinstance(matrix, list | tuple) else [matrix]
+    if not matrices:
         raise InputError("the transport has no channels: an empty list")
-    return _Channels([_channel(item, rows, columns, i) for i, item in enumerate(given)], rows)
+    return _Channels([_channel(item, rows, columns, i) for i, item in enumerate(matrices)], rows)
 
 
 class _Channels:
@@ -131,8 +131,8 @@ def _linear(operator: LinearOperator) -> _Matrix:
     rows, columns = operator.shape
 
     def images(patterns: Float) -> Double:
-        found = [np.reshape(operator.matvec(pattern), rows) for pattern in patterns]
-        return np.array(found, np.float64).reshape(len(patterns), rows)
+        vectors = [np.reshape(operator.matvec(pattern), rows) for pattern in patterns]
+        return np.array(vectors, np.float64).reshape(len(patterns), rows)
 
     probe = np.linspace(0, 1, columns, dtype=np.float32)[None]
     return _Matrix("operator", images, lambda: fingerprint(images(probe)))
@@ -159,18 +159,18 @@ def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
         return _linear(matrix)
     if not is_sparse and matrix.dtype.kind not in "fiub":
         raise InputError(f"{name} has dtype {matrix.dtype}; expected real numbers")
-    held: Any
+    array: Any
     if is_sparse:
-        held = sparse.csr_array(matrix, dtype=np.float64)
-        held.sum_duplicates()
+        array = sparse.csr_array(matrix, dtype=np.float64)
+        array.sum_duplicates()
     else:
-        held = np.asarray(matrix, np.float64)
-    entries = held.data if is_sparse else held
+        array = np.asarray(matrix, np.float64)
+    entries = array.data if is_sparse else array
     if not np.all((entries >= 0) & (entries < np.inf)):  # NaN is neither
-        found = sparse.coo_array(held)
-        at = np.argmin((found.data >= 0) & (found.data < np.inf))
+        coo = sparse.coo_array(array)
+        at = np.argmin((coo.data >= 0) & (coo.data < np.inf))
         raise InputError(
-            f"{name} is {found.data[at]} at row {found.row[at]}, column {found.col[at]}; light "
+            f"{name} is {coo.data[at]} at row {coo.row[at]}, column {coo.col[at]}; light "
             "transport is finite and not negative"
         )
-    return _sparse(held) if is_sparse else _dense(held)
+    return _sparse(array) if is_sparse else _dense(array)

@@ -136,9 +136,9 @@ def spread_by_transpose(tree: BlockTree, pair_sets: Sequence[PairSet], index: in
     nodes, node = np.unique(
         pairs.block * np.int64(blocks) + block_of_pixel[pairs.pixel], return_inverse=True
     )
-    seen, viewer = np.divmod(nodes, blocks)
-    sizes = np.diff(starts)[seen]
-    position = ragged_ranges(starts[seen], sizes)
+    source, viewer = np.divmod(nodes, blocks)
+    sizes = np.diff(starts)[source]
+    position = ragged_ranges(starts[source], sizes)
     ray, lit = tree.order[position], np.repeat(viewer, sizes)
     shares = np.zeros((channels, len(ray)))
     for other in pair_sets:
@@ -193,12 +193,12 @@ def _add_responses(
     if pairs.level >= level:
         coarse = tree.ancestors(pairs.level, level)[pairs.block]
         keys, values = _summed(coarse * np.int64(count) + pairs.pixel, pairs.values)
-        wanted, share = block, np.ones(1)
+        blocks, share = block, np.ones(1)
     else:
         keys, values = pairs.block * np.int64(count) + pairs.pixel, pairs.values.astype(float)
         above = tree.ancestors(level, pairs.level)
         share = np.diff(tree.starts[level]) / np.diff(tree.starts[pairs.level])[above]
-        wanted, share = above[block], share[block]
-    asked = wanted * np.int64(count) + pixel
-    place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
-    out += np.where(keys[place] == asked, values[:, place] * share, 0.0)
+        blocks, share = above[block], share[block]
+    key = blocks * np.int64(count) + pixel
+    place = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+    out += np.where(keys[place] == key, values[:, place] * share, 0.0)

@@ -66,13 +66,13 @@ class RegroupedTransport(Light):
         """Apply the whole to some light at a time, white light in the memory of one plane."""
         rays = sum(self._whole.matrix_shape[1:])
         at_a_time = max(1, _AT_ONCE_BYTES // (4 * planar.shape[1] * rays))
-        found = []
+        images = []
         for first in range(0, max(len(planar), 1), at_a_time):
             some = planar[first : first + at_a_time]
             light = _each(spread, some[:, :1] if some.strides[1] == 0 else some)
             light = np.broadcast_to(light, (*some.shape[:2], light.shape[-1]))
-            found.append(_each(gather, apply(light)))
-        return np.concatenate(found)
+            images.append(_each(gather, apply(light)))
+        return np.concatenate(images)
 
 
 def _each(matrix: Any, planar: Float) -> Float:
@@ -142,9 +142,9 @@ def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTr
         _one_each(rays, prod(shape))
         for rays, shape in ((seen, whole.camera_shape), (lit, whole.projector_shape))
     ]
-    needed = whole.between_some(*(matrix.sum(axis=0) > 0 for matrix in some))
+    part = whole.between_some(*(matrix.sum(axis=0) > 0 for matrix in some))
     name = f"{seen.shape} by {lit.shape} rays"
-    return RegroupedTransport(needed, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
+    return RegroupedTransport(part, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
 
 
 def _one_each(rays: NDArray[np.int64], count: int) -> csr_array[np.float32]:
@@ -160,13 +160,13 @@ def _rays(chosen: Any, shape: tuple[int, ...], name: str) -> NDArray[np.int64]:
     parts = chosen if isinstance(chosen, tuple) else (... if chosen is None else chosen,)
     plain = all(part is Ellipsis or isinstance(part, int | np.integer | slice) for part in parts)
     try:
-        found: Any = every[parts] if plain else every[:0]
+        rays: Any = every[parts] if plain else every[:0]
     except IndexError:
-        found = every[:0]
-    if found.ndim < 2 or not found.size:
+        rays = every[:0]
+    if rays.ndim < 2 or not rays.size:
         raise InputError(
             f"{name} = {chosen!r} of rays {shape}: expected whole numbers and slices that leave "
             "height and width, such as 4 for the view 4 of several, or np.s_[4, 10:20, :] for "
             "some rows of it"
         )
-    return np.asarray(found)
+    return np.asarray(rays)

@@ -87,8 +87,8 @@ def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
 def transports_in(place: Path | Place) -> list[str]:
     """Return the names, relative to a folder, of the transports below it."""
     if isinstance(place, Path):
-        found = (store for store in place.rglob(STORE_NAME) if store.is_dir())
-        return sorted(store.relative_to(place).as_posix() for store in found)
+        stores = (store for store in place.rglob(STORE_NAME) if store.is_dir())
+        return sorted(store.relative_to(place).as_posix() for store in stores)
     listed = content_of(place / MANIFEST)
     if listed is None:
         files = place.files()
@@ -111,8 +111,8 @@ def find_transport(path: str | Path | Place) -> Path | Place:
         return place
     names = transports_in(place)
     if len(names) == 1:
-        found = place / names[0]
-        return find_transport(found) if names[0].endswith(ZIP_NAME) else found
+        entry = place / names[0]
+        return find_transport(entry) if names[0].endswith(ZIP_NAME) else entry
     if not names:
         raise StoreError(
             f"{place}: no {STORE_NAME} in here; give the {STORE_NAME} that an acquisition wrote, "

@@ -83,51 +83,51 @@ class Haar:
     def groups(self) -> tuple[Group, ...]:
         """The scales, from the finest; the coarsest means are the last."""
         views, height, width = self.grid
-        found, start = [], 0
+        groups, start = [], 0
         for octave in range(1, self.octaves + 1):
             side = 2**octave
-            found.append(Group(start, 3, (views, height // side, width // side), side))
-            start = found[-1].rows.stop
+            groups.append(Group(start, 3, (views, height // side, width // side), side))
+            start = groups[-1].rows.stop
         side = 2**self.octaves
-        found.append(Group(start, 1, (views, height // side, width // side), side))
-        return tuple(found)
+        groups.append(Group(start, 1, (views, height // side, width // side), side))
+        return tuple(groups)
 
     def forward(self, images: Float) -> Float:
         """Return the coefficients (size, M) of images (cells, M)."""
         views, height, width = self.stack
         count = images.shape[1]
-        rest = np.zeros((*self.grid, count), np.float32)
-        rest[:, :height, :width] = images.reshape(*self.stack, count)
-        found = np.empty((self.size, count), np.float32)
+        means = np.zeros((*self.grid, count), np.float32)
+        means[:, :height, :width] = images.reshape(*self.stack, count)
+        coefficients = np.empty((self.size, count), np.float32)
         for group in self.groups[:-1]:
             _, h, w = group.grid
-            quads = rest.reshape(views, h, 2, w, 2, count)
+            quads = means.reshape(views, h, 2, w, 2, count)
             up, down = quads[:, :, 0], quads[:, :, 1]
             total, change = _HALF * (up + down), _HALF * (up - down)
-            details = found[group.rows].reshape(3, *group.grid, count)
+            details = coefficients[group.rows].reshape(3, *group.grid, count)
             np.subtract(total[..., 0, :], total[..., 1, :], out=details[0])
             np.add(change[..., 0, :], change[..., 1, :], out=details[1])
             np.subtract(change[..., 0, :], change[..., 1, :], out=details[2])
-            rest = total[..., 0, :] + total[..., 1, :]
-        found[self.groups[-1].rows] = rest.reshape(-1, count)
-        return found
+            means = total[..., 0, :] + total[..., 1, :]
+        coefficients[self.groups[-1].rows] = means.reshape(-1, count)
+        return coefficients
 
     def inverse(self, found: Float) -> Float:
         """Return the images (cells, M) of coefficients (size, M)."""
         count, (views, height, width) = found.shape[1], self.stack
         last = self.groups[-1]
-        rest: Float = found[last.rows].reshape(*last.grid, count)
+        means: Float = found[last.rows].reshape(*last.grid, count)
         for group in reversed(self.groups[:-1]):
             across, along, both = _HALF * found[group.rows].reshape(3, *group.grid, count)
-            rest, (_, h, w) = _HALF * rest, group.grid
+            means, (_, h, w) = _HALF * means, group.grid
             quads = np.empty((views, h, 2, w, 2, count), np.float32)
             for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
                 one, other = (1 - 2 * column), (1 - 2 * row)
                 quads[:, :, row, :, column] = (
-                    rest + one * across + other * along + one * other * both
+                    means + one * across + other * along + one * other * both
                 )
-            rest = quads.reshape(views, 2 * h, 2 * w, count)
-        return np.ascontiguousarray(rest[:, :height, :width]).reshape(-1, count)
+            means = quads.reshape(views, 2 * h, 2 * w, count)
+        return np.ascontiguousarray(means[:, :height, :width]).reshape(-1, count)
 
 
 def cell_side(shape: tuple[int, ...], most: int) -> int:
@@ -176,8 +176,8 @@ class Cells:
         """Return each cell's part of an image (N,) over a value a cell, sparse (N, cells)."""
         from scipy.sparse import csr_array
 
-        whole = over[self.of_ray]
-        shares = np.divide(values, whole, out=np.zeros_like(values), where=whole > 0)
+        sums = over[self.of_ray]
+        shares = np.divide(values, sums, out=np.zeros_like(values), where=sums > 0)
         where = (np.arange(len(shares)), self.of_ray)
         return csr_array((shares, where), shape=(len(shares), self.count))
 

@@ -146,13 +146,13 @@ def _compared(view: View) -> Packed | None:
         return None
     transport, light = view.transport, view.compared.light
     if isinstance(light, Transport):
-        own, other = (
+        expected, actual = (
             (each.camera_shape, each.projector_shape, each.channels) for each in (transport, light)
         )
-        if own != other:
+        if expected != actual:
             raise InputError(
-                f"{view.compared.name}: is between rays and channels {other} (camera, projector, "
-                f"channels), the transport between {own}; compare transports of the same rig"
+                f"{view.compared.name}: is between rays and channels {actual} (camera, projector, "
+                f"channels), the transport between {expected}; compare transports of the same rig"
             )
         return pack_program(lower(light))
     shape = (*transport.camera_shape, transport.channels)

@@ -279,8 +279,8 @@ def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
     first, second = arrays["pairs"]
     order = np.lexsort((second, first))
     for start in range(0, len(order), _SHARE):
-        own = order[start : start + _SHARE]
-        coupled = {"first": first[own], "second": second[own], "values": arrays["cores"][:, own]}
+        run = order[start : start + _SHARE]
+        coupled = {"first": first[run], "second": second[run], "values": arrays["cores"][:, run]}
         builder.add("pairs", given, taken, coupled, shared=True)
     back = [
         received,
@@ -339,12 +339,12 @@ def _lower_footprints(builder: Builder, transport: FootprintTransport) -> None:
     columns = (arrays[f"{name}_columns"] for name in ("cores", "right"))
     functions = 1 + max(int(it.max(initial=-1)) for it in columns)
     light, sent = builder.buffer("light", rays), builder.buffer("sent", functions)
-    got = builder.buffer("got", len(arrays["cores_starts"]) - 1)
+    sums = builder.buffer("got", len(arrays["cores_starts"]) - 1)
     smooth = builder.buffer("smooth", pixels)
     builder.add("scale", PROJECTOR, light, {"values": arrays["projector_factor"]})
     add("right", light, sent, functions, transposed=True)
-    add("cores", sent, got, functions)
-    add("left", got, smooth, len(arrays["cores_starts"]) - 1)
+    add("cores", sent, sums, functions)
+    add("left", sums, smooth, len(arrays["cores_starts"]) - 1)
     builder.add("scale", smooth, CAMERA, {"values": arrays["camera_factor"]})
 
 

@@ -144,10 +144,10 @@ class Program:
 
     def seen_at(self, levels: Sequence[int]) -> Program:
         """Return the program of some levels only."""
-        kept = (
+        visible = (
             replace(each, levels=sorted({*each.levels} & {*levels})) for each in self.operations
         )
-        operations = [each for each in kept if each.levels]
+        operations = [each for each in visible if each.levels]
         return replace(self, levels=sorted(levels), operations=operations)
 
 

@@ -49,10 +49,10 @@ def pyramid(
             steps.append(_refinement(basis.shape, 2**octave))
     places = []
     for scale in np.unique(basis.scales):
-        own = np.flatnonzero(basis.scales == scale)
-        at = basis.functions[own][:, [VIEW, ROW, COLUMN]].astype(np.int64)
+        members = np.flatnonzero(basis.scales == scale)
+        at = basis.functions[members][:, [VIEW, ROW, COLUMN]].astype(np.int64)
         index = np.ravel_multi_index(tuple(at.T), _grid(basis.shape, int(scale)))
-        places.append((int(np.log2(scale)), int(own[0]), index.astype(np.int32)))
+        places.append((int(np.log2(scale)), int(members[0]), index.astype(np.int32)))
     return steps, places
 
 

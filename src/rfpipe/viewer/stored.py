@@ -39,8 +39,8 @@ def view_of(
         If there is no transport.
     """
     transport = open_transport(path)
-    kept = open_arrays(path).attributes
-    scene, method = (str(kept.get(name, "")) for name in ("scene", "method"))
+    attributes = open_arrays(path).attributes
+    scene, method = (str(attributes.get(name, "")) for name in ("scene", "method"))
     named = " by ".join(filter(None, (scene, method))) or Path(str(path)).stem
     patterns = sum(int(row.get("patterns", 0)) for row in transport.level_rows)
     steps = estimates(transport.level_rows)
@@ -55,7 +55,7 @@ def view_of(
         "Error of relit pictures": error,
     }
     about = [(name, value) for name, value in facts.items() if value]
-    return View(transport, title or named, about=about, compared=compared), kept
+    return View(transport, title or named, about=about, compared=compared), attributes
 
 
 def _rays(shape: tuple[int, ...]) -> str:

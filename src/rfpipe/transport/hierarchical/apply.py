@@ -106,8 +106,8 @@ def _cut(tree: BlockTree, leaves: LeafSet, shares: int) -> tuple[Index, Index]:
         cuts = np.searchsorted(offsets, aims)
         bounds = cuts[np.arange(shares)[:, None] * runs + np.arange(runs + 1)]
         leaves.kept[name] = bounds, offsets[bounds]
-    found: tuple[Index, Index] = leaves.kept[name]
-    return found
+    limits: tuple[Index, Index] = leaves.kept[name]
+    return limits
 
 
 def predict(
@@ -180,5 +180,5 @@ def _sides(leaves: LeafSet, tree: BlockTree) -> tuple[Index, Index]:
         order = np.lexsort((side, block))
         first = np.searchsorted(block[order], np.arange(tree.n_blocks(leaves.level) + 1))
         leaves.kept["sides"] = first, side[order]
-    found: tuple[Index, Index] = leaves.kept["sides"]
-    return found
+    sides: tuple[Index, Index] = leaves.kept["sides"]
+    return sides

@@ -258,19 +258,19 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
     for task in numba.prange(_PARTITION_TASKS):
         scales = np.zeros((channels, patterns))
         for tile in range(task, tiles.shape[0], _PARTITION_TASKS):
-            seen, ray, end = tiles[tile, 0], tiles[tile, 1], tiles[tile, 2]
-            for place in range(first_side[seen], first_side[seen + 1]):
+            block, ray, end = tiles[tile, 0], tiles[tile, 1], tiles[tile, 2]
+            for place in range(first_side[block], first_side[block + 1]):
                 n, is_b = sides[place] >> 1, sides[place] & 1
-                lit = block_a[n] if is_b else block_b[n]
-                low, high = first_lit[lit, 0], first_lit[lit, 1]
+                source = block_a[n] if is_b else block_b[n]
+                low, high = first_lit[source, 0], first_lit[source, 1]
                 if low == high:
                     continue
-                of_lit = (offset_a[n] if is_b else offset_b[n]) - starts[lit]
-                begin = (offset_b[n] if is_b else offset_a[n]) + ray - starts[seen]
+                of_source = (offset_a[n] if is_b else offset_b[n]) - starts[source]
+                begin = (offset_b[n] if is_b else offset_a[n]) + ray - starts[block]
                 for index in range(low, high):
                     part = lit_parts[index]
-                    p0 = of_lit + max(starts[lit], part_starts[part])
-                    p1 = of_lit + min(starts[lit + 1], part_starts[part + 1])
+                    p0 = of_source + max(starts[source], part_starts[part])
+                    p1 = of_source + min(starts[source + 1], part_starts[part + 1])
                     for c in range(channels):
                         light = summed(values[c, p0:p1])
                         if signs.shape[1] and signs[c, n] < 0:

@@ -178,10 +178,10 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
         target = ends - length[chosen]
         values = np.empty((len(parts[0].values), int(ends[-1])), np.float32)
         for index, leaves in enumerate(parts):
-            own = part[chosen] == index
-            of_leaf = length[chosen[own]]
-            found = leaves.values[:, ragged_ranges(begin[chosen[own]], of_leaf)]
-            values[:, ragged_ranges(target[own], of_leaf)] = found
+            mask = part[chosen] == index
+            of_leaf = length[chosen[mask]]
+            factors = leaves.values[:, ragged_ranges(begin[chosen[mask]], of_leaf)]
+            values[:, ragged_ranges(target[mask], of_leaf)] = factors
         of_chosen = None if signs is None else np.ascontiguousarray(signs[:, chosen])
         yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values, signs=of_chosen)
 

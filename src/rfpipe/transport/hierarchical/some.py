@@ -41,8 +41,8 @@ class Rays:
         """Return which pairs of blocks have light to pass between them, one way or the other."""
         starts = self.tree.starts[level][:-1]
         seen, lit = (np.logical_or.reduceat(rays, starts) for rays in (self.seen, self.lit))
-        found: Mask = (seen[block_a] & lit[block_b]) | (seen[block_b] & lit[block_a])
-        return found
+        pairs: Mask = (seen[block_a] & lit[block_b]) | (seen[block_b] & lit[block_a])
+        return pairs
 
     def chosen(self, leaves: LeafSet) -> LeafSet:
         """Return the leaves that pass light between the rays."""
@@ -85,7 +85,7 @@ class StoredLeaves(SetsOnDemand[str, LeafSet]):
         chosen = np.flatnonzero(rays.pass_light(level, *blocks))
         sizes = leaf_sizes(rays.tree, level, *blocks)
         values = ragged_ranges((np.cumsum(sizes) - sizes)[chosen], sizes[chosen])
-        arrays = {part: found[chosen] for part, found in zip(_BLOCKS, blocks, strict=True)}
+        arrays = {part: numbers[chosen] for part, numbers in zip(_BLOCKS, blocks, strict=True)}
         for part in names.keys() - set(_BLOCKS):
             items = values if part in ("values", "codes") else chosen
             arrays[part] = self._bundle.take(names[part], items)

@@ -87,12 +87,12 @@ def _collapse_run(
     starts = tree.starts[level]
     offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
     marginals = np.zeros((channels, n_values))
-    own = offset_a - starts[block_a], offset_b - starts[block_b]
+    offsets = offset_a - starts[block_a], offset_b - starts[block_b]
     for index, key in enumerate(keys):
         inside = (key >= nodes[0]) & (key <= nodes[-1])
         if inside.any():
             leaves = decoded(tree, leaf_sets[index].subset(tree, inside))
-            _add_marginals(tree, leaves, np.searchsorted(nodes, key[inside]), own, marginals)
+            _add_marginals(tree, leaves, np.searchsorted(nodes, key[inside]), offsets, marginals)
     sizes = np.diff(starts)
     sides = [
         (ragged_ranges(offset, sizes[block]), np.cumsum(sizes[block]) - sizes[block])
