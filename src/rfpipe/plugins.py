@@ -41,10 +41,10 @@ PLACES = "rfpipe.places"
 @cache
 def _installed() -> dict[str, dict[str, str]]:
     """Where the names of each group lead; read once, since every package installed is asked."""
-    found = entry_points()
+    entries = entry_points()
     # of two packages with the same name, the first on the path has it
     return {
-        group: {entry.name: entry.value for entry in reversed(tuple(found.select(group=group)))}
+        group: {entry.name: entry.value for entry in reversed(tuple(entries.select(group=group)))}
         for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES, SEQUENCES, COMMANDS, PLACES)
     }
 
@@ -65,9 +65,9 @@ def path_of(group: str, name: str) -> str:
     if ":" in name:
         return name
     if name not in names(group):
-        known = f"one of {', '.join(names(group))}, or " if names(group) else ""
+        choices = f"one of {', '.join(names(group))}, or " if names(group) else ""
         raise InputError(
-            f"{name!r} is unknown; expected {known}a class of your own as module:Class or "
+            f"{name!r} is unknown; expected {choices}a class of your own as module:Class or "
             "file.py:Class"
         )
     return _installed()[group][name]
@@ -103,8 +103,8 @@ def find(group: str, name: str) -> Any:
     """
     module, _, attribute = path_of(group, name).rpartition(":")
     try:
-        found = _file(module) if module.endswith(".py") else _module(module)
-        return getattr(found, attribute)
+        namespace = _file(module) if module.endswith(".py") else _module(module)
+        return getattr(namespace, attribute)
     except AttributeError as error:
         raise InputError(f"{name!r}: {module} has no {attribute!r}; expected a class in it") from (
             error

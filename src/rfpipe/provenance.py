@@ -104,9 +104,9 @@ def _parsed(path: Path) -> str:
 @cache  # a package's version is looked for on the disk, and every manifest names it
 def versions() -> dict[str, str]:
     """Return the versions of Python, rfpipe and the packages whose arithmetic shapes a result."""
-    found = {name: metadata.version(name) for name in _RECORDED_PACKAGES}
-    found |= {"python": platform.python_version(), "rfpipe": __version__}
-    return dict(sorted(found.items()))
+    releases = {name: metadata.version(name) for name in _RECORDED_PACKAGES}
+    releases |= {"python": platform.python_version(), "rfpipe": __version__}
+    return dict(sorted(releases.items()))
 
 
 def generator(seed: int, *key: int) -> np.random.Generator:

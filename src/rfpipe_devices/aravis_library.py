@@ -162,10 +162,10 @@ class AravisNodes:
         if kind not in ("float", "integer"):
             return None
         try:
-            taken = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
+            result = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
         except AravisError:
             return None
-        return float(taken)
+        return float(result)
 
     def is_writable(self, name: str) -> bool:
         node = call("arv_device_get_feature", self.device, name.encode())
@@ -186,12 +186,12 @@ class AravisNodes:
                     raise AravisError("out of range")
             plain = value.encode() if isinstance(value, str) else value
             tried(f"arv_device_set_{kind}_feature_value", self.device, name.encode(), plain)
-            taken = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
+            actual = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
         except (AravisError, ctypes.ArgumentError) as error:
             raise RefusedError(str(error)) from error
         if kind == "string":
-            return _text(taken)
-        return bool(taken) if kind == "boolean" else taken
+            return _text(actual)
+        return bool(actual) if kind == "boolean" else actual
 
     def execute(self, name: str) -> None:
         tried("arv_device_execute_command", self.device, name.encode())
@@ -217,9 +217,9 @@ class AravisNodes:
         if not names:
             return ()
         array = ctypes.cast(names, ctypes.POINTER(c_char_p))
-        found = tuple(_text(array[index]) for index in range(count.value))
+        values = tuple(_text(array[index]) for index in range(count.value))
         load_aravis()[1].g_free(names)
-        return found
+        return values
 
     def _kind(self, name: str) -> str | None:
         """Return the kind of a setting, by which functions are named, or None for no setting."""

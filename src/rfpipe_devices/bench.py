@@ -121,8 +121,8 @@ class OpticalPath:
         if self._direct is not None:
             beyond_mean = of_pixels - of_rays[rays].astype(np.float32)
             points[self._lit] += self._direct[rays] * beyond_mean[:, None]
-        seen: Float = self._seen @ points
-        return seen.reshape(*self.camera_shape, self.channels) + self._ambient
+        picture: Float = self._seen @ points
+        return picture.reshape(*self.camera_shape, self.channels) + self._ambient
 
     def projector_points(self, camera_points: ArrayLike) -> Double:
         """Return where the projector aims at what the camera sees at points (..., 2).
@@ -309,7 +309,7 @@ class PylonBenchCamera(PylonCamera):
         pictures = self._folder / "pictures"
         pictures.mkdir()
         self._put(np.zeros(scenery.path.camera_shape, np.uint16), scenery.camera.bits)
-        own = {
+        overrides = {
             "serial": "0815-0000",  # of the driver's first emulated camera
             "shape": scenery.path.camera_shape,
             "nodes": {
@@ -317,7 +317,7 @@ class PylonBenchCamera(PylonCamera):
             },
         }  # fmt: skip
         try:
-            super().__init__(sensor, **{**options, **own})
+            super().__init__(sensor, **{**options, **overrides})
         except CaptureError as error:
             raise CaptureError(
                 f"{error}. The bench needs pylon's emulated camera: set PYLON_CAMEMU=1 in the "
@@ -346,13 +346,13 @@ class PylonBenchCamera(PylonCamera):
         """Lay counts before the emulated camera: twice, as it reads a single file only once."""
         import cv2
 
-        made, link = self._folder / "next.png", self._folder / "link.png"
+        path, link = self._folder / "next.png", self._folder / "link.png"
         full_range = counts << np.uint16(16 - bits)
-        if not cv2.imwrite(str(made), full_range, [cv2.IMWRITE_PNG_COMPRESSION, 0]):
-            raise CaptureError(f"{made}: can't be written; is the disk of {made.parent} full?")
-        os.link(made, link)
+        if not cv2.imwrite(str(path), full_range, [cv2.IMWRITE_PNG_COMPRESSION, 0]):
+            raise CaptureError(f"{path}: can't be written; is the disk of {path.parent} full?")
+        os.link(path, link)
         link.replace(self._folder / "pictures" / "a.png")
-        made.replace(self._folder / "pictures" / "b.png")
+        path.replace(self._folder / "pictures" / "b.png")
 
 
 def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:

@@ -298,11 +298,11 @@ def lut_entry(index: int, microseconds: int, place: int, bits: int = 1) -> bytes
     a trigger output frames it.
     """
     image, bit = divmod(place, BITS_AN_IMAGE)
-    shown = 1 | (bits - 1) << 1 | _WHITE << 4  # cleared afterwards; runs on untriggered
+    flags = 1 | (bits - 1) << 1 | _WHITE << 4  # cleared afterwards; runs on untriggered
     return (
         pack("<H", index)
         + microseconds.to_bytes(3, "little")
-        + bytes([shown])
+        + bytes([flags])
         + bytes(3)  # no dark time
         + bytes(1)
         + pack("<H", image | bit << 11)

@@ -300,17 +300,17 @@ class GenicamCamera(BracketCamera):
         """Set the exposure time in seconds, and make sure that the camera took it."""
         # cameras before SFNC 2 have the other name
         name = "ExposureTime" if self.nodes.is_writable("ExposureTime") else "ExposureTimeAbs"
-        wanted = 1e6 * exposure
+        nominal = 1e6 * exposure
         least, largest = self.nodes.bounds(name)
-        if not least <= wanted <= largest:
+        if not least <= nominal <= largest:
             raise CaptureError(
                 f"camera: an exposure of {exposure:g} s is not in its range, {least / 1e6:g} to "
                 f"{largest / 1e6:g} s; change sensor.exposures"
             )
-        taken = float(self._write(name, wanted))
-        if abs(taken - wanted) > 1e-3 * wanted:  # the merge trusts the nominal times
+        actual = float(self._write(name, nominal))
+        if abs(actual - nominal) > 1e-3 * nominal:  # the merge trusts the nominal times
             raise CaptureError(
-                f"camera: rounds an exposure of {exposure:g} s to {taken / 1e6:g} s; set "
+                f"camera: rounds an exposure of {exposure:g} s to {actual / 1e6:g} s; set "
                 "sensor.exposures to what it can do"
             )
 
@@ -322,12 +322,12 @@ class GenicamCamera(BracketCamera):
 
     def _set(self, name: str, value: Value) -> None:
         """Make one setting, and compare the camera's value: numbers may be rounded by 2 %."""
-        taken = self._write(name, value)
+        actual = self._write(name, value)
         is_near = isinstance(value, float) and math.isclose(
-            float(taken), value, rel_tol=0.02, abs_tol=1e-6
+            float(actual), value, rel_tol=0.02, abs_tol=1e-6
         )
-        if not is_near and taken != value:
-            raise CaptureError(f"camera: takes {name} = {taken} where {value} was asked for")
+        if not is_near and actual != value:
+            raise CaptureError(f"camera: takes {name} = {actual} where {value} was asked for")
 
     def _write(self, name: str, value: Value) -> Value:
         """Make one setting, and return what the camera took; else say which values it takes."""
@@ -349,8 +349,8 @@ def chosen(connected: Iterable[str], serial: str | None) -> int:
         return serials.index(serial)
     if serial is None and len(serials) == 1:
         return 0
-    wanted = "any camera" if serial is None else f"camera {serial}"
+    name = "any camera" if serial is None else f"camera {serial}"
     raise CaptureError(
-        f"{wanted}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
+        f"{name}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
         "Check power, cable and network, and name the camera by camera.serial"
     )

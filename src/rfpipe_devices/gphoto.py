@@ -183,7 +183,7 @@ class PhotoCamera(BracketCamera):
     def _found(self) -> tuple[str, str]:
         """Return model and port of the camera."""
         answering, part = connected(), (self._options.model or "").lower()
-        meant = [each for each in answering if part in each[0].lower()]
+        meant = [entry for entry in answering if part in entry[0].lower()]
         if len(meant) == 1:
             return meant[0]
         names = ", ".join(f"{model} at {port}" for model, port in answering)
@@ -209,8 +209,8 @@ class PhotoCamera(BracketCamera):
         photo.set("capturetarget", "Memory card" if options.keep_pictures else "Internal RAM")
         photo.set("iso", str(options.iso))
         for name in ("imageformat", "imagequality"):
-            known = photo.choices(name)
-            if raw := next((each for each in RAW_FORMATS if each in known), None):
+            choices = photo.choices(name)
+            if raw := next((form for form in RAW_FORMATS if form in choices), None):
                 photo.set(name, raw)
         for name, setting in options.settings.items():
             if not photo.set(name, setting):

@@ -23,8 +23,8 @@ def load_gphoto2() -> Any:
 
 def connected() -> list[tuple[str, str]]:
     """Return model and port of each camera that answers."""
-    found = load_gphoto2().Camera.autodetect()
-    return [(found.get_name(index), found.get_value(index)) for index in range(found.count())]
+    cameras = load_gphoto2().Camera.autodetect()
+    return [(cameras.get_name(index), cameras.get_value(index)) for index in range(cameras.count())]
 
 
 class Photo:
@@ -65,9 +65,9 @@ class Photo:
         widget = self._widget(name)
         if widget is None or widget.get_readonly():
             return False
-        known = self.choices(name)
-        if known and str(value) not in known:
-            raise CaptureError(f"camera: {name} can't be {value}; it is one of {', '.join(known)}")
+        values = self.choices(name)
+        if values and str(value) not in values:
+            raise CaptureError(f"camera: {name} can't be {value}; it is one of {', '.join(values)}")
         if widget.get_value() == value:
             return True
         try:
@@ -84,15 +84,15 @@ class Photo:
     def picture(self, seconds: float, *, keep: bool) -> bytes | None:
         """Return the file of the picture just taken, None where none comes in so many seconds."""
         gp, end = self._gp, time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
-            kind, data = self._camera.wait_for_event(max(1, round(1000 * left)))
+        while (rest := end - time.monotonic()) > 0:
+            kind, data = self._camera.wait_for_event(max(1, round(1000 * rest)))
             if kind == gp.GP_EVENT_FILE_ADDED:
                 file = self._camera.file_get(data.folder, data.name, gp.GP_FILE_TYPE_NORMAL)
-                found = bytes(file.get_data_and_size())  # a copy: the memory is the file's
+                content = bytes(file.get_data_and_size())  # a copy: the memory is the file's
                 if not keep:
                     with suppress(gp.GPhoto2Error):  # gone already, from a camera's own memory
                         self._camera.file_delete(data.folder, data.name)
-                return found
+                return content
         return None
 
     def close(self) -> None:
@@ -161,7 +161,7 @@ def nearest_times(exposures: Sequence[float], times: Sequence[ShutterTime]) -> l
 
 
 def _seconds(name: str) -> float | None:
-    found = _TIME.fullmatch(name.strip())
-    if found is None:
+    match = _TIME.fullmatch(name.strip())
+    if match is None:
         return None
-    return float(found[1]) / float(found[2] or 1)
+    return float(match[1]) / float(match[2] or 1)

@@ -99,10 +99,10 @@ class PylonNodes:
         node = getattr(self.camera, name)
         try:
             node.Value = value
-            taken: Value = node.Value
+            actual: Value = node.Value
         except (_load_pylon()[1].GenericException, TypeError) as error:
             raise RefusedError(_said(error)) from error
-        return taken
+        return actual
 
     def execute(self, name: str) -> None:
         getattr(self.camera, name).Execute()

@@ -82,10 +82,10 @@ class Sequencer:
             names = ", ".join(str(tuple(keys[index])) for index in missing)
             _log.warning("patterns %s don't come by a sequence; taking them one by one", names)
             self.statistics["one_by_one"] += len(missing)
-            taken = self._one_by_one(patterns[missing], [keys[index] for index in missing])
+            brackets = self._one_by_one(patterns[missing], [keys[index] for index in missing])
             for number, of_exposure in enumerate(frames):
                 of_exposure |= {
-                    i: bracket[number] for i, bracket in zip(missing, taken, strict=True)
+                    i: bracket[number] for i, bracket in zip(missing, brackets, strict=True)
                 }
         return np.stack([[one[i] for one in frames] for i in range(len(patterns))])
 
@@ -98,18 +98,18 @@ class Sequencer:
 
     def _played(self, count: int) -> list[dict[int, NDArray[Any]]]:
         """Play the loaded patterns; return the certain frames of each exposure, by place."""
-        taken: list[dict[int, NDArray[Any]]] = []
+        per_exposure: list[dict[int, NDArray[Any]]] = []
         lights: list[Light] = []
-        shown = list(range(count))
+        indices = list(range(count))
         for number in range(len(self._sensor.exposures)):
             certain: dict[int, NDArray[Any]] = {}
             for _ in range(REPLAYS + 1):
-                if missing := [index for index in shown if index not in certain]:
-                    before = taken[-1] if taken else {}
+                if missing := [index for index in indices if index not in certain]:
+                    before = per_exposure[-1] if per_exposure else {}
                     certain |= self._certain(count, missing, number, before, lights)
-            taken.append(certain)
-            shown = sorted(certain)  # what is lost at one exposure isn't asked for at the others
-        return taken
+            per_exposure.append(certain)
+            indices = sorted(certain)  # what is lost at one exposure isn't asked for at the others
+        return per_exposure
 
     def _certain(
         self,
@@ -134,17 +134,17 @@ class Sequencer:
             if len(lights) == number:
                 lights.append(light)
             if shorter is None:
-                told = playlist.by_complements(frames, lag, white, light)
+                indices = playlist.by_complements(frames, lag, white, light)
             else:
                 ratio = self._sensor.exposures[number] / self._sensor.exposures[number - 1]
-                told = [
+                indices = [
                     index
                     for index, place in places.items()
                     if light.is_promised(
                         frames[place], before[index].astype(np.float32), shorter, ratio
                     )
                 ]
-            certain = {index: raw[places[index]] for index in told}
+            certain = {index: raw[places[index]] for index in indices}
         if lost := len(shown) - len(certain):
             self.statistics["lost"] += lost
             _log.warning(
@@ -288,6 +288,6 @@ def sequencer_of(
     projector: Any, camera: Any, picture: Callable[[Float], Float], one_by_one: OneByOne
 ) -> Sequencer:
     """Return the sequencer of two devices; an entry point of rfpipe."""
-    most = (projector.sequence_pictures - 2) // 2  # each with its complement
+    limit = (projector.sequence_pictures - 2) // 2  # each with its complement
     player = DevicePlayer(projector, camera, picture)
-    return Sequencer(player, camera.sensor, one_by_one, most)
+    return Sequencer(player, camera.sensor, one_by_one, limit)

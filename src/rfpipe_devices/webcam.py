@@ -147,12 +147,12 @@ class Webcam(BracketCamera):
         except BaseException:
             self._drop()
             raise
-        wanted = self._options.shape
-        if wanted is not None and (height, width) != tuple(wanted):
+        size = self._options.shape
+        if size is not None and (height, width) != tuple(size):
             self._drop()
             raise CaptureError(
                 f"{self._name}: gives frames of {height} x {width} pixels where camera.shape asks "
-                f"for {wanted[0]} x {wanted[1]}; set it to a size that the camera has"
+                f"for {size[0]} x {size[1]}; set it to a size that the camera has"
             )
         return height, width
 
@@ -178,11 +178,11 @@ class Webcam(BracketCamera):
         if stream in ("MJPG", "JPEG", "H264", "HEVC"):
             adapts.append(f"compression ({stream})")
         self.adapts = tuple(adapts)
-        left = ", ".join(self.adapts)
+        text = ", ".join(self.adapts)
         _log.warning(
             "%s: is no measuring camera: 8 bits, made by a processing of its own%s. Calibrate it: "
             "the linearity step proves whether what is left can be undone",
-            self._name, f"; it may still have {left}, which could not be switched off" * bool(left),
+            self._name, f"; it may still have {text}, which could not be switched off" * bool(text),
         )  # fmt: skip
 
     def _set(self, name: str, value: float) -> bool:
@@ -196,24 +196,24 @@ class Webcam(BracketCamera):
         if self._handle.getBackendName() != "V4L2":
             return None
         prop = self._cv2.CAP_PROP_EXPOSURE
-        made = self._handle.set(prop, max(1, round(exposure * V4L2_TICKS)))
-        return float(self._handle.get(prop)) / V4L2_TICKS if made else None
+        success = self._handle.set(prop, max(1, round(exposure * V4L2_TICKS)))
+        return float(self._handle.get(prop)) / V4L2_TICKS if success else None
 
     def _take_over_times(self) -> None:
         """Replace the sensor's exposure times by those that the camera takes."""
-        wanted = self.sensor.exposures
-        taken = [self._set_exposure(exposure) for exposure in wanted]
-        times = [time for time in taken if time]
-        if len(times) < len(wanted):
-            if len(wanted) > 1:
+        nominal = self.sensor.exposures
+        actual = [self._set_exposure(exposure) for exposure in nominal]
+        times = [time for time in actual if time]
+        if len(times) < len(nominal):
+            if len(nominal) > 1:
                 self.close()
                 raise InputError(
                     f"{self._name}: doesn't let one set its exposure time; give sensor.exposures "
-                    f"one time, not {len(wanted)}"
+                    f"one time, not {len(nominal)}"
                 )
             _log.warning("%s: its exposure time is its own affair", self._name)
             return
-        for exposure, time in zip(wanted, times, strict=True):
+        for exposure, time in zip(nominal, times, strict=True):
             if abs(time / exposure - 1) > 0.01:
                 _log.warning("%s: takes %g s for an exposure of %g s", self._name, time, exposure)
         self._has_times, self._set_to = True, None

@@ -44,7 +44,7 @@ class Pinholes:
 
     def __init__(self, side: Side) -> None:
         self.side, self.count = side, len(side.pinholes)
-        frames = [[*each.axes, each.position] for each in side.pinholes]
+        frames = [[*pinhole.axes, pinhole.position] for pinhole in side.pinholes]
         self._frames = mi.Float(np.array(frames, dtype=np.float32).ravel())
 
     def rays(self, pixel: Any, within: Any) -> Any:
@@ -67,10 +67,10 @@ class Pinholes:
         depth = dr.dot(way, ahead)
         column = width / 2 + dr.dot(way, right) / (depth * pitch)
         row = height / 2 + dr.dot(way, down) / (depth * pitch)
-        seen = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        mask = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         pixel = view * math.prod(self.side.shape) + mi.UInt32(row) * width + mi.UInt32(column)
         flux = dr.norm(way) / (depth * depth * depth)
-        return Look(seen, dr.select(seen, pixel, 0), mi.Point3f(origin), flux)
+        return Look(mask, dr.select(mask, pixel, 0), mi.Point3f(origin), flux)
 
     def _frame(self, view: Any) -> list[Any]:
         """Return vectors to the right, down and ahead, and the origins, of views."""

@@ -106,7 +106,7 @@ def trace_chains(rig: Rig, samples: int, seed: int) -> ChainEnds:
         if not dr.any(active):
             break
     place, normal, way, share, pixels, bends, unbent, tracks = (
-        np.concatenate(each) for each in zip(*reached, strict=True)
+        np.concatenate(parts) for parts in zip(*reached, strict=True)
     )
     footprint = _footprints(place, pixels, tracks, unbent)
     return ChainEnds(place, normal, way, share, pixels, bends, footprint)
@@ -123,15 +123,15 @@ def _footprints(
     _, group, count = np.unique(groups, return_inverse=True, return_counts=True)
 
     def mean(values: Double) -> Double:
-        return np.stack([np.bincount(group, each, len(count)) / count for each in values.T], axis=1)
+        return np.stack([np.bincount(group, row, len(count)) / count for row in values.T], axis=1)
 
     centred = place - mean(place.astype(np.float64))[group]
     products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)
     spreads = np.linalg.eigvalsh(mean(products).reshape(-1, 3, 3))[:, 1]
     sides = np.sqrt(12 * np.maximum(spreads, 0))[group]
     sides = np.where(count[group] < _FEW, unbent, sides)
-    least, most = _FOOTPRINTS
-    return np.clip(sides, least * unbent, most * unbent).astype(np.float32)
+    narrowest, widest = _FOOTPRINTS
+    return np.clip(sides, narrowest * unbent, widest * unbent).astype(np.float32)
 
 
 class Near(NamedTuple):
@@ -171,8 +171,8 @@ class Ends:
         self._listed = mi.UInt32((entries & np.uint64(2**32 - 1)).astype(np.uint32))
         weight = ends.weight / (np.pi * radius[:, None] ** 2)
         self._place, self._normal, self._way, self._weight = (
-            mi.Float(np.ascontiguousarray(each, dtype=np.float32).ravel())
-            for each in (ends.place, ends.normal, ends.way, weight)
+            mi.Float(np.ascontiguousarray(array, dtype=np.float32).ravel())
+            for array in (ends.place, ends.normal, ends.way, weight)
         )
         self._radius, self._pixel = mi.Float(radius), mi.UInt32(ends.pixel)
         self._bounces = mi.UInt32(ends.bounces)

@@ -123,9 +123,9 @@ def _fly(medium: Any, si: Any, within: Any, sampler: Any) -> tuple[Any, Any, Any
     distance = -dr.log(1 - sampler.next_1d()) / dr.maximum(rate, 1e-20)
     scattered = within & (distance < si.t)
     distance = dr.select(scattered, distance, si.t)
-    left = dr.select(within, dr.exp(-extinction * dr.minimum(distance, 1e9)), mi.Color3f(1))
-    density = dr.select(scattered, left * extinction, left)
-    weight = dr.select(scattered, left * scattering, left) / dr.maximum(dr.mean(density), 1e-30)
+    share = dr.select(within, dr.exp(-extinction * dr.minimum(distance, 1e9)), mi.Color3f(1))
+    density = dr.select(scattered, share * extinction, share)
+    weight = dr.select(scattered, share * scattering, share) / dr.maximum(dr.mean(density), 1e-30)
     return scattered, distance, dr.select(within, weight, mi.Color3f(1))
 
 

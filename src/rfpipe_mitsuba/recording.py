@@ -93,9 +93,9 @@ def record(
         with lock:
             if not manifest.exists():
                 _record(scene(), camera, projector, light, folder, coaxial)
-    kept = read_manifest(manifest)
-    pieces = tuple((first, last) for first, last in kept["pieces"])
-    return Recording(folder, pieces, kept["noise"], kept["scale"])
+    facts = read_manifest(manifest)
+    pieces = tuple((first, last) for first, last in facts["pieces"])
+    return Recording(folder, pieces, facts["noise"], facts["scale"])
 
 
 def _record(
@@ -125,7 +125,7 @@ def _record(
             halves = [_mean(*pair) for pair in zip(halves, back, strict=True)]
         mean = _mean(*halves)
         entries += sum(channel.nnz for channel in mean)
-        pictures.append([[np.asarray(each @ pattern) for each in half] for half in halves])
+        pictures.append([[np.asarray(matrix @ pattern) for matrix in half] for half in halves])
         unlit.append(np.einsum("iok,o->ik", tracer.direct(first, last), pattern) == 0)
         _write(_transport(folder, index), mean)
     if not entries:

@@ -70,9 +70,9 @@ class Tracer:
 
     def _chain_ends(self, half: int) -> Ends | None:
         """Trace what the camera sees by mirrors and lenses, if anything."""
-        wanted = np.clip(_CHAINS // self._rig.camera.side.rays, _LEAST_CHAINS, _MOST_CHAINS)
+        chains = np.clip(_CHAINS // self._rig.camera.side.rays, _LEAST_CHAINS, _MOST_CHAINS)
         seed = int(generator(self._light.seed, 2 * half + 5).integers(2**31))
-        ends = trace_chains(self._rig, 4 ** int(np.log2(wanted) / 2), seed)
+        ends = trace_chains(self._rig, 4 ** int(np.log2(chains) / 2), seed)
         return Ends(ends) if len(ends.pixel) else None
 
     def _traced(

@@ -49,7 +49,7 @@ class Side:
     pinholes: tuple[Pinhole, ...]
 
     def __post_init__(self) -> None:
-        if len({(each.shape, each.pitch) for each in self.pinholes}) != 1:
+        if len({(pinhole.shape, pinhole.pitch) for pinhole in self.pinholes}) != 1:
             raise InputError(
                 f"{len(self.pinholes)} views of one side of a rig: expected at least one, and all "
                 "of the same field of view"

@@ -191,7 +191,7 @@ def _for_mitsuba(mi: Any, value: Any, key: str = "") -> Any:
     if isinstance(value, dict) and value.get("type") == "mesh":
         return _mesh(mi, value)
     if isinstance(value, dict):
-        return {name: _for_mitsuba(mi, each, name) for name, each in value.items()}
+        return {name: _for_mitsuba(mi, item, name) for name, item in value.items()}
     if key == "to_world" and isinstance(value, list):
         return mi.ScalarTransform4f(np.array(value, dtype=np.float64))
     if key == "bitmap" and isinstance(value, np.ndarray):

@@ -53,7 +53,7 @@ def aside(degrees: float, distance: float, target: Vector, rise: float, field: f
     turn = float(np.radians(degrees))
     x, y, z = target
     origin = x + distance * np.sin(turn), y + rise, z + distance * np.cos(turn)
-    return view([float(each) for each in origin], target, field)
+    return view([float(coordinate) for coordinate in origin], target, field)
 
 
 def _world(

@@ -84,15 +84,15 @@ class ObjectPlace(Place):
                 return [self._end(-starts[0])[0]]
             if None in ends or not ends:
                 return super().read_ranges(ranges)
-            found = self._store.get_ranges(
+            parts = self._store.get_ranges(
                 self.key, starts=starts, ends=ends, coalesce=_BETWEEN_BYTES
             )
-            return [bytes(part) for part in found]
+            return [bytes(part) for part in parts]
 
     def _end(self, nbytes: int) -> tuple[bytes, int]:
         """Return the last bytes of a file, and its size."""
-        found = self._store.get(self.key, options={"range": {"suffix": nbytes}})
-        return bytes(found.bytes()), int(found.meta["size"])
+        response = self._store.get(self.key, options={"range": {"suffix": nbytes}})
+        return bytes(response.bytes()), int(response.meta["size"])
 
     def open(self) -> IO[bytes]:
         """Open a file, to be read by ranges; its end, a zip's directory, comes with the first."""
@@ -270,6 +270,6 @@ def _errors(place: str, action: str = "read") -> Iterator[None]:
 
 def _reason(error: Exception) -> str:
     """Return what obstore or the server says is wrong, in one line."""
-    said = " ".join(str(error).partition("\n\nDebug source")[0].split())
-    message = _MESSAGE.search(said)
-    return f"{message[1]}: {message[2]}" if message else said
+    text = " ".join(str(error).partition("\n\nDebug source")[0].split())
+    message = _MESSAGE.search(text)
+    return f"{message[1]}: {message[2]}" if message else text

@@ -69,8 +69,8 @@ def publish(
     from rfpipe_publish.run import find_run
 
     run = find_run(folder)
-    known = {"title": run.title, "published": date.today()}
-    values: dict[str, Any] = known | kept_values(run.folder)
+    facts = {"title": run.title, "published": date.today()}
+    values: dict[str, Any] = facts | kept_values(run.folder)
     values |= {"license": license_} if license_ else {}
     values |= {"creators": creator} if creator else {}
     for name, question in _QUESTIONS.items():
@@ -114,12 +114,12 @@ def keep(
     from rfpipe_publish.keep import keep as bring
     from rfpipe_publish.run import find_run
 
-    kept = bring(find_run(folder), address, lambda name: typer.echo(f"  {name}", err=True))
+    record = bring(find_run(folder), address, lambda name: typer.echo(f"  {name}", err=True))
     typer.echo(
-        f"{kept.address}: {kept.objects:,} objects, {kept.nbytes / 1e6:,.1f} MB; sent "
-        f"{kept.sent:,} of them, {kept.nbytes_sent / 1e6:,.1f} MB"
+        f"{record.address}: {record.objects:,} objects, {record.nbytes / 1e6:,.1f} MB; sent "
+        f"{record.sent:,} of them, {record.nbytes_sent / 1e6:,.1f} MB"
     )
-    typer.echo(f"check: rfpipe verify {kept.address}")
+    typer.echo(f"check: rfpipe verify {record.address}")
 
 
 collection = typer.Typer(
@@ -186,8 +186,8 @@ def unpack(
     from rfpipe_publish.places import unpack as write
 
     place = locate(packed)
-    found = place if isinstance(place, PackedPlace) else packed_in(place)
-    if found is None:
+    contents = place if isinstance(place, PackedPlace) else packed_in(place)
+    if contents is None:
         raise InputError(f"{packed}: is no packed run; 'rfpipe collection pack' makes one")
-    write(found, output)
-    typer.echo(f"{output}: {len(found.index):,} files, {found.nbytes() / 1e6:,.1f} MB")
+    write(contents, output)
+    typer.echo(f"{output}: {len(contents.index):,} files, {contents.nbytes() / 1e6:,.1f} MB")

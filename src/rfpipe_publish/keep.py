@@ -58,24 +58,24 @@ def keep(run: Run, address: str, tell: Callable[[str], object] = lambda _: None)
         When the bucket is missing or may not be written, or its server doesn't answer.
     """
     bucket = Bucket(address)
-    made = run.results / ".keep"
-    kept = Kept(str(bucket))
-    with StoreLock(made):
+    folder = run.results / ".keep"
+    total = Kept(str(bucket))
+    with StoreLock(folder):
         try:
             listed = _List(bucket)
-            for name, source in _objects(run, made):
+            for name, source in _objects(run, folder):
                 digest, size = measured(source)
-                kept.objects += 1
-                kept.nbytes += size
+                total.objects += 1
+                total.nbytes += size
                 if not listed.has(name, digest, size):
                     tell(name)
                     listed.send(name, source, digest)
-                    kept.sent += 1
-                    kept.nbytes_sent += size
+                    total.sent += 1
+                    total.nbytes_sent += size
             listed.write()
         finally:
-            remove_tree(made)
-    return kept
+            remove_tree(folder)
+    return total
 
 
 class _List:
@@ -111,14 +111,14 @@ class _List:
 def _objects(run: Run, made: Path) -> Iterator[tuple[str, Source]]:
     """Yield name and source of all objects; zip files are there until the next is asked for."""
     for stage in ("transport", "relight"):
-        for found in run.acquisitions:
+        for entry in run.acquisitions:
             store, manifest = f"{stage}.zarr", f"{stage}.json"
-            if (found.folder / manifest).is_file():
+            if (entry.folder / manifest).is_file():
                 if stage == "transport":
-                    found.check()
-                files = [*files_below(found.folder / store, store)]
-                write_zip(made / f"{stage}.zip", [*files, (manifest, found.folder / manifest)])
-                yield f"{found.name}/{stage}.zip", made / f"{stage}.zip"
+                    entry.check()
+                files = [*files_below(entry.folder / store, store)]
+                write_zip(made / f"{stage}.zip", [*files, (manifest, entry.folder / manifest)])
+                yield f"{entry.name}/{stage}.zip", made / f"{stage}.zip"
     manifests = [*run.manifests()]
     if manifests:
         write_zip(made / "provenance.zip", manifests)

@@ -125,8 +125,8 @@ class Citation(Settings):
 def kept_values(folder: Path) -> dict[str, Any]:
     """Return what is kept of a citation in a run's folder, unchecked."""
     path = folder / CITATION_FILE
-    kept = read_yaml(path) if path.exists() else {}
-    return kept if isinstance(kept, dict) else {str(kept): ""}
+    values = read_yaml(path) if path.exists() else {}
+    return values if isinstance(values, dict) else {str(values): ""}
 
 
 def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
@@ -138,9 +138,9 @@ def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
         With all that is missing or wrong.
     """
     path = folder / CITATION_FILE
-    given = {name: value for name, value in values.items() if value is not None}
+    entries = {name: value for name, value in values.items() if value is not None}
     try:
-        citation = Citation.model_validate(given)
+        citation = Citation.model_validate(entries)
     except ValidationError as error:
         lines = [f"{path}: {line}" for line in explained(error)]
         raise InputError("\n".join(lines)) from None
@@ -228,8 +228,8 @@ def crate(
     if workflow:
         language = _add(graph, _SNAKEMAKE, "ComputerLanguage", name="Snakemake")
         kinds = ("File", "SoftwareSourceCode", "ComputationalWorkflow")
-        made = {"programmingLanguage": language, "hasPart": instrument}
-        instrument = _add(graph, workflow, kinds, **parts[workflow], **made)
+        extras = {"programmingLanguage": language, "hasPart": instrument}
+        instrument = _add(graph, workflow, kinds, **parts[workflow], **extras)
         root["mainEntity"] = instrument
     if citation.publisher != _UNPUBLISHED:
         root["publisher"] = _add(graph, "#publisher", "Organization", name=citation.publisher)

@@ -45,9 +45,9 @@ def locate(path: str | Path | Place) -> Path | Place:
     if address is not None:
         from rfpipe_publish.addresses import ObjectPlace
 
-        found = _ZIP.match(address)
-        if found is not None:
-            return _in_zip(ObjectPlace.of(found[1]), address[found.end() :])
+        match = _ZIP.match(address)
+        if match is not None:
+            return _in_zip(ObjectPlace.of(match[1]), address[match.end() :])
         return _within_packed(ObjectPlace.of(address))
     for outer in (Path(path), *Path(path).parents):
         inside = "/".join(Path(path).relative_to(outer).parts)
@@ -140,8 +140,8 @@ class ZipPlace(_Listed):
         (header,) = read_ranges(self._file, [(begin, begin + _HEADER_BYTES)])
         lengths = (int.from_bytes(header[at : at + 2], "little") for at in (26, 28))
         first = begin + _HEADER_BYTES + sum(lengths)
-        wanted = (slice(*part).indices(info.file_size) for part in ranges)
-        return read_ranges(self._file, [(first + start, first + stop) for start, stop, _ in wanted])
+        bounds = (slice(*part).indices(info.file_size) for part in ranges)
+        return read_ranges(self._file, [(first + start, first + stop) for start, stop, _ in bounds])
 
     def open(self) -> IO[bytes]:
         """Open a file for reading; its checksum is checked at its end."""
@@ -263,9 +263,9 @@ def packed_in(base: Path | Place) -> PackedPlace | None:
     if content is None:
         return None
     try:
-        found = json.loads(content)
-        index = {name: (str(digest), int(size)) for name, (digest, size) in found["files"].items()}
-        if found["kind"] != _KIND or not all(map(_is_inside, index)):
+        facts = json.loads(content)
+        index = {name: (str(digest), int(size)) for name, (digest, size) in facts["files"].items()}
+        if facts["kind"] != _KIND or not all(map(_is_inside, index)):
             raise ValueError("of another kind")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise IntegrityError(

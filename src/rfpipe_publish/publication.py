@@ -180,7 +180,7 @@ def _crate(writer: Writer, run: Run, citation: Citation) -> dict[str, Any]:
         if not inside:
             parts[whole] |= {"contentSize": str(size), "sha256": digest}
     del parts[_PREVIEW]
-    stores = {f"{found.store_name}/": found.about for found in run.acquisitions}
+    stores = {f"{acquisition.store_name}/": acquisition.about for acquisition in run.acquisitions}
     for name, about in stores.items():
         parts[name]["description"] = about
     return crate(

@@ -82,8 +82,8 @@ class Run:
     def incomplete(self) -> list[str]:
         """Scenes and methods whose acquisition has begun but has no transport yet."""
         begun = {folder.parent for folder in self.results.glob("*/*/L00") if folder.is_dir()}
-        left = begun - {found.folder for found in self.acquisitions}
-        return sorted(f"{folder.parent.name} by {folder.name}" for folder in left)
+        folders = begun - {acquisition.folder for acquisition in self.acquisitions}
+        return sorted(f"{folder.parent.name} by {folder.name}" for folder in folders)
 
     @property
     def title(self) -> str:
@@ -91,13 +91,13 @@ class Run:
         titled = (self.settings or {}).get("report", {}).get("title")
         if titled:
             return str(titled)
-        names = [*dict.fromkeys(found.scene for found in self.acquisitions)]
+        names = [*dict.fromkeys(acquisition.scene for acquisition in self.acquisitions)]
         return f"Light transport of {', '.join(names[:6])}{' and more' * (len(names) > 6)}"
 
     @property
     def times(self) -> tuple[str, str]:
         """When it began and ended, in UTC, as its manifests' files say."""
-        files = [found.folder / "transport.json" for found in self.acquisitions]
+        files = [acquisition.folder / "transport.json" for acquisition in self.acquisitions]
         seconds = [file.stat().st_mtime for file in [*files, *dict(self.manifests()).values()]]
         first, last = (datetime.fromtimestamp(int(t), UTC) for t in (min(seconds), max(seconds)))
         return first.isoformat(), last.isoformat()
@@ -116,8 +116,8 @@ class Run:
 
     def captured(self) -> Iterator[tuple[str, Path]]:
         """Yield name and place of all that the acquisitions left but the transports."""
-        for found in self.acquisitions:
-            for name, file in files_below(found.folder, found.name):
+        for acquisition in self.acquisitions:
+            for name, file in files_below(acquisition.folder, acquisition.name):
                 if f"/{STORE_NAME}/" not in name and not name.endswith("/transport.json"):
                     yield name, file
 
@@ -145,13 +145,13 @@ def find_run(folder: Path) -> Run:
     folder = folder.resolve()
     if folder.name == "results":
         folder = folder.parent
-    found = []
+    items = []
     for name in transports_in(folder / "results"):
         scene, method, *more = name.split("/")
         if len(more) == 1:  # else a study's, not an acquisition's
             place = folder / "results" / scene / method
-            found.append(Acquisition(scene, method, place, read_manifest(place / "transport.json")))
-    if not found:
+            items.append(Acquisition(scene, method, place, read_manifest(place / "transport.json")))
+    if not items:
         if packed_in(folder) or packed_in(folder / "results"):
             raise InputError(
                 f"{folder}: is a packed run; publish what 'rfpipe collection unpack' makes of it. "
@@ -170,7 +170,7 @@ def find_run(folder: Path) -> Run:
         raise IntegrityError(
             f"{results}: damaged ({type(error).__name__}: {error}); remove the report and run again"
         ) from error
-    return Run(folder, found, settings)
+    return Run(folder, items, settings)
 
 
 def settings_of(run: Run, config: Path | None) -> bytes | None:
@@ -191,5 +191,5 @@ def _without_unset_methods(value: Any) -> Any:
     """Leave out each method section's empty name: as a section of the file it has one."""
     if not isinstance(value, dict):
         return value
-    found = {name: _without_unset_methods(of) for name, of in value.items()}
-    return {name: of for name, of in found.items() if of is not None or name != "method"}
+    values = {name: _without_unset_methods(of) for name, of in value.items()}
+    return {name: of for name, of in values.items() if of is not None or name != "method"}

@@ -49,8 +49,8 @@ class Writer:
             path = self._target / name
             path.parent.mkdir(parents=True, exist_ok=True)
             return path.open("wb")
-        store, found, _ = name.partition(".zarr/")
-        if found and store not in self._stores:  # a folder that is spoken of as a whole
+        store, separator, _ = name.partition(".zarr/")
+        if separator and store not in self._stores:  # a folder that is spoken of as a whole
             self._stores.add(store)
             self._target.writestr(_entry(f"{store}.zarr/", (0o40755 << 16) | 0x10), b"")
         return self._target.open(_entry(name, 0o100644 << 16), "w", force_zip64=size >= _LARGE)

@@ -66,15 +66,15 @@ def fit(
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor
     series = read_series(folder, lights=lights, camera=camera, black=black, transfer=transfer)
-    found = fit_transport(series, coaxial=coaxial)
-    save_transport(found.transport, output, scene=folder.name, method="fit")
+    result = fit_transport(series, coaxial=coaxial)
+    save_transport(result.transport, output, scene=folder.name, method="fit")
     count, rays = series.patterns.shape
     typer.echo(
         f"{output}: {count} pictures of {rays} projector rays "
-        f"({'complete' if found.complete else f'{series.rank} independent'}), by {found.model}"
+        f"({'complete' if result.complete else f'{series.rank} independent'}), by {result.model}"
     )
     typer.echo(
         "no error is known: each pattern is needed. A few more patterns would tell"
-        if found.error is None
-        else f"left-out pictures ({found.held_out}) are off by {found.error:.2%}"
+        if result.error is None
+        else f"left-out pictures ({result.held_out}) are off by {result.error:.2%}"
     )

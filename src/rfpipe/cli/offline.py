@@ -88,10 +88,10 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
         )
         return
     about: dict[str, Any] = sheet.about
-    each = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
+    times = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
         f"{acquisition}: level {about['level']} asks for {len(sheet.patterns)} patterns "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
-        f"{each} s, put the pictures into {sheet.folder / 'pictures'}, then: rfpipe import "
+        f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: rfpipe import "
         f"{sheet.folder}"
     )

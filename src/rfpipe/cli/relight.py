@@ -91,8 +91,8 @@ def relight(
     if is_picture:
         typer.echo(f"{output}: {times(image.shape[:2])}, radiance up to {image.max():.4g}")
     else:
-        shown = f", white is {white:.4g}" if white and form == "png" else ""
-        typer.echo(f"{output}: {len(patterns)} pictures{shown}")
+        suffix = f", white is {white:.4g}" if white and form == "png" else ""
+        typer.echo(f"{output}: {len(patterns)} pictures{suffix}")
 
 
 def _patterns(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:

@@ -38,9 +38,9 @@ def run(context: typer.Context) -> None:
     parser.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
     parser.add_argument("--directory", "-d", type=Path, default=Path())
     parser.add_argument("--snakefile", "-s", default="Snakefile")
-    given, _ = parser.parse_known_args(context.args)
-    files, folder = given.configfile, given.directory
-    if not Path(given.snakefile).is_file():
+    arguments, _ = parser.parse_known_args(context.args)
+    files, folder = arguments.configfile, arguments.directory
+    if not Path(arguments.snakefile).is_file():
         raise InputError("Snakefile: isn't here; run this in rfpipe's folder, or give --snakefile")
     from rfpipe.config import load_config, read_yaml
     from rfpipe.stages.jobs.ends import snakemake_program
@@ -144,13 +144,13 @@ def plan(
 def _shown(rows: pd.DataFrame) -> pd.DataFrame:
     from rfpipe.stages.forecast import shown_bytes
 
-    shown = rows.drop(columns=["scene", "method"]).map("{:,}".format)
+    table = rows.drop(columns=["scene", "method"]).map("{:,}".format)
     for name in ("seconds", "most_seconds"):
-        shown[name] = rows[name].map(_duration)
+        table[name] = rows[name].map(_duration)
     for name in ("disk", "memory"):
-        shown[name] = rows[name].map(shown_bytes)
+        table[name] = rows[name].map(shown_bytes)
     names = {"seconds": "on a rig", "most": "at most", "most_seconds": "in"}
-    return rows[["scene", "method"]].join(shown).rename(columns=names)
+    return rows[["scene", "method"]].join(table).rename(columns=names)
 
 
 def _duration(seconds: float) -> str:
@@ -172,5 +172,5 @@ def catalogue(
     from rfpipe.report.catalogue import CATALOGUE, write_catalogue
 
     counts = write_catalogue(load_config(config), folder)
-    said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    typer.echo(f"{folder / CATALOGUE}: {said}")
+    summary = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    typer.echo(f"{folder / CATALOGUE}: {summary}")

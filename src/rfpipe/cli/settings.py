@@ -46,9 +46,9 @@ def settings(
 
 def _list_options(model: type[Described], beside: type[Described] | None = None) -> None:
     """Print options with default and description, but for those that are the same `beside`."""
-    known = _options(beside) if beside else {}
+    reference = _options(beside) if beside else {}
     for option, line in _options(model).items():
-        if option != model.key and known.get(option) != line:
+        if option != model.key and reference.get(option) != line:
             typer.echo(f"    {line}")
 
 

@@ -129,8 +129,8 @@ def export(
     light = opened(path, level=level)
     light = coarser(light, joined) if joined > 1 else light
     light = light.T if dual else light
-    kept = (_rays(rows, light.camera_shape), _rays(columns, light.projector_shape))
-    write_matrix(light, output, *kept, int(limit_gib * _GIB))
+    selection = (_rays(rows, light.camera_shape), _rays(columns, light.projector_shape))
+    write_matrix(light, output, *selection, int(limit_gib * _GIB))
     typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
 
 
@@ -199,8 +199,8 @@ def _rays(places: Sequence[str] | None, shape: tuple[int, ...]) -> NDArray[np.in
 
     if not places:
         return None
-    found = np.concatenate([rays_at(place, shape) for place in places])
-    return found[np.sort(np.unique(found, return_index=True)[1])]
+    rays = np.concatenate([rays_at(place, shape) for place in places])
+    return rays[np.sort(np.unique(rays, return_index=True)[1])]
 
 
 def picture_of_rays(name: str, path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:

@@ -54,8 +54,8 @@ def verify(
         for path in removals:
             remove_tree(path)
         again = dict.fromkeys(command.rpartition(" && ")[2] for command in commands if command)
-        said = f"removed {len(removals)} files and folders; now run: {' && '.join(again)}"
-        typer.echo(said)
+        message = f"removed {len(removals)} files and folders; now run: {' && '.join(again)}"
+        typer.echo(message)
         return
     pages = [
         place / "index.html" for place in (folder, folder / "report", folder / "results/report")

@@ -47,12 +47,12 @@ def view(
     from rfpipe.viewer.stored import view_of
 
     store = find_transport(path)
-    shown, kept = view_of(store, title)
+    content, facts = view_of(store, title)
     if compare is not None:
-        shown, kept = view_of(store, title, _compared(compare, shown.transport))
-    names = [str(kept[name]) for name in ("scene", "method") if kept.get(name)]
+        content, facts = view_of(store, title, _compared(compare, content.transport))
+    names = [str(facts[name]) for name in ("scene", "method") if facts.get(name)]
     page = output or Path(f"{'_'.join(names) or Path(str(store)).stem}.html")
-    written = write_view(shown, page, round(largest * 1e6))
+    written = write_view(content, page, round(largest * 1e6))
     levels = ", ".join(map(str, written.levels))
     typer.echo(f"{written.page}: {written.nbytes / 1e6:.1f} MB, levels {levels}")
 

@@ -49,11 +49,11 @@ _WORDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 def setting(default: Any, about: str, **limits: Any) -> Any:
     """Return a field, whose description tells its limits, too."""
-    said = [f"{_WORDS[name]} {value:g}" for name, value in limits.items() if name in _WORDS]
+    bounds = [f"{_WORDS[name]} {value:g}" for name, value in limits.items() if name in _WORDS]
     if {"ge", "le"} <= limits.keys():
-        said = [f"{limits['ge']:,} to {limits['le']:,}"]
+        bounds = [f"{limits['ge']:,} to {limits['le']:,}"]
     what, between, rest = about.removesuffix(".").partition(";")
-    return Field(default, description=f"{', '.join([what, *said])}{between}{rest}.", **limits)
+    return Field(default, description=f"{', '.join([what, *bounds])}{between}{rest}.", **limits)
 
 
 def group_of(model: type[Settings]) -> Any:
@@ -139,9 +139,9 @@ def located(error: ValidationError) -> list[tuple[Location, str]]:
     for problem in _innermost(error):
         where = tuple(part for part in problem["loc"] if part != "[key]")
         text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where)
-        said = Settings._message(problem)
-        between = ": " if text and not said.startswith(" ") else ""
-        lines.append((where, f"{text.removeprefix('.')}{between}{said}"))
+        message = Settings._message(problem)
+        between = ": " if text and not message.startswith(" ") else ""
+        lines.append((where, f"{text.removeprefix('.')}{between}{message}"))
     return lines
 
 
@@ -167,7 +167,7 @@ def _innermost(error: ValidationError) -> list[Any]:
 
 def _types(annotation: object) -> set[object]:
     """Return the types that an annotation consists of."""
-    inner = (_types(each) for each in get_args(annotation))
+    inner = (_types(argument) for argument in get_args(annotation))
     return {annotation, get_origin(annotation)}.union(*inner)
 
 

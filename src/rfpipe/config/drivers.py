@@ -37,8 +37,8 @@ class DeviceDriver(Settings):
     @classmethod
     def options_model(cls, driver: str) -> type[Settings]:
         """Return the model of a driver's options; raise InputError if there is no such driver."""
-        found: type[Settings] = getattr(plugins.find(cls.group, driver), "Options", FreeOptions)
-        return found
+        model: type[Settings] = getattr(plugins.find(cls.group, driver), "Options", FreeOptions)
+        return model
 
     @field_validator("driver")
     @classmethod
@@ -52,8 +52,8 @@ class DeviceDriver(Settings):
         driver = info.data.get("driver")  # missing where it is wrong itself
         if driver is None or (isinstance(options, Settings) and type(options) is not FreeOptions):
             return options
-        given = options.model_dump() if isinstance(options, FreeOptions) else options or {}
-        return cls.options_model(driver).model_validate(given)
+        values = options.model_dump() if isinstance(options, FreeOptions) else options or {}
+        return cls.options_model(driver).model_validate(values)
 
     def make(self, **known: Any) -> Any:
         """Return the device or rig.
@@ -111,8 +111,8 @@ class CameraDriver(DeviceDriver):
     @property
     def bench(self) -> str | None:
         """Where the driver's camera of the bench in software is, module:Class, if it has one."""
-        found: str | None = getattr(plugins.find(self.group, self.driver), "bench", None)
-        return found
+        path: str | None = getattr(plugins.find(self.group, self.driver), "bench", None)
+        return path
 
 
 class RigDriver(DeviceDriver):

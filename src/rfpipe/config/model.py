@@ -132,18 +132,18 @@ class Config(Settings):
         rig = self.rigs[about.rig] if about.rig else {}
         if not rig and not about.settings:
             return self
-        own = merged(rig, about.settings)
+        overrides = merged(rig, about.settings)
         # scenes that share these settings share what is checked of them
-        key, known = fingerprint(own), self._by_overrides
-        if key not in known:
-            known[key] = self._with(scene, own)
-        return known[key].model_copy(update={"scenes": {scene: about}})
+        key, cache = fingerprint(overrides), self._by_overrides
+        if key not in cache:
+            cache[key] = self._with(scene, overrides)
+        return cache[key].model_copy(update={"scenes": {scene: about}})
 
     def _with(self, scene: str, own: Mapping[str, Any]) -> Config:
         """Return settings of one scene, with others put over those of the run."""
-        known = ", ".join(sorted(OWN_TO_SCENES))
+        names = ", ".join(sorted(OWN_TO_SCENES))
         problems = [
-            mistake(f"can't be set for a scene; expected settings among {known}", name)
+            mistake(f"can't be set for a scene; expected settings among {names}", name)
             for name in own
             if name not in OWN_TO_SCENES
         ] + [
@@ -160,8 +160,8 @@ class Config(Settings):
     @property
     def verification_pictures(self) -> int:
         """Pictures that verify each acquisition, 0 for none."""
-        asked = self.verification.pictures
-        return _VERIFICATION_PICTURES * (self.capture.rig == "remote") if asked is None else asked
+        count = self.verification.pictures
+        return _VERIFICATION_PICTURES * (self.capture.rig == "remote") if count is None else count
 
     @property
     def title(self) -> str:
@@ -173,8 +173,8 @@ class Config(Settings):
     @property
     def has_report(self) -> bool:
         """Whether the run ends with a report."""
-        asked = self.report.page
-        return self.collection is None if asked is None else asked
+        page = self.report.page
+        return self.collection is None if page is None else page
 
     @property
     def jobs(self) -> Literal["stage", "acquisition"]:
@@ -215,10 +215,10 @@ class Config(Settings):
             return settings
         filled = dict(scenes)
         for name, scene in scenes.items():
-            own = scene.get("methods") if isinstance(scene, Mapping) else None
-            if isinstance(own, Mapping):
-                of_run = {method: run.get(method) or {} for method in own}
-                options = {method: {} if it is None else it for method, it in own.items()}
+            methods = scene.get("methods") if isinstance(scene, Mapping) else None
+            if isinstance(methods, Mapping):
+                of_run = {method: run.get(method) or {} for method in methods}
+                options = {method: {} if it is None else it for method, it in methods.items()}
                 filled[name] = {**scene, "methods": merged(of_run, options)}
         return {**settings, "scenes": filled}
 

@@ -41,8 +41,8 @@ def read_yaml(path: str | Path) -> object:
     try:
         data = parse_yaml(text)
     except (yaml.YAMLError, RecursionError, ValueError, OverflowError) as error:
-        said = str(error).replace('"<unicode string>"', f'"{path}"')
-        raise ConfigError(f"{path}: is not valid YAML: {said}") from error
+        message = str(error).replace('"<unicode string>"', f'"{path}"')
+        raise ConfigError(f"{path}: is not valid YAML: {message}") from error
     if data in (None, {}):
         raise ConfigError(f"{path}: is empty; expected 'key: value' lines, see config/README.md")
     return data
@@ -57,12 +57,12 @@ class _Loader(yaml.SafeLoader):
     """YAML's safe loader, stricter."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
+        keys = set()
         for key_node, _ in node.value:
             key = str(key_node.value)
-            if key in seen:
+            if key in keys:
                 raise _wrong(f"the key {key!r} stands twice; remove one", key_node.start_mark)
-            seen.add(key)
+            keys.add(key)
         return super().construct_mapping(node, deep)
 
     def checked_scalar(self, node: yaml.ScalarNode) -> Any:
@@ -107,23 +107,23 @@ def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
         When the file can't be read; for every row whose name is missing, stands twice or fits no
         folder, and every cell that isn't YAML though it begins with a bracket.
     """
-    found, problems = Collection(file), []
+    collection, problems = Collection(file), []
     for place, row in _csv_rows(file):
         name = row.pop("name", "")
-        if wrong := _unfit(name, found.places):
+        if wrong := _unfit(name, collection.places):
             problems.append(f"{place}: {wrong}")
             continue
-        found.places[name] = place
+        collection.places[name] = place
         try:
             values = {key: _value(row[key], key) for key in row}
-            found.scenes[name] = _scene(values, methods)
+            collection.scenes[name] = _scene(values, methods)
         except yaml.YAMLError as error:
             problems.append(f"{place}: {' '.join(str(error).split())}")
-    if not found.places and not problems:
+    if not collection.places and not problems:
         problems.append("has no scenes; expected a row for each")
     if problems:
         raise ConfigError("\n".join(f"{file}: {problem}" for problem in problems))
-    return found
+    return collection
 
 
 def check_files(settings: Config, collection: Collection) -> None:
@@ -179,21 +179,21 @@ def _scene(row: Mapping[str, Any], methods: Mapping[str, object]) -> dict[str, A
     """Return a scene's settings as the model takes them; those of the run are its ``settings``."""
     scene = _nested(row)
     if "methods" in scene:
-        given = scene["methods"]
+        options = scene["methods"]
         chosen = row.get("methods") or dict.fromkeys(methods)
         names: dict[str, Any] = {name: {} for name in chosen}
-        scene["methods"] = merged(names, given) if isinstance(given, Mapping) else names
-    own = {name: scene.pop(name) for name in OWN_TO_SCENES - {"seed"} if name in scene}
-    return merged(scene, {"settings": own}) if own else scene
+        scene["methods"] = merged(names, options) if isinstance(options, Mapping) else names
+    overrides = {name: scene.pop(name) for name in OWN_TO_SCENES - {"seed"} if name in scene}
+    return merged(scene, {"settings": overrides}) if overrides else scene
 
 
 def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings in groups: ``{"camera.bits": 12}`` as ``{"camera": {"bits": 12}}``."""
-    found: dict[str, Any] = {}
+    tree: dict[str, Any] = {}
     for name, value in sorted(row.items()):  # methods before options of some
         parts = name.split(".", 1) if name.startswith("about.") else name.split(".")
-        found = merged(found, reduce(lambda inner, part: {part: inner}, reversed(parts), value))
-    return found
+        tree = merged(tree, reduce(lambda inner, part: {part: inner}, reversed(parts), value))
+    return tree
 
 
 def _value(text: str, column: str) -> Any:

@@ -55,8 +55,8 @@ def _by_name(model: type[Any], definitions: dict[str, Any]) -> dict[str, Any]:
     for name in names:
         schema = _defined(model.model_of(name), definitions)
         for option, node in schema["properties"].items():
-            known = options.setdefault(option, [])
-            known += [] if node in known else [node]
+            variants = options.setdefault(option, [])
+            variants += [] if node in variants else [node]
         then = {"propertyNames": {"enum": sorted(schema["properties"])}}
         if schema.get("required"):
             then["required"] = schema["required"]
@@ -80,8 +80,8 @@ def _by_driver(model: type[Any], definitions: dict[str, Any]) -> dict[str, Any]:
         options = model.options_model(name)
         definitions[options.__name__] = _defined(options, definitions)
         reference = {"$ref": _REFERENCE.format(model=options.__name__)}
-        asked = {"properties": {"driver": {"const": name}}}  # which may be left out
-        rules.append({"if": asked, "then": {"properties": {"options": reference}}})
+        condition = {"properties": {"driver": {"const": name}}}  # which may be left out
+        rules.append({"if": condition, "then": {"properties": {"options": reference}}})
     node["properties"]["options"] = {"type": "object", "description": "The driver's options."}
     return {**node, **({"allOf": rules} if rules else {})}
 
@@ -96,7 +96,7 @@ def generated() -> dict[str, str]:
         calibration="calibration",
         seconds_per_pattern=0.2,
     )
-    made = "Made from the settings' models by `make config`"
+    note = "Made from the settings' models by `make config`"
     run, schema = Config.model_validate({"scenes": {"one": {"kind": "plane"}}}), "rig.schema.json"
     return {
         "config.schema.json": json.dumps(schema_of(Config), indent=2) + "\n",
@@ -104,21 +104,21 @@ def generated() -> dict[str, str]:
         "all.yaml": _file_of(
             run,
             "config.schema.json",
-            f"All settings of a run, at their defaults, with one plain scene. {made}; 'rfpipe "
+            f"All settings of a run, at their defaults, with one plain scene. {note}; 'rfpipe "
             "settings scenes' and 'rfpipe settings methods' list those of each kind of scene and "
             "of each method.",
         ),
         "rig.yaml": _file_of(
             RigConfig(),
             schema,
-            f"A rig: a window on the projector and a Basler camera. {made}: copy this file, change "
+            f"A rig: a window on the projector and a Basler camera. {note}: copy this file, change "
             "the copy and serve it with `rfpipe serve <copy>`.",
         ),
         "bench.yaml": _file_of(
             rig_of_bench,
             schema,
             "The optical bench in software: a rig without hardware, of a display in memory, a "
-            f"scene and a real camera driver. {made}, as rig.yaml.",
+            f"scene and a real camera driver. {note}, as rig.yaml.",
         ),
     }
 
@@ -138,10 +138,10 @@ def _yaml_lines(settings: BaseModel, margin: str) -> list[str]:
     lines: list[str] = []
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
-        said, choices = str(field.description), [*map(str, _choices(field.annotation))]
-        if not all(choice in said for choice in choices):
-            said += f" One of {', '.join(choices)}."
-        lines.append(_comment(said, margin))
+        words, choices = str(field.description), [*map(str, _choices(field.annotation))]
+        if not all(choice in words for choice in choices):
+            words += f" One of {', '.join(choices)}."
+        lines.append(_comment(words, margin))
         if isinstance(value, BaseModel):
             lines += [f"{margin}{name}:", *_yaml_lines(value, margin + "  ")]
         else:
@@ -158,7 +158,7 @@ def _choices(annotation: object) -> list[object]:
     within = get_args(annotation)
     if get_origin(annotation) is Literal:
         return list(within)
-    return [choice for each in within for choice in _choices(each)]
+    return [choice for part in within for choice in _choices(part)]
 
 
 if __name__ == "__main__":

@@ -159,9 +159,9 @@ def _correspondence(one: Findings) -> Figure:
 
 
 def _rays(one: Findings) -> Figure:
-    seen = np.diff(one["resampling_starts"]).reshape(one["pixels"].shape) > 0
+    coverage = np.diff(one["resampling_starts"]).reshape(one["pixels"].shape) > 0
     pixels, leak, noise = (
-        np.where(seen, one[name], np.nan).reshape(-1, seen.shape[-1])
+        np.where(coverage, one[name], np.nan).reshape(-1, coverage.shape[-1])
         for name in ("pixels", "leak", "noise")
     )
     return _maps(camera_pixels_a_ray=pixels, leak__share=leak, noise_over_a_pixel_s=noise)

@@ -109,21 +109,21 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
     bounds: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
     for axis in axes.flat:
         axis.set_axis_off()
-    for own, row in zip(axes, maps, strict=True):
-        for axis, made in zip(own, row, strict=False):
-            if made is not None:
-                is_error = made.scale == _ERROR
+    for row_axes, row in zip(axes, maps, strict=True):
+        for axis, picture in zip(row_axes, row, strict=False):
+            if picture is not None:
+                is_error = picture.scale == _ERROR
                 axis.set_axis_on()
-                axis.set(xticks=[], yticks=[], xlabel=made.below, facecolor="#d3e3f3")
-                axis.set_title(made.title, fontsize=8.5, pad=3)
-                options = bounds if is_error else made.options
-                shown = axis.imshow(made.values, interpolation="nearest", **options)
-                scales[made.scale] = shown, own[-1] if is_error else axis
+                axis.set(xticks=[], yticks=[], xlabel=picture.below, facecolor="#d3e3f3")
+                axis.set_title(picture.title, fontsize=8.5, pad=3)
+                options = bounds if is_error else picture.options
+                image = axis.imshow(picture.values, interpolation="nearest", **options)
+                scales[picture.scale] = image, row_axes[-1] if is_error else axis
     for axis, name in zip(axes[:, 0], left, strict=False):
         axis.set_ylabel(name)
     scales.pop("", None)
-    for label, (shown, axis) in scales.items():
-        bar = figure.colorbar(shown, ax=axis, fraction=0.06, pad=0.03)
+    for label, (image, axis) in scales.items():
+        bar = figure.colorbar(image, ax=axis, fraction=0.06, pad=0.03)
         bar.set_label(label, fontsize=8)
         bar.ax.tick_params(labelsize=7.5)
     return figure
@@ -138,9 +138,9 @@ def panel_ratio(maps: Iterable[Map]) -> float:
 def _round_limit(maps: Sequence[NDArray[Any]]) -> float:
     """Return 1, 2 or 5 times a power of ten, within which 99 % of the magnitudes lie."""
     magnitudes = np.abs(np.concatenate([np.zeros(1), *(values.ravel() for values in maps)]))
-    wanted = max(float(np.percentile(magnitudes, 99)), _LEAST_LIMIT)
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= 0.999 * wanted))
+    bound = max(float(np.percentile(magnitudes, 99)), _LEAST_LIMIT)
+    power = 10.0 ** np.floor(np.log10(bound))
+    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= 0.999 * bound))
 
 
 def new_figure(

@@ -32,7 +32,7 @@ def errors_section(inputs: Inputs) -> Section:
     kinds = {"rms_total": "", "rms_unlit": ", unlit"}
     table = inputs.errors.pivot(index=["scene", "method"], columns="pattern", values=list(kinds))
     errors = table.to_dict("index")
-    shown = table_of(
+    summary = table_of(
         "Errors by pattern",
         about,
         [
@@ -48,16 +48,16 @@ def errors_section(inputs: Inputs) -> Section:
         csv="errors.csv",
         numbers=None,
     )
-    return Section("errors", "Errors by pattern", [shown])
+    return Section("errors", "Errors by pattern", [summary])
 
 
 def speed_section(inputs: Inputs) -> Section | None:
     """Error against patterns, level by level, true and as methods estimated it."""
     table, steps = inputs.speed_error, histories(inputs.runs)
-    known = {*table["scene"], *steps["scene"]}
-    if not known:
+    names = {*table["scene"], *steps["scene"]}
+    if not names:
         return None
-    scenes = [scene for scene in inputs.scenes if scene in known]
+    scenes = [scene for scene in inputs.scenes if scene in names]
     caption = (
         "Relative RMS error of the scene relit with the first relighting pattern, as if the "
         "acquisition had stopped after each level, against the patterns shown by then. Methods "
@@ -75,11 +75,11 @@ def speed_figure(
     """Draw true errors of the speed table, and the estimates of `histories`."""
 
     def draw_scene(axis: Axes, scene: str) -> None:
-        for method, own in table[table["scene"] == scene].groupby("method", sort=False):
-            axis.plot(own["patterns"], 100 * own["error"], **inputs.style(str(method)))
-        for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
+        for method, rows in table[table["scene"] == scene].groupby("method", sort=False):
+            axis.plot(rows["patterns"], 100 * rows["error"], **inputs.style(str(method)))
+        for method, rows in steps[steps["scene"] == scene].groupby("method", sort=False):
             estimated = {**inputs.style(str(method)), "linestyle": ":"}
-            axis.plot(own["patterns"], 100 * own["estimated_error"], **estimated)
+            axis.plot(rows["patterns"], 100 * rows["estimated_error"], **estimated)
         brute: dict[str, Any] = {"color": _GREY, "linewidth": 0.9, "linestyle": ":"}
         rays = inputs.of_scene(scene)[0].rays
         axis.axvline(rays, label="patterns of brute force", **brute)
@@ -92,7 +92,7 @@ def estimates_section(inputs: Inputs) -> Section | None:
     compared = compare(inputs)
     if compared.empty:
         return None
-    shown = table_of(
+    table = table_of(
         "Estimated and true error",
         "A method's last estimate, without the camera's noise; where the truth is known, the mean "
         "error over the relighting patterns, and their ratio.",
@@ -107,7 +107,7 @@ def estimates_section(inputs: Inputs) -> Section | None:
         ],
         csv="estimates.csv",
     )
-    return Section("estimates", "Estimated error while it ran", [shown])
+    return Section("estimates", "Estimated error while it ran", [table])
 
 
 def histories(runs: Sequence[Run]) -> pd.DataFrame:
@@ -139,11 +139,11 @@ def compare(inputs: Inputs) -> pd.DataFrame:
     for run in inputs.runs:
         steps = estimates(run.facts["levels"])
         if steps:
-            own = run.own(inputs.errors)
-            true = float(own["rms_total"].mean()) if len(own) else math.nan
+            table = run.own(inputs.errors)
+            true = float(table["rms_total"].mean()) if len(table) else math.nan
             estimated = steps[-1]["estimated_error"]
-            asked = run.facts["options"].get("target_error", math.nan)
+            target = run.facts["options"].get("target_error", math.nan)
             about = {"scene": run.scene, "method": run.method, "patterns": run.patterns}
-            errors = {"target_error": asked, "estimated_error": estimated, "true_error": true}
+            errors = {"target_error": target, "estimated_error": estimated, "true_error": true}
             rows.append({**about, **errors, "ratio": estimated / (true or math.nan)})
     return pd.DataFrame(rows)

@@ -26,7 +26,7 @@ def glance_section(inputs: Inputs) -> Section:
         ("time, min", "minutes", fixed(1)),
         ("stored, MB", "megabytes", fixed(2)),
     ]
-    shown = "Each scene under floodlight, and relit with a bar of light that nobody took."
+    lead = "Each scene under floodlight, and relit with a bar of light that nobody took."
     if inputs.has_truth:
         about = (
             "Error: relative RMS of pictures relit with bars, noise, a binary picture, a small "
@@ -54,7 +54,7 @@ def glance_section(inputs: Inputs) -> Section:
         "What it took", caption, numbers, inputs.labels, columns, csv="results.csv", is_folded=False
     )
     pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
-    return Section("glance", "At a glance", [pictures, table], [shown])
+    return Section("glance", "At a glance", [pictures, table], [lead])
 
 
 def results(inputs: Inputs) -> pd.DataFrame:
@@ -118,15 +118,15 @@ def scene_picture(inputs: Inputs, run: Run) -> Illustration:
         truth = run.read("truth")[index]
         light.append(run.panel(run.middle(truth), "truth", gain=gain))
         errors = [relit.less(light[-1])]
-        said = f"error {percent(relative_rms(image, truth))} %"
+        accuracy = f"error {percent(relative_rms(image, truth))} %"
     else:
         error = relative_rms(run.read("floodlit_relit"), floodlit)
-        said = f"floodlit image relit to {percent(error)} % of the captured one"
+        accuracy = f"floodlit image relit to {percent(error)} % of the captured one"
     caption = (
-        f"{inputs.title(run.method)}, {number(run.patterns)} patterns: {said} with the "
+        f"{inputs.title(run.method)}, {number(run.patterns)} patterns: {accuracy} with the "
         f"{words(names[index])}; white is radiance {run.white:.3g}."
     )
     if is_brightened:
         caption += f" Unlit pixels are shown {UNLIT_GAIN} times brighter."
-    kept = {panel.title: panel.image for panel in light}
-    return Illustration(run.scene, caption, f"scene_{run.scene}", draw([[*light, *errors]]), kept)
+    images = {panel.title: panel.image for panel in light}
+    return Illustration(run.scene, caption, f"scene_{run.scene}", draw([[*light, *errors]]), images)

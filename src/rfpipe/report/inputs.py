@@ -142,13 +142,13 @@ class Inputs:
     @cached_property
     def _subjects(self) -> dict[str, Any]:
         sections = (self.config.methods_of(scene).items() for scene in self.config.scenes)
-        return {name: section.subject for own in sections for name, section in own}
+        return {name: section.subject for group in sections for name, section in group}
 
     def title(self, method: str) -> str:
         """Return a method's name in words, with its section's where that is another."""
         subject = self._subjects[method]
-        own = "" if subject.name == method else f" ({words(method)})"
-        return f"{subject.title}{own}"
+        suffix = "" if subject.name == method else f" ({words(method)})"
+        return f"{subject.title}{suffix}"
 
     def style(self, method: str) -> dict[str, Any]:
         """Return matplotlib's label, colour, marker and line of a method's curve."""

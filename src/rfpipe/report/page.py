@@ -115,11 +115,11 @@ def table_of(
     """
     import pandas as pd
 
-    shown, numbers = [*labels, *columns], pd.DataFrame(records)
-    each = records.to_dict("records") if isinstance(records, pd.DataFrame) else records
-    rows = [[text(record.get(key)) for _, key, text in shown] for record in each]
+    fields, numbers = [*labels, *columns], pd.DataFrame(records)
+    entries = records.to_dict("records") if isinstance(records, pd.DataFrame) else records
+    rows = [[text(record.get(key)) for _, key, text in fields] for record in entries]
     options = {"text_columns": len(labels), "numbers": numbers, **options}
-    return Table(name, caption, [heading for heading, *_ in shown], rows, **options)
+    return Table(name, caption, [heading for heading, *_ in fields], rows, **options)
 
 
 def write_page(
@@ -166,7 +166,7 @@ def rendered(template: str, **parts: Any) -> str:
 def _placed(folder: Path, block: Block) -> dict[str, Any]:
     """Write a block's files; return what the template needs of it."""
     if isinstance(block, Gallery):
-        return {"gallery": [_placed(folder, each) for each in block.figures]}
+        return {"gallery": [_placed(folder, figure) for figure in block.figures]}
     if isinstance(block, Table):
         if block.numbers is not None and block.csv:
             write_table(folder / "tables" / block.csv, block.numbers)

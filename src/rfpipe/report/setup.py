@@ -20,10 +20,10 @@ def setup_section(inputs: Inputs) -> Section:
     """Camera, settings and versions."""
     names = ["setting", "value"]
     settings = [[name, str(value)] for name, value in _flat(inputs.config.shaping())]
-    made = [[name, str(value)] for name, value in versions().items()]
+    packages = [[name, str(value)] for name, value in versions().items()]
     tables = [
         Table("Settings", "As config/all.yaml describes them.", names, settings, 2),
-        Table("Versions", "", ["package", "version"], made, 2),
+        Table("Versions", "", ["package", "version"], packages, 2),
     ]
     return Section("setup", "Camera, scenes and versions", tables, [_SOURCE])
 

@@ -87,7 +87,7 @@ def _pictures(inputs: Inputs, run: Run) -> list[Illustration]:
     """Show each picture as relit and as captured, and their difference."""
     assert run.verified_images is not None
     relit, captured = (run.verified_images.read(name) for name in ("relit", "captured"))
-    shown = []
+    illustrations = []
     for index, picture in enumerate(run.verified["pictures"]):
         light = [
             run.panel(run.middle(images[index]), title)
@@ -99,23 +99,23 @@ def _pictures(inputs: Inputs, run: Run) -> list[Illustration]:
         )
         slug = f"verified_{run.scene}_{run.method}_{picture['name']}"
         figure = draw([[*light, light[0].less(light[1])]])
-        kept = {panel.title: panel.image for panel in light}
+        radiance = {panel.title: panel.image for panel in light}
         name = f"{run.scene}, {words(picture['name'])}"
-        shown.append(Illustration(name, caption, slug, figure, kept))
-    return shown
+        illustrations.append(Illustration(name, caption, slug, figure, radiance))
+    return illustrations
 
 
 def verdicts_section(inputs: Inputs) -> Section:
     """What the calibration found of the rig that captured the runs; no blocks without such one."""
-    told: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for run in inputs.runs:
         rig = rig_of(inputs.results, run)
         if rig.get("kind") == "devices":
             verdicts = json.dumps(rig.get(VERDICTS_KEY) or {})
-            told.setdefault(verdicts, []).append(f"{run.scene} by {run.method}")
+            groups.setdefault(verdicts, []).append(f"{run.scene} by {run.method}")
     text: list[str] = []
     blocks = []
-    for same, runs in told.items():
+    for same, runs in groups.items():
         verdicts, who = json.loads(same), ", ".join(runs)
         text += [f"{who}: {fault}" for fault in faults_of(verdicts)]
         rows = [[one["title"], STANDINGS[one["standing"]]] for one in verdicts.values()]

@@ -44,8 +44,8 @@ def require_equal_descriptions(make: Callable[[], Any]) -> None:
     """Raise AssertionError unless what is made twice describes itself alike, in plain data."""
     described = []
     for _ in range(2):
-        with opened(make()) as made:
-            described.append(json.dumps(made.describe(), sort_keys=True))
+        with opened(make()) as subject:
+            described.append(json.dumps(subject.describe(), sort_keys=True))
     require(described[0] == described[1], f"describe() differs for what is made again: {described}")
 
 
@@ -81,18 +81,18 @@ def dot_test(
     """
     from scipy.sparse.linalg import aslinearoperator
 
-    given: Any = operator
-    if hasattr(given, "channel"):
-        channels = map(given.channel, range(given.channels))
+    operand: Any = operator
+    if hasattr(operand, "channel"):
+        channels = map(operand.channel, range(operand.channels))
         return max(dot_test(channel, tolerance, seed) for channel in channels)
-    linear = aslinearoperator(given)
+    linear = aslinearoperator(operand)
     random = generator(seed)
     pattern, image = (random.random(extent) for extent in reversed(linear.shape))
-    seen = np.asarray(linear.matvec(pattern), np.float64)
+    product = np.asarray(linear.matvec(pattern), np.float64)
     dual = np.asarray(linear.rmatvec(image), np.float64)
-    forward, backward = float(image @ seen), float(dual @ pattern)
+    forward, backward = float(image @ product), float(dual @ pattern)
     # where terms cancel, the sum of their magnitudes is the scale of the rounding
-    scale = max(float(image @ np.abs(seen)), float(np.abs(dual) @ pattern))
+    scale = max(float(image @ np.abs(product)), float(np.abs(dual) @ pattern))
     difference = abs(forward - backward) / scale if scale else 0.0
     require(
         difference <= tolerance,

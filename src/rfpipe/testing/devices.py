@@ -55,10 +55,10 @@ class ProjectorContract:
             picture = _pictures(projector.shape)["noise"]
             strided, frozen = np.repeat(picture, 2, axis=1)[:, ::2], picture.copy()
             frozen.flags.writeable = False
-            for given in (np.asfortranarray(picture), strided, frozen, picture.copy()):
-                projector.show(given)
-                if given.flags.writeable:
-                    given[...] = 0
+            for array in (np.asfortranarray(picture), strided, frozen, picture.copy()):
+                projector.show(array)
+                if array.flags.writeable:
+                    array[...] = 0
                 self._require_shown(projector, picture, "a picture in another memory layout")
 
     def test_rejects_what_cannot_be_shown(self) -> None:

@@ -113,9 +113,9 @@ def run_method(
     matrix = np.asarray(matrix, np.float64)
     matrix = matrix[None] if matrix.ndim == 2 else matrix
     camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
-    asked = options_of(method, **options)
-    method = method.with_options(asked)
-    state = method.start(camera, projector, len(matrix), asked)
+    settings = options_of(method, **options)
+    method = method.with_options(settings)
+    state = method.start(camera, projector, len(matrix), settings)
     schedules, states, packs = [], [state], []
     for _ in range(method.n_levels(camera, projector)):
         schedule = method.schedule(state)
@@ -191,8 +191,8 @@ class MethodContract:
         for shape in ((1, 1), (8, 8), (62, 70), (3, 10, 11)):
             rays = RayDomain(shape)
             expected = method.expected_patterns(rays, rays, options)
-            most = method.most_patterns(rays, rays, options)
-            require(0 < expected <= most, f"{expected} patterns of at most {most} for {shape}")
+            bound = method.most_patterns(rays, rays, options)
+            require(0 < expected <= bound, f"{expected} patterns of at most {bound} for {shape}")
         others = map(RayDomain, _ANY)
         if method.needs_coaxial_rig:
             require_raises(InputError, method.n_levels, *others)
@@ -203,12 +203,12 @@ class MethodContract:
         """The matrix, its floodlit image and its dual; stored as it is, and linear in light."""
         matrix = self._matrix()
         transport = self._run(matrix).transport
-        found = matrix_of(transport)
-        require_close(found, matrix, self.error, "the matrix")
-        require_close(found.sum(2), matrix.sum(2), self.floodlit_error, "the floodlit image")
+        estimate = matrix_of(transport)
+        require_close(estimate, matrix, self.error, "the matrix")
+        require_close(estimate.sum(2), matrix.sum(2), self.floodlit_error, "the floodlit image")
         dot_test(transport)
         twice = matrix_of(self._run(2 * matrix).transport)
-        require_close(twice, 2 * found, 1e-4, "twice the light")
+        require_close(twice, 2 * estimate, 1e-4, "twice the light")
         one, other = generator(1).random((2, *transport.projector_shape), np.float32)
         apart = 2 * transport.relight(one) + 3 * transport.relight(other)
         joint = transport.relight(2 * one + 3 * other)
@@ -222,11 +222,11 @@ class MethodContract:
         run, shape = self._run(self._matrix()), self._shapes()[1]
         for level, schedule in enumerate(run.schedules):
             require(schedule.level == level, f"level {level} says {schedule.level}")
-            shown = schedule.batch(0, schedule.count)
-            assert_equal(shown.shape, (schedule.count, *shape), "patterns")
-            require(bool(((shown >= 0) & (shown <= 1)).all()), f"level {level}: not in [0, 1]")
+            batch = schedule.batch(0, schedule.count)
+            assert_equal(batch.shape, (schedule.count, *shape), "patterns")
+            require(bool(((batch >= 0) & (batch <= 1)).all()), f"level {level}: not in [0, 1]")
             if schedule.complete:
-                np.testing.assert_allclose(shown.sum(axis=0), 1, rtol=1e-5)
+                np.testing.assert_allclose(batch.sum(axis=0), 1, rtol=1e-5)
         rows = run.transport.level_rows
         assert_equal([(row["level"], row["patterns"]) for row in rows], [*enumerate(run.patterns)])
         for row in rows:
@@ -260,15 +260,15 @@ class MethodContract:
         matrix = self._matrix()
         dim = matrix * np.array([1, 0, 1])[:, None, None]
         for light, sigma in ((0 * matrix, 0.0), (0 * matrix, 0.1), (matrix, 0.3), (dim, 0.01)):
-            found = matrix_of(self._run(light, sigma=sigma).transport)
-            require(bool(np.isfinite(found).all()), f"NaN or infinite at noise {sigma}")
+            estimate = matrix_of(self._run(light, sigma=sigma).transport)
+            require(bool(np.isfinite(estimate).all()), f"NaN or infinite at noise {sigma}")
             if not light.any() and not sigma:
-                require(not found.any(), "darkness gave light")
+                require(not estimate.any(), "darkness gave light")
 
 
 def _require_same(found: Transport, expected: Transport) -> None:
-    (arrays, about), (wanted, facts) = found.pack(), expected.pack()
-    assert_equal(sorted(arrays), sorted(wanted), "names of arrays")
-    for name, array in wanted.items():
+    (arrays, about), (reference, facts) = found.pack(), expected.pack()
+    assert_equal(sorted(arrays), sorted(reference), "names of arrays")
+    for name, array in reference.items():
         assert_array_equal(arrays[name], array, name)
     require(json.loads(json.dumps(about)) == json.loads(json.dumps(facts)), f"{about}")

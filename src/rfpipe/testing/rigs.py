@@ -100,11 +100,11 @@ class RigContract:
             frames, one_by_one = capture_batch(rig, patterns, keys), rig.capture(patterns, keys)
             if self.repeatable:
                 assert_array_equal(frames, one_by_one, "a sequence's bytes")
-            found, expected = (
-                rig.sensor.merge(taken, *_black(rig)) for taken in (frames, one_by_one)
+            observed, expected = (
+                rig.sensor.merge(counts, *_black(rig)) for counts in (frames, one_by_one)
             )
-            difference = found.radiance - expected.radiance
-            variance = found.variance + expected.variance
+            difference = observed.radiance - expected.radiance
+            variance = observed.variance + expected.variance
             for index, light in enumerate(expected.radiance):
                 name = f"pattern {index} of a sequence"
                 self._require_equal_light(difference[index], variance[index], light, name)

@@ -75,8 +75,8 @@ class SceneContract:
         images = scene.apply(patterns)
         for channel in range(scene.channels):
             matrix = scene.dense(channel)
-            seen = patterns.reshape(2, -1) @ matrix.T
-            require_close(images[..., channel], seen, self.tolerance, f"dense({channel})")
+            predicted = patterns.reshape(2, -1) @ matrix.T
+            require_close(images[..., channel], predicted, self.tolerance, f"dense({channel})")
             if self.coaxial:
                 require_close(matrix, matrix.T, self.tolerance, "T from its transpose")
 
