@@ -61,8 +61,10 @@ def items(_size: Size) -> Items:
         bright = float(floodlit.max())
         row = [Panel(floodlit, "floodlit", chain, bright)]
         for mode, title in _MODES.items():
-            gain = level_gain(floodlit, single.sum(0), spread.sum(0), mode, complete=True,
-                              significance=_SIGNIFICANCE)  # fmt: skip
+            gain = level_gain(
+                floodlit, single.sum(0), spread.sum(0), mode, complete=True,
+                significance=_SIGNIFICANCE, floodlit_variance=variance[0],
+            )  # fmt: skip
             scaled, _ = apply(single, spread, gain)
             total = scaled.sum(axis=0)
             energy = float(total.sum() / floodlit.sum())

@@ -207,14 +207,12 @@ def test_export_refuses(stored: Path, tmp_path: Path, name: str, options, messag
     assert not (tmp_path / name).exists()
 
 
-def test_export_relit_takes_names_pictures_folders_and_stacks(stored: Path, tmp_path: Path) -> None:
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
+def test_export_relit_takes_names_pictures_and_stacks(stored: Path, tmp_path: Path) -> None:
     weights = np.linspace(0, 1, 35, dtype=np.float32).reshape(*PROJECTOR, 1)
-    write_image(pictures / "ramp.exr", weights)
+    write_image(tmp_path / "ramp.exr", weights)
     np.save(tmp_path / "stack.npy", RANDOM.random((2, *PROJECTOR, 3)))
     folder = tmp_path / "relit"
-    text = relit(stored, folder, "noise", pictures, tmp_path / "stack.npy")
+    text = relit(stored, folder, "noise", tmp_path / "ramp.exr", tmp_path / "stack.npy")
     names = ["noise", "ramp", "stack_0000", "stack_0001"]
     assert "4 pictures" in text
     assert sorted(path.stem for path in folder.iterdir()) == names

@@ -34,7 +34,7 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     for before, after in code:
         assert kinds(after) == kinds(before), before.source
     shown = [output for _, cell in code for output in cell.outputs]
-    assert any("data:image/png" in output.get("data", {}).get("text/html", "") for output in shown)
+    assert any("image/png" in output.get("data", {}) for output in shown)
     text = "".join(output.get("text", "") for output in shown)
     assert "rfpipe.picture_weights(picture)" in text
     assert "equal: True" in text
