@@ -174,18 +174,18 @@ def scene_curves(scenes: Sequence[str], draw_scene: Callable[[Axes, str], None])
         axis.set_title(scene, fontsize=9, pad=4)
         axis.set(xscale="log", yscale="log", xlabel="patterns", ylabel="error, %")
         axis.grid(True, linewidth=0.4, color="#dddddd")
-        for direction in (axis.xaxis, axis.yaxis):
-            _plain_numbers(direction)
+        for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 3))):
+            _plain_numbers(direction, marks)
         draw_scene(axis, scene)
         axis.label_outer()
     shared_legend(figure)
     return figure
 
 
-def _plain_numbers(axis: Any) -> None:
+def _plain_numbers(axis: Any, marks: tuple[int, ...]) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axis.set_major_locator(LogLocator(10, (1, 3)))
+    axis.set_major_locator(LogLocator(10, marks))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
     axis.set_minor_formatter(NullFormatter())
 
