@@ -9,8 +9,9 @@ page on which one paints with light (view), and reported.
 
 Each stage leaves a store and, written last, a small manifest beside it, in
 results/{scene}/{method}/L{level}: rules depend on manifests alone. A store knows what it was
-made from, and a capture that was stopped goes on at its journal. Where the setting resources.jobs is
-acquisition, a single job takes an acquisition through the same stages, to the same bytes.
+made from, and a capture that was stopped goes on at its journal. Where the setting
+resources.jobs is acquisition, a single job takes an acquisition through the same stages, to the
+same bytes.
 """
 
 import os

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -105,15 +104,6 @@ def write_image(
     for name, text in (about or {}).items():
         picture.specmod().attribute(name, text)
     _write(path, picture, kind)
-
-
-def png_bytes(image: NDArray[np.floating], white: float) -> bytes:
-    """Return radiance ``(H, W, 1)`` or ``(H, W, 3)`` as a PNG file of 8 bits, sRGB."""
-    from matplotlib.image import imsave
-
-    buffer = io.BytesIO()
-    imsave(buffer, srgb(image, white), format="png", metadata={"Software": ""})
-    return buffer.getvalue()
 
 
 def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:

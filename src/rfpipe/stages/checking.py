@@ -339,7 +339,9 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
     transport = folder / "transport.json"
     if not transport.exists():
         checked.notes.append(f"{folder}: not finished; the next run goes on there")
-    made = checked.facts.get(transport, {})
+    made = checked.facts.get(transport)
+    if made is None:
+        return
     for number, digest in made.get("made_of", {}).get("refine", ()):
         level = folder / f"L{number:02d}"
         for manifest in (level / f"{stage}.json" for stage in STAGES):
@@ -350,11 +352,7 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
             text = f"was made of another {level.name}/refine.json than stands there"
             checked.wrong(transport, text, _mend(transport))
     for path, facts in checked.facts.items():
-        if (
-            path.parent == folder
-            and made
-            and facts.get("transport", made["digest"]) != made["digest"]
-        ):
+        if path.parent == folder and facts.get("transport", made["digest"]) != made["digest"]:
             checked.wrong(path, "is of another transport than stands beside it", _mend(path))
 
 
