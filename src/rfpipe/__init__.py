@@ -15,6 +15,7 @@ from rfpipe import errors
 
 if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
+    from rfpipe.relighting import picture_errors, relighting_pictures
     from rfpipe.rigs import OperatorRig
     from rfpipe.stages.acquire import acquire
     from rfpipe.transport import coarser, open_transport
@@ -35,8 +36,10 @@ __all__ = [
     "errors",
     "open_collection",
     "open_transport",
+    "picture_errors",
     "picture_weights",
     "read_matrix",
+    "relighting_pictures",
 ]
 
 _HOMES = {
@@ -49,8 +52,10 @@ _HOMES = {
     "crop": "rfpipe.transport.rays",
     "open_collection": "rfpipe.transport.collection",
     "open_transport": "rfpipe.transport",
+    "picture_errors": "rfpipe.relighting",
     "picture_weights": "rfpipe.weights",
     "read_matrix": "rfpipe.transport.matrix_in",
+    "relighting_pictures": "rfpipe.relighting",
 }
 
 
