@@ -1,6 +1,7 @@
 """Every method on every scene: ``python -m benchmarks.methods``, or ``make benchmark``.
 
-Runs what the table of acquisitions lacks, appends a row each, and makes the summary of them all.
+Runs what the table of acquisitions lacks, appends a row each, and makes the page of them all.
+Tolerances tighter than all that they are compared with are left out.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from benchmarks.methods.cases import (
     NAMES,
     SEEDS,
     Case,
+    Rows,
     appending,
+    by_place,
     cases_of,
+    is_needless,
     known_keys,
 )
 from benchmarks.methods.measure import measure
@@ -29,16 +33,16 @@ _log = logging.getLogger("benchmark")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run what is missing, then write the summary."""
+    """Run what is missing, then write the page."""
     asked = parsed(arguments)
     table = asked.folder / "acquisitions.csv"
-    known = known_keys(table)
-    cases = [case for case in asked_cases(asked) if case.key not in known]
-    _log.info("%d acquisitions to do, %d rows in %s", len(cases), len(known), table)
+    cases, known = list(asked_cases(asked)), known_keys(table)
+    lacking = [case for case in cases if case.key not in known]
+    _log.info("at most %d acquisitions to do, %d rows in %s", len(lacking), len(known), table)
     if not asked.table_only:
-        run(cases, table, asked.cache, 60 * asked.minutes)
+        run(lacking, table, by_place(table), asked.cache, 60 * asked.minutes)
     if table.exists():
-        write_page(asked.folder, table, list(asked_cases(asked)))
+        write_page(asked.folder, table, cases)
 
 
 def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -49,7 +53,7 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--lights", nargs="+", choices=CAMERAS, default=list(CAMERAS))
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--settings", type=int, help="of each method, from the coarsest; all")
-    parser.add_argument("--side", default="48", help="pixels, 48 to 128, or HEIGHTxWIDTH; 48")
+    parser.add_argument("--side", default="48", help="pixels, or HEIGHTxWIDTH; 48")
     parser.add_argument("--values", nargs="+", type=float, help="of the option")
     parser.add_argument("--channels", type=int, choices=(1, 3), default=1)
     parser.add_argument("--samples", type=int, default=16384, help="paths of light a pixel; 16384")
@@ -69,21 +73,24 @@ def asked_cases(asked: argparse.Namespace) -> list[Case]:
     return list(cases_of(**{name: getattr(asked, name) for name in names}))
 
 
-def run(cases: Sequence[Case], table: Path, cache: Path, seconds: float) -> None:
-    """Run cases one after the other; append a row each."""
+def run(cases: Sequence[Case], table: Path, rows: Rows, cache: Path, seconds: float) -> None:
+    """Run cases one after the other; append a row each, to the table and to those of its place."""
     for case in {case.method: case for case in cases}.values():
         measure(replace(case, scene="wedge_iv", side="8", seed=0), cache)  # load what is compiled
     began = time.monotonic()
     with appending(table) as append:
         for number, case in enumerate(cases, start=1):
+            if is_needless(case, rows[case.place]):
+                continue
             if time.monotonic() - began > seconds:
                 _log.info("time is up: %d of %d done", number - 1, len(cases))
                 return
             row = measure(case, cache)
             append(row)
-            told = row["why"] if row["status"] != "done" else (
-                f"{row['patterns']} patterns, mean error {row['error_mean']:.3g}"
-            )  # fmt: skip
+            told = row.get("why", "")
+            if row["status"] == "done":
+                rows[case.place].append(row)
+                told = f"{row['patterns']} patterns, mean error {row['error_mean']:.3g}"
             _log.info("%d of %d: %s: %s", number, len(cases), case, told)
 
 

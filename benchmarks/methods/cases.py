@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +28,17 @@ if TYPE_CHECKING:
 NAMES = (*method_names(), *RIVALS)
 """The methods that are compared: those installed, and the rivals."""
 
-_OWN = [Path(__file__).with_name(name) for name in ("pictures.py", "scenes.py")]
+AUTO = "auto"
+"""The method whose regret is measured against the others."""
+
+TARGETS = (0.02, 0.01, 0.005)
+"""Mean errors that it is asked for."""
+
+TOLERANCES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006, 0.004, 0.0025, 0.0015, 0.001, 6e-4, 4e-4, 3e-4)
+"""What others are run at, so close that in hindsight little is lost between two of them."""
+
+_SETTINGS = {AUTO: TARGETS, "symmetric": TOLERANCES, "dual": TOLERANCES}
+_OWN = Path(__file__).with_name("scenes.py")
 
 _FULL = CameraModel()
 
@@ -111,7 +124,12 @@ class Case:
     @property
     def code(self) -> str:
         """Digest of the code that acquires, and that makes the scene and its pictures."""
-        return code_digest(*_OWN, *sources_of(METHODS, path_of(self.method)))[:16]
+        return code_of(self.method)
+
+    @property
+    def place(self) -> tuple[Any, ...]:
+        """What it shares with the acquisitions that it is compared with, see `PLACE`."""
+        return tuple(getattr(self, name) for name in PLACE)
 
     @property
     def key(self) -> str:
@@ -145,7 +163,9 @@ def cases_of(
     channels: int = 1,
     samples: int = 16384,
 ) -> Iterator[Case]:
-    """List the runs: seeds that aren't held out first, then by light, the coarsest settings first.
+    """List the runs: seeds that aren't held out first, then by light, scene and method.
+
+    `AUTO` comes first of the methods, and its coarsest setting of each.
 
     Parameters
     ----------
@@ -155,36 +175,74 @@ def cases_of(
         All that are installed where none is named.
     lights, seeds
     settings
-        How many of each method's `Method.trials`, from the coarsest; None for all.
+        How many of each method's, from the coarsest; None for all.
     values
         Settings in place of those.
     side, channels, samples
         See `Case`.
     """
-    chosen = [method_of(name) for name in methods or NAMES]
-    tried = {
-        method.name: (values or method.trials)[:settings] if method.trades else (0.0,)
-        for method in chosen
-    }
-    ranks = range(max((len(each) for each in tried.values()), default=0))
+    chosen = sorted(map(method_of, methods or NAMES), key=lambda method: method.name != AUTO)
     ordered = sorted(seeds, key=lambda seed: (is_held_out(f"seed {seed}"), seed))
-    for seed, light, rank, scene, method in product(ordered, lights, ranks, scenes, chosen):
-        if rank < len(tried[method.name]):
-            value = float(tried[method.name][rank])
+    for seed, light, scene, method in product(ordered, lights, scenes, chosen):
+        tried = (values or _SETTINGS.get(method.name, method.trials))[:settings]
+        for value in tried if method.trades else (0.0,):
+            option = method.trades or ""
             yield Case(
-                scene, side, channels, samples, light, seed, method.name, method.trades or "", value
+                scene, side, channels, samples, light, seed, method.name, option, float(value)
             )
 
 
+PLACE = ("scene", "side", "channels", "samples", "light", "seed")
 CASE = tuple(field.name for field in fields(Case))
 COLUMNS = (
     "key", *CASE, "what", "held_out_scene", "held_out_seed", "status", "why", "camera_rays",
-    "projector_rays", "patterns", "brackets", "exposure_s", "light_s", "error_mean", "error_worst",
-    "worst_picture", "unlit_mean", "unlit_worst", "photo_mean", "photo_unlit", "grain",
-    "estimated_error", "patterns_by_estimate", "processing_s", "stored_mb", "date", "machine",
-    "code",
+    "projector_rays", "patterns", "brackets", "exposure_s", "light_s", "error_mean", "error_shapes",
+    "error_bars", "error_spots", "error_worst", "indirect_mean", "photo_mean", "photo_indirect",
+    "grain", "estimated_error", "estimated_indirect", "processing_s", "memory_gb", "stored_mb",
+    "date", "machine", "code",
 )  # fmt: skip
 """Columns of the table, see `benchmarks.methods.measure`."""
+
+
+@cache
+def code_of(method: str) -> str:
+    """Return the digest of the code that acquires by a method, and that makes the scenes."""
+    return code_digest(_OWN, *sources_of(METHODS, path_of(method)))[:16]
+
+
+Rows = Mapping[tuple[Any, ...], list[Mapping[str, Any]]]
+
+
+def by_place(path: Path) -> Rows:
+    """Return the rows of acquisitions by this code that ended, by `Case.place`."""
+    found: dict[tuple[Any, ...], list[Mapping[str, Any]]] = defaultdict(list)
+    for row in newest(path).to_dict("records") if known_keys(path) else ():
+        if row["status"] == "done" and row["code"] == code_of(row["method"]):
+            found[tuple(row[field] for field in PLACE)].append(row)
+    return found
+
+
+def is_needless(case: Case, rows: Iterable[Mapping[str, Any]]) -> bool:
+    """Tell whether a coarser tolerance reached all that a case is compared with.
+
+    That is the tightest target, and the least error of indirect light of `AUTO`; or as many
+    patterns as brute force takes.
+
+    Parameters
+    ----------
+    case : Case
+    rows : iterable of mapping
+        Of its place, those that ended.
+    """
+    rows = list(rows)
+    own = [row for row in rows if row["method"] == case.method and row["value"] > case.value]
+    indirect = (row["indirect_mean"] for row in rows if row["method"] == AUTO)
+    least = min((error for error in indirect if not math.isnan(error)), default=math.inf)
+    return case.option == "tolerance" and any(
+        row["patterns"] >= row["projector_rays"]
+        or (row["error_mean"] <= TARGETS[-1] and not row["indirect_mean"] > least)
+        for row in own
+    )
 
 
 def known_keys(path: Path) -> set[str]:
@@ -223,12 +281,13 @@ def appending(path: Path) -> Iterator[Any]:
 
 
 def newest(path: Path) -> pd.DataFrame:
-    """Return the newest row of each case, in the order in which they were run."""
+    """Return the newest row of each case in `NAMES`, in the order in which they were run."""
     import pandas as pd
 
-    texts = ["side", "option", "status", "why", "worst_picture"]
+    texts = ["side", "option", "status", "why"]
     table = pd.read_csv(
         path, keep_default_na=False, na_values=["", "nan"], dtype=dict.fromkeys(texts, str)
     )
     table[texts] = table[texts].fillna("")
+    table = table[table["method"].isin(NAMES)]
     return table.drop_duplicates(list(CASE), keep="last").reset_index(drop=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
 import platform
 from collections.abc import Sequence
@@ -19,14 +21,15 @@ from benchmarks.methods.cases import CAMERAS, Case, path_of
 from benchmarks.methods.scenes import KINDS, Stage, stage_of
 from rfpipe.errors import RfpipeError
 from rfpipe.photometry import Sensor
+from rfpipe.relighting import KINDS as PICTURES
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import Scene
-from rfpipe.stages.evaluate import relative_rms, unlit_rms
 
 __all__ = ["machine", "measure"]
 
 _BLACK = 8  # all-off brackets behind a photograph
 _PHOTOGRAPHS = 1000  # key of their noise, which no level has
+_PHOTOGRAPHED = 24  # pictures, the first ones
 
 
 class CountingRig(SimulatedRig):
@@ -94,13 +97,15 @@ def _measured(case: Case, cache: Path) -> dict[str, object]:
     stage = stage_of(case.scene, case.side, case.channels, case.samples, case.seed, cache)
     camera = CAMERAS[case.light]
     rig = CountingRig(stage.scene, camera, case.seed)
+    before = _memory_before()
     result = rfpipe.acquire(rig, path_of(case.method), progress=False, **case.options)
-    relit = result.transport.relight_batch(np.stack(list(stage.patterns.values())))
-    total, unlit = _errors(stage, relit)
-    photo, photo_unlit = _photographed(stage, case.light, case.seed)
-    known = len(result.history) > 0
+    memory = _peak_memory() - before
+    total, indirect = stage.errors(result.transport.relight_batch(stage.patterns))
+    photo, photo_indirect = _photographed(stage, case.light, case.seed)
+    estimated = result.history.iloc[-1] if len(result.history) else {}
     seconds = sum(camera.exposures)
     light = camera.electrons_per_radiance / CAMERAS["full"].electrons_per_radiance
+    of_kind = [np.mean(total[at :: len(PICTURES)]) for at in range(len(PICTURES))]
     return {
         "camera_rays": int(np.prod(rig.camera_shape)),
         "projector_rays": int(np.prod(rig.projector_shape)),
@@ -108,49 +113,53 @@ def _measured(case: Case, cache: Path) -> dict[str, object]:
         "brackets": rig.brackets,
         "exposure_s": rig.brackets * seconds,
         "light_s": rig.lit * seconds * light,
-        "error_mean": np.nanmean(total),
-        "error_worst": np.nanmax(total),
-        "worst_picture": list(stage.patterns)[int(np.nanargmax(total))],
-        "unlit_mean": _mean(unlit),
-        "unlit_worst": max((x for x in unlit if not np.isnan(x)), default=float("nan")),
+        "error_mean": np.mean(total),
+        **{f"error_{kind}": mean for kind, mean in zip(PICTURES, of_kind, strict=True)},
+        "error_worst": np.max(total),
+        "indirect_mean": np.mean(indirect),
         "photo_mean": photo,
-        "photo_unlit": photo_unlit,
+        "photo_indirect": photo_indirect,
         "grain": stage.grain,
-        "estimated_error": float(result.history["estimated_error"].iloc[-1]) if known else "",
-        "patterns_by_estimate": int(result.history["patterns"].iloc[-1]) if known else "",
+        "estimated_error": estimated.get("estimated_error", ""),
+        "estimated_indirect": estimated.get("estimated_indirect", ""),
         "processing_s": result.processing_seconds,
+        "memory_gb": memory / 1e9,
         "stored_mb": result.transport.nbytes / 1e6,
     }
 
 
-def _errors(stage: Stage, images: NDArray[Any]) -> tuple[list[float], list[float]]:
-    """Return each picture's error in total, and where its pattern is dark (coaxial rigs alone)."""
-    pairs = list(zip(images, stage.truth, stage.patterns.values(), strict=True))
-    total = [relative_rms(image, true) for image, true, _ in pairs]
-    dark = [unlit_rms(*each) for each in pairs] if stage.coaxial else [float("nan")] * len(pairs)
-    return total, dark
+def _memory_before() -> float:
+    """Return the bytes in memory, and forget their peak; NaN where the system can't."""
+    gc.collect()
+    try:
+        ctypes.CDLL(None).malloc_trim(0)  # what was freed, or it would be taken again unseen
+        Path("/proc/self/clear_refs").write_text("5")  # Linux: the peak
+    except (AttributeError, OSError, TypeError):
+        return float("nan")
+    return float(psutil.Process().memory_info().rss)
 
 
-def _mean(errors: list[float]) -> float:
-    defined = [error for error in errors if not np.isnan(error)]
-    return float(np.mean(defined)) if defined else float("nan")
+def _peak_memory() -> float:
+    """Return the most bytes in memory since `_memory_before`; NaN where the system can't."""
+    status = Path("/proc/self/status")
+    _, _, peak = (status.read_text() if status.exists() else "").partition("VmHWM:")
+    return 1024 * float(peak.split()[0]) if peak else float("nan")
 
 
 @lru_cache(maxsize=2)
 def _photographed(stage: Stage, light: str, seed: int) -> tuple[float, float]:
-    """Return the mean errors of one bracket of each picture itself: what the camera's noise does.
+    """Return the mean errors of one bracket of a picture itself: what the camera's noise does.
 
-    In total and where patterns are dark.
+    In total and of indirect light.
     """
     sensor = CAMERAS[light]
-    dark = np.zeros_like(stage.truth[0])
-    keys = [(_PHOTOGRAPHS, index) for index in range(_BLACK + len(stage.truth))]
+    pictures = stage.truth[:_PHOTOGRAPHED]
+    dark = np.zeros_like(pictures[0])
+    keys = [(_PHOTOGRAPHS, index) for index in range(_BLACK + len(pictures))]
     off = [sensor.expose(dark, seed, key) for key in keys[:_BLACK]]
     merge = sensor.merging(np.mean(off, axis=0, dtype=np.float32), _BLACK)
-    on = [sensor.expose(*each) for each in _with_keys(stage.truth, seed, keys[_BLACK:])]
-    total, unlit = _errors(stage, merge(np.stack(on)).radiance)
-    return _mean(total), _mean(unlit)
-
-
-def _with_keys(truth: NDArray[Any], seed: int, keys: list[tuple[int, int]]) -> Any:
-    return ((image, seed, key) for image, key in zip(truth, keys, strict=True))
+    on = [
+        sensor.expose(image, seed, key) for image, key in zip(pictures, keys[_BLACK:], strict=True)
+    ]
+    total, indirect = stage.errors(merge(np.stack(on)).radiance)
+    return float(np.mean(total)), float(np.mean(indirect))

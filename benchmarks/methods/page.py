@@ -1,58 +1,76 @@
-"""The page of the open benchmark: three tables and two plots of the acquisitions."""
+"""The page of the open benchmark: tables of regret and of estimates, and plots."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import pairwise
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.methods.cases import CASE, Case, is_held_out, method_of, newest
+from benchmarks.methods.cases import (
+    AUTO,
+    CAMERAS,
+    CASE,
+    PLACE,
+    Case,
+    by_place,
+    is_held_out,
+    is_needless,
+    method_of,
+    newest,
+)
 from rfpipe.store.files import write_atomically
 
-FINDINGS = Path(__file__).with_name("findings.md")
 OPEN, HELD_OUT = "open", "held out"
 _ENOUGH = 0.01  # mean error, for the table of patterns that reach it
-_ROSE = 1.1  # errors along a method's settings that rise by more than noise does
-_OFF = 2.0  # an estimate this many times the truth, or less than its inverse
+_MISSED = 1.2  # true error over target, more than which misses it
+_NEAR = 1.5  # an estimate is this many times the truth at most, and its inverse at least
 _ABREAST = 6
-
-_GROUP = ["section", "what", "scene", "side", "light", "method", "option", "value"]
-_MEANS = ["patterns", "brackets", "exposure_s", "light_s", "error_mean", "unlit_mean", "photo_mean",
-          "photo_unlit", "grain", "estimated_error", "patterns_by_estimate", "processing_s",
-          "stored_mb"]  # fmt: skip
+_ESTIMATED = {"error_mean": "estimated_error", "indirect_mean": "estimated_indirect"}
 
 _ABOUT = """# The open benchmark
 
 Every method on every physically based scene and on matt wedges, through one camera, as
 `make benchmark` runs it. `benchmark/acquisitions.csv` has a row an acquisition,
-`benchmark/summary.csv` their means over seeds; what wasn't run isn't there.
+`benchmark/regret.csv` one each of `auto`; what wasn't run isn't there.
 
 - **Light**: the brightest pixel of the floodlit scene has a radiance of 1.9, of 2 that the default
   camera takes; or a sixteenth of that.
-- **Errors** are relative RMS of relit pictures: two bars, noise, a binary picture, three small
-  spots (12 and twice 4 pixels), the concave edges where surfaces meet; the mean over them.
+- **Errors** are means over 96 pictures of the distribution of `relighting_pictures`: shapes of all
+  scales, bars, and spots, a third each; in total, and of the *indirect* light, where the pattern is
+  dark, on coaxial rigs.
 - **Held out** are scenes and seeds by the parity of their names' digest. Methods are worked on with
   the open ones alone; the held out ones are looked at last, and marked by a star.
 """
+_REGRET = """## Regret
+
+Patterns of `auto` over the fewest with which any other method has a true error as small as the
+target, at its best setting in hindsight; where none has, over those of brute force. Geometric means
+over seeds, then over scenes. `!`: `auto` missed its target by more than a fifth.
+"""
+_INDIRECT = """## Regret by indirect light
+
+Patterns of `auto` over the fewest with which any other method has an error of indirect light as
+small as `auto` had, whatever its target; 2 means that half of the patterns were enough, less is
+better.
+"""
+_ESTIMATES = f"""## Estimates and targets
+
+Shares of runs whose estimate is within a factor of {_NEAR:g} of the true error, and of targets met
+within a fifth.
+"""
 _FEWEST = f"""## Patterns for an error of {_ENOUGH:.0%}
 
-Fewest patterns for such a mean error, in full light; where no setting does, the least error; a dash
-where the method refuses the scene.
+Fewest patterns for such a mean error, in full light, geometric means over seeds; where it isn't
+reached on all of them, the least error; a dash where the method refuses the scene.
 """
-_BY_METHOD = """## Errors by light
+_SIDES = """## By side
 
-Geometric means over the scenes, at the tightest setting that was run: error, and patterns.
-"""
-_ESTIMATES = """## Estimates, targets and failures
-
-Of all settings: refused; those where the error rises by a tenth as the setting gets tighter;
-targets missed, of those given; the estimate over the true error, its median and range, and how many
-are off by a factor of two.
+Memory is the peak while it acquired, the simulated camera's included, above what was taken before.
 """
 _PLOTS = """## Plots
 
@@ -62,35 +80,41 @@ against truth, filled where scene and seed are open.
 
 
 def write_page(folder: Path, table: Path, asked: Sequence[Case]) -> None:
-    """Write the summary, the plots and the page.
+    """Write the table of regrets, the plots and the page.
 
     Parameters
     ----------
     folder : Path
-        Of ``summary.csv`` and the plots; the page lies beside it under the same name.
+        Of the tables and the plots; the page lies beside it under the same name.
     table : Path
         The acquisitions.
     asked : sequence of Case
         What the command asked for, to say what is missing.
     """
     rows = newest(table)
-    summary = summary_of(rows)
-    text = summary.to_csv(index=False, float_format="%.5g", lineterminator="\n")
-    write_atomically(folder / "summary.csv", text.encode())
+    held = rows["held_out_scene"].astype(bool) | rows["held_out_seed"].astype(bool)
+    rows["section"] = held.map({False: OPEN, True: HELD_OUT})
+    done = rows[rows["status"] == "done"]
     side = rows["side"].value_counts().index[0]
-    shown = summary[(summary["side"] == side) & (summary["section"] == _of_scenes(summary))]
-    write_atomically(folder / "errors.png", _curves(shown[shown["light"] == "full"]))
-    write_atomically(folder / "estimates.png", _against_truth(summary.dropna(subset=["ratio"])))
+    shown, regret = rows[rows["side"] == side], regrets(done[done["side"] == side])
+    full = shown[(shown["light"] == "full") & (shown["section"] == _of_scenes(shown))]
+    text = regret.to_csv(index=False, float_format="%.5g", lineterminator="\n")
+    write_atomically(folder / "regret.csv", text.encode())
+    write_atomically(folder / "errors.png", _curves(full[full["status"] == "done"]))
+    write_atomically(folder / "estimates.png", _against_truth(done[done["side"] == side]))
+    sides = _sides(done)
     parts = [
         _ABOUT,
-        _run(rows, asked),
-        FINDINGS.read_text(encoding="utf-8"),
-        _FEWEST,
-        _fewest(shown[shown["light"] == "full"]),
-        _BY_METHOD,
-        _by_method(shown),
+        _run(rows, table, asked),
+        _REGRET,
+        _regret(regret, "error"),
+        _INDIRECT,
+        _regret(regret, "indirect"),
         _ESTIMATES,
-        _estimates(summary),
+        _estimates(done[done["side"] == side]),
+        _FEWEST,
+        _fewest(full),
+        *([_SIDES, sides] if sides else []),
         _PLOTS,
         f"![errors against patterns]({folder.name}/errors.png)\n",
         f"![estimates against truth]({folder.name}/estimates.png)\n",
@@ -98,147 +122,146 @@ def write_page(folder: Path, table: Path, asked: Sequence[Case]) -> None:
     write_atomically(folder.with_suffix(".md"), "\n".join(parts).encode())
 
 
-def summary_of(table: pd.DataFrame) -> pd.DataFrame:
-    """Sum up the acquisitions: a row a section, scene, light, method and setting, over its seeds.
+def regrets(done: pd.DataFrame) -> pd.DataFrame:
+    """Compare each acquisition of `AUTO` with the others of its place, in hindsight.
 
     Parameters
     ----------
-    table : DataFrame
-        See `benchmarks.methods.cases.newest`.
+    done : DataFrame
+        Acquisitions that ended.
 
     Returns
     -------
     DataFrame
-        What it is grouped by; how many runs there were, and how many ended; means of patterns,
-        costs, errors and estimates, the worst of the worst errors; estimate over truth, the
-        geometric mean; why a run didn't end.
+        ``section``, scene, light and seed, the target and whether it was ``missed``; patterns over
+        the fewest of other methods, ``error``, whose true error is as small as the target, and
+        ``indirect``, whose error of indirect light is as small as the acquisition's; the methods
+        that took the fewest, ``error_by`` and ``indirect_by``, empty where none did and brute
+        force's number counts. NaN without other methods, or where the error isn't known.
     """
-    held = table["held_out_scene"].astype(bool) | table["held_out_seed"].astype(bool)
-    grouped = table.assign(
-        section=held.map({False: OPEN, True: HELD_OUT}),
-        ended=table["status"] == "done",
-        ratio=np.log(table["estimated_error"] / table["error_mean"]),
-    ).groupby(_GROUP, sort=False)
-    found = grouped.agg(
-        runs=("ended", "size"),
-        ended=("ended", "sum"),
-        camera_rays=("camera_rays", "max"),
-        projector_rays=("projector_rays", "max"),
-        **{name: (name, "mean") for name in _MEANS},
-        error_worst=("error_worst", "max"),
-        unlit_worst=("unlit_worst", "max"),
-        ratio=("ratio", "mean"),
-        why=("why", "first"),
-    )
-    found["ratio"] = np.exp(found["ratio"])
-    return found.reset_index()
+    found = []
+    for _, rows in done.groupby(list(PLACE), sort=False):
+        others = rows[rows["method"] != AUTO]
+        for own in rows[rows["method"] == AUTO].itertuples():
+            row = {name: getattr(own, name) for name in ("section", "scene", "light", "seed")}
+            row |= {"target": own.value, "missed": own.error_mean > _MISSED * own.value}
+            limits = {"error": own.value, "indirect": own.indirect_mean}
+            for name, limit in limits.items():
+                enough = others[others[f"{name}_mean"] <= limit].sort_values("patterns")
+                fewest, by = own.projector_rays, ""
+                if len(enough):
+                    fewest, by = enough.iloc[0][["patterns", "method"]]
+                known = len(others) > 0 and not np.isnan(limit)
+                row |= {name: own.patterns / fewest if known else np.nan, f"{name}_by": by}
+            found.append(row)
+    columns = ["section", "scene", "light", "seed", "target", "missed", "error", "error_by",
+               "indirect", "indirect_by"]  # fmt: skip
+    return pd.DataFrame(found, columns=columns)
 
 
-def tightest(summary: pd.DataFrame) -> pd.DataFrame:
-    """Return the row of each section, scene, light and method with the tightest ended setting."""
-    ended = summary[summary["ended"] > 0]
-    ranks = [_rank(*each) for each in zip(ended["method"], ended["value"], strict=True)]
-    last = ended.assign(rank=ranks).sort_values("rank", kind="stable")
-    place = ["section", "scene", "side", "light", "method"]
-    return last.drop_duplicates(place, keep="last").drop(columns="rank").sort_index()
-
-
-def failures(summary: pd.DataFrame) -> Iterator[tuple[str, str]]:
-    """Yield method and what went wrong with it: refused, rises, missed, or off (an estimate)."""
-    for (_, method, *_), rows in summary.groupby(["section", "method", "scene", "light"]):
-        yield from ((method, "refused") for _ in range(int((rows["ended"] == 0).sum())))
-        done = rows[rows["ended"] > 0].to_dict("records")
-        done.sort(key=lambda row: _rank(row["method"], row["value"]))
-        for coarse, fine in pairwise(done):
-            if fine["error_mean"] > _ROSE * coarse["error_mean"]:
-                yield method, "rises"
-        for row in done:
-            if row["option"] == "target_error" and row["error_mean"] > row["value"]:
-                yield method, "missed"
-            if row["ratio"] > _OFF or row["ratio"] < 1 / _OFF:
-                yield method, "off"
-
-
-def _rank(method: str, value: float) -> int:
-    """Place of a setting among a method's trials, from the coarsest."""
-    trials = method_of(method).trials
-    return trials.index(value) if value in trials else 0
-
-
-def _of_scenes(summary: pd.DataFrame) -> pd.Series[str]:
+def _of_scenes(rows: pd.DataFrame) -> pd.Series[str]:
     """Return for each row the section that its scene is in, whatever its seed."""
-    return summary["scene"].map(lambda name: HELD_OUT if is_held_out(name) else OPEN)
+    return rows["scene"].map(lambda name: HELD_OUT if is_held_out(name) else OPEN)
 
 
-def _run(rows: pd.DataFrame, asked: Sequence[Case]) -> str:
+def _run(rows: pd.DataFrame, table: Path, asked: Sequence[Case]) -> str:
     """Say what the table holds, from when and where, and what it lacks."""
     there = {tuple(map(str, row)) for row in rows[list(CASE)].itertuples(index=False)}
     named = [tuple(str(getattr(case, name)) for name in CASE) for case in asked]
-    lacking = sum(name not in there for name in named)
-    older = len(asked) - lacking - len({case.key for case in asked} & set(rows["key"]))
+    lacking = [case for case, name in zip(asked, named, strict=True) if name not in there]
+    older = len(asked) - len(lacking) - len({case.key for case in asked} & set(rows["key"]))
+    places = by_place(table)
+    needless = sum(is_needless(case, places[case.place]) for case in lacking)
     status = rows["status"].value_counts()
     return (
         f"{len(rows)} acquisitions from {rows['date'].min()} to {rows['date'].max()} on "
         f"{'; '.join(sorted(set(rows['machine'])))}: {status.get('done', 0)} done, "
         f"{status.get('refused', 0)} refused by the method, {status.get('failed', 0)} failed. "
-        f"Of the {len(asked)} that the command asked for, {lacking} weren't run; {older} are of "
-        "earlier code.\n"
+        f"Of the {len(asked)} that the command asked for, {needless} weren't needed, as a coarser "
+        "tolerance had reached all that they would be compared with; "
+        f"{len(lacking) - needless} weren't run; {older} are of earlier code.\n"
     )
 
 
-def _fewest(summary: pd.DataFrame) -> str:
+def _regret(regret: pd.DataFrame, name: str) -> str:
+    """Return a table of scenes by light and target, and the means over scenes."""
+    regret = regret.dropna(subset=[name])
+    there = set(zip(regret["light"], regret["target"], strict=True))
+    targets = sorted({target for _, target in there}, reverse=True)
+    places = [place for place in product(CAMERAS, targets) if place in there]
+    grouped = regret.assign(log=np.log(regret[name])).groupby(
+        ["section", "scene", "light", "target"], sort=False
+    )
+    means = grouped.agg(log=("log", "mean"), missed=("missed", "any")).reset_index()
+    scenes = means[means["section"] == _of_scenes(means)].groupby("scene", sort=False)
+
+    def cells(rows: pd.DataFrame, marked: bool) -> Iterator[str]:
+        for light, target in places:
+            own = rows[(rows["light"] == light) & (rows["target"] == target)]
+            mark = "!" if marked and own["missed"].any() else ""
+            yield f"{np.exp(own['log'].mean()):.2f}{mark}" if len(own) else ""
+
+    lines = [[_starred(str(scene)), *cells(own, name == "error")] for scene, own in scenes]
+    for section, own in means.groupby("section", sort=False):
+        lines.append([f"**mean, {section}**", *cells(own, False)])
+    return _markdown(["scene", *(f"{light}, {100 * target:g}%" for light, target in places)], lines)
+
+
+def _starred(scene: str) -> str:
+    """Return a scene's name in tables."""
+    return f"{scene}{'*' * is_held_out(scene)}"
+
+
+def _fewest(rows: pd.DataFrame) -> str:
     """Return a table of scenes by methods."""
-    methods = sorted(set(summary["method"]))
+    methods = sorted(set(rows["method"]))
     lines = []
-    for scene, own in summary.groupby("scene", sort=False):
+    for scene, of_scene in rows.groupby("scene", sort=False):
         cells = []
         for method in methods:
-            rows = own[(own["method"] == method) & (own["ended"] > 0)]
-            enough = rows[rows["error_mean"] <= _ENOUGH]
-            if len(enough):
-                cells.append(f"{enough['patterns'].min():.0f}")
+            tried = of_scene[of_scene["method"] == method]
+            own = tried[tried["status"] == "done"]
+            enough = own[own["error_mean"] <= _ENOUGH].groupby("seed")["patterns"].min()
+            if len(own) and len(enough) == len(set(own["seed"])):
+                cells.append(f"{np.exp(np.log(enough).mean()):.0f}")
             else:
-                least = rows["error_mean"].min()
-                tried = (own["method"] == method).any()
-                cells.append(f"{100 * least:.2g}%" if len(rows) else "-" if tried else "")
-        lines.append([f"{scene}{'*' * is_held_out(str(scene))}", *cells])
+                least = own.groupby("seed")["error_mean"].min().mean()
+                cells.append(f"{least:.2%}" if len(own) else "-" if len(tried) else "")
+        lines.append([_starred(str(scene)), *cells])
     return _markdown(["scene", *(f"`{name}`" for name in methods)], lines)
 
 
-def _by_method(summary: pd.DataFrame) -> str:
-    """Return a table of methods by light and section."""
-    places = [(light, section) for light in ("full", "sixteenth") for section in (OPEN, HELD_OUT)]
+def _estimates(done: pd.DataFrame) -> str:
+    """Return a table of how good estimates are, and how many targets were met."""
     lines = []
-    for method, own in tightest(summary).groupby("method"):
-        cells = []
-        for light, section in places:
-            rows = own[(own["light"] == light) & (own["section"] == section)]
-            means = np.exp(np.log(rows[["error_mean", "patterns"]]).mean())
-            said = f"{100 * means['error_mean']:.2g}%, {means['patterns']:.0f}"
-            cells.append(said if len(rows) else "")
-        lines.append([f"`{method}`", *cells])
-    return _markdown(["method", *(f"{light}, {section}" for light, section in places)], lines)
-
-
-def _estimates(summary: pd.DataFrame) -> str:
-    """Return a table of what went wrong, and of how good estimates are."""
-    wrong = pd.DataFrame(failures(summary), columns=["method", "what"]).value_counts()
-    lines = []
-    for method, own in summary.groupby("method"):
-        refused, rises, missed, off = (
-            int(wrong.get((method, what), 0)) for what in ("refused", "rises", "missed", "off")
-        )
-        targets = int(((own["option"] == "target_error") & (own["ended"] > 0)).sum())
-        ratio = own["ratio"].dropna()
-        estimated = (
-            f"{ratio.median():.2g} ({ratio.min():.2g}-{ratio.max():.2g})" if len(ratio) else ""
-        )
-        lines.append(
-            [f"`{method}`", str(len(own)), str(refused), str(rises),
-             f"{missed}/{targets}" if targets else "", estimated, str(off) if len(ratio) else ""]
-        )  # fmt: skip
-    head = ["method", "settings", "refused", "rises", "missed", "estimate/truth", "off"]
+    for (method, light, section), own in done.groupby(["method", "light", "section"], sort=False):
+        ratios = [own[estimate] / own[true] for true, estimate in _ESTIMATED.items()]
+        told = [each.dropna().between(1 / _NEAR, _NEAR) for each in ratios]
+        asked = own[own["option"] == "target_error"]
+        told.append(asked["error_mean"] <= _MISSED * asked["value"])
+        if any(map(len, told[:-1])):
+            shares = (f"{each.mean():.0%}" if len(each) else "" for each in told)
+            lines.append([f"`{method}`", str(light), str(section), str(len(own)), *shares])
+    head = ["method", "light", "", "runs", "error estimated", "indirect estimated", "targets met"]
     return _markdown(head, lines)
+
+
+def _sides(done: pd.DataFrame) -> str:
+    """Return a table of the settings that were run at several sides; empty where none was."""
+    setting = ["scene", "light", "method", "option", "value"]
+    several = done.groupby(setting)["side"].transform("nunique") > 1
+    lines = []
+    for (*named, _, side), own in done[several].groupby([*setting, "projector_rays", "side"]):
+        scene, light, method, option, value = named
+        mean = own[["patterns", "error_mean", "processing_s", "memory_gb"]].mean()
+        lines.append(
+            [_starred(scene), light, f"`{method}`", f"{option} {value:g}" if option else "", side,
+             f"{mean['patterns']:.0f}", f"{mean['error_mean']:.2%}", f"{mean['processing_s']:.1f}",
+             f"{mean['memory_gb']:.2f}"]
+        )  # fmt: skip
+    head = ["scene", "light", "method", "setting", "side", "patterns", "error", "processing, s",
+            "memory, GB"]  # fmt: skip
+    return _markdown(head, lines) if lines else ""
 
 
 def _markdown(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
@@ -276,22 +299,22 @@ def _style(method: str) -> dict[str, Any]:
     }
 
 
-def _curves(summary: pd.DataFrame) -> bytes:
-    """Draw mean errors against patterns, a panel a scene."""
-    scenes = list(dict.fromkeys(summary["scene"]))
+def _curves(done: pd.DataFrame) -> bytes:
+    """Draw mean errors against patterns, a panel a scene; means over seeds."""
+    scenes = list(dict.fromkeys(done["scene"]))
     height = -(-len(scenes) // _ABREAST)
     figure, axes = _figure(height, _ABREAST, (2.4 * _ABREAST, 2.2 * height + 0.5))
     for axis in axes.flat:
         axis.set_axis_off()
     for axis, scene in zip(axes.flat, scenes, strict=False):
-        own = summary[(summary["scene"] == scene) & (summary["ended"] > 0)]
+        own = done[done["scene"] == scene]
         axis.set_axis_on()
         axis.set(xscale="log", yscale="log", xlim=(5, 5000), ylim=(0.05, 100))
-        axis.set_title(f"{scene.replace('_', ' ')}{'*' * is_held_out(scene)}", fontsize=9)
+        axis.set_title(_starred(scene).replace("_", " "), fontsize=9)
         axis.tick_params(labelsize=7)
         for method, each in own.groupby("method"):
-            ordered = each.sort_values("patterns")
-            axis.plot(ordered["patterns"], 100 * ordered["error_mean"], **_style(str(method)))
+            means = each.groupby("value")[["patterns", "error_mean"]].mean().sort_values("patterns")
+            axis.plot(means["patterns"], 100 * means["error_mean"], **_style(str(method)))
         axis.axhline(100 * own["photo_mean"].mean(), color="#888888", linestyle=":",
                      label="a photograph's noise")  # fmt: skip
     figure.supxlabel("patterns", fontsize=9)
@@ -299,17 +322,24 @@ def _curves(summary: pd.DataFrame) -> bytes:
     return _png(figure)
 
 
-def _against_truth(summary: pd.DataFrame) -> bytes:
-    """Draw estimated errors against true ones: filled where scene and seed are open."""
-    methods = list(dict.fromkeys(summary["method"]))
-    figure, axes = _figure(1, max(len(methods), 1), (4.0 * max(len(methods), 1), 4.0))
-    for axis, method in zip(axes[0], methods, strict=False):
-        for section, each in summary[summary["method"] == method].groupby("section"):
-            look = {**_style(method), "linestyle": "none", "label": str(section)}
-            face = look["color"] if section == OPEN else "white"
-            points = 100 * each["error_mean"], 100 * each["estimated_error"]
-            axis.plot(*points, **look, markerfacecolor=face)
-        axis.plot([0.05, 100], [0.05, 100], color="#888888", linewidth=0.8, label="equal")
-        axis.set(xscale="log", yscale="log", xlabel="true mean error, %", ylabel="estimated, %")
-        axis.set_title(method_of(method).title, fontsize=9)
+def _against_truth(done: pd.DataFrame) -> bytes:
+    """Draw estimated errors against true ones: filled where scene and seed are open.
+
+    A row of panels for each error that methods estimate.
+    """
+    pairs = [each for each in _ESTIMATED.items() if done[list(each)].notna().all(axis=1).any()]
+    methods = list(dict.fromkeys(done["method"][done["estimated_error"].notna()]))
+    height, width = max(len(pairs), 1), max(len(methods), 1)
+    figure, axes = _figure(height, width, (4.0 * width, 4.0 * height))
+    for across, (true, estimated) in zip(axes, pairs, strict=False):
+        named = " ".join(reversed(true.split("_")))
+        for axis, method in zip(across, methods, strict=False):
+            for section, each in done[done["method"] == method].groupby("section"):
+                look = {**_style(method), "linestyle": "none", "label": str(section)}
+                face = look["color"] if section == OPEN else "white"
+                axis.plot(100 * each[true], 100 * each[estimated], **look, markerfacecolor=face)
+            axis.plot([0.05, 100], [0.05, 100], color="#888888", linewidth=0.8, label="equal")
+            axis.set(xscale="log", yscale="log")
+            axis.set(xlabel=f"true {named}, %", ylabel=f"estimated {named}, %")
+            axis.set_title(method_of(method).title, fontsize=9)
     return _png(figure)

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmarks.methods.pictures import crease, spots
 from rfpipe.errors import InputError
-from rfpipe.scenes import Scene, planes_scene, scene_patterns
+from rfpipe.relighting import picture_errors, relighting_pictures
+from rfpipe.scenes import Scene, planes_scene
+from rfpipe.scenes.sight import Pinhole
 from rfpipe_mitsuba.worlds import WORLDS
 
 if TYPE_CHECKING:
@@ -28,6 +29,9 @@ _BRIGHTEST = 1.9
 """Radiance of the brightest pixel of the floodlit image, of 2 that the camera takes."""
 
 _LEAST_SIDE = 8  # of each view of a stack
+_PICTURES = 96
+_PICTURES_SEED = 1000  # of seed 0's pictures: not the camera's
+_ASIDE = ((1.72, 0.0, 0.54), (0.0, 0.0, 3.0))  # where a projector stands, and what it looks at
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ _WEDGES = {
     "wedge_30": ("wedge_30", ("white", "texture")),
     "wedge_120": ("wedge_120", ("white", "texture")),
     "tilted_wedge": ("tilted_wedge", ("white", "texture")),
+    "wedge_aside": ("wedge_120", ("texture", "white")),
 }
 
 
@@ -68,13 +73,16 @@ def shape_of(side: str) -> tuple[int, int]:
 
 def _wedge(name: str) -> Kind:
     geometry, surfaces = _WEDGES[name]
+    aside = _ASIDE if name == "wedge_aside" else None
 
     def settings(side: str, channels: int, _samples: int, seed: int) -> dict[str, Any]:
         return {"geometry": geometry, "surfaces": surfaces, "side": side, "channels": channels,
-                "seed": seed}  # fmt: skip
+                "aside": aside, "seed": seed}  # fmt: skip
 
     def make(side: str, channels: int, _samples: int, seed: int, _cache: Path) -> Scene:
-        return planes_scene(geometry, surfaces, shape_of(side), channels=channels, seed=seed)
+        shape = shape_of(side)
+        lamp = aside and Pinhole(shape, *aside)
+        return planes_scene(geometry, surfaces, shape, projector=lamp, channels=channels, seed=seed)
 
     return Kind("matt", settings, make)
 
@@ -114,7 +122,7 @@ def _mitsuba(name: str, side: str, channels: int, samples: int, cache: Path) -> 
 KINDS: dict[str, Kind] = {name: _world(name) for name in WORLDS} | {
     name: _wedge(name) for name in _WEDGES
 }
-"""All scenes: every physically based one, and matt wedges."""
+"""All scenes: every physically based one, and matt wedges, one of them lit from aside."""
 
 
 @lru_cache(maxsize=512)
@@ -129,12 +137,12 @@ class Lit(Scene):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene.camera_shape, scene.projector_shape, scene.channels)
         self._scene = scene
-        floodlit = scene.apply(np.ones((1, math.prod(scene.projector_shape))))
+        floodlit = scene.apply(np.ones((1, math.prod(scene.projector_shape))))[0]
         brightest = float(floodlit.max())
         if not brightest > 0:
             raise InputError("no light comes back to the camera from the floodlit scene")
         self._light = _BRIGHTEST / brightest
-        self.median = float(np.median(floodlit)) * self._light
+        self.floodlit = np.float32(self._light) * floodlit.reshape(*scene.camera_shape, -1)
 
     def apply(self, patterns: ArrayLike) -> Float:
         """Radiance float32 (B, M, C), its maximum in the floodlit image `_BRIGHTEST`."""
@@ -152,7 +160,8 @@ class Stage:
     Attributes
     ----------
     scene : Lit
-    patterns : dict of str to ndarray of float32, shape (*projector_shape)
+    patterns : ndarray of float32, shape (P, *projector_shape)
+        Of the distribution of `rfpipe.relighting.relighting_pictures`.
     truth : ndarray of float32, shape (P, *camera_shape, C)
     grain : float
         Standard error of the recorded matrix: of indirect light of a half-lit picture, relative;
@@ -162,23 +171,32 @@ class Stage:
     """
 
     scene: Lit
-    patterns: dict[str, Float]
+    patterns: Float
     truth: Float
     grain: float
     coaxial: bool
+
+    def errors(self, images: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the errors of the first pictures, in total and of their indirect light.
+
+        The latter where the pattern is dark; NaN where that isn't what the camera sees.
+        """
+        patterns = self.patterns[: len(images)]
+        dark = patterns == 0 if self.coaxial else None
+        truth = self.truth[: len(images)]
+        return picture_errors(images, truth, patterns, self.scene.floodlit, dark)
 
 
 @lru_cache(maxsize=2)
 def stage_of(name: str, side: str, channels: int, samples: int, seed: int, cache: Path) -> Stage:
     """Make a scene, its pictures and their truth."""
     scene = KINDS[name].make(side, channels, samples, seed, cache)
-    patterns = scene_patterns(scene, seed) | spots(scene.projector_shape)
-    grain, coaxial = float("nan"), True
+    patterns = relighting_pictures(scene.projector_shape, _PICTURES, _PICTURES_SEED + seed)
+    grain, coaxial = float("nan"), name != "wedge_aside"
     if KINDS[name].what == "physical":
         of_world: Any = scene
         grain = of_world.recording.noise["half_lit"]["unlit"]
         coaxial = of_world.coaxial
-        patterns |= crease(of_world)
     lit = Lit(scene)
-    truth = lit.apply(np.stack(list(patterns.values())))
-    return Stage(lit, patterns, truth.reshape(-1, *scene.camera_shape, channels), grain, coaxial)
+    truth = lit.apply(patterns).reshape(-1, *scene.camera_shape, channels)
+    return Stage(lit, patterns, truth, grain, coaxial)

@@ -11,13 +11,16 @@ from benchmarks.methods.cases import (
     COLUMNS,
     NAMES,
     SEEDS,
+    TARGETS,
+    TOLERANCES,
     Case,
     cases_of,
+    is_needless,
     method_of,
     newest,
 )
 from benchmarks.methods.measure import measure
-from benchmarks.methods.page import failures, summary_of, tightest
+from benchmarks.methods.page import regrets
 from benchmarks.methods.scenes import KINDS
 
 from rfpipe.errors import InputError
@@ -38,12 +41,12 @@ def test_it_covers_all_methods_scenes_lights_and_seeds():
     cases = list(cases_of(list(KINDS)))
     for method in map(method_of, NAMES):
         own = [case for case in cases if case.method == method.name]
-        settings = len(method.trials) if method.trades else 1
+        compared = {"auto": TARGETS, "symmetric": TOLERANCES, "dual": TOLERANCES}
+        settings = len(compared.get(method.name, method.trials)) if method.trades else 1
         assert len(own) == len(KINDS) * len(CAMERAS) * len(SEEDS) * settings
         assert {case.option for case in own} == {method.trades or ""}
     assert len({case.key for case in cases}) == len(cases)
-    coarsest = [next(c for c in cases if c.method == name).value for name in ("symmetric", "dual")]
-    assert coarsest == [1e-2, 1e-2]
+    assert cases[0].method == "auto"
 
 
 @pytest.mark.slow
@@ -63,12 +66,13 @@ def test_the_table_has_a_row_an_acquisition(run):
         assert brute["light_s"] == pytest.approx(lit, rel=1e-4)
         assert 0 < brute["error_mean"] < 0.01
         assert brute["error_mean"] <= brute["error_worst"]
-        assert brute["error_mean"] < brute["unlit_mean"]
+        kinds = [brute[f"error_{kind}"] for kind in ("shapes", "bars", "spots")]
+        assert brute["error_mean"] == pytest.approx(sum(kinds) / 3, rel=1e-4)
+        assert brute["error_mean"] < brute["indirect_mean"]
         assert 0 < brute["photo_mean"] < 0.03
         assert math.isnan(brute["estimated_error"])
         assert done.loc[(scene, "near_far"), "estimated_error"] > 0
     assert set(table["held_out_scene"][table["scene"] == "tilted_wedge"]) == {True}
-    assert set(summary_of(table)["section"]) == {"open", "held out"}
 
 
 @pytest.mark.slow
@@ -86,16 +90,18 @@ def test_what_is_there_is_not_run_again(run, monkeypatch):
 def test_the_page_says_what_was_run_and_what_was_not(run):
     page = run.with_suffix(".md").read_text()
     asked = len(SCENES) * len(NAMES)
-    assert f"Of the {asked} that the command asked for, 0 weren't run" in page
-    row = next(line for line in page.splitlines() if line.startswith("| tilted_wedge* | "))
-    assert "64" in row
+    assert f"Of the {asked} that the command asked for, 0 weren't needed" in page
+    of_scene = [line for line in page.splitlines() if line.startswith("| tilted_wedge* | ")]
+    assert "64" in of_scene[-1]
+    assert len(of_scene) == 3  # regrets, and the fewest patterns
+    assert "| `auto` | full | held out | 1 |" in page
     for name in ("errors.png", "estimates.png"):
         assert f"]({run.name}/{name})" in page
         assert (run / name).stat().st_size > 10_000
     assert len(page.split()) < 1500
     benchmark.main([*SMALL, "--seeds", "0", "1", "--table-only", "--folder", str(run)])
     page = run.with_suffix(".md").read_text()
-    assert f"Of the {2 * asked} that the command asked for, {asked} weren't run" in page
+    assert f"{asked} weren't run" in page
 
 
 def test_a_table_of_other_columns_is_refused(tmp_path):
@@ -120,52 +126,43 @@ def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_p
     assert (failed["status"], failed["why"]) == ("failed", "ZeroDivisionError: by the way")
 
 
-def acquisition(method, value, error, **others):
+def acquisition(method, value, patterns, error, indirect=math.nan, **others):
     option = method_of(method).trades or ""
     return dict.fromkeys(COLUMNS, math.nan) | {
-        "scene": "room", "side": "48", "light": "full", "seed": 1, "method": method,
-        "option": option, "value": value, "what": "physical", "held_out_scene": False,
-        "held_out_seed": False,
-        "status": "done", "why": "", "error_mean": error, "error_worst": error, "patterns": 10,
-        **others,
+        "scene": "room", "side": "48", "channels": 1, "samples": 16, "light": "full", "seed": 1,
+        "section": "open", "method": method, "option": option, "value": value, "patterns": patterns,
+        "projector_rays": 2304, "error_mean": error, "indirect_mean": indirect, **others,
     }  # fmt: skip
 
 
-def test_failures_are_found_by_rule():
-    table = pd.DataFrame(
-        [
-            acquisition("symmetric", 1e-2, 0.02),
-            acquisition("symmetric", 3e-3, 0.01),
-            acquisition("symmetric", 1e-3, 0.013),
-            acquisition("near_far", 0.05, 0.04, estimated_error=0.1),
-            acquisition("near_far", 0.01, 0.03, estimated_error=0.03),
-            acquisition("compressive", 50, math.nan, status="refused", why="too many rays"),
-        ]
-    )
-    summary = summary_of(table)
-    assert sorted(failures(summary)) == [
-        ("compressive", "refused"),
-        ("near_far", "missed"),
-        ("near_far", "off"),
-        ("symmetric", "rises"),
+def test_regret_is_against_the_best_setting_in_hindsight():
+    rows = [
+        acquisition("auto", 0.02, 40, 0.015, 0.10),
+        acquisition("auto", 0.01, 80, 0.0121, 0.03),
+        acquisition("auto", 0.005, 100, 0.004, 0.01),
+        acquisition("symmetric", 0.01, 50, 0.0201, 0.09),
+        acquisition("dual", 0.01, 60, 0.02, 0.2),
+        acquisition("symmetric", 0.006, 160, 0.008, 0.03),
+        acquisition("auto", 0.02, 40, 0.015, seed=2),  # no other method there
     ]
-    assert dict(tightest(summary)[["method", "value"]].to_numpy()) == {
-        "symmetric": 1e-3,
-        "near_far": 0.01,
-    }
+    regret = regrets(pd.DataFrame(rows)).set_index(["seed", "target"])
+    assert list(regret.loc[1, "error"]) == pytest.approx([40 / 60, 80 / 160, 100 / 2304])
+    assert list(regret.loc[1, "error_by"]) == ["dual", "symmetric", ""]
+    assert list(regret.loc[1, "missed"]) == [False, True, False]
+    assert list(regret.loc[1, "indirect"]) == pytest.approx([40 / 50, 80 / 160, 100 / 2304])
+    assert math.isnan(regret.loc[(2, 0.02), "error"])
 
 
-def test_seeds_are_averaged_and_held_out_ones_kept_apart():
-    table = pd.DataFrame(
-        [
-            acquisition("dual", 1e-2, 0.02, seed=1, estimated_error=0.01),
-            acquisition("dual", 1e-2, 0.04, seed=2, estimated_error=0.08),
-            acquisition("dual", 1e-2, 0.5, seed=0, held_out_seed=True),
-        ]
-    )
-    summary = summary_of(table).set_index("section")
-    assert summary.loc["open", "error_mean"] == pytest.approx(0.03)
-    assert summary.loc["open", "error_worst"] == pytest.approx(0.04)
-    assert summary.loc["open", "ratio"] == pytest.approx(1)  # half and twice
-    assert summary.loc["held out", "error_mean"] == pytest.approx(0.5)
-    assert list(summary["runs"]) == [2, 1]
+def test_a_tolerance_is_needless_once_a_coarser_one_has_reached_all():
+    tighter = Case("room", "48", 1, 16, "full", 1, "dual", "tolerance", 1e-3)
+    auto = acquisition("auto", 0.005, 80, 0.004, 0.02)
+    for patterns, error, indirect, needless in (
+        (200, 0.005, 0.02, True),
+        (200, 0.005, math.nan, True),  # aside
+        (200, 0.005, 0.03, False),
+        (200, 0.006, 0.02, False),
+        (2304, 0.006, 0.03, True),
+    ):
+        coarser = acquisition("dual", 1e-2, patterns, error, indirect)
+        assert is_needless(tighter, [auto, coarser]) is needless
+    assert not is_needless(tighter, [auto, acquisition("dual", 1e-4, 200, 0.001, 0.01)])
