@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -135,8 +136,8 @@ def reference_light(light: Double, typical: Double | float) -> Double:
 
 
 def picture_errors(
-    images: NDArray[Any],
-    truth: NDArray[Any],
+    images: Iterable[NDArray[Any]],
+    truth: Iterable[NDArray[Any]],
     patterns: NDArray[Any],
     floodlit: NDArray[Any],
     dark: Bools | None = None,
@@ -147,8 +148,9 @@ def picture_errors(
 
     Parameters
     ----------
-    images, truth : ndarray, shape (P, *camera_shape, C)
-        Radiance.
+    images : iterable of P ndarray, shape (*camera_shape, C) or (L, *camera_shape, C)
+        Radiance, of one transport or of L.
+    truth : iterable of P ndarray, shape (*camera_shape, C)
     patterns : ndarray, shape (P, *projector_shape)
     floodlit : ndarray, shape (*camera_shape, C)
         The true radiance of the floodlit scene.
@@ -157,30 +159,34 @@ def picture_errors(
 
     Returns
     -------
-    total : ndarray of float64, shape (P,)
-    indirect : ndarray of float64, shape (P,)
+    total : ndarray of float64, shape (P,) or (L, P)
+    indirect : ndarray of float64, of the same shape
         On the dark pixels alone, of the light there; NaN where `dark` isn't given. What pictures
         send there typically is their own mean, for as many lit pixels.
     """
     count = len(patterns)
-    lit = np.square(patterns, dtype=np.float64).reshape(count, -1).mean(axis=1)
-    wrong, light = np.zeros((2, count)), np.zeros((2, count))
+    lit = np.square(patterns, dtype=np.float64).mean(axis=tuple(range(1, patterns.ndim)))
+    wrong, light = [], np.zeros((2, count))
     for index, (image, true) in enumerate(zip(images, truth, strict=True)):
         error = np.square(np.subtract(image, true, dtype=np.float64)).sum(axis=-1)
         own = np.square(true, dtype=np.float64).sum(axis=-1)
         where = np.ones(own.shape, np.bool_) if dark is None else dark[index]
-        wrong[:, index] = error.sum(), error[where].sum()
+        rays = tuple(range(-own.ndim, 0))
+        wrong.append((error.sum(axis=rays), error[..., where].sum(axis=-1)))
         light[:, index] = own.sum(), own[where].sum()
     full = float(np.square(floodlit, dtype=np.float64).sum())
-    typical = np.stack([full * lit, typical_indirect(light[1], lit)])
-    errors = relative_errors(wrong, reference_light(light, typical))
-    return errors[0], errors[1] if dark is not None else np.full(count, np.nan)
+    of_all, of_dark = np.moveaxis(np.array(wrong), 0, -1) if count else np.zeros((2, 0))
+    total = relative_errors(of_all, reference_light(light[0], full * lit))
+    if dark is None:
+        return total, np.full(total.shape, np.nan)
+    typical = typical_indirect(light[1], lit)
+    return total, relative_errors(of_dark, reference_light(light[1], typical))
 
 
 def relative_errors(wrong: Double, reference: Double) -> Double:
     """Return roots of squared errors, which noise may make negative, over a reference; 0 of 0."""
-    there = reference > 0
-    ratio = np.divide(np.maximum(wrong, 0), reference, out=np.zeros(wrong.shape), where=there)
+    ratio = np.zeros(wrong.shape)
+    np.divide(np.maximum(wrong, 0), reference, out=ratio, where=reference > 0)
     return np.sqrt(ratio)
 
 
