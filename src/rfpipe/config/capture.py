@@ -112,7 +112,7 @@ class VerificationConfig(Settings):
     """Pictures that no method saw, taken after an acquisition to compare the transport with."""
 
     pictures: int | None = setting(
-        None, "How many; null: 8 by a real rig, none by another.", ge=0, le=10
+        None, "How many; null: 9 by a real rig, none by another.", ge=0, le=96
     )
     fail_above: Fraction | None = setting(
         None, "Mean relative error of these pictures above which the run fails; null: never."

@@ -41,7 +41,7 @@ from rfpipe.provenance import fingerprint
 _OTHER_FOLDERS = {"catalogue", "references", "report", "verified"}
 
 # That verify what a real rig acquires.
-_VERIFICATION_PICTURES = 8
+_VERIFICATION_PICTURES = 9
 
 # Those of a run that names none, in the order of its report.
 DEFAULT_METHODS = ("near_far", "symmetric", "dual")
@@ -307,7 +307,7 @@ class Config(Settings):
     def _pictures_can_be_taken(self) -> Self:
         if self.verification.fail_above is not None and not self.verification_pictures:
             raise ValueError(
-                "verification.pictures should be 1 to 10 with verification.fail_above; this run "
+                "verification.pictures should be 1 to 96 with verification.fail_above; this run "
                 "takes none"
             )
         if self.capture.rig != "offline":

@@ -9,6 +9,9 @@ from typing import Any
 
 from rfpipe.config import SceneSettings
 
+ERROR = "Error: norm of the difference, relative to the picture's, at least to half a typical one's"
+"""Of a relit picture, as captions say it."""
+
 DASH = "\N{EN DASH}"
 
 STANDING_COLOURS = {

@@ -8,7 +8,7 @@ from typing import Any
 from rfpipe.report.drawing import draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Block, Gallery, Illustration, Section, Table, table_of
-from rfpipe.report.text import number, percent, words
+from rfpipe.report.text import ERROR, number, percent
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
 
@@ -22,15 +22,15 @@ def verification_section(inputs: Inputs) -> Section | None:
         table_of(
             "Verification",
             "Pictures captured after the acquisition, beside what the transport makes of their "
-            "patterns: relative RMS difference on the rays that the camera knows, brightness "
-            "brought to that at the beginning, the captured pictures' noise taken off.",
+            f"patterns, on the rays that the camera knows, brightness brought to that at the "
+            f"beginning, the captured pictures' noise taken off. {ERROR}.",
             [{**row, "pictures": len(row["pictures"])} for row in about],
             inputs.labels,
             [
                 ("pictures", "pictures", number),
                 ("mean error, %", "mean_error", percent),
                 ("largest error, %", "worst_error", percent),
-                ("under", "worst_picture", words),
+                ("under", "worst_picture", str),
                 ("noise floor, %", "noise", percent),
             ],
             is_folded=False,
@@ -97,10 +97,10 @@ def _pictures(inputs: Inputs, run: Run) -> list[Illustration]:
             f"{inputs.title(run.method)}: error {percent(picture['error'])} % (noise floor "
             f"{percent(picture['noise'])} %)."
         )
-        slug = f"verified_{run.scene}_{run.method}_{picture['name']}"
+        slug = f"verified_{run.scene}_{run.method}_{picture['name'].replace(' ', '_')}"
         figure = draw([[*light, light[0].less(light[1])]])
         radiance = {panel.title: panel.image for panel in light}
-        name = f"{run.scene}, {words(picture['name'])}"
+        name = f"{run.scene}, {picture['name']}"
         illustrations.append(Illustration(name, caption, slug, figure, radiance))
     return illustrations
 

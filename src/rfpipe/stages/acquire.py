@@ -25,7 +25,7 @@ from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, Arrays, Facts
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
-from rfpipe.stages.verification import NAMES, Verification, compared, schedule_of
+from rfpipe.stages.verification import Verification, compared, schedule_of
 from rfpipe.transport import Transport
 from rfpipe.units import RADIANCE
 
@@ -120,8 +120,8 @@ def acquire(
         Whether dead and hot pixels are left out. On a coaxial rig, what other pixels see of their
         light fills them in at the end; otherwise their rows of T are zero.
     verification : int
-        Pictures that the method doesn't see, taken afterwards to compare the transport with, up to
-        10; 0 for none.
+        Pictures that the method doesn't see, taken afterwards to compare the transport with; 0 for
+        none.
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
@@ -152,8 +152,8 @@ def acquire(
         )
     if symmetry_frames < 0 or symmetry_frames in (1, 2):
         raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
-    if not 0 <= verification <= len(NAMES):
-        raise InputError(f"verification is {verification}; 0 to {len(NAMES)} pictures can be taken")
+    if verification < 0:
+        raise InputError(f"verification is {verification}; 0 or more pictures can be taken")
     began = perf_counter()
     named = get_method(method)
     plan = Plan(
@@ -177,8 +177,7 @@ def acquire(
     transport, masked = assembled(plan, folder)
     verified = None
     if verification:
-        names, schedule = schedule_of(transport, verification)
-        write_schedule(folder, "", schedule, names=names)
+        write_schedule(folder, "", schedule_of(rig.projector_shape, verification))
         capturing["symmetry_frames"] = 0
         with folder.doing(VERIFICATION, "capture"):
             capture.run(rig, folder, VERIFICATION, **capturing)
