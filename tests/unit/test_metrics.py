@@ -9,7 +9,7 @@ import pytest
 
 from rfpipe.errors import InputError
 from rfpipe.stages import evaluate
-from rfpipe.stages.evaluate import colour_difference, psnr, relative_rms, unlit_rms
+from rfpipe.stages.evaluate import colour_difference, psnr, relative_rms
 from rfpipe.store import write_arrays, write_manifest
 
 
@@ -23,18 +23,8 @@ def test_relative_rms_is_the_norm_of_the_difference_over_that_of_the_truth():
     assert relative_rms(image(1, 2), image(1, 2)) == 0
 
 
-def test_relative_rms_counts_the_chosen_pixels_alone():
-    where = np.array([[True, False]])
-    assert relative_rms(image(1, 100), image(2, 1), where) == pytest.approx(0.5)
-
-
 def test_relative_rms_is_undefined_without_light():
     assert math.isnan(relative_rms(image(1, 2), image(0, 0)))
-
-
-def test_unlit_rms_takes_the_pixels_that_the_pattern_leaves_dark():
-    pattern = np.array([[1.0, 0.0, 0.0]])
-    assert unlit_rms(image(9, 3, 4), image(1, 3, 0), pattern) == pytest.approx(4 / 3)
 
 
 def test_psnr_has_the_truths_maximum_as_its_peak():
@@ -83,19 +73,20 @@ def test_errors_are_blank_where_they_are_undefined(tmp_path):
     """A pattern that lights everything has no unlit pixels: a blank in the table, no crash."""
     lit = np.ones((1, 2, 3), np.float32)
     truth = np.ones((1, 2, 3, 3), np.float32)
-    levels = np.stack([2 * truth[0], truth[0], 1.5 * truth[0]])
     arrays = {"patterns": lit, "truth": truth, "relit": 1.5 * truth, "floodlit_truth": truth[0]}
-    write_arrays(tmp_path / "relight.zarr", arrays | {"levels_relit": levels}, {})
+    write_arrays(tmp_path / "relight.zarr", arrays, {})
     rows = [{"level": level, "patterns": shown} for level, shown in enumerate((1, 0, 2))]
     facts = {"scene": "box", "method": "dual", "names": ["everything"], "coaxial": True}
-    write_manifest(tmp_path / "relight.json", {**facts, "levels": rows})
+    errors = {"errors": {"spots": 0.1}, "level_errors": [1, 0.8, 0.5]}
+    write_manifest(tmp_path / "relight.json", {**facts, **errors, "levels": rows})
     errors, speed = tmp_path / "tables" / "errors.csv", tmp_path / "tables" / "speed_error.csv"
     evaluate.run([tmp_path / "relight.json"], errors, speed, 2.0)
 
-    (row,) = csv.DictReader(errors.read_text().splitlines())
+    spots, row = csv.DictReader(errors.read_text().splitlines())
+    assert (spots["pattern"], spots["error"], spots["psnr_db"]) == ("spots", "0.1", "")
     assert (row["scene"], row["method"], row["pattern"]) == ("box", "dual", "everything")
-    assert float(row["rms_total"]) == pytest.approx(0.5)
-    assert row["rms_unlit"] == ""
+    assert float(row["error"]) == pytest.approx(0.5)
+    assert row["indirect_error"] == ""
     assert float(row["psnr_db"]) == pytest.approx(10 * math.log10(1 / 0.25), abs=1e-3)
     by_level = pd.read_csv(speed)[["level", "patterns", "capture_s", "error"]]
     assert by_level.to_numpy().tolist() == [[0, 1, 2, 1], [2, 3, 6, 0.5]]

@@ -18,10 +18,11 @@ from rfpipe.config.capture import VerificationConfig
 from rfpipe.errors import StoreError
 from rfpipe.pictures.images import read_image, srgb
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.relighting import KINDS
 from rfpipe.report import build_report, check_page
 from rfpipe.report.build import make_sections
 from rfpipe.report.drawing import Panel, difference, draw
-from rfpipe.report.glance import results as results_of
+from rfpipe.report.glance import result_of
 from rfpipe.report.inputs import load_inputs
 from rfpipe.report.text import number, percent, size
 from rfpipe.scenes import RELIGHTING_PATTERNS
@@ -92,8 +93,8 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     acquired(tmp_path, config)
     folder = tmp_path / "grey/brute_force"
     image = np.ones((3, 5, 6, 1), np.float32)
-    names = ("natural", "stripes", "steep")
-    found = compare(names, image[..., 0], (image, 0.01 * image), 1.1 * image, np.ones(1))
+    light = image, 0.01 * image
+    found = compare(image[..., 0], light, 1.1 * image, np.ones(1), (image[0], image[0]))
     rig = {
         "drift": 0.004, "moved": 0.3,
         "alarms": ["level 2: the rig or the scene moved"], "saturated": 7, "samples": 700,
@@ -105,7 +106,7 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     about = json.loads((tmp_path / "report/results.json").read_text())
     (entry,) = about["provenance"]["acquisitions"]
     assert entry["verification"]["mean_error"] == pytest.approx(found.mean_error)
-    assert "verified_grey_brute_force_steep" in stems(tmp_path)
+    assert "verified_grey_brute_force_spots_1" in stems(tmp_path)
     (row,) = pd.read_csv(tmp_path / "report/tables/verification_rig.csv").to_dict("records")
     assert (row["drift"], row["moved"]) == (0.004, 0.3)
 
@@ -122,7 +123,7 @@ def test_the_same_results_give_the_same_bytes(results, tmp_path):
 
 
 def test_costs_count_patterns_bytes_and_seconds(results, inputs):
-    rows = results_of(inputs).to_dict("records")
+    rows = [result_of(inputs, run) for run in inputs.runs]
     assert [(row["scene"], row["method"]) for row in rows] == BOTH.acquisitions
     assert all(row["rays"] == 80 for row in rows)
     assert all(row["capture_s"] == 2 * row["patterns"] for row in rows)
@@ -216,12 +217,13 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
         assert list(figure.light) == ["floodlit", "relit", "truth"]
         titles = [axis.get_title() for axis in figure.figure.axes[:4]]
         assert titles == ["floodlit", "relit", "truth", "error"]
-    errors = inputs.errors.set_index(["scene", "method"])["rms_total"]
+    errors = inputs.errors.set_index(["pattern", "scene", "method"])["error"]
     written = pd.read_csv(results / "report" / "tables" / "results.csv")
     for row, shown in zip(written.to_dict("records"), table.rows, strict=True):
-        of_run = errors.loc[row["scene"], row["method"]]
-        assert row["mean_error"] == pytest.approx(of_run.mean(), rel=1e-4)
-        assert row["worst_error"] == pytest.approx(of_run.max(), rel=1e-4)
+        of_kinds = [errors.loc[kind, row["scene"], row["method"]] for kind in KINDS]
+        assert row["mean_error"] == pytest.approx(np.mean(of_kinds), rel=1e-4)
+        assert row["worst_error"] > row["mean_error"]
+        assert row["mean_indirect"] == 0 if row["scene"] == "flat" else row["mean_indirect"] > 0
         assert row["minutes"] == pytest.approx((2 * row["patterns"] + 9) / 60, rel=1e-4)
         assert shown[2] == number(row["patterns"])
         assert shown[6] == percent(row["mean_error"])
@@ -239,7 +241,7 @@ class Aside:
         return (patterns.reshape(len(patterns), 32) @ self.matrix.T)[..., None]
 
 
-def captured(folder, arrays):
+def captured(folder, arrays, found=None):
     """Leave what the relight stage does of a scene before a rig that is not coaxial."""
     (folder / "desk/dual").mkdir(parents=True)
     write_arrays(folder / "desk/dual/relight.zarr", arrays, {})
@@ -247,7 +249,7 @@ def captured(folder, arrays):
              "subdivided": 0}  # fmt: skip
     facts = {"scene": "desk", "method": "dual", "names": list(RELIGHTING_PATTERNS), "row": 2,
              "coaxial": False, "options": {}, "patterns": 12, "bytes": 4000,
-             "levels": [level]}  # fmt: skip
+             "levels": [level], **(found or {})}  # fmt: skip
     write_manifest(folder / "desk/dual/relight.json", facts)
     evaluate.run([folder / "desk/dual/relight.json"], *tables_of(folder), 2.0)
 
@@ -272,10 +274,15 @@ def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_pat
     assert arrays["patterns"].shape == (5, 4, 8)
     assert arrays["line_truth"].shape == (6, 8, 1)
     np.testing.assert_allclose(arrays["line_truth"][..., 0], Aside.matrix[12:18, 16:24])
-    captured(tmp_path, arrays)
+    truth = arrays["floodlit_truth"]
+    found = relight.mean_errors(aside_transport(), Aside(), truth, is_coaxial=False)
+    assert "mean_indirect" not in found
+    captured(tmp_path, arrays, found)
     errors = pd.read_csv(tables_of(tmp_path)[0])
-    np.testing.assert_allclose(errors["rms_total"], 0.01, rtol=1e-3)
-    assert errors["rms_unlit"].isna().all()
+    # of a picture that sends back little for the pixels that it lights, less
+    assert errors["error"].between(0.005, 0.01001).all()
+    assert errors["error"].max() == pytest.approx(0.01, rel=1e-3)
+    assert errors["indirect_error"].isna().all()
     page = built(tmp_path, ASIDE)
     assert "times brighter" not in page.words
     assert "no pixel is known to be unlit" in page.words

@@ -46,5 +46,5 @@ def test_a_run_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
     assert "near/far" in page.lower()
     table = pd.read_csv(workflow.path("report/tables/errors.csv"))
     assert set(table["method"]) == {"near_far"}
-    assert (table["rms_total"] < 0.05).all()
+    assert (table["error"] < 0.05).all()
     assert "Nothing to be done" in workflow.run()

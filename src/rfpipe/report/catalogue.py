@@ -62,7 +62,7 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
         about=list(dict.fromkeys(key for row in rows for key in row["about"])),
         shown={
             name: any(row[name] not in (None, "") for row in rows)
-            for name in ("error", "estimate", "verified", "rig")
+            for name in ("error", "indirect", "estimate", "verified", "rig")
         },
         left=sorted(begun - {*settings.scenes}),
         states=[(state, counts[state]) for state in _STATES if counts[state]],
@@ -161,9 +161,10 @@ def _numbers(folder: Path) -> dict[str, Any]:
     dict
         ``patterns``; ``seconds`` of its jobs; ``nbytes`` of the stored transport. ``error``,
         ``estimate`` and ``verified``: mean relative errors of relit pictures, against the truth,
-        by the method's own estimate, and against pictures that no method saw.
+        by the method's own estimate, and against pictures that no method saw; ``indirect``: of
+        their indirect light, against the truth.
     """
-    acquired = _manifest(folder / "transport.json")
+    acquired, relit = _manifest(folder / "transport.json"), _manifest(folder / "relight.json")
     steps = estimates(acquired.get("levels", []))
     times = [seconds for _, seconds in job_times(folder)]
     files = [path.stat().st_size for path in (folder / "transport.zarr").rglob("*.*")]
@@ -171,7 +172,8 @@ def _numbers(folder: Path) -> dict[str, Any]:
         "patterns": acquired.get("patterns"),
         "seconds": sum(times) if times else None,
         "nbytes": sum(files) if files else None,
-        "error": _manifest(folder / "relight.json").get("mean_error"),
+        "error": relit.get("mean_error"),
+        "indirect": relit.get("mean_indirect"),
         "estimate": steps[-1]["estimated_error"] if steps else None,
         "verified": _manifest(folder / "verification.json").get("mean_error"),
     }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rfpipe.report.drawing import scene_curves
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import Illustration, Section, table_of
-from rfpipe.report.text import fixed, number, percent, words
+from rfpipe.report.text import ERROR, fixed, number, percent, words
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
@@ -21,29 +21,23 @@ _GREY = "#5c5c5c"
 
 
 def errors_section(inputs: Inputs) -> Section:
-    """The errors of each run under each relighting pattern."""
+    """The errors of each run by kinds of pictures, and under each relighting pattern."""
     about = (
-        "Relative RMS error against the scene's exact light transport, in total and on the pixels "
-        "that the pattern leaves dark, which show indirect light alone. Noise leaves none dark; no "
-        "pixel is known to be unlit that a camera sees from aside; those of a light field may "
-        "get light from other views."
+        f"{ERROR}, against the scene's exact light transport; means of shapes, bars and spots, and "
+        "single patterns. Indirect: on pixels that a pattern leaves dark, of the light there. "
+        "Noise leaves none dark; no pixel is known to be unlit that a camera sees from aside; "
+        "those of a light field may get light from other views."
     )
-    names = list(dict.fromkeys(inputs.errors["pattern"]))
-    kinds = {"rms_total": "", "rms_unlit": ", unlit"}
-    table = inputs.errors.pivot(index=["scene", "method"], columns="pattern", values=list(kinds))
-    errors = table.to_dict("index")
     summary = table_of(
         "Errors by pattern",
         about,
+        inputs.errors,
+        [*inputs.labels, ("pattern", "pattern", words)],
         [
-            {"scene": run.scene, "method": run.method, **errors[run.scene, run.method]}
-            for run in inputs.runs
-        ],
-        inputs.labels,
-        [
-            (f"{words(name)}{unlit}, %", (kind, name), percent)
-            for kind, unlit in kinds.items()
-            for name in names
+            ("error, %", "error", percent),
+            ("indirect, %", "indirect_error", percent),
+            ("PSNR, dB", "psnr_db", fixed(1)),
+            ("CIEDE2000", "ciede2000", fixed(2)),
         ],
         csv="errors.csv",
         numbers=None,
@@ -59,10 +53,10 @@ def speed_section(inputs: Inputs) -> Section | None:
         return None
     scenes = [scene for scene in inputs.scenes if scene in names]
     caption = (
-        "Relative RMS error of the scene relit with the first relighting pattern, as if the "
-        "acquisition had stopped after each level, against the patterns shown by then. Methods "
-        "that fit all their pictures together have their last level alone. Dotted: the mean error "
-        "that a method itself estimated while it ran. Numbers: tables/speed_error.csv."
+        "Mean error of relit pictures, as if the acquisition had stopped after each level, against "
+        "the patterns shown by then. Methods that fit all their pictures together have their last "
+        "level alone. Dotted: the mean error that a method itself estimated while it ran. Numbers: "
+        "tables/speed_error.csv."
     )
     figure = speed_figure(inputs, scenes, table, steps)
     name = "Speed against error"
@@ -90,12 +84,12 @@ def speed_figure(
 def estimates_section(inputs: Inputs) -> Section | None:
     """Last estimates beside true errors, or None where no method estimated its own."""
     compared = compare(inputs)
-    if compared.empty:
+    if not compared:
         return None
     table = table_of(
         "Estimated and true error",
-        "A method's last estimate, without the camera's noise; where the truth is known, the mean "
-        "error over the relighting patterns, and their ratio.",
+        "A method's last estimate of the mean error of relit pictures, without the camera's noise; "
+        "where the truth is known, that error, of their indirect light, and the ratio.",
         compared,
         inputs.labels,
         [
@@ -103,6 +97,7 @@ def estimates_section(inputs: Inputs) -> Section | None:
             ("asked for, %", "target_error", percent),
             ("estimated, %", "estimated_error", percent),
             ("true, %", "true_error", percent),
+            ("true of indirect light, %", "true_indirect", percent),
             ("estimated over true", "ratio", fixed(2)),
         ],
         csv="estimates.csv",
@@ -122,28 +117,28 @@ def histories(runs: Sequence[Run]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["scene", "method", *HISTORY_COLUMNS])
 
 
-def compare(inputs: Inputs) -> pd.DataFrame:
+def compare(inputs: Inputs) -> list[dict[str, Any]]:
     """Set each run's last estimate beside its true error.
 
     Returns
     -------
-    DataFrame
+    list of dict
         For each run that estimated its error ``scene``, ``method``, ``patterns`` of the whole run,
-        ``target_error``, ``estimated_error``, ``true_error``: the mean total error over the
-        relighting patterns, and ``ratio`` of estimate to truth; the last two NaN where the truth
-        is not known, the ratio also where the error is 0.
+        ``target_error``, ``estimated_error``, ``true_error`` and ``true_indirect``: the means over
+        relit pictures, and ``ratio`` of estimate to truth; the last three NaN where the truth is
+        not known, the ratio also where the error is 0.
     """
-    import pandas as pd
-
-    rows: list[dict[str, Any]] = []
+    rows = []
     for run in inputs.runs:
         steps = estimates(run.facts["levels"])
         if steps:
-            table = run.own(inputs.errors)
-            true = float(table["rms_total"].mean()) if len(table) else math.nan
+            true = run.facts.get("mean_error", math.nan)
             estimated = steps[-1]["estimated_error"]
             target = run.facts["options"].get("target_error", math.nan)
             about = {"scene": run.scene, "method": run.method, "patterns": run.patterns}
-            errors = {"target_error": target, "estimated_error": estimated, "true_error": true}
-            rows.append({**about, **errors, "ratio": estimated / (true or math.nan)})
-    return pd.DataFrame(rows)
+            rows.append({
+                **about, "target_error": target, "estimated_error": estimated, "true_error": true,
+                "true_indirect": run.facts.get("mean_indirect", math.nan),
+                "ratio": estimated / (true or math.nan),
+            })  # fmt: skip
+    return rows

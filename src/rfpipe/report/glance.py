@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rfpipe.relighting import picture_errors
 from rfpipe.report.drawing import UNLIT_GAIN, draw, unlit_gain
 from rfpipe.report.inputs import Inputs, Run, job_times
 from rfpipe.report.page import Column, Gallery, Illustration, Section, table_of
-from rfpipe.report.text import fixed, number, percent, words
+from rfpipe.report.text import ERROR, fixed, number, percent, words
 from rfpipe.stages.evaluate import relative_rms
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _SHOWN = "horizontal_bar"  # crosses the edge of two planes, where indirect light shows best
 
 
 def glance_section(inputs: Inputs) -> Section:
     """A picture of each scene, and every run on one line."""
-    numbers = results(inputs)
     columns: list[Column] = [
         ("patterns", "patterns", number),
         ("brute force", "rays", number),
@@ -27,65 +24,45 @@ def glance_section(inputs: Inputs) -> Section:
         ("stored, MB", "megabytes", fixed(2)),
     ]
     lead = "Each scene under floodlight, and relit with a bar of light that nobody took."
-    if inputs.has_truth:
+    about = "The truth of a real scene is not known."
+    if inputs.has_truth or any(run.verified for run in inputs.runs):
+        truth = "the exact light transport" if inputs.has_truth else "pictures that no method saw"
         about = (
-            "Error: relative RMS of pictures relit with bars, noise, a binary picture, a small "
-            "spot and the crease where surfaces meet, against the exact light transport."
+            f"{ERROR}: of relit shapes, bars and spots, against {truth}. Of indirect light: on "
+            "pixels that a picture leaves dark."
         )
         columns += [
             ("mean error, %", "mean_error", percent),
+            ("of indirect light, %", "mean_indirect", percent),
             ("largest error, %", "worst_error", percent),
-            ("mean on unlit pixels, %", "unlit_error", percent),
         ]
-    else:
-        about = "The truth of a real scene is not known."
-        if any(run.verified for run in inputs.runs):
-            about += " Error: of pictures that no method saw, without their noise."
-            columns += [
-                ("mean error, %", "verified_error", percent),
-                ("largest error, %", "verified_worst_error", percent),
-            ]
     seconds = f"{inputs.config.capture.seconds_per_pattern:g} s a pattern"
     caption = (
         f"Minutes of capture, at {seconds} and without the reference brackets, and of processing; "
         f"1 MB = 10⁶ bytes. {about}"
     )
     table = table_of(
-        "What it took", caption, numbers, inputs.labels, columns, csv="results.csv", is_folded=False
-    )
+        "What it took", caption, [result_of(inputs, run) for run in inputs.runs], inputs.labels,
+        columns, csv="results.csv", is_folded=False,
+    )  # fmt: skip
     pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
     return Section("glance", "At a glance", [pictures, table], [lead])
 
 
-def results(inputs: Inputs) -> pd.DataFrame:
-    """Return what each run cost and how far off its relit pictures are.
+def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
+    """Return what a run cost and how far off its relit pictures are.
 
     Returns
     -------
-    DataFrame
-        For each run ``scene``, ``method``; ``rays``: patterns of brute force; ``patterns``;
+    dict
+        ``scene``, ``method``; ``rays``: patterns of brute force; ``patterns``;
         ``megabytes`` (10^6 bytes on disk); ``capture_s`` at the rig's stated seconds a pattern;
         ``processing_s``: wall seconds of all jobs but the capture's, NaN where they left none;
-        ``minutes`` of capture and processing;
-        ``verified_error``, ``verified_worst_error``: of pictures that no method saw. Over the
-        relighting patterns ``mean_error`` and ``worst_error`` in total, ``unlit_error``: the mean
-        on the unlit pixels, ``psnr_db``: the least, ``ciede2000``: the largest; NaN where the
-        truth isn't known.
+        ``minutes`` of capture and processing; ``mean_error``, ``mean_indirect``, ``worst_error``
+        as of `mean_errors` in `rfpipe.stages.relight`, or of pictures that no method saw where the
+        truth isn't known; None of what isn't either.
     """
-    import pandas as pd
-
-    errors = inputs.errors.groupby(["scene", "method"], sort=False).agg(
-        mean_error=("rms_total", "mean"),
-        worst_error=("rms_total", "max"),
-        unlit_error=("rms_unlit", "mean"),
-        psnr_db=("psnr_db", "min"),
-        ciede2000=("ciede2000", "max"),
-    )
-    costs = pd.DataFrame([_cost(inputs, run) for run in inputs.runs])
-    return costs.merge(errors, how="left", on=["scene", "method"])
-
-
-def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
+    found = run.facts if run.has_truth else run.verified
     jobs = [*job_times(inputs.results / run.scene / run.method)]
     capture = run.patterns * inputs.config.capture.seconds_per_pattern
     processing = sum(s for stage, s in jobs if stage != "capture") if jobs else math.nan
@@ -96,10 +73,9 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
         "patterns": run.patterns,
         "megabytes": run.facts["bytes"] / 1e6,
         "capture_s": capture,
-        "verified_error": run.verified.get("mean_error"),
-        "verified_worst_error": run.verified.get("worst_error"),
         "processing_s": processing,
         "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
+        **{name: found.get(name) for name in ("mean_error", "mean_indirect", "worst_error")},
     }
 
 
@@ -118,7 +94,8 @@ def scene_picture(inputs: Inputs, run: Run) -> Illustration:
         truth = run.read("truth")[index]
         light.append(run.panel(run.middle(truth), "truth", gain=gain))
         errors = [relit.less(light[-1])]
-        accuracy = f"error {percent(relative_rms(image, truth))} %"
+        error = picture_errors(image[None], truth[None], pattern[None], floodlit)[0].item()
+        accuracy = f"error {percent(error)} %"
     else:
         error = relative_rms(run.read("floodlit_relit"), floodlit)
         accuracy = f"floodlit image relit to {percent(error)} % of the captured one"

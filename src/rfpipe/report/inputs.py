@@ -191,13 +191,7 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         acquired = read_json(folder / "transport.json")
         verified = _opened(folder / VERIFIED) if config.verification_pictures else ({}, None)
         runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired, *verified))
-    return Inputs(
-        config,
-        runs,
-        pd.read_csv(errors),
-        pd.read_csv(speed_error),
-        results,
-    )
+    return Inputs(config, runs, pd.read_csv(errors), pd.read_csv(speed_error), results)
 
 
 def read_json(manifest: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.relighting import picture_errors
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 from rfpipe.store.files import write_atomically
 
@@ -35,23 +36,31 @@ def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``scene``, ``method``, ``pattern``; relative RMS error in total, ``rms_total``, and on the
-        pixels that the pattern leaves dark, ``rms_unlit``; ``psnr_db``, its peak the truth's
-        maximum; ``ciede2000``, the mean, with the true floodlit image's maximum as white.
+        ``scene``, ``method``, ``pattern``: those of the reference patterns, and the kinds of
+        pictures that the mean is of. ``error`` and ``indirect_error``, see `picture_errors`, of a
+        kind the mean. Of the patterns ``psnr_db``, its peak the truth's maximum, and ``ciede2000``,
+        the mean, with the true floodlit image's maximum as white.
     """
     import pandas as pd
 
-    columns = [*_ABOUT, "pattern", "rms_total", "rms_unlit", "psnr_db", "ciede2000"]
+    columns = [*_ABOUT, "pattern", "error", "indirect_error", "psnr_db", "ciede2000"]
     rows = []
     for facts, images in _with_truth(relight_manifests):
-        white = float(images.read("floodlit_truth").max(initial=0.0))
-        arrays = (images.read(name) for name in ("relit", "truth", "patterns"))
-        for name, image, true, pattern in zip(facts["names"], *arrays, strict=True):
-            # a camera aside has no pixels that are known to be unlit
-            unlit = unlit_rms(image, true, pattern) if facts["coaxial"] else float("nan")
-            figures = [relative_rms(image, true), unlit, psnr(image, true)]
-            colours = colour_difference(image, true, white)
-            rows.append([*(facts[key] for key in _ABOUT), name, *figures, colours])
+        about, nan = [facts[key] for key in _ABOUT], float("nan")
+        for kind, error in facts["errors"].items():
+            indirect = facts.get("indirect_errors", {}).get(kind, nan)
+            rows.append([*about, kind, error, indirect, nan, nan])
+        floodlit = images.read("floodlit_truth")
+        relit, truth, patterns = (images.read(name) for name in ("relit", "truth", "patterns"))
+        # a camera aside has no pixels that are known to get no direct light
+        dark = patterns == 0 if facts["coaxial"] else None
+        errors = picture_errors(relit, truth, patterns, floodlit, dark)
+        white = float(floodlit.max(initial=0.0))
+        each = zip(facts["names"], *errors, relit, truth, patterns, strict=True)
+        for name, error, indirect, image, true, pattern in each:
+            known = indirect if (pattern == 0).any() else nan
+            figures = [error, known, psnr(image, true), colour_difference(image, true, white)]
+            rows.append([*about, name, *figures])
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -64,19 +73,19 @@ def speed_error_table(
     -------
     pandas.DataFrame
         ``scene``, ``method``, ``level``; ``patterns`` and seconds of capture, ``capture_s``, up to
-        there; ``error``, the relative RMS error of the first relighting pattern's image.
+        there; ``error``, the mean.
     """
     import pandas as pd
 
     rows = []
-    for facts, images in _with_truth(relight_manifests):
-        truth, relit = images.read("truth")[0], images.read("levels_relit")
-        levels = facts["levels"][-len(relit) :]
-        shown = np.cumsum([row["patterns"] for row in facts["levels"]])[-len(relit) :]
-        for row, patterns, image in zip(levels, shown, relit, strict=True):
-            if row["patterns"] or len(relit) == 1:
+    for facts, _ in _with_truth(relight_manifests):
+        errors = facts["level_errors"]
+        levels = facts["levels"][-len(errors) :]
+        shown = np.cumsum([row["patterns"] for row in facts["levels"]])[-len(errors) :]
+        for row, patterns, error in zip(levels, shown, errors, strict=True):
+            if row["patterns"] or len(errors) == 1:
                 about = (*(facts[key] for key in _ABOUT), row["level"], int(patterns))
-                rows.append((*about, patterns * seconds_per_pattern, relative_rms(image, truth)))
+                rows.append((*about, patterns * seconds_per_pattern, error))
     return pd.DataFrame(rows, columns=[*_ABOUT, "level", "patterns", "capture_s", "error"])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.evaluate import relative_rms
+from rfpipe.relighting import KINDS, picture_errors, relighting_pictures
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.stages.merger import read_floodlit
 from rfpipe.store import open_arrays, read_manifest
@@ -32,6 +33,10 @@ NO_LEAF = -1
 Float = NDArray[np.float32]
 
 _AT_A_TIME = 32  # single-pixel patterns relit together
+
+# The pictures whose mean error is told: how many, or, of large ones, with how many pixels in all; how
+# many are relit together; and their seed.
+_PICTURES, _PIXELS, _FEW, _SEED = 96, 2e7, 8, 2006
 
 
 def images_of(scene: Scene, patterns: Float) -> Float:
@@ -127,6 +132,51 @@ def _relit(transport: Transport, patterns: Float) -> dict[str, NDArray[Any]]:
     }
 
 
+def mean_errors(
+    transport: Transport, scene: Scene, floodlit: Float, *, is_coaxial: bool
+) -> dict[str, Any]:
+    """Return the errors of a transport over the pictures that people relight, as plain data.
+
+    Parameters
+    ----------
+    floodlit : ndarray of float32, shape (*camera_shape, C)
+        The truth.
+    is_coaxial : bool
+        Whether pixels that a picture leaves dark get no direct light.
+
+    Returns
+    -------
+    dict
+        ``mean_error``, ``worst_error``, ``errors``: the mean of each of `KINDS`, ``level_errors``:
+        the mean as of each of `Transport.known_levels`. With a coaxial rig ``mean_indirect`` and
+        ``indirect_errors`` of each kind: those of indirect light.
+    """
+    count = min(max(int(_PIXELS / floodlit[..., 0].size), len(KINDS)), _PICTURES)
+    patterns = relighting_pictures(transport.projector_shape, count, _SEED)
+    batches = [patterns[first : first + _FEW] for first in range(0, len(patterns), _FEW)]
+    cuts = [*map(transport.truncate, transport.known_levels[:-1]), transport]
+    images = chain.from_iterable(
+        np.stack([cut.relight_batch(batch) for cut in cuts], axis=1) for batch in batches
+    )
+    truth = chain.from_iterable(images_of(scene, batch) for batch in batches)
+    dark = patterns == 0 if is_coaxial else None
+    levels, indirect = picture_errors(images, truth, patterns, floodlit, dark)
+    facts = {
+        "mean_error": float(levels[-1].mean()),
+        "worst_error": float(levels[-1].max()),
+        "errors": _by_kind(levels[-1]),
+        "level_errors": levels.mean(axis=1).tolist(),
+    }
+    if is_coaxial:
+        facts["mean_indirect"] = float(indirect[-1].mean())
+        facts["indirect_errors"] = _by_kind(indirect[-1])
+    return facts
+
+
+def _by_kind(errors: NDArray[np.float64]) -> dict[str, float]:
+    return {kind: float(errors[first :: len(KINDS)].mean()) for first, kind in enumerate(KINDS)}
+
+
 def _middle_row(shape: tuple[int, ...]) -> int:
     return RayDomain(shape).image_shape[0] // 2
 
@@ -214,13 +264,12 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     if scene.has_truth:
         simulated = scene_from_config(scene)
         arrays, names = relit_arrays(transport, simulated), list(scene_patterns(simulated))
+        truth = arrays["floodlit_truth"]
+        errors = mean_errors(transport, simulated, truth, is_coaxial=scene.is_coaxial)
     else:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
-        names = list(relighting_patterns(transport.projector_shape))
-    truths = arrays.get("truth", arrays["relit"][:0])
-    errors = [relative_rms(*each) for each in zip(arrays["relit"], truths, strict=False)]
-    errors = [error for error in errors if np.isfinite(error)]
+        names, errors = list(relighting_patterns(transport.projector_shape)), {}
     made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
     facts = {
         "stage": "relight",
@@ -231,7 +280,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "row": _middle_row(transport.camera_shape),
         "bytes": transport.nbytes,
         "levels": transport.level_rows,
-        "mean_error": sum(errors) / len(errors) if errors else None,
         "units": RADIANCE_UNIT,
+        **errors,
     }
     write_bundle(folder / "relight.json", made_from, arrays, facts)
