@@ -130,14 +130,12 @@ def compare(inputs: Inputs) -> list[dict[str, Any]]:
     """
     rows = []
     for run in inputs.runs:
-        steps = estimates(run.facts["levels"])
-        if steps:
-            true = run.facts.get("mean_error", math.nan)
-            estimated = steps[-1]["estimated_error"]
-            target = run.facts["options"].get("target_error", math.nan)
-            about = {"scene": run.scene, "method": run.method, "patterns": run.patterns}
+        for step in estimates(run.facts["levels"])[-1:]:
+            true, estimated = run.facts.get("mean_error", math.nan), step["estimated_error"]
             rows.append({
-                **about, "target_error": target, "estimated_error": estimated, "true_error": true,
+                "scene": run.scene, "method": run.method, "patterns": run.patterns,
+                "target_error": run.facts["options"].get("target_error", math.nan),
+                "estimated_error": estimated, "true_error": true,
                 "true_indirect": run.facts.get("mean_indirect", math.nan),
                 "ratio": estimated / (true or math.nan),
             })  # fmt: skip

@@ -102,26 +102,14 @@ def _with_truth(manifests: Iterable[Path]) -> Iterator[tuple[dict[str, Any], Arr
             yield read_manifest(path), images
 
 
-def relative_rms(image: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> float:
+def relative_rms(image: Image, truth: Image) -> float:
     """Return ``||image - truth|| / ||truth||`` of radiance (*camera_shape, C).
 
-    Over all pixels, or those of a mask (*camera_shape). NaN where there is no pixel, or no light in
-    the truth. Raises InputError when the shapes differ.
+    NaN where there is no light in the truth. Raises InputError when the shapes differ.
     """
     image, truth = _checked(image, truth)
-    if where is not None:
-        image, truth = image[where], truth[where]
     light = float(np.linalg.norm(truth))
     return float(np.linalg.norm(image - truth)) / light if light > 0 else float("nan")
-
-
-def unlit_rms(image: Image, truth: Image, pattern: Image) -> float:
-    """Return `relative_rms` over the pixels where `pattern` (*camera_shape) is 0.
-
-    With a coaxial rig these pixels show indirect light alone. NaN where there are none, or they
-    get no light.
-    """
-    return relative_rms(image, truth, np.asarray(pattern) == 0)
 
 
 def psnr(image: Image, truth: Image) -> float:

@@ -34,8 +34,8 @@ Float = NDArray[np.float32]
 
 _AT_A_TIME = 32  # single-pixel patterns relit together
 
-# The pictures whose mean error is told: how many, or, of large ones, with how many pixels in all; how
-# many are relit together; and their seed.
+# The pictures whose mean error is told: how many, or, of large ones, with how many pixels in all;
+# how many are relit together; and their seed.
 _PICTURES, _PIXELS, _FEW, _SEED = 96, 2e7, 8, 2006
 
 
