@@ -41,8 +41,8 @@ def test_it_covers_all_methods_scenes_lights_and_seeds():
     cases = list(cases_of(list(KINDS)))
     for method in map(method_of, NAMES):
         own = [case for case in cases if case.method == method.name]
-        compared = {"auto": TARGETS, "symmetric": TOLERANCES, "dual": TOLERANCES}
-        settings = len(compared.get(method.name, method.trials)) if method.trades else 1
+        compared = {"target_error": TARGETS, "tolerance": TOLERANCES, None: [0]}
+        settings = len(compared.get(method.trades, method.trials))
         assert len(own) == len(KINDS) * len(CAMERAS) * len(SEEDS) * settings
         assert {case.option for case in own} == {method.trades or ""}
     assert len({case.key for case in cases}) == len(cases)
