@@ -28,7 +28,8 @@ def relighting_pictures(shape: tuple[int, ...], count: int, seed: int = 0) -> ND
 
     In turn: shapes of all scales, lit over a tenth to six tenths of the image; bars and half planes
     of any direction; one square spot, its side log-uniform from two pixels to an eighth of the
-    image's shorter side. Fewer are the first of more. Several views each get the same picture.
+    image's shorter side. Fewer are the first of more. Of a stack, every other picture of a kind
+    lights one view alone, the others all views alike.
 
     Parameters
     ----------
@@ -48,13 +49,15 @@ def relighting_pictures(shape: tuple[int, ...], count: int, seed: int = 0) -> ND
     InputError
         If the shape isn't one of a ray domain.
     """
-    height, width = RayDomain(shape).image_shape
-    drawn = np.zeros((count, height, width), np.float32)
+    domain = RayDomain(shape)
+    drawn = np.zeros((count, *domain.stack_shape), np.float32)
     draw = (shapes, bar, spot)
     for index in range(count):
-        drawn[index] = draw[index % len(draw)]((height, width), generator(seed, index))
-    views = drawn.reshape(count, *(1,) * (len(shape) - 2), height, width)
-    return np.ascontiguousarray(np.broadcast_to(views, (count, *shape)))
+        random = generator(seed, index)
+        picture = draw[index % len(draw)](domain.image_shape, random)
+        view = random.integers(domain.views) if index // len(draw) % 2 else slice(None)
+        drawn[index, view] = picture
+    return drawn.reshape(count, *shape)
 
 
 def octave_noise(

@@ -6,8 +6,6 @@ import pytest
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.patterns import (
     block_patterns,
-    held_out_spots,
-    held_out_strip,
     probe_patterns,
     view_patterns,
 )
@@ -57,23 +55,6 @@ def test_bands_of_equal_range_are_lit_together() -> None:
 
     assert alike(bands) > 2 * alike(noise)
     assert (bands[probes].mean(axis=(1, 2)) == 0.5).all()
-
-
-def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
-    strip = held_out_strip(crease().nearness)
-    assert strip.sum() == strip.size // 32
-    # of equal pixels the first: both columns of the crease from the top
-    assert strip[:20, 19:21].all()
-
-
-@pytest.mark.parametrize("shape", [(48, 64), (3, 24, 30), (1, 9), (310, 350), (1, 1)])
-def test_small_spots_are_few_in_every_view(shape: tuple[int, ...]) -> None:
-    views, height, width = RayDomain(shape).stack_shape
-    largest = max(2, min(height, width) / 12 + 0.5)
-    for view in held_out_spots(shape).reshape(views, height, width):
-        assert view.any()
-        assert view.sum() <= 8 * largest**2
-        assert view.sum() < view.size / 4 or view.size < 100
 
 
 @pytest.mark.parametrize("shape", [(48, 48), (2, 13, 31), (1, 5), (200, 220)])

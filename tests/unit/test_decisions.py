@@ -5,119 +5,119 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.helpers import acquire_matrix
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.estimate import Estimate, Held
+from rfpipe.methods.adaptive.decisions import going_on, next_round
+from rfpipe.methods.adaptive.estimate import Estimate
+from rfpipe.methods.adaptive.footprints.method import ROUNDS as FOOTPRINTS
 from rfpipe.methods.adaptive.footprints.method import Footprints
-from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar, NearFarState
+from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
 from rfpipe.methods.adaptive.residual import Residual
 from rfpipe.methods.adaptive.rounds import AdaptiveState
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import level_row
-from rfpipe.scenes import reference_scene
 
-METHOD = NearFar()
-
-
-@pytest.fixture(scope="module")
-def after_a_round() -> NearFarState:
-    matrix = reference_scene("IV", (8, 8), channels=1).dense()
-    state: NearFarState = acquire_matrix(METHOD, matrix, (8, 8), (8, 8)).states[4]
-    assert state.residual is not None
-    return replace(state, following="model", residual=None, news={})
+RAYS = RayDomain((48, 48))
+NOTHING = Residual(np.zeros((2, 0), np.int32), np.zeros((1, 0), np.float32),
+                   np.zeros((1, 0), np.float32))  # fmt: skip
 
 
-def decided(state: NearFarState, errors: Sequence[float], noise: bool = False) -> str:
-    """What follows when the rounds so far had these errors, all of it on lit pixels if of noise."""
-    share = 0.1 if noise else 0.6
-    estimates = tuple(Estimate(error, error, error, share * error, 10 * error) for error in errors)
-    assert all(found.is_noise is noise for found in estimates)
-    return METHOD.decided(
-        replace(state, following=METHOD.slot(state)[0], estimates=estimates)
-    ).following
-
-
-def test_after_a_round_that_leaves_most_of_the_error_come_blocks(
-    after_a_round: NearFarState,
-) -> None:
-    assert decided(after_a_round, [0.3, 0.2, 0.86 * 0.2]) == "residual"
-    assert decided(after_a_round, [0.3, 0.2, 0.86 * 0.2], noise=True) == "done"
-    for errors in ([0.3, 0.2, 0.84 * 0.2], [0.2, 0.19], [0.2]):
-        assert decided(after_a_round, errors) == "model"
-    nothing = np.zeros((2, 0), np.int32), np.zeros((1, 0), np.float32)
-    found = replace(after_a_round, residual=Residual(*nothing))
-    assert decided(found, [0.3, 0.2, 0.1]) == "residual"
-
-
-@pytest.mark.parametrize(("left", "expected"), [(0.95, "hierarchy"), (0.9, "residual")])
-def test_blocks_that_hardly_help_are_followed_by_a_hierarchy(
-    after_a_round: NearFarState, left: float, expected: str
-) -> None:
-    """The error should fall with the fifth root of the patterns, here to 0.936."""
-    rows = ({"level": 1, "patterns": 72}, {"level": len(ROUNDS) + 1, "patterns": 28})
-    state = replace(after_a_round, level=len(ROUNDS) + 2, rows=rows)
-    or_done = "done" if expected == "hierarchy" else expected
-    assert decided(state, [0.3, 0.2, left * 0.2]) == expected
-    assert decided(state, [0.3, 0.2, left * 0.2], noise=True) == or_done
-    # where the number of patterns is limited, nothing takes over
-    limited = replace(state, options=ErrorOptions(patterns=1000))
-    assert decided(limited, [0.3, 0.2, left * 0.2]) == or_done
-
-
-@pytest.mark.parametrize(("target", "expected"), [(0.195, "residual"), (0.01, "hierarchy")])
-def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
-    after_a_round: NearFarState, target: float, expected: str
-) -> None:
-    """It halves from 81 to 256 patterns: a fortieth less takes 13, a twentieth of it 100,000."""
-    asked = ((1, 81), (len(ROUNDS) + 1, 63), (len(ROUNDS) + 2, 112))
-    rows = tuple({"level": level, "patterns": count} for level, count in asked)
-    options = ErrorOptions(target_error=target)
-    state = replace(after_a_round, level=len(ROUNDS) + 3, rows=rows, options=options)
-    assert decided(state, [0.5, 0.4, 0.28, 0.2]) == expected
-    assert decided(state, [0.5, 0.4, 0.28, 0.0]) == "done"
-
-
-def test_the_first_estimate_ends_it_where_nothing_is_indirect(after_a_round: NearFarState) -> None:
-    """It knows neither strip nor spots."""
-    target = after_a_round.options.target_error
-    held = Held(after_a_round.held.lit[:2], after_a_round.held.radiance[:2])
-    shapes = replace(after_a_round, held=held)
-    for indirect, expected in ((0.9 * target, "done"), (1.1 * target, "model")):
-        found = Estimate(*[0.9 * target] * 3, 0.0, indirect)
-        assert METHOD.decided(replace(shapes, estimates=(found,))).following == expected
-        both = replace(after_a_round, estimates=(found, found))
-        assert METHOD.decided(both).following == "done"
-
-
-def stalled(error: float, before: float = 1.01) -> AdaptiveState:
-    """A state of footprints whose last round has hardly helped."""
-    rays = RayDomain((12, 16))
-    state = Footprints().start(rays, rays, 1, ErrorOptions(target_error=0.005))
-    light = np.ones((1, 1, rays.size), np.float32)
-    lit = np.ones((1, rays.size), np.bool_)
+def after(
+    method: NearFar | Footprints, errors: Sequence[float], target: float, noise: float = 1e-4
+) -> AdaptiveState:
+    """Return the state after a round of the model for each error."""
+    light = np.ones((1, 1, RAYS.size), np.float32)
+    lit = np.ones((1, RAYS.size), np.bool_)
+    counts = [1, *(ROUNDS if isinstance(method, NearFar) else FOOTPRINTS)][: len(errors) + 1]
     return replace(
-        state,
-        level=4,
-        rows=tuple(level_row(level, count) for level, count in enumerate((1, 30, 26, 36))),
-        estimates=tuple(Estimate(e, e, e) for e in (2 * error, before * error, error)),
-        held=Held(np.repeat(lit, 6, 0), np.repeat(light, 6, 0)),
-        taken=Pictures(lit, light, 1e-6 * light),
+        method.start(RAYS, RAYS, 1, ErrorOptions(target_error=target)),
+        level=len(counts),
+        rows=tuple(level_row(level, count) for level, count in enumerate(counts)),
+        estimates=tuple(Estimate(error, error, error) for error in errors),
+        held=Pictures(lit, light, light),
+        taken=Pictures(lit, light, noise**2 * light),
     )
 
 
+def in_blocks(
+    state: AdaptiveState, counts: Sequence[int], errors: Sequence[float]
+) -> AdaptiveState:
+    """Return the state after rounds of blocks, too."""
+    first = len(ROUNDS) + 1
+    rows = (level_row(first + index, count) for index, count in enumerate(counts))
+    more = (Estimate(error, error, error) for error in errors)
+    return replace(
+        state, following="residual", residual=NOTHING, level=first + len(counts),
+        rows=(*state.rows, *rows), estimates=(*state.estimates, *more),
+    )  # fmt: skip
+
+
+def decided(method: NearFar | Footprints, state: AdaptiveState) -> str:
+    return method.decided(replace(state, tolerance=0.0)).following
+
+
 @pytest.mark.parametrize(
-    ("state", "following"),
+    ("errors", "following"),
     [
-        (stalled(0.0049), "done"),
-        (stalled(0.0058), "done"),
-        (stalled(0.0065), "hierarchy"),
-        (stalled(0.0051, before=1.14), "model"),
-        (replace(stalled(0.0058), unfit=True), "hierarchy"),
+        ([0.05], "model"),
+        ([0.009], "done"),
+        ([0.11], "hierarchy"),
+        ([0.05, 0.03, 0.84 * 0.03], "model"),
+        ([0.05, 0.03, 0.86 * 0.03], "residual"),
     ],
 )
-def test_footprints_give_way_where_they_do_not_fit_or_have_stalled_clearly_off_the_target(
-    state: AdaptiveState, following: str
+def test_smooth_light_goes_on_while_it_helps(errors: list[float], following: str) -> None:
+    state = after(NearFar(), errors, 0.01)
+    assert decided(NearFar(), state) == following
+    unlimited = following == "hierarchy"
+    limited = replace(state, options=ErrorOptions(target_error=0.01, patterns=500))
+    assert decided(NearFar(), limited) == ("model" if unlimited else following)
+
+
+def test_noise_is_no_reason_to_go_on() -> None:
+    for noise, following in ((0.02, "done"), (0.01, "residual")):
+        state = after(NearFar(), [0.05, 0.03, 0.86 * 0.03], 0.01, noise)
+        assert decided(NearFar(), state) == following
+
+
+@pytest.mark.parametrize(
+    ("errors", "target", "following"),
+    [((0.016, 0.0125), 0.01, "residual"), ((0.0199, 0.0198), 0.005, "hierarchy")],
+)
+def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
+    errors: tuple[float, ...], target: float, following: str
 ) -> None:
-    assert Footprints().decided(state).following == following
+    state = in_blocks(after(NearFar(), [0.04, 0.02], target), (12, 20), errors)
+    assert decided(NearFar(), state) == following
+
+
+@pytest.mark.parametrize(
+    ("errors", "target", "following"),
+    [
+        ((0.04, 0.02, 0.009), 0.01, "done"),
+        ((0.04, 0.03, 0.025), 0.02, "model"),
+        ((0.04, 0.039, 0.038), 0.01, "hierarchy"),
+        ((0.12,), 0.01, "hierarchy"),
+        ((0.04, 0.02, 0.015, 0.014, 0.013, 0.012, 0.0119), 0.01, "done"),
+        ((0.04, 0.02, 0.015, 0.014, 0.013, 0.0125, 0.0122), 0.01, "hierarchy"),
+    ],
+)
+def test_footprints_give_way_where_they_cost_more_than_dual_photography(
+    errors: tuple[float, ...], target: float, following: str
+) -> None:
+    assert decided(Footprints(), after(Footprints(), errors, target)) == following
+
+
+def test_a_round_has_the_patterns_that_are_missing() -> None:
+    """Errors that fall with the root of the patterns take four times as many for a half."""
+    shown = 1 + sum(ROUNDS[:2])
+    before, now = 0.02 * np.sqrt(shown / (1 + ROUNDS[0])), 0.02
+    state = after(NearFar(), [before, now], 0.0199)
+    assert next_round(state, 100) == 6
+    for target in (0.018, 0.015):
+        state = after(NearFar(), [before, now], target)
+        missing = shown * ((now / target) ** 2 - 1)
+        assert going_on(state) == pytest.approx(missing, rel=1e-6)
+        assert next_round(state, 100) == max(6, round(1.1 * missing))
+    assert next_round(state, 7) == 7

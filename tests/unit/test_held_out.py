@@ -1,84 +1,104 @@
-"""The error of a prediction, from two pictures of each held-out pattern."""
+"""The error of relit pictures, from pictures that no fit sees."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.helpers import scene_matrices
 
-from rfpipe.methods.adaptive.estimate import Estimate, Held, estimate
+from rfpipe.methods.adaptive.estimate import HELD_OUT, error_of, held_out_parts, held_out_patterns
+from rfpipe.methods.images import Pictures
 from rfpipe.provenance import generator
+from rfpipe.relighting import picture_errors
+from rfpipe.transport.arrays import DenseTransport
+
+SHAPE = (24, 32)
+TRUTH = scene_matrices("IV", SHAPE)
 
 
-def held_out(
-    wrong: float, sigma: float, seed: int, pairs: int = 3
-) -> tuple[np.ndarray, Held, float]:
-    """Return a prediction, the pictures, and the prediction's true error."""
-    random, rays = np.random.default_rng(seed), 2000
-    lit = np.repeat(random.random((pairs, rays)) < 0.4, 2, axis=0)
-    truth = np.where(lit, random.uniform(0.2, 1, rays), 0.02)[:, None]
-    amiss = wrong * np.repeat(random.standard_normal((pairs, 1, rays)), 2, axis=0)
-    taken = truth + sigma * random.standard_normal(truth.shape)
-    ratio = [
-        np.linalg.norm(amiss[first]) / np.linalg.norm(truth[first])
-        for first in range(0, 2 * pairs, 2)
-    ]
-    shapes, strip, spots = ratio if pairs == 3 else 3 * ratio
-    true = (2 * shapes + strip + spots) / 4
-    return (truth + amiss).astype(np.float32), Held(lit, taken.astype(np.float32)), float(true)
+def transport(matrix: np.ndarray) -> DenseTransport:
+    arrays = {"matrix": matrix.astype(np.float32)}
+    return DenseTransport(SHAPE, SHAPE, len(matrix), [], arrays)
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("pairs", [1, 3])
-@pytest.mark.parametrize("sigma", [0.0, 0.003, 0.01])
-def test_the_estimate_is_the_error_without_the_noise(seed: int, pairs: int, sigma: float) -> None:
-    predicted, held, true = held_out(0.005, sigma, seed, pairs)
-    found = estimate(predicted, held.radiance, ~held.lit[0])
-    assert true / 1.5 < found.error < 1.5 * true
-    assert (found.strip == found.shapes) is (pairs == 1)
-    assert found.dark < found.error
-    assert 0 < found.indirect < 0.1
+def held_out(sigma: float, seed: int = 0, stated: float = 1.0) -> tuple[Pictures, np.ndarray]:
+    """Return held-out pictures with noise of a deviation, and the floodlit image."""
+    lit = held_out_patterns(SHAPE).reshape(len(HELD_OUT), -1)
+    radiance = np.einsum("cmn,pn->pcm", TRUTH, lit).astype(np.float32)
+    noise = sigma * generator(seed).standard_normal(radiance.shape)
+    variance = np.full_like(radiance, np.square(stated * sigma))
+    floodlit = TRUTH.sum(axis=2).astype(np.float32)
+    return Pictures(lit, (radiance + noise).astype(np.float32), variance), floodlit
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("sigma", [0.0, 0.01, 1.0])
-def test_of_no_error_the_estimate_is_what_chance_could_be(seed: int, sigma: float) -> None:
-    predicted, held, _ = held_out(0.0, sigma, seed)
-    found = estimate(predicted, held.radiance, ~held.lit[0])
-    light = float(np.linalg.norm(predicted[0]) ** 2)
-    chance = np.sqrt(sigma**2 * np.sqrt(2000) / light)
-    assert np.isfinite(found.error)
-    if sigma < 1:
-        assert chance / 1.5 <= found.error <= 2 * chance + 1e-6
+def wrong(part: float) -> DenseTransport:
+    """Return a transport whose entries are each off by about so much."""
+    return transport(TRUTH * (1 + part * generator(7).standard_normal(TRUTH.shape)))
 
 
-def test_half_of_the_error_is_of_shapes() -> None:
-    predicted, held, _ = held_out(0.0, 0.0, 0)
-    predicted[2:4] *= 1.1
-    found = estimate(predicted, held.radiance, ~held.lit[0])
-    assert found.strip == pytest.approx(0.1, rel=1e-4)
-    assert found.error == pytest.approx(0.1 / 4, rel=1e-4)
-    predicted[4:] *= 1.2
-    found = estimate(predicted, held.radiance, ~held.lit[0])
-    assert found.spots == pytest.approx(0.2, rel=1e-4)
-    assert found.error == pytest.approx((0.1 + 0.2) / 4, rel=1e-4)
-    assert found.dark == 0
+@pytest.mark.parametrize("shape", [(24, 32), (3, 12, 20), (1, 9), (1, 1), (310, 350)])
+def test_patterns_are_shapes_twice_bars_and_spots(shape: tuple[int, ...]) -> None:
+    patterns = held_out_patterns(shape)
+    assert patterns.shape == (6, *shape)
+    assert patterns.any(axis=tuple(range(1, patterns.ndim))).all()
+    np.testing.assert_array_equal(patterns[0], patterns[1])
+    for index, (kind, parts) in enumerate(zip(HELD_OUT, held_out_parts(shape), strict=True)):
+        np.testing.assert_array_equal(parts.sum(axis=0), patterns[index].ravel())
+        assert len(parts) <= {"shapes": 1, "bars": 3, "spots": 12}[kind]
+        if kind == "spots" and np.prod(shape) > 100:
+            assert parts.sum(axis=1).max() <= np.prod(shape) / 64 + 1
+
+
+@pytest.mark.parametrize(("sigma", "stated"), [(0.0, 1.0), (2e-3, 1.0), (2e-3, 3.0)])
+@pytest.mark.parametrize("part", [0.02, 0.2])
+def test_the_estimate_is_the_error_without_the_noise(
+    part: float, sigma: float, stated: float
+) -> None:
+    """Also where variances are ten times too large."""
+    held, floodlit = held_out(sigma * TRUTH.sum(axis=2).max(), stated=stated)
+    dark = ~held.lit
+    found = error_of(wrong(part), held, floodlit, dark)
+    pictures, truth = (
+        np.einsum("cmn,pn->pmc", matrix, held.lit).reshape(6, *SHAPE, -1)
+        for matrix in (wrong(part).matrix.astype(np.float64), TRUTH)
+    )
+    light = floodlit.T.reshape(*SHAPE, -1)
+    true, indirect = picture_errors(
+        pictures, truth, held.lit.reshape(6, *SHAPE), light, dark.reshape(6, *SHAPE)
+    )
+    assert found.shapes == pytest.approx(true[0], rel=1e-4 if sigma == 0 else 0.2)
+    assert found.bars == pytest.approx(true[[2, 4]].mean(), rel=0.5)
+    by_kind = [indirect[[0, 1]], indirect[[2, 4]], indirect[[3, 5]]]
+    expected = np.mean([each.mean() for each in by_kind])
+    # noise that drowns indirect light is no evidence of a small error
+    assert found.indirect > 0.9 * expected
+    if sigma == 0:
+        assert found.indirect == pytest.approx(expected, rel=0.1)
+
+
+def test_each_spot_is_judged_by_itself() -> None:
+    """Of two pictures with twelve spots each, one spot is missing altogether."""
+    held, _ = held_out(0.0)
+    missing = held_out_parts(SHAPE)[3][0]
+    lit = held.lit[:, None].astype(np.float32)
+    equal = np.eye(held.lit.shape[1])[None]
+    pictures = Pictures(held.lit, lit, np.zeros_like(lit))
+    found = error_of(transport(equal * ~missing), pictures, np.ones((1, len(missing)), np.float32))
+    assert found.spots == pytest.approx(1 / 24, rel=0.3)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-3, 1.0])
+def test_of_no_error_the_estimate_is_what_chance_could_be(sigma: float) -> None:
+    held, floodlit = held_out(sigma * TRUTH.sum(axis=2).max())
+    found = error_of(transport(TRUTH), held, floodlit, ~held.lit)
+    assert np.isfinite([found.error, found.indirect]).all()
+    assert (found.error < 1e-5) is (sigma == 0)
+    if sigma == 1e-3:
+        assert found.error < 0.01
 
 
 def test_of_darkness_the_estimate_is_nought() -> None:
-    nothing = np.zeros((6, 1, 9), np.float32)
-    found = estimate(nothing, nothing, np.ones(9, np.bool_))
-    assert found == Estimate(0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-def test_pictures_that_noise_drowns_say_nothing() -> None:
-    """Of a pattern whose light hardly reaches the camera; shapes count for it."""
-    predicted, held, _ = held_out(0.005, 0.001, 0)
-    lit = estimate(predicted, held.radiance)
-    faint, taken = predicted.copy(), held.radiance.copy()
-    noise = generator(3).standard_normal(taken[4:].shape).astype(np.float32)
-    faint[4:], taken[4:] = 1e-2, 1e-3 + 0.01 * noise
-    found = estimate(faint, taken)
-    assert (found.shapes, found.strip) == (lit.shapes, lit.strip)
-    assert found.spots == found.shapes
-    taken[4:] = 1e-3
-    assert estimate(faint, taken).spots == pytest.approx(9)
+    held, floodlit = held_out(0.0)
+    dark = Pictures(held.lit, 0 * held.radiance, held.variance)
+    found = error_of(transport(0 * TRUTH), dark, 0 * floodlit, ~held.lit)
+    assert (found.error, found.indirect) == (0.0, 0.0)

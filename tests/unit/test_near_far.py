@@ -89,7 +89,7 @@ def test_a_wedge_is_known_from_far_fewer_patterns_than_symmetric_photography_tak
 
 def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond_noise() -> None:
     scene = reference_scene("I", (32, 32), channels=1)
-    first = 1 + HELD_OUT + ROUNDS[0]
+    first = 1 + len(HELD_OUT) + ROUNDS[0]
     exact, noisy = (run(scene, "near_far", noise) for noise in (None, CameraConfig()))
     assert exact.patterns == noisy.patterns == first
     assert max(errors(scene, exact.transport)) < 1e-6
@@ -111,7 +111,7 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
     found = acquire(rig, "near_far", progress=False)
     rival = acquire(rig, "symmetric", progress=False, tolerance=0.01)
     # a round's probes, and the held-out pictures
-    assert found.patterns <= rival.patterns + ROUNDS[0] + 3 * HELD_OUT
+    assert found.patterns <= rival.patterns + ROUNDS[0] + len(HELD_OUT)
     assert any(isinstance(part, HierarchicalTransport) for part in found.transport.parts)
     rows = found.transport.level_rows
     assert [row["level"] for row in rows] == list(range(len(rows)))
@@ -151,14 +151,14 @@ def test_a_state_that_symmetric_photography_took_over_is_restored() -> None:
     suite.test_a_state_is_restored_from_its_packs()
 
 
-@pytest.mark.parametrize("limit", [1, 3, 4, 9, 10, 30])
+@pytest.mark.parametrize("limit", [1, 7, 8, 14, 30])
 @pytest.mark.parametrize("case", ["prime_sides", "mirror"])
 def test_a_number_of_patterns_is_a_limit_and_nothing_takes_over(case: str, limit: int) -> None:
     scene = CASES[case]()
     rig = OperatorRig(scene, scene.shape, scene.shape)
     result = acquire(rig, "near_far", progress=False, patterns=limit, target_error=1e-5)
     assert result.patterns <= limit
-    if limit > 3 and case == "prime_sides":
+    if limit > 7 and case == "prime_sides":
         assert result.patterns == limit
     assert np.isfinite(dense(result.transport)).all()
     if case == "prime_sides":

@@ -38,11 +38,15 @@ def test_fewer_pictures_are_the_first_of_more_and_a_seed_draws_others():
     assert relighting_pictures((9, 13), 0).shape == (0, 9, 13)
 
 
-def test_all_views_get_the_same_picture():
+def test_views_get_the_same_picture_all_of_them_or_one():
     views = relighting_pictures((3, 9, 13), 6, 1)
     assert views.shape == (6, 3, 9, 13)
     alone = relighting_pictures((9, 13), 6, 1)
-    np.testing.assert_array_equal(views, np.repeat(alone[:, None], 3, axis=1))
+    for index, (stack, picture) in enumerate(zip(views, alone, strict=True)):
+        lit = stack.any(axis=(1, 2))
+        assert lit.sum() == (3 if index < 3 else 1)
+        for view in stack[lit]:
+            np.testing.assert_array_equal(view, picture)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (3, 2), (2, 1, 1)])

@@ -20,7 +20,8 @@ def acquired(method: str) -> MethodRun:
     at = np.indices(SHAPE).reshape(2, -1)
     matrix = 0.01 * np.exp(-np.hypot(*(at[:, :, None] - at[:, None])))
     np.fill_diagonal(matrix, 1.0)
-    return run_method(get_method(method), matrix[None], SHAPE, SHAPE)
+    options = {"target_error": 1e-5} if method == "near_far" else {}
+    return run_method(get_method(method), matrix[None], SHAPE, SHAPE, **options)
 
 
 def left_in(path: Path, run: MethodRun) -> AcquisitionFolder:

@@ -107,8 +107,8 @@ def _solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
     model = fit(shape, pictures)
     canvas = Canvas.of(shape, pictures)
     taken = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
-    rest = residual_of(canvas, taken, as_transport(shape, [], model, pictures)).transport(canvas)
-    return as_transport(shape, rows, model, pictures, [rest])
+    residual = residual_of(canvas, taken, as_transport(shape, [], model, pictures))
+    return as_transport(shape, rows, model, pictures, [residual.transport(canvas, shape)])
 
 
 def _held_out(series: Series) -> NDArray[np.int64]:

@@ -124,6 +124,16 @@ class Pictures:
         """Pixels that the pictures show, (M,)."""
         return np.asarray(np.isfinite(self.variance[0]).all(axis=0))
 
+    @property
+    def noise(self) -> float:
+        """The floodlit image's noise over its light; 1 of what is darker than that."""
+        known = self.known
+        light, noise = (
+            float(each[0][:, known].sum(dtype=np.float64))
+            for each in (np.square(self.radiance[:1]), self.variance)
+        )
+        return float(np.sqrt(noise / light)) if light > noise else 1.0
+
     def shine(self) -> bool:
         """Tell whether the floodlit image as a whole is brighter than its noise."""
         known = self.known

@@ -161,6 +161,12 @@ class Cells:
         """The wavelets."""
         return Haar(self.stack)
 
+    def functions(self) -> csr_array[np.float32]:
+        """Return the wavelets over the rays, sparse (N, wavelets)."""
+        from scipy.sparse import csr_array
+
+        return csr_array(self.haar.inverse(np.eye(self.haar.size, dtype=np.float32)))[self.of_ray]
+
     def total(self, images: NDArray[Any]) -> Float:
         """Return sums over cells (cells, M) of images (M, N)."""
         if self.side == 1:

@@ -1,11 +1,12 @@
 """What follows a round: the one place where acquisitions in rounds decide.
 
-Each acquisition has a table of conditions and what follows; the first that holds counts, and where
-none does the acquisition goes on as before.
+A table has conditions and what follows; the first that holds counts, and where none does the
+acquisition goes on as before.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,105 +14,154 @@ import numpy as np
 if TYPE_CHECKING:
     from rfpipe.methods.adaptive.rounds import AdaptiveState
 
-# A round of smooth light that leaves more than this of the error before it has shown that more
-# won't help. Errors of rounds of blocks and of footprints should fall with these powers of the
-# patterns: noise alone falls with the root.
-_STALLED, _STALLED_BLOCKS, _STALLED_FOOTPRINTS = 0.85, 0.2, 0.25
-# Errors after the first and the second round from which on footprints are the wrong model: of
-# diffuse scenes they are 4 and 2 %, of a bottle and its caustics 8 to 11 and 13 %.
-_UNFIT = (0.07, 0.05)
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What decisions depend on, by data of the benchmark's open scenes.
+
+    Attributes
+    ----------
+    lost : float
+        Error after the first round from which on the model is the wrong one: of diffuse and glossy
+        scenes it is 2 to 8 %, of mirrors, glass and caustics 8 to 20 %.
+    stalled : float
+        A round of smooth light that leaves more than this of the error before it has shown that
+        more won't help.
+    slowest : float
+        Errors fall with a power of the patterns; where they rose, this is what they may still do.
+    least : tuple of int and float
+        Patterns of a round, at least: so many, and this share of all before it.
+    ample : float
+        Patterns of a round over those that errors as they fall ask for.
+    nearly : float
+        An error of so many times the target is nearly there.
+    noise : float
+        An error of so many times the floodlit image's noise is mostly noise.
+    symmetric, dual : tuple of float
+        Patterns a level of the block tree for an error of a hundredth, and the power of the error
+        by which they grow.
+    """
+
+    lost: float = 0.1
+    stalled: float = 0.85
+    slowest: float = 0.2
+    least: tuple[int, float] = (6, 0.1)
+    ample: float = 1.1
+    nearly: float = 1.2
+    noise: float = 1.5
+    symmetric: tuple[float, float] = (30.0, 0.55)
+    dual: tuple[float, float] = (45.0, 0.75)
 
 
-def smooth_light(state: AdaptiveState, just: str, slot: str, depth: int) -> str:
-    """Tell what follows a round of smooth light, or of what it leaves.
+_AT = Thresholds()
+
+
+@dataclass(frozen=True)
+class Way:
+    """What an acquisition in rounds goes by.
+
+    Attributes
+    ----------
+    law : tuple of float
+        Of its hierarchy, see `Thresholds`.
+    blocks_first : bool
+        Whether rounds of random blocks come before the hierarchy, too.
+    measured : bool
+        Whether the model's direct light is the floodlit image's, with all of its noise.
+    tolerance : float
+        Of the hierarchy, over the target. Mean errors are 1 to 3 tolerances of symmetric
+        photography, 2 to 6 of dual photography; what all pictures tell halves them.
+    """
+
+    law: tuple[float, float]
+    blocks_first: bool
+    measured: bool
+    tolerance: float
+
+
+COAXIAL = Way(_AT.symmetric, blocks_first=True, measured=True, tolerance=0.6)
+ASIDE = Way(_AT.dual, blocks_first=False, measured=False, tolerance=0.25)
+
+
+def what_follows(
+    state: AdaptiveState, way: Way, just: str, slot: str, depth: int
+) -> tuple[str, str]:
+    """Tell what follows a round of patterns, and why.
 
     `just` is what the last level was for, `slot` what the next one is for, `depth` the levels of
     the block tree.
     """
-    estimate, limit = state.estimates[-1], state.options.patterns
-    # the first estimate knows neither strip nor spots: it bounds the error if nothing is indirect
-    reached = state.reached and (state.all_held or estimate.indirect <= state.options.target_error)
-    before_hierarchy = just == "residual" and state.inner is None
-    share = _STALLED
-    if just == "residual":
-        share = (1 - state.rows[-1]["patterns"] / state.shown) ** _STALLED_BLOCKS
-    slow = state.leaves(share)
-    # blocks that hardly help may still reach the target before a hierarchy would
-    nearly = before_hierarchy and _cheaper(state, _STALLED_BLOCKS, depth)
-    costly = before_hierarchy and _costly(state, depth)
-    stalled = slot != just or costly or (slow and not nearly)
-    # a model that leaves so much of the indirect light unexplained is the wrong one; the first
-    # round's probes are few
-    unexplained = estimate.dark > (0.5 if len(state.estimates) == 1 else 0.25) * estimate.indirect
-    lost = just == "model" and unexplained
+    target, error = state.options.target_error, state.estimates[-1].error
+    free = not state.options.patterns and state.inner is None
+    over = slot != just
+    slow = way.blocks_first and (state.leaves(_AT.stalled) if just == "model" else over)
+    costly = going_on(state) > hierarchy_cost(state, depth, way.law)
+    last = just == ("residual" if way.blocks_first else "model")
+    # what ends about at the target is not given up for what begins with nothing: on fields of
+    # 9 x 12 x 16 rays, 680 more patterns of dual photography gained nothing
+    nearly = error <= _AT.nearly * target
+    noise = way.measured and error <= _AT.noise * state.pictures.noise
+    # beyond a hierarchy there is nothing else, but for brute force
+    hopeless = state.inner is not None and going_on(state) > state.projector.size
     table = (
-        (reached or (limit and state.shown >= limit), "done"),
-        ((stalled or slow) and estimate.is_noise, "done"),
-        (
-            not limit and state.inner is None and (lost or (stalled and just == "residual")),
-            "hierarchy",
-        ),
+        (state.reached, "done", ""),
+        (_ended(state), "done", "all patterns are shown that there may be"),
+        ((over or slow) and noise, "done", "it is the noise of the floodlit image"),
+        (free and (state.unfit or _lost(state)), "hierarchy", "the model doesn't fit the light"),
+        ((over or costly) and last and nearly, "done", "it is nearly there"),
+        (free and last and (over or costly), "hierarchy", "more rounds would take more patterns"),
         # of the same patterns, blocks tell more of what smooth light leaves than probes do
-        (just == "model" and (stalled or state.residual is not None), "residual"),
-        (stalled, "done"),
-    )
-    return next((following for holds, following in table if holds), state.following)
-
-
-def is_unfit(state: AdaptiveState) -> bool:
-    """Tell whether footprints have turned out to be the wrong model."""
-    rounds = len(state.estimates)
-    too_large = rounds <= len(_UNFIT) and state.estimates[-1].error > _UNFIT[rounds - 1]
-    return state.unfit or too_large
-
-
-def footprints(state: AdaptiveState, rounds: int) -> str:
-    """Tell what follows a round of footprints, of so many there may be."""
-    estimate, limit = state.estimates[-1], state.options.patterns
-    part = 1 - state.rows[-1]["patterns"] / state.shown
-    stalled = state.level > rounds or state.leaves(part**_STALLED_FOOTPRINTS)
-    # a model that has stalled about at the target is not given up for dual photography, which
-    # begins with nothing: on fields of 9 x 12 x 16 rays, 680 more patterns gained nothing
-    nearly = not state.unfit and estimate.error <= 1.2 * state.options.target_error
-    table = (
-        ((state.all_held and state.reached) or (limit and state.shown >= limit), "done"),
         (
-            not limit and state.all_held and (state.unfit or stalled) and not (stalled and nearly),
-            "hierarchy",
+            way.blocks_first and just == "model" and (over or slow or state.residual is not None),
+            "residual",
+            "smooth light is not all there is",
         ),
-        (stalled, "done"),
+        (over, "done", "all rounds are shown"),
+        (hopeless, "done", "more rounds would take more patterns than brute force"),
     )
-    return next((following for holds, following in table if holds), state.following)
+    return next(((what, why) for holds, what, why in table if holds), (state.following, ""))
 
 
 def hierarchy(state: AdaptiveState, depth: int) -> str:
-    """Tell what follows a level of a hierarchy of so many, or its held-out pictures."""
+    """Tell what follows the held-out pictures, or a level of a hierarchy of so many."""
     target = state.options.target_error or 0.0
-    if state.estimates and state.inner.level < depth and state.estimates[-1].error > target:
-        return "hierarchy"
-    return "done" if state.all_held else "held"
+    if not state.held:
+        return "held"
+    going = state.inner.level < depth and state.estimates[-1].error > target
+    return "hierarchy" if going else "done"
 
 
-def _costly(state: AdaptiveState, depth: int) -> bool:
-    """Tell whether the target would take more blocks than a hierarchy, as errors fall so far."""
+def going_on(state: AdaptiveState) -> float:
+    """Return how many more patterns the target takes as errors fall so far; 0 of one round."""
     errors = [estimate.error for estimate in state.estimates[-3:]]
-    # the first estimate is of other held-out pictures
-    if len(state.estimates) < 4:
-        return False
+    if len(errors) < 2 or errors[-1] <= 0:
+        return 0.0
     patterns = [row["patterns"] for row in state.rows if row["patterns"]]
-    before = state.shown - sum(patterns[-2:])
-    power = _STALLED_BLOCKS
-    if errors[0] > errors[-1] > 0:
-        power = max(power, np.log(errors[0] / errors[-1]) / np.log(state.shown / before))
-    return not _cheaper(state, power, depth)
+    before = state.shown - sum(patterns[1 - len(errors) :])
+    power = np.log(errors[0] / errors[-1]) / np.log(state.shown / before)
+    power = max(power, _AT.slowest)
+    return float(state.shown * ((errors[-1] / state.options.target_error) ** (1 / power) - 1))
 
 
-def _cheaper(state: AdaptiveState, power: float, depth: int) -> bool:
-    """Tell whether blocks take fewer patterns than a hierarchy, with errors falling so.
+def next_round(state: AdaptiveState, most: int) -> int:
+    """Return how many patterns the next round needs of at most so many: about what is missing."""
+    missing = going_on(state)
+    least = max(_AT.least[0], round(_AT.least[1] * state.shown))
+    return min(most, max(least, round(_AT.ample * missing))) if missing else most
 
-    Symmetric photography has an error of a hundredth by 27 patterns a level on the open scenes of
-    the benchmark (13 to 41), and they grow by the power .57 of the error.
-    """
-    target = state.options.target_error
-    more = state.shown * ((state.estimates[-1].error / target) ** (1 / power) - 1)
-    return bool(more <= 27 * depth * (0.01 / target) ** 0.57)
+
+def hierarchy_cost(state: AdaptiveState, depth: int, law: tuple[float, float]) -> float:
+    """Return how many patterns a hierarchy of so many levels takes for the target."""
+    a_level, power = law
+    return float(a_level * depth * (0.01 / state.options.target_error) ** power)
+
+
+def _ended(state: AdaptiveState) -> bool:
+    """Tell whether all patterns are shown that there may be."""
+    limit = state.options.patterns
+    return bool(limit and state.shown >= limit)
+
+
+def _lost(state: AdaptiveState) -> bool:
+    """Tell whether the first round has shown the model to be the wrong one."""
+    return len(state.estimates) == 1 and state.estimates[0].error > _AT.lost

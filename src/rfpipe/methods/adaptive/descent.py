@@ -6,16 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import hierarchy
-from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT, relit
+from rfpipe.methods.adaptive.estimate import HELD_OUT
 from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState, inner_packs
 from rfpipe.methods.base import (
     MEMORY_BYTES,
-    Float,
     LevelImages,
     Method,
     Pack,
@@ -80,9 +76,7 @@ class TargetedState(AdaptiveState):
 class Targeted(Adaptive):
     """A method that goes down a block tree, until held-out pictures are predicted well enough.
 
-    After the floodlit image come pictures of random shapes; when those are predicted, or the tree
-    is at its end, pictures of the strip where most light stays near and of small spots, too. None
-    of them is shown to the inner method.
+    After the floodlit image come the held-out pictures, none of which the inner method is shown.
     """
 
     State = TargetedState
@@ -98,16 +92,16 @@ class Targeted(Adaptive):
         return self._inner
 
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
-        """Return the tree's levels, and two of held-out pictures, in whichever order."""
-        return (("any", 0),) * (BlockTree(projector).n_levels + 1)
+        """Return the tree's levels, and that of the held-out pictures."""
+        return (("any", 0),) * (BlockTree(projector).n_levels)
 
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Guess the patterns from those of the inner method."""
-        return self._inner.expected_patterns(camera, projector, options) + MOST_HELD_OUT
+        return self._inner.expected_patterns(camera, projector, options) + len(HELD_OUT)
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Return the patterns of a scene for which all blocks are lit one by one."""
-        return self._inner.most_patterns(camera, projector, options) + MOST_HELD_OUT
+        return self._inner.most_patterns(camera, projector, options) + len(HELD_OUT)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: TargetOptions
@@ -130,9 +124,6 @@ class Targeted(Adaptive):
         """Return what follows: no level is kept for anything else."""
         return state.following, 0
 
-    def _nearness(self, state: AdaptiveState) -> Float:
-        return nearness(self.transport(state))
-
     def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
         """Return the next level's row: ``block_level`` is that which the hierarchy has reached."""
         alike = dict.fromkeys(state.inner.rows[0], 0) if state.inner.rows else {}
@@ -150,6 +141,10 @@ class Targeted(Adaptive):
         if isinstance(after, TargetedState) and not after.held:
             after = replace(after, best=after.inner).changed(best_level=after.inner.level)
         return self.decided(after)
+
+    def _seen(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+        """Keep no pictures: the inner method's transport is returned as it is."""
+        return state
 
     def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield the transport of the inner method's best state."""
@@ -172,7 +167,7 @@ class Targeted(Adaptive):
         return next(self._candidates(state))
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
-        """Go on down the tree, ask for what held-out pictures are missing, or end."""
+        """Ask for the held-out pictures, go on down the tree, or end."""
         depth = self._inner.n_levels(state.camera, state.projector)
         return state.changed(following=hierarchy(state, depth))
 
@@ -188,64 +183,3 @@ class Targeted(Adaptive):
             return replace(state, best=state.inner)
         best = self.hierarchy.restore(self._inner_start(state), inner[: state.best_level])
         return replace(state, best=best)
-
-
-def nearness(transport: Transport) -> Float:
-    """Tell how much of the light that a ray sends reaches pixels from elsewhere, but from near.
-
-    Under a chequerboard a pixel has direct light, and half of the indirect light from beyond a
-    square or so; or, under its inverse, the latter alone (S. K. Nayar et al., *Fast separation of
-    direct and global components*, SIGGRAPH 2006). Boards of all sizes, relit, tell from how far
-    it comes, without knowing which pixel sees which ray.
-
-    Returns
-    -------
-    ndarray of float32, shape (*projector_shape)
-        Share of the light that comes from elsewhere, over the distance in pixels; at least 0.
-    """
-    shape, channels = transport.projector_shape, range(transport.channels)
-    floodlit = _grey(transport, np.ones((1, *shape), np.float32))[0]
-    longest = max(RayDomain(shape).image_shape)
-    sides = [2**power for power in range(1, longest.bit_length()) if 2**power < longest]
-    shares = [_share(_grey(transport, _boards(shape, side)), floodlit) for side in sides]
-    near = np.zeros_like(floodlit)
-    shares.append(np.zeros_like(near))
-    for side, share, beyond in zip(sides, shares[:-1], shares[1:], strict=True):
-        near += np.maximum(share - beyond, 0) / side
-    weights = np.stack([near, np.ones_like(near)]).astype(np.float32)[:, None]
-    light = np.broadcast_to(weights, (2, transport.channels, len(near)))
-    of_near, of_all = transport.adjoint(light, channels).sum(axis=1, dtype=np.float64)
-    # dimmer rays say nothing
-    bright = of_all > max(0.01 * of_all.mean(), 0)
-    mean = np.divide(of_near, of_all, out=np.zeros_like(of_all), where=bright)
-    image: Float = mean.astype(np.float32).reshape(shape)
-    return image
-
-
-def _boards(shape: tuple[int, ...], side: int) -> Float:
-    """Return chequerboards (8, *shape): moved by half a square either way, and their inverses.
-
-    A pixel that sees the edge of two squares has direct light from both: not so of another board.
-    """
-    height, width = RayDomain(shape).image_shape
-    row, column = np.ogrid[:height, :width]
-    boards = [
-        np.broadcast_to(((row + down) // side + (column + across) // side) % 2, shape)
-        for down in (0, side // 2)
-        for across in (0, side // 2)
-    ]
-    lit = np.stack(boards).astype(np.float32)
-    return np.concatenate([lit, 1 - lit])
-
-
-def _grey(transport: Transport, patterns: Float) -> NDArray[np.float64]:
-    """Return relit pictures (P, M), their channels added up."""
-    images = relit(transport, patterns.reshape(len(patterns), -1))
-    return np.asarray(images.sum(axis=1, dtype=np.float64))
-
-
-def _share(pictures: NDArray[np.float64], floodlit: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the share of each pixel's light that comes from beyond a square of the boards."""
-    darkest = 2 * pictures.min(axis=0)
-    share = np.divide(darkest, floodlit, out=np.zeros_like(floodlit), where=floodlit > 0)
-    return np.asarray(share.clip(0, 1))

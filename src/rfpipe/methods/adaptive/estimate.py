@@ -1,71 +1,130 @@
-"""The error of a prediction, from pictures that no fit sees."""
+"""The error of a relit picture, from pictures that no fit sees.
+
+They are drawn from those that people relight (`rfpipe.relighting`): shapes, bars and spots.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
+from rfpipe.methods.images import Pictures
+from rfpipe.provenance import generator
+from rfpipe.relighting import (
+    KINDS,
+    reference_light,
+    shapes,
+    spot,
+    typical_indirect,
+)
 from rfpipe.transport.base import Transport
 
-HELD_OUT = 2
-"""Pictures of each held-out pattern."""
+HELD_OUT = ("shapes", "shapes", "bars", "spots", "bars", "spots")
+"""Kinds of the held-out pictures. The first two are of one pattern: they tell the noise."""
 
-MOST_HELD_OUT = 3 * HELD_OUT
-"""Held-out pictures of an acquisition: of shapes, the strip and spots."""
+_BARS = 3
+_SPOTS = 12  # of one picture, far apart, each judged in its own part of the image
+_TRIED = 20  # places of a spot, of which that is taken that is farthest from all others
+_SEED = 2010
 
-
-@dataclass(frozen=True)
-class Held:
-    """Pictures (2 or 6, C, M) that no fit sees, each pattern's twice in a row.
-
-    A pattern of random shapes, then the strip where most light stays near and small spots.
-    """
-
-    lit: NDArray[np.bool_]
-    radiance: Float
+Bools = NDArray[np.bool_]
+Double = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Errors relative to the norm of a picture.
+    """Errors of relit pictures, see `rfpipe.relighting.relative_error`.
 
     Attributes
     ----------
-    shapes : float
-        Of a picture of random shapes.
-    strip, spots : float
-        Of the strip, and of small spots; as of shapes where they weren't shown, or noise drowns
-        them: relative to hardly any light, all is wrong.
-    dark : float
-        Of random shapes on pixels that the projector leaves dark, where light is indirect; NaN
-        where these aren't known.
+    shapes, bars, spots : float
+        Mean errors of the kinds of pictures.
     indirect : float
-        All light on those pixels, in the same unit.
+        Mean error on pixels without direct light, of the indirect light there; NaN where these
+        aren't known.
     """
 
     shapes: float
-    strip: float
+    bars: float
     spots: float
-    dark: float = np.nan
     indirect: float = np.nan
 
     @property
     def error(self) -> float:
-        """Expected of a picture: a quarter of what people relight is small spots."""
-        return self.shapes / 2 + self.spots / 4 + self.strip / 4
+        """Expected of a picture: a third of what people relight is of each kind."""
+        return (self.shapes + self.bars + self.spots) / 3
 
-    @property
-    def is_noise(self) -> bool:
-        """Whether most of the error is the noise of direct light, which no more pictures change.
 
-        Dark pixels have none of it, and other pictures no more than random shapes.
-        """
-        worst = max(self.shapes, self.strip, self.spots)
-        return self.dark < self.shapes / 2 and worst < 2 * self.shapes
+@lru_cache(maxsize=8)
+def held_out_parts(shape: tuple[int, ...]) -> tuple[Bools, ...]:
+    """Return the patterns of the held-out pictures, each as parts, bool (parts, N).
+
+    Parallel bars, and spots, are parts of one pattern; shapes are one part. Of a stack, the last
+    bars light one view alone, and each of the last spots one.
+    """
+    domain, drawn = RayDomain(shape), []
+    image = domain.image_shape
+    for index, kind in enumerate(HELD_OUT):
+        random = generator(_SEED, max(index, 1))
+        if kind == "shapes":
+            parts = shapes(image, random, 0.3)[None]
+        elif kind == "bars":
+            parts = _bars(image, random)
+        else:
+            parts = _spots(image, random)
+        views = np.ones((len(parts), domain.views, 1, 1), np.bool_)
+        if index >= len(HELD_OUT) - 2:
+            lit = random.integers(domain.views, size=len(parts) if kind == "spots" else 1)
+            views = (np.arange(domain.views) == lit[:, None])[..., None, None]
+        drawn.append((parts[:, None] & views).reshape(len(parts), -1))
+    return tuple(drawn)
+
+
+def _bars(shape: tuple[int, int], random: np.random.Generator) -> Bools:
+    """Draw parallel bars, the first two pixels wide, the last a fifth of the image, (bars, H, W).
+
+    Of a half plane's error half is by chance, of theirs a fifth: they are about as wrong.
+    """
+    row, column = np.indices(shape)
+    angle = random.uniform(0, 2 * np.pi)
+    across = row * np.sin(angle) + column * np.cos(angle)
+    widths = np.geomspace(2, max(2.0, min(shape) / 5), _BARS)
+    gap = max(np.ptp(across) - widths.sum(), 0) / _BARS
+    starts = across.min() + gap * random.uniform(0.1, 0.9) + np.cumsum(widths + gap) - widths - gap
+    ends = starts + widths
+    bars = [(across >= start) & (across < end) for start, end in zip(starts, ends, strict=True)]
+    # the corner of an image may have no pixel of a bar
+    return np.stack([each for each in bars if each.any()] or [across == across.min()])
+
+
+def _spots(shape: tuple[int, int], random: np.random.Generator) -> Bools:
+    """Draw spots of all sizes, each far from those before it, (spots, H, W)."""
+    drawn: list[Bools] = []
+    centres = np.empty((0, 2))
+    for size in (random.permutation(_SPOTS) + random.random(_SPOTS)) / _SPOTS:
+        places = [spot(shape, random, size) for _ in range(_TRIED)]
+        middles = np.array([np.argwhere(place).mean(axis=0) for place in places])
+        apart = np.linalg.norm(middles[:, None] - centres, axis=-1).min(axis=1, initial=np.inf)
+        best = int(np.argmax(apart))
+        # on tiny images, spots would lie over one another
+        own = places[best] & ~np.any(drawn, axis=0)
+        if own.any():
+            drawn.append(own)
+        centres = np.concatenate([centres, middles[best : best + 1]])
+    return np.stack(drawn)
+
+
+def held_out_patterns(shape: tuple[int, ...]) -> Bools:
+    """Return the patterns of the held-out pictures, bool (pictures, *shape)."""
+    whole = [parts.any(axis=0) for parts in held_out_parts(tuple(shape))]
+    return np.stack(whole).reshape(-1, *shape)
 
 
 def relit(transport: Transport, patterns: NDArray[Any]) -> Float:
@@ -76,60 +135,78 @@ def relit(transport: Transport, patterns: NDArray[Any]) -> Float:
 
 
 def error_of(
-    transport: Transport,
-    held: Held,
-    known: NDArray[np.bool_],
-    dark: NDArray[np.bool_] | None = None,
+    transport: Transport, held: Pictures, floodlit: Float, dark: Bools | None = None
 ) -> Estimate:
-    """Compare a transport's pictures with held-out ones, where pixels are `known`, (M,).
+    """Compare a transport's pictures with the held-out ones, where pixels are known.
 
-    `dark`, (M,), are those to which the first pattern sends no direct light, where that is known.
+    Parameters
+    ----------
+    transport : Transport
+    held : Pictures
+        Of `held_out_patterns`, in their order.
+    floodlit : ndarray of float32, shape (C, M)
+    dark : ndarray of bool, shape (pictures, M), optional
+        The pixels that get no direct light, where these are known.
     """
-    predicted = relit(transport, held.lit[::HELD_OUT]).repeat(HELD_OUT, axis=0)
-    of_dark = None if dark is None else dark[known]
-    return estimate(predicted[..., known], held.radiance[..., known], of_dark)
+    parts = held_out_parts(transport.projector_shape)
+    return estimate([relit(transport, each) for each in parts], parts, held, floodlit, dark)
 
 
-def estimate(predicted: Float, taken: Float, dark: NDArray[np.bool_] | None = None) -> Estimate:
-    """Compare predicted with held-out pictures, float32 (2 or 6, C, M).
+def estimate(
+    predicted: Sequence[Float],
+    parts: Sequence[Bools],
+    held: Pictures,
+    floodlit: Float,
+    dark: Bools | None = None,
+) -> Estimate:
+    """Compare predicted pictures with held-out ones, each part in the pixels where it is brightest.
 
-    Two pictures of one pattern have independent noise, so that the mean product of their errors is
-    the squared error of the prediction alone, whatever the camera's noise may be.
+    What noise adds is taken off: that of the pictures' variances, times the scale that the two
+    pictures of the first pattern tell. Of each picture `parts` are its pattern's, bool (parts, N),
+    and `predicted` their light, float32 (parts, C, M).
     """
-    pairs = [(predicted[k : k + 2], taken[k : k + 2]) for k in range(0, len(predicted), HELD_OUT)]
-    shapes, light = _error(*pairs[0])
-    others = [shapes if _drowned(pair[1]) else _error(*pair)[0] for pair in pairs[1:]]
-    strip, spots = others or (shapes, shapes)
+    known = held.known
+    taken, variance = (
+        each[..., known].astype(np.float64) for each in (held.radiance, held.variance)
+    )
+    spread = float(variance[:2].sum())
+    scale = float(np.square(taken[0] - taken[1]).sum()) / spread if spread > 0 else 0.0
+    noise = (scale * variance).sum(axis=1)
+    whole_pictures = np.stack([each.sum(axis=0)[:, known] for each in predicted])
+    wrong = np.square(whole_pictures - taken).sum(axis=1) - noise
+    light = np.square(taken).sum(axis=1) - noise
+    full = float(np.square(floodlit[:, known], dtype=np.float64).sum())
+    errors: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    for index, (kind, pattern) in enumerate(zip(HELD_OUT, parts, strict=True)):
+        brightest = predicted[index].sum(axis=1)[:, known].argmax(axis=0)
+        judged = (brightest[:, None] == np.arange(len(pattern))).astype(np.float64)
+        whole = reference_light(light[index] @ judged, full * pattern.mean(axis=1))
+        chance = np.sqrt(2 * np.square(noise[index]) @ judged)
+        errors[kind].append(_mean_error(wrong[index] @ judged, chance, whole))
+    by_kind = {kind: float(np.mean(errors[kind])) for kind in KINDS}
     if dark is None:
-        return Estimate(shapes, strip, spots)
-    on_dark, indirect, _ = _products(predicted[:2, ..., dark], taken[:2, ..., dark])
-    return Estimate(shapes, strip, spots, _ratio(on_dark, light), _ratio(indirect, light))
+        return Estimate(**by_kind)
+    of_dark, indirect = ((each * dark[:, known]).sum(axis=1) for each in (wrong, light))
+    by_chance = np.sqrt((2 * np.square(noise) * dark[:, known]).sum(axis=1))
+    whole = reference_light(indirect, typical_indirect(indirect, held.lit.mean(axis=1)))
+    kinds = np.array(HELD_OUT)
+    unlit = [
+        _mean_error(*(each[kinds == kind] for each in (of_dark, by_chance, whole)))
+        for kind in KINDS
+    ]
+    return Estimate(**by_kind, indirect=float(np.mean(unlit)))
 
 
-def _error(predicted: Float, taken: Float) -> tuple[float, float]:
-    """Return the relative error of a pattern's picture, and its squared light."""
-    wrong, light, chance = _products(predicted, taken)
-    # what chance makes of a sum of products is the least error that it can tell from none
-    return _ratio(max(wrong, chance), light), light
+def _mean_error(wrong: Double, chance: Double, whole: Double) -> float:
+    """Return the mean error of parts from their squared errors, which noise may make negative.
 
-
-def _drowned(taken: Float) -> bool:
-    """Tell whether two pictures of a pattern have more noise than light."""
-    one, other = taken.astype(np.float64)
-    return float((one * other).sum()) < float(np.square(one - other).sum() / 2)
-
-
-def _products(predicted: Float, taken: Float) -> tuple[float, float, float]:
-    """Return the summed products of two pictures' errors, of their light, and the first's noise."""
-    one, other = taken.astype(np.float64)
-    first, second = predicted.astype(np.float64)
-    product = (first - one) * (second - other)
-    light = float((one * other).sum())
-    if light <= 0:
-        # of black pictures, light that was predicted is an error
-        light = float((first * second).sum())
-    return float(product.sum()), light, float(np.linalg.norm(product))
-
-
-def _ratio(part: float, whole: float) -> float:
-    return float(np.sqrt(max(part, 0.0) / whole)) if whole > 0 else 0.0
+    The mean of roots is too large where noise is, their root mean square where parts differ.
+    """
+    there = whole > 0
+    squares, by_chance = wrong[there] / whole[there], chance[there] / whole[there]
+    if not squares.size:
+        return 0.0
+    error = min(float(np.sqrt(squares.clip(0)).mean()), np.sqrt(max(float(squares.mean()), 0.0)))
+    # what chance makes of a sum is the least error that can be told from none
+    least = float(np.linalg.norm(by_chance)) / squares.size
+    return max(float(error), float(np.sqrt(least)))

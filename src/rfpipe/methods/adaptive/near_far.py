@@ -8,7 +8,6 @@ single places, symmetric photography comes before that.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,25 +16,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.adaptive.decisions import smooth_light
-from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT
-from rfpipe.methods.adaptive.patterns import block_patterns, probe_patterns
-from rfpipe.methods.adaptive.residual import MOST_CELLS, Canvas, Residual, cells_of, residual_of
-from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.decisions import COAXIAL
+from rfpipe.methods.adaptive.estimate import HELD_OUT
+from rfpipe.methods.adaptive.patterns import probe_patterns
+from rfpipe.methods.adaptive.residual import MOST_CELLS, Canvas, Residual
+from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive, AdaptiveState
 from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit, light_range
-from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method, get_method
+from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method
 from rfpipe.methods.images import Pictures
-from rfpipe.methods.states import joined, kept, level_row
+from rfpipe.methods.states import kept, level_row
 from rfpipe.transport.base import Transport
 from rfpipe.transport.sum import SumTransport
 
 # Probes of each round, a level: a round should cut the error, and end soon where the target is met.
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
-# Block patterns of each round of what the model leaves: some 1.4 times all before it.
-BLOCKS = (12, 20, 28, 40, 60, 88)
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -61,8 +56,9 @@ class NearFar(Adaptive):
     marker = "D"
     needs_coaxial_rig = True
     bytes_per_ray = 10_000
+    way = COAXIAL
     trials = (0.05, 0.01, 0.003)
-    most = 1 + MOST_HELD_OUT + sum(ROUNDS) + sum(BLOCKS)
+    most = 1 + len(HELD_OUT) + sum(ROUNDS) + sum(count for _, count in BLOCK_ROUNDS)
     State = NearFarState
 
     @cached_property
@@ -83,23 +79,13 @@ class NearFar(Adaptive):
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return rounds of smooth light, of what it leaves, the hierarchy, and what that leaves."""
         model = tuple(("model", count) for count in ROUNDS)
-        residual = tuple(("residual", count) for count in BLOCKS)
-        below = (("hierarchy", 0),) * (BlockTree(projector).n_levels - 1)
-        return (*model, *residual, *below, *residual)
-
-    def _in_round(self, state: AdaptiveState) -> int:
-        kind, count = self.slot(state)
-        # at the target, all that is left is to see whether spots are as good
-        return 0 if kind == "residual" and state.reached else count
+        return (*model, *BLOCK_ROUNDS, *self.below(projector))
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        shape, level = state.projector.shape, state.level
         if self.slot(state)[0] == "residual":
-            return block_patterns(cells_of(shape), level, count)
+            return super()._patterns(state, count)
+        shape, level = state.projector.shape, state.level
         return probe_patterns(shape, level, count, self._range(state) if level > 1 else None)
-
-    def _nearness(self, state: AdaptiveState) -> Float:
-        return self._range(state).nearness
 
     def _range(self, state: AdaptiveState) -> LightRange:
         assert state.model is not None
@@ -116,21 +102,14 @@ class NearFar(Adaptive):
 
     def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Fit smooth light, or what the better model leaves of all pictures."""
-        shape, level = state.projector.shape, state.level - 1
-        if self.slot(state, back=1)[0] == "model":
-            count = images.schedule.count
-            more = Pictures.read(images, state.channels, state.projector.size, first, count)
-            state = state.changed(taken=more)
-            model = fit(shape, state.pictures)
-            state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
-            return state.changed(residual=self._if_it_helps(state)) if level > 1 else state
-        canvas = Canvas.of(shape, state.pictures)
-        state = state.changed(others=canvas.read(images, first))
-        bases = self._bases(state)
-        of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
-        residual = self._left_by(state, base, canvas)
-        counted = state.counted(nodes=residual.pairs.shape[1])
-        return counted.changed(residual=residual, of_hierarchy=of_hierarchy)
+        if self.slot(state, back=1)[0] == "residual":
+            return super()._fitted(state, images, first)
+        shape, count = state.projector.shape, images.schedule.count
+        more = Pictures.read(images, state.channels, state.projector.size, first, count)
+        state = state.changed(taken=more)
+        model = fit(shape, state.pictures)
+        state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
+        return state.changed(residual=self._if_it_helps(state)) if state.level > 2 else state
 
     def _if_it_helps(self, state: AdaptiveState) -> Residual | None:
         """Find what smooth light leaves where the target isn't met and a rough look says it helps.
@@ -143,67 +122,28 @@ class NearFar(Adaptive):
             return None
         roughly, canvas = (Canvas.of(shape, state.pictures, cells) for cells in (1024, MOST_CELLS))
         residual = self._left_by(state, base, roughly)
-        both = self._with_rest(state, residual.transport(roughly), of_hierarchy=False)
+        rest = residual.transport(roughly, shape)
+        both = self._with_rest(state, base, rest, of_hierarchy=False)
         if self._estimate(state, both).error >= 0.95 * error:
             return None
         # of small pictures, the rough look is the close one
         same = roughly.cells.side == canvas.cells.side
         return residual if same else self._left_by(state, base, canvas)
 
-    def _left_by(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Residual:
-        """Find what a model leaves of all pictures."""
-        series = state.pictures
-        pictures = canvas.taken(series.lit, series.radiance, series.variance)
-        if state.others is not None:
-            pictures = joined([pictures, state.others], axis=0)
-        return residual_of(canvas, pictures, base)
-
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         assert state.held is not None
-        return np.asarray(~state.held.lit[0])
+        return np.asarray(~state.held.lit)
 
-    def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
-        """Yield the models there are, and what is returned with what one of them leaves."""
-        for of_hierarchy, base in self._bases(state):
-            yield base
-            if state.residual is not None and state.of_hierarchy is of_hierarchy:
-                rest = state.residual.transport(Canvas.of(state.projector.shape, state.pictures))
-                yield self._with_rest(state, rest, of_hierarchy)
-
-    def _bases(self, state: AdaptiveState) -> Iterator[tuple[bool, Transport]]:
+    def _bases(self, state: AdaptiveState) -> Iterator[tuple[bool, SumTransport]]:
         """Yield smooth light, and the hierarchy if there is one, and whether it is that."""
         rows = list(state.rows)
         yield False, as_transport(state.projector.shape, rows, state.model, state.pictures)
         if state.inner is not None:
             yield True, SumTransport([self.hierarchy.transport(state.inner)], rows)
 
-    def _with_rest(self, state: AdaptiveState, rest: Transport, of_hierarchy: bool) -> Transport:
-        """Return smooth light, or the hierarchy, and what it leaves."""
-        model, parts = state.model, [rest]
-        if of_hierarchy:
-            model, parts = None, [self.hierarchy.transport(state.inner), rest]
+    def _with_rest(
+        self, state: AdaptiveState, base: SumTransport, rest: Transport, of_hierarchy: bool
+    ) -> SumTransport:
+        """Return smooth light, or the hierarchy, and what it leaves; the rest is direct light."""
+        model, parts = (None, [*base.parts, rest]) if of_hierarchy else (state.model, [rest])
         return as_transport(state.projector.shape, list(state.rows), model, state.pictures, parts)
-
-    def _descend(
-        self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
-    ) -> AdaptiveState:
-        """Let symmetric photography refine a level; its pictures serve later rounds, too."""
-        if images.schedule.count:
-            new["others"] = Canvas.of(state.projector.shape, state.pictures).read(images)
-        if self.slot(state, back=-1)[0] == "residual":
-            new["following"] = "residual"
-        return super()._descend(state, images, memory_bytes, **new)
-
-    def decided(self, state: AdaptiveState) -> AdaptiveState:
-        """Go on, go another way, or end."""
-        just, depth = self.slot(state, back=1)[0], BlockTree(state.projector).n_levels
-        following = smooth_light(state, just, self.slot(state)[0], depth)
-        if following == "hierarchy":
-            _log.info("light goes to single places; going on with symmetric photography")
-            # of the benchmark's coaxial scenes, relit pictures are off by one to five tolerances of
-            # a hundredth, and by no less at larger ones; the pictures of all levels together more
-            # than halve that
-            return self._hand_over(state, min(state.options.target_error, 0.01))
-        if following == "residual" and just == "model":
-            _log.info("smooth light is not all there is; going on with random blocks")
-        return state.changed(following=following)

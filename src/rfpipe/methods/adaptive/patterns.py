@@ -1,4 +1,4 @@
-"""Random patterns: those that are held out of all fits, and those that models are fitted to.
+"""Random patterns that models are fitted to.
 
 White noise holds too little of the large shapes that far-range light depends on, smooth noise too
 little of the small ones; noise with equal power in every octave of size lies between.
@@ -6,14 +6,14 @@ little of the small ones; noise with equal power in every octave of size lies be
 
 from __future__ import annotations
 
-from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
+from rfpipe.relighting import brightest, octave_noise
 from rfpipe.transport.wavelet import Cells
 
 if TYPE_CHECKING:
@@ -25,56 +25,6 @@ SEED = 2006
 _SEED_OF_FOOTPRINTS = 2026
 
 Bools = NDArray[np.bool_]
-
-
-def octave_noise(
-    shape: tuple[int, ...], random: np.random.Generator, falloff: float = 1.0
-) -> NDArray[np.float64]:
-    """Return noise with unit deviation, on the torus, float64 (*shape).
-
-    Amplitudes fall with the power `falloff` of the frequency: 1 has equal power in every octave, 0
-    is white.
-    """
-    height, width = RayDomain(shape).image_shape
-    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
-    amplitude = 1 / np.maximum(frequency, 1 / max(height, width)) ** falloff
-    amplitude[0, 0] = 0
-    white = np.fft.rfft2(random.standard_normal(shape))
-    field = np.fft.irfft2(white * amplitude, s=(height, width), axes=(-2, -1))
-    spread = field.std()
-    # a single ray has no detail
-    noise: NDArray[np.float64] = field / spread if spread > 0 else random.standard_normal(shape)
-    return noise
-
-
-def brightest(image: NDArray[np.floating[Any]], part: float) -> Bools:
-    """Return the part of an image that is brightest; of equal pixels, the first."""
-    count = max(1, round(part * image.size))
-    chosen = np.zeros(image.size, np.bool_)
-    chosen[np.argsort(-image.ravel(), kind="stable")[:count]] = True
-    return chosen.reshape(image.shape)
-
-
-def held_out_shapes(shape: tuple[int, ...]) -> Bools:
-    """Return random shapes over three tenths of the image, bool (*shape)."""
-    return brightest(octave_noise(shape, generator(SEED, 0, 0)), 0.3)
-
-
-def held_out_strip(nearness: NDArray[np.floating[Any]]) -> Bools:
-    """Return the 32nd of the image where most light stays near, by `nearness` (*shape)."""
-    return brightest(nearness, 1 / 32)
-
-
-def held_out_spots(shape: tuple[int, ...]) -> Bools:
-    """Return eight small spots in each view, of 2 pixels to a twelfth of a side; bool (*shape)."""
-    views, height, width = RayDomain(shape).stack_shape
-    spots, random = np.zeros((views, height, width), np.bool_), generator(SEED, 0, 1)
-    largest = max(2.0, 1 / 12 * min(height, width))
-    for view, _ in product(range(views), range(8)):
-        side = min(round(np.exp(random.uniform(np.log(2), np.log(largest)))), height, width)
-        top, left = random.integers(0, height - side + 1), random.integers(0, width - side + 1)
-        spots[view, top : top + side, left : left + side] = True
-    return spots.reshape(shape)
 
 
 def probe_patterns(

@@ -1,9 +1,10 @@
 """What a model of the light leaves of all pictures together, whoever asked for them.
 
-The transport is ``T = M + F K F + diag(d)``: M is any model's, F the root of the floodlit image,
-and K symmetric, of any sign, ``K = W^T C W`` with Haar wavelets W. The entries of C are independent
-normal deviates whose variances are learned from the pictures. Light isn't negative, which says more
-of K than many pictures do.
+The transport of a coaxial rig is ``T = M + F K F + diag(d)``: M is any model's, F the root of the
+floodlit image, and K symmetric, of any sign, ``K = W^T C W`` with Haar wavelets W; of another rig
+``T = M + F K G``, where G is the root of what the projector's rays send, and K isn't symmetric. The
+entries of C are independent normal deviates whose variances are learned from the pictures. Light
+isn't negative, which says more of K than many pictures do.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from rfpipe.methods.base import Float, LevelImages
 from rfpipe.methods.images import Pictures, planar_batches
 from rfpipe.methods.states import joined
 from rfpipe.transport.base import Transport
+from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.wavelet import Cells, Group, Haar, WaveletTransport, cell_side
 
 MOST_CELLS = 4096
@@ -53,19 +55,21 @@ class CellPictures:
 
 
 class Canvas:
-    """What all pictures share: cells, the floodlit image (C, N), and the pixels shown, (N,)."""
+    """What all pictures share.
+
+    Parameters
+    ----------
+    cells : Cells
+        Of the camera.
+    floodlit : ndarray of float32, shape (C, M)
+    known : ndarray of bool, shape (M,)
+        The pixels shown.
+    """
 
     def __init__(self, cells: Cells, floodlit: Float, known: NDArray[np.bool_]) -> None:
         self.cells, self.known = cells, known
-        light = np.maximum(floodlit, 0)
-        self.brightest: Float = light.max(axis=1)
-        # dim pixels may exchange light, too
-        lifted = light + np.float32(0.02) * light.mean(axis=1, keepdims=True)
-        # half of what a surface returns goes with the light that it gets, half with what it sends
-        root = np.power(lifted, np.float32(0.5))
-        mean = root.mean(axis=1, keepdims=True)
-        self.factor: Float = np.divide(root, mean, out=np.zeros_like(root), where=mean > 0)
-        """F, float32 (C, N), of mean 1."""
+        self.brightest: Float = np.maximum(floodlit, 0).max(axis=1)
+        self.factor = root_of(floodlit)
 
     @classmethod
     def of(cls, shape: tuple[int, ...], pictures: Pictures, most: int = MOST_CELLS) -> Canvas:
@@ -103,7 +107,8 @@ class Canvas:
     def read(self, images: LevelImages, first: int = 0) -> CellPictures:
         """Read a level's images from one on, a few at a time, summed over cells."""
         channels, rays = self.factor.shape
-        lit = images.schedule.batch(first, images.schedule.count).reshape(-1, rays) > 0
+        lit = images.schedule.batch(first, images.schedule.count) > 0
+        lit = lit.reshape(len(lit), -1)
         parts = [
             self.taken(lit[part], np.moveaxis(radiance, 0, 1), np.moveaxis(variance, 0, 1))
             for part, radiance, variance in planar_batches(images, channels, rays, first)
@@ -116,30 +121,90 @@ class Canvas:
 
 
 @dataclass(frozen=True)
+class Sender:
+    """The projector of a rig that isn't coaxial.
+
+    Attributes
+    ----------
+    cells : Cells
+    factor : ndarray of float32, shape (C, N)
+        Root of what each ray sends, see `root_of`.
+    places : ndarray of float32, shape (cells, 2)
+        Row and column, in the camera's cells, of what each cell lights.
+    """
+
+    cells: Cells
+    factor: Float
+    places: Float
+
+
+@dataclass(frozen=True)
 class Residual:
-    """What a model leaves, as `WaveletTransport` has it: pairs (2, pairs), cores (C, pairs)."""
+    """What a model leaves: pairs of wavelets (2, pairs), and cores (C, pairs), what they exchange.
+
+    `sent` is `Sender.factor`, (C, 0) of coaxial rigs.
+    """
 
     pairs: NDArray[np.int32]
     cores: Float
+    sent: Float
 
-    def transport(self, canvas: Canvas) -> WaveletTransport:
-        """Return it as a transport."""
-        cells = canvas.cells
+    def transport(self, canvas: Canvas, shape: tuple[int, ...]) -> Transport:
+        """Return it as a transport from a projector's ray domain."""
+        cells, channels = canvas.cells, len(canvas.factor)
+        if not self.sent.size:
+            arrays = {
+                "side": np.array([cells.side], np.int32),
+                "factor": canvas.factor,
+                "pairs": self.pairs,
+                "cores": self.cores,
+            }
+            return WaveletTransport(cells.shape, channels, [], arrays)
+        sender = cells_of(shape)
+        left, right = cells.functions(), sender.functions()
+        first, second = self.pairs
+        starts = np.searchsorted(first, np.arange(cells.haar.size + 1)).astype(np.int32)
         arrays = {
-            "side": np.array([cells.side], np.int32),
-            "factor": canvas.factor,
-            "pairs": self.pairs,
+            "footprints": np.zeros((channels, 0), np.float32),
+            "footprints_columns": np.zeros(0, np.int32),
+            "footprints_starts": np.zeros(left.shape[0] + 1, np.int32),
             "cores": self.cores,
+            "cores_columns": second,
+            "cores_starts": starts,
+            "camera_factor": canvas.factor,
+            "projector_factor": self.sent,
         }
-        return WaveletTransport(cells.shape, len(canvas.factor), [], arrays)
+        for name, functions in (("left", left), ("right", right)):
+            arrays |= {
+                name: functions.data,
+                f"{name}_columns": functions.indices.astype(np.int32),
+                f"{name}_starts": functions.indptr.astype(np.int32),
+            }
+        return FootprintTransport(cells.shape, shape, channels, [], arrays)
 
 
-def residual_of(canvas: Canvas, pictures: CellPictures, model: Transport) -> Residual:
+def root_of(light: Float) -> Float:
+    """Return the root of an image (C, rays), of mean 1.
+
+    Half of what a surface returns goes with the light that it gets, half with what it sends.
+    """
+    bright = np.maximum(light, 0)
+    # dim pixels may exchange light, too
+    root = np.sqrt(bright + np.float32(0.02) * bright.mean(axis=1, keepdims=True))
+    mean = root.mean(axis=1, keepdims=True)
+    unit: Float = np.divide(root, mean, out=np.zeros_like(root), where=mean > 0)
+    return unit
+
+
+def residual_of(
+    canvas: Canvas, pictures: CellPictures, model: Transport, sender: Sender | None = None
+) -> Residual:
     """Find what a model leaves: the most probable given all pictures, the floodlit one first.
 
-    The model need not be good.
+    The model need not be good. A rig without a `sender` is coaxial.
     """
-    channels, haar = len(canvas.factor), canvas.cells.haar
+    channels, cells = len(canvas.factor), canvas.cells
+    lamp, factor = (cells, canvas.factor) if sender is None else (sender.cells, sender.factor)
     residual = pictures.radiance - _predicted(canvas, pictures.lit, model)
     # a picture may be wrong by a part of the brightest light in any case
     expected = np.square(np.float32(5e-4) * canvas.brightest)
@@ -147,8 +212,8 @@ def residual_of(canvas: Canvas, pictures: CellPictures, model: Transport) -> Res
     telling = _telling(residual, variance)
     lit, observed = pictures.lit[telling], pictures.radiance[telling]
     residual, variance = residual[telling], variance[telling]
-    cores = np.zeros((channels, haar.size, haar.size), np.float32)
-    weights = np.zeros((channels, haar.size))
+    cores = np.zeros((channels, cells.haar.size, lamp.haar.size), np.float32)
+    weights = np.zeros((channels, lamp.haar.size))
     prior: Float | None = None
     # the brightest channel tells most of the ways that light takes; others take the same
     brightest = int(np.argmax(canvas.brightest))
@@ -156,20 +221,27 @@ def residual_of(canvas: Canvas, pictures: CellPictures, model: Transport) -> Res
         share = canvas.brightest[channel] / max(canvas.brightest[brightest], _TINY)
         if not share > 0:
             continue
-        light = canvas.cells.total(lit * canvas.factor[channel])
-        posterior = Posterior(haar, light, residual[:, channel].T, variance[:, channel].T)
+        posterior = Posterior(
+            cells.haar,
+            lamp.total(lit * factor[channel]),
+            residual[:, channel].T,
+            variance[:, channel].T,
+            None if sender is None else (lamp.haar, sender.places),
+        )
         if prior is None:
             prior = posterior.guessed()
             for _ in range(2):
                 posterior.prepare(prior)
                 posterior.solve(posterior.observed, _ITERATIONS)
                 prior = posterior.relearned()
-        matrix = _not_negative(posterior, prior * share**2, _between(canvas, model, channel))
-        half = haar.forward(matrix)
-        cores[channel] = haar.forward(np.ascontiguousarray(half.T))
+        between = _between(canvas, model, channel, sender)
+        matrix = _not_negative(posterior, prior * share**2, between)
+        half = cells.haar.forward(matrix)
+        cores[channel] = lamp.haar.forward(np.ascontiguousarray(half.T)).T
         energy = np.square(observed[:, channel], dtype=np.float64).sum(axis=1).mean()
         weights[channel] = np.square(posterior.light, dtype=np.float64).mean(axis=1) / energy
-    return _kept(cores, weights)
+    sent = np.zeros((channels, 0), np.float32) if sender is None else factor
+    return _kept(cores, weights, sent)
 
 
 def _telling(left: Float, variance: Float) -> NDArray[np.int64]:
@@ -192,24 +264,25 @@ def _not_negative(posterior: Posterior, prior: Float, model: Float) -> Float:
     posterior.solve(posterior.observed, 2 * _ITERATIONS)
     matrix, direct = posterior.matrix(), posterior.direct
     posterior.prepare(prior, _CLIPPED)
-    between = ~np.eye(len(matrix), dtype=np.bool_)
+    between = np.ones(matrix.shape, np.bool_)
+    if posterior.symmetric:
+        np.fill_diagonal(between, val=False)
     for _ in range(_CLIPPED):
         np.maximum(matrix, -model, out=matrix, where=between)
-        predicted = matrix @ posterior.cells + direct[:, None] * posterior.cells
-        posterior.solve(posterior.left(predicted), _ITERATIONS)
+        posterior.solve(posterior.left(matrix, direct), _ITERATIONS)
         matrix += posterior.matrix()
         direct = direct + posterior.direct
     return matrix
 
 
-def _between(canvas: Canvas, model: Transport, channel: int) -> Float:
+def _between(canvas: Canvas, model: Transport, channel: int, sender: Sender | None) -> Float:
     """Return the light that a model has between cells, over F on both sides, (cells, cells)."""
     cells, factor, weight = canvas.cells, canvas.factor[channel], canvas.weight[channel]
-    light = cells.total(np.square(factor)[None])[:, 0]
-    sent = cells.shared_out(factor, light)
+    lamp, sent = (cells, factor) if sender is None else (sender.cells, sender.factor[channel])
+    light = lamp.total(np.square(sent)[None])[:, 0]
     received = cells.shared_out(factor * canvas.known, weight)
-    matrix = model.between(received, sent, channel)
-    return np.float32(0.5) * (matrix + matrix.T)
+    matrix = model.between(received, lamp.shared_out(sent, light), channel)
+    return matrix if sender is not None else np.float32(0.5) * (matrix + matrix.T)
 
 
 def _predicted(canvas: Canvas, lit: NDArray[np.bool_], model: Transport) -> Float:
@@ -218,17 +291,20 @@ def _predicted(canvas: Canvas, lit: NDArray[np.bool_], model: Transport) -> Floa
     return np.concatenate([canvas.reduced(relit(model, part)) for part in parts])
 
 
-def _kept(cores: Float, weights: NDArray[np.float64]) -> Residual:
+def _kept(cores: Float, weights: NDArray[np.float64], sent: Float) -> Residual:
     """Keep the cores without which a picture would change by more than a part of its norm."""
-    first, second = np.triu_indices(cores.shape[1])
-    both = weights[:, first] + np.where(first != second, weights[:, second], 0)
-    entries = cores[:, first, second]
-    change = (np.square(entries) * both).max(axis=0)
-    rising = np.sort(change)
+    change = np.zeros(cores.shape[1:])
+    for entries, weight in zip(cores, weights, strict=True):
+        energy = np.square(entries)
+        both = energy * weight
+        if not sent.size:
+            both = np.triu(both) + np.triu(energy * weight[:, None], 1)
+        change = np.maximum(change, both)
+    rising = np.sort(change, axis=None)
     dropped = np.searchsorted(np.cumsum(rising), 5e-4**2, side="right")
-    kept = np.flatnonzero(change >= np.append(rising, np.inf)[dropped])
-    pairs = np.stack([first[kept], second[kept]]).astype(np.int32)
-    return Residual(pairs, np.ascontiguousarray(entries[:, kept]))
+    least = np.append(rising, np.inf)[dropped]
+    pairs = np.stack(np.nonzero(change >= max(least, _TINY))).astype(np.int32)
+    return Residual(pairs, np.ascontiguousarray(cores[:, pairs[0], pairs[1]]), sent)
 
 
 class Posterior:
@@ -237,14 +313,27 @@ class Posterior:
     Parameters
     ----------
     haar : Haar
-    light : ndarray of float32, shape (cells, P)
+        Of the camera's cells.
+    light : ndarray of float32, shape (projector cells, P)
         Sums of the patterns times F.
     observed, variance : ndarray of float32, shape (cells, P)
         The variance is infinite where nothing is known.
+    sender : tuple of Haar and ndarray, optional
+        Of the projector's cells, and their `Sender.places`. Without one, K is symmetric.
     """
 
-    def __init__(self, haar: Haar, light: Float, observed: Float, variance: Float) -> None:
+    def __init__(
+        self,
+        haar: Haar,
+        light: Float,
+        observed: Float,
+        variance: Float,
+        sender: tuple[Haar, Float] | None = None,
+    ) -> None:
         self.haar, self.cells = haar, np.ascontiguousarray(light)
+        self.symmetric = sender is None
+        self.lamp = haar if sender is None else sender[0]
+        self._places = None if sender is None else sender[1]
         self._known = np.isfinite(variance)
         self.observed = np.where(self._known, observed, 0)
         self._variance = np.where(self._known, variance, 0)
@@ -252,31 +341,63 @@ class Posterior:
             1, self._variance, where=self._known, out=np.zeros_like(self.observed)
         )
         self._noise = 1 / max(float(certainty.mean(dtype=np.float64)), _TINY)
-        self.light = haar.forward(self.cells)
+        self.light = self.lamp.forward(self.cells)
         lit = max(float(np.square(self.cells, dtype=np.float64).mean()), _TINY)
         # variance of what cells send back directly: a part of that of what the model leaves
         self._direct = np.float32(0.02 * self.observed.var(dtype=np.float64) / lit)
         self._alike = [rows for group in haar.groups for rows in group.alike()]
 
-    def left(self, predicted: Float) -> Float:
-        """Return what predicted pictures (cells, P) leave of those taken; 0 if unknown."""
+    def left(self, matrix: Float, direct: Float) -> Float:
+        """Return what K, and direct light, leave of the pictures (cells, P); 0 if unknown."""
+        predicted = matrix @ self.cells
+        if self.symmetric:
+            predicted += direct[:, None] * self.cells
         residual: Float = np.where(self._known, self.observed - predicted, 0)
         return residual
+
+    def _pairs(self) -> Iterator[tuple[Group, Group]]:
+        """Yield each pair of scales, once where K is symmetric."""
+        for index, one in enumerate(self.haar.groups):
+            for other in self.lamp.groups[index if self.symmetric else 0 :]:
+                yield one, other
+
+    def _distances(self, one: Group, other: Group) -> Float:
+        """Distances of places in cells, whichever views they are in, (places, places)."""
+        centres = other.centres()
+        if self._places is not None:
+            _, height, width = self.lamp.stack
+            cell = np.minimum(centres.astype(np.int64), (height - 1, width - 1))
+            views = np.repeat(np.arange(other.grid[0]), other.grid[1] * other.grid[2])
+            centres = self._places[(views * height + cell[:, 0]) * width + cell[:, 1]]
+        apart = one.centres()[:, None] - centres
+        distance: Float = np.hypot(apart[..., 0], apart[..., 1])
+        return distance
+
+    def _spread(self, variance: Float, one: Group, other: Group, each: Float) -> None:
+        """Write the variances of pairs of places for all orientations."""
+        if one is other:
+            each = np.float32(0.5) * (each + each.T)
+        shape = (one.orientations, one.places, other.orientations, other.places)
+        whole = np.broadcast_to(each[None, :, None], shape).reshape(
+            one.orientations * one.places, other.orientations * other.places
+        )
+        variance[one.rows, other.rows] = whole
+        if self.symmetric and one is not other:
+            variance[other.rows, one.rows] = whole.T
 
     def guessed(self) -> Float:
         """Return variances of C before any fit, (size, size): falling with the distance's square.
 
         The unit of distance is half a cell.
         """
-        haar = self.haar
         changing = self.light - self.light.mean(axis=1, keepdims=True)
         unit = np.square(changing, dtype=np.float64).sum(axis=0).mean() / len(changing)
         energy = np.square(self.observed, dtype=np.float64).sum(axis=0).mean()
-        variance = np.empty((haar.size, haar.size), np.float32)
-        for one, other in _pairs(haar):
-            apart = 1 + np.square(_distances(one, other) / 0.5)
+        variance = np.empty((self.haar.size, self.lamp.size), np.float32)
+        for one, other in self._pairs():
+            apart = 1 + np.square(self._distances(one, other) / 0.5)
             each = (one.side * other.side) ** 2 / apart
-            _spread(variance, one, other, each.astype(np.float32))
+            self._spread(variance, one, other, each.astype(np.float32))
         total = float(energy / max(unit, _TINY))
         variance *= np.float32(total / variance.sum(dtype=np.float64))
         return variance
@@ -311,10 +432,12 @@ class Posterior:
         # rows tell of an entry, and so do columns: either leaves a part of its variance, at least
         # a ten-thousandth, and certainties add up
         certainty = 1 / (self.prior * np.maximum(1 - self.prior * energy, np.float32(1e-4)))
-        before = 1 / self.prior
-        energy = np.square(self.core) + 1 / np.maximum(certainty + certainty.T - before, before)
+        if self.symmetric:
+            before = 1 / self.prior
+            certainty = np.maximum(certainty + certainty.T - before, before)
+        energy = np.square(self.core) + 1 / certainty
         variance = np.empty_like(energy)
-        for one, other in _pairs(self.haar):
+        for one, other in self._pairs():
             part = energy[one.rows, other.rows].reshape(
                 one.orientations, one.places, other.orientations, other.places
             )
@@ -322,12 +445,13 @@ class Posterior:
             grid = (*one.grid, *other.grid)
             smooth = uniform_filter(pairs.reshape(grid), size=(1, 3, 3, 1, 3, 3), mode="nearest")
             pairs = (pairs + smooth.reshape(pairs.shape)) / 2
-            half_octave: NDArray[np.int64] = (2 * np.log2(1 + _distances(one, other))).astype(int)
+            distances = self._distances(one, other)
+            half_octave: NDArray[np.int64] = (2 * np.log2(1 + distances)).astype(int)
             count = np.maximum(np.bincount(half_octave.ravel()), 1)
             typical = np.bincount(half_octave.ravel(), pairs.ravel()) / count
             each = one.orientations * other.orientations
             drawn = (each * pairs + typical[half_octave]) / (each + 1)
-            _spread(variance, one, other, drawn.astype(np.float32))
+            self._spread(variance, one, other, drawn.astype(np.float32))
         floor: Float = np.maximum(variance, np.float32(1e-10) * variance.max())
         return floor
 
@@ -346,18 +470,24 @@ class Posterior:
     def matrix(self) -> Float:
         """Return K of the last solution, (cells, cells)."""
         half = self.haar.inverse(self.core)
-        return self.haar.inverse(np.ascontiguousarray(half.T))
+        matrix = self.lamp.inverse(np.ascontiguousarray(half.T))
+        return matrix if self.symmetric else np.ascontiguousarray(matrix.T)
 
     def _applied(self, dual: Float) -> Float:
         """Apply the covariance of the pictures; the solution that goes with it is left behind."""
         from rfpipe.methods.adaptive.kernels import symmetric_product
 
         core: Float = self.haar.forward(dual) @ self.light.T
-        symmetric_product(core, self.prior)
+        if self.symmetric:
+            symmetric_product(core, self.prior)
+        else:
+            core *= self.prior
         self.core = core
-        self.direct = self._direct * np.einsum("cm,cm->c", dual, self.cells)
         pictures = self.haar.inverse(core @ self.light)
-        pictures += self.direct[:, None] * self.cells
+        self.direct = np.zeros(len(dual), np.float32)
+        if self.symmetric:
+            self.direct = self._direct * np.einsum("cm,cm->c", dual, self.cells)
+            pictures += self.direct[:, None] * self.cells
         pictures += self._times * self._variance * dual
         pictures *= self._known
         return pictures
@@ -367,30 +497,3 @@ class Posterior:
         for inverse, rows in zip(self._inverses, self._alike, strict=True):
             coefficients[rows] = coefficients[rows] @ inverse
         return self.haar.inverse(coefficients) * self._known
-
-
-def _pairs(haar: Haar) -> Iterator[tuple[Group, Group]]:
-    """Yield each pair of scales once."""
-    for index, one in enumerate(haar.groups):
-        for other in haar.groups[index:]:
-            yield one, other
-
-
-def _spread(variance: Float, one: Group, other: Group, each: Float) -> None:
-    """Write the variances of pairs of places for all orientations, both ways."""
-    if one is other:
-        each = np.float32(0.5) * (each + each.T)
-    shape = (one.orientations, one.places, other.orientations, other.places)
-    whole = np.broadcast_to(each[None, :, None], shape).reshape(
-        one.orientations * one.places, other.orientations * other.places
-    )
-    variance[one.rows, other.rows] = whole
-    if one is not other:
-        variance[other.rows, one.rows] = whole.T
-
-
-def _distances(one: Group, other: Group) -> Float:
-    """Distances of places in cells, whichever views they are in, (places, places)."""
-    apart = one.centres()[:, None] - other.centres()
-    distance: Float = np.hypot(apart[..., 0], apart[..., 1])
-    return distance

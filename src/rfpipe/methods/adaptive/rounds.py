@@ -7,6 +7,7 @@ hierarchy that goes down the block tree, or the end.
 
 from __future__ import annotations
 
+import logging
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,14 +16,21 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, Held, error_of
-from rfpipe.methods.adaptive.patterns import held_out_shapes, held_out_spots, held_out_strip
-from rfpipe.methods.adaptive.residual import CellPictures, Residual
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.methods.adaptive.decisions import Way, hierarchy_cost, next_round, what_follows
+from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, error_of, held_out_patterns
+from rfpipe.methods.adaptive.patterns import block_patterns
+from rfpipe.methods.adaptive.residual import (
+    Canvas,
+    CellPictures,
+    Residual,
+    Sender,
+    cells_of,
+    residual_of,
+)
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     ErrorOptions,
-    Float,
     LevelImages,
     Method,
     Pack,
@@ -33,6 +41,7 @@ from rfpipe.methods.states import (
     MethodState,
     PackingMethod,
     grown,
+    joined,
     kept,
     lengthened,
     level_row,
@@ -40,6 +49,12 @@ from rfpipe.methods.states import (
 )
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
+from rfpipe.transport.sum import SumTransport
+
+_log = logging.getLogger(__name__)
+
+BLOCK_ROUNDS = tuple(("residual", count) for count in (12, 20, 28, 40, 60, 88, 124, 170))
+"""Rounds of what models leave, in random blocks: each has some 1.4 times all patterns before it."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +64,8 @@ class AdaptiveState(MethodState):
     Attributes
     ----------
     following : str
-        What the next level that shows patterns is for: ``model``, ``residual``, ``hierarchy``,
-        ``held`` (held-out pictures alone) or ``done``.
+        What the next level that shows patterns is for: ``model``, ``residual``, ``hierarchy`` or
+        ``done``.
     taken, others : Pictures and CellPictures, optional
         Of the model's rounds, the floodlit one first; of all other levels, in cells alone.
     estimates : sequence of Estimate
@@ -73,7 +88,7 @@ class AdaptiveState(MethodState):
     following: str = "model"
     taken: Pictures | None = lengthened(Pictures)
     others: CellPictures | None = lengthened(CellPictures)
-    held: Held | None = lengthened(Held)
+    held: Pictures | None = kept(Pictures)
     estimates: Sequence[Estimate] = grown(Estimate)
     model: Any = None
     residual: Residual | None = kept(Residual)
@@ -97,14 +112,9 @@ class AdaptiveState(MethodState):
         return sum(row["patterns"] for row in self.rows)
 
     @property
-    def all_held(self) -> bool:
-        """Whether all held-out pictures are there."""
-        return self.held is not None and len(self.held.lit) > HELD_OUT
-
-    @property
     def reached(self) -> bool:
         """Whether the last estimate is at most the target."""
-        return bool(self.estimates) and self.estimates[-1].error <= self.options.target_error
+        return bool(self.estimates and self.estimates[-1].error <= self.options.target_error)
 
     def counted(self, **counts: Any) -> AdaptiveState:
         """Return the state with more in the last level's row of the table."""
@@ -112,8 +122,7 @@ class AdaptiveState(MethodState):
 
     def leaves(self, share: float) -> bool:
         """Tell whether the last round left more than this share of the error before it."""
-        # by other held-out pictures, errors don't compare
-        if self.news.get("held") or len(self.estimates) < 3:
+        if len(self.estimates) < 3:
             return False
         before, estimate = self.estimates[-2:]
         return bool(estimate.error > share * before.error)
@@ -126,6 +135,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
     Options = ErrorOptions
     trades = "target_error"
     State: ClassVar[type[AdaptiveState]] = AdaptiveState
+    way: ClassVar[Way]
 
     @property
     @abstractmethod
@@ -149,33 +159,91 @@ class Adaptive(PackingMethod[AdaptiveState]):
         self.check(camera, projector)
         return 1 + len(self.levels(projector))
 
+    def below(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
+        """Return the levels of the hierarchy below its floodlit one, and of what that leaves."""
+        return (*(("hierarchy", 0),) * (BlockTree(projector).n_levels - 1), *BLOCK_ROUNDS)
+
     def _in_round(self, state: AdaptiveState) -> int:
         """Return how many patterns the next round shows, held-out ones not counted."""
-        return self.slot(state)[1]
+        return next_round(state, self.slot(state)[1])
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        """Return the next round's patterns, (count, *shape)."""
-        return np.zeros((count, *state.projector.shape), np.bool_)
-
-    @abstractmethod
-    def _nearness(self, state: AdaptiveState) -> Float:
-        """Return how much of each ray's light stays near, (*shape)."""
+        """Return the next round's patterns, (count, *shape): random blocks."""
+        return block_patterns(cells_of(state.projector.shape), state.level, count)
 
     def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Return the state with a fit to a round's images, too, from the first on."""
-        return state
+        canvas = Canvas.of(state.camera.shape, state.pictures)
+        return self._with_residual(state.changed(others=canvas.read(images, first)))
 
-    @abstractmethod
     def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
-        """Yield what may be returned."""
+        """Yield what may be returned: models, and one of them with what it leaves."""
+        for of_hierarchy, base in self._bases(state):
+            yield base
+            if state.residual is not None and state.of_hierarchy is of_hierarchy:
+                canvas = Canvas.of(state.camera.shape, state.pictures)
+                rest = state.residual.transport(canvas, state.projector.shape)
+                yield self._with_rest(state, base, rest, of_hierarchy)
+
+    def _bases(self, state: AdaptiveState) -> Iterator[tuple[bool, SumTransport]]:
+        """Yield the model, and the hierarchy if there is one, and whether it is that."""
+        raise NotImplementedError
+
+    def _with_rest(
+        self, state: AdaptiveState, base: SumTransport, rest: Transport, of_hierarchy: bool
+    ) -> SumTransport:
+        """Return a model and what it leaves."""
+        raise NotImplementedError
 
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_] | None:
-        """Return the camera pixels without direct light in the first held-out picture, if known."""
+        """Return the camera pixels without direct light in each held-out picture, if known."""
         return None
 
-    @abstractmethod
+    def _left_by(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Residual:
+        """Find what a model leaves of all pictures."""
+        series = state.pictures
+        pictures = canvas.taken(series.lit, series.radiance, series.variance)
+        if state.others is not None:
+            pictures = joined([pictures, state.others], axis=0)
+        return residual_of(canvas, pictures, base, self._sender(state, base, canvas))
+
+    def _sender(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Sender | None:
+        """Return the projector, unless the rig is coaxial."""
+        return None
+
+    def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
+        """Find what the better model leaves of all pictures, where the target isn't met."""
+        bases = self._bases(state)
+        of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
+        if self._estimate(state, base).error <= state.options.target_error:
+            return state
+        canvas = Canvas.of(state.camera.shape, state.pictures)
+        residual = self._left_by(state, base, canvas)
+        return state.changed(residual=residual, of_hierarchy=of_hierarchy)
+
     def decided(self, state: AdaptiveState) -> AdaptiveState:
-        """Go on, go another way, or end."""
+        """Go on, go another way, or end; and say so."""
+        just, slot = self.slot(state, back=1)[0], self.slot(state)[0]
+        depth = BlockTree(state.projector).n_levels
+        following, why = what_follows(state, self.way, just, slot, depth)
+        if following == "hierarchy":
+            _log.info("%s; going on with %s", why, self.hierarchy.title.lower())
+            cost = round(hierarchy_cost(state, depth, self.way.law))
+            if state.shown + cost > state.projector.size:
+                _log.warning(
+                    "it may take about %d patterns in all, and brute force takes %d",
+                    state.shown + cost, state.projector.size,
+                )  # fmt: skip
+            return self._hand_over(state, self.way.tolerance * state.options.target_error)
+        if following == "done" and not state.reached:
+            error, target = state.estimates[-1].error, state.options.target_error
+            _log.warning(
+                "ended at an error of %.2g %%, where %.2g %% was asked for: %s",
+                100 * error, 100 * target, why,
+            )  # fmt: skip
+        elif why:
+            _log.info("%s; going on with random blocks", why)
+        return state.changed(following=following)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
@@ -189,7 +257,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def _asked(self, state: AdaptiveState) -> tuple[int, int]:
         """Return how many held-out pictures a round shows, and how many others."""
-        held = 0 if state.all_held else HELD_OUT * (2 if state.held else 1)
+        held = 0 if state.held else len(HELD_OUT)
         count, limit = self._in_round(state), getattr(state.options, "patterns", 0)
         if not limit:
             return held, count
@@ -209,15 +277,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if due == "hierarchy":
             return replace(self.hierarchy.schedule(state.inner), level=level)
         held, count = self._asked(state)
-        shown: list[NDArray[Any]] = []
-        if held:  # shapes at first, then the strip and spots
-            shown = [held_out_shapes(shape)]
-            if state.held:
-                shown = [held_out_strip(self._nearness(state)), held_out_spots(shape)]
-        shown = [each[None] for each in shown for _ in range(HELD_OUT)]
-        if count:
-            shown.append(self._patterns(state, count))
-        weights = np.concatenate([np.zeros((0, *shape)), *shown]).astype(np.float32)
+        shown = [held_out_patterns(shape)[:held], self._patterns(state, count)]
+        weights = np.concatenate(shown).astype(np.float32)
         return Schedule(level, shape, len(weights), weights=weights)
 
     def asks(self, state: AdaptiveState) -> bool:
@@ -234,14 +295,15 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if state.level == 0:
             return self._begun(state, images)
         if due == "hierarchy":
-            return self._descend(state, images, memory_bytes)
+            after = self._descend(state, images, memory_bytes)
+            return after.changed(following="done") if count and after.reached else after
         after = state.after(self._row(state, count))
         if not count:
             return after if due == "done" else after.changed(following="done")
         first, _ = self._asked(state)
         if first:
             held = Pictures.read(images, state.channels, state.camera.size, 0, first)
-            after = after.changed(held=Held(held.lit, held.radiance))
+            after = after.changed(held=held)
         if count > first:
             after = self._fitted(after, images, first)
         return self.decided(self._judged(after))
@@ -258,7 +320,10 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _descend(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
     ) -> AdaptiveState:
-        """Let the hierarchy refine a level of its own; `new` are other fields that change."""
+        """Let the hierarchy refine a level of its own; `new` are other fields that change.
+
+        Its pictures tell of what models leave, too.
+        """
         pictures = ImagesAs(replace(images.schedule, level=state.inner.level), images.read)
         inner = self.hierarchy.refine(state.inner, pictures, memory_bytes)
         levels = (*state.descended, state.level)
@@ -270,7 +335,17 @@ class Adaptive(PackingMethod[AdaptiveState]):
             rows[level] = {**rows[level], **inner.rows[-back], "level": level}
         state = replace(state, rows=tuple(rows[:-1]))
         state = state.after(rows[-1], inner=inner, descended=levels, **new)
-        return self._judged(state) if images.schedule.count and state.held else state
+        if not (images.schedule.count and state.held):
+            return state
+        return self._judged(self._seen(state, images))
+
+    def _seen(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+        """Keep a hierarchy's pictures; after the last of its levels, find what it leaves."""
+        canvas = Canvas.of(state.camera.shape, state.pictures)
+        state = state.changed(others=canvas.read(images))
+        if self.hierarchy.asks(state.inner):
+            return state
+        return self._with_residual(state.changed(following="residual"))
 
     def _hand_over(self, state: AdaptiveState, tolerance: float) -> AdaptiveState:
         """Begin the hierarchy with the floodlit image, which is there already."""
@@ -295,12 +370,12 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:
         """Compare a transport's pictures with the held-out ones, where pixels are known."""
         assert state.held is not None
-        return error_of(transport, state.held, state.pictures.known, self._dark(state))
+        return error_of(transport, state.held, state.pictures.floodlit, self._dark(state))
 
     def _best(self, state: AdaptiveState) -> tuple[Transport, Estimate]:
         """Return what predicts the held-out pictures best, and how well."""
         if not state.held:
-            return next(iter(self._candidates(state))), Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
+            return next(iter(self._candidates(state))), Estimate(1.0, 1.0, 1.0)
         estimated = [(each, self._estimate(state, each)) for each in self._candidates(state)]
         return min(estimated, key=lambda pair: pair[1].error)
 

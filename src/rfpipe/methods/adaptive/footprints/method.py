@@ -7,7 +7,6 @@ with no structured light. Where the model doesn't fit, dual photography follows.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.adaptive.decisions import footprints, is_unfit
-from rfpipe.methods.adaptive.estimate import HELD_OUT, MOST_HELD_OUT, relit
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.decisions import ASIDE
+from rfpipe.methods.adaptive.estimate import HELD_OUT, held_out_patterns, relit
 from rfpipe.methods.adaptive.footprints.candidates import Candidates
 from rfpipe.methods.adaptive.footprints.model import Model, find
 from rfpipe.methods.adaptive.footprints.series import series_of, unit_of
 from rfpipe.methods.adaptive.patterns import view_patterns
+from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, root_of
 from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState
 from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method, get_method, options_of
 from rfpipe.methods.images import Pictures
@@ -36,10 +36,8 @@ if TYPE_CHECKING:
 
 # Random patterns of each round, a level. The first has to be enough to find footprints. Of several
 # views, which are lit one at a time, each has as many as the second tuple tells.
-ROUNDS = (24, 26, 36, 48, 64, 80)
-_VIEW_ROUNDS = (24, 12, 16, 24, 32, 40)
-
-_log = logging.getLogger(__name__)
+ROUNDS = (24, 26, 36, 48, 64, 80, 110, 150)
+_VIEW_ROUNDS = (24, 12, 16, 24, 32, 40, 50, 60)
 
 
 def in_round(number: int, views: int) -> int:
@@ -52,7 +50,7 @@ def in_round(number: int, views: int) -> int:
 
 def most_of(views: int) -> int:
     """Return the patterns of all rounds, the floodlit and the held-out ones among them."""
-    return 1 + MOST_HELD_OUT + sum(in_round(number, views) for number in range(len(ROUNDS)))
+    return 1 + len(HELD_OUT) + sum(in_round(number, views) for number in range(len(ROUNDS)))
 
 
 @dataclass(frozen=True)
@@ -85,6 +83,7 @@ class Footprints(Adaptive):
     colour = "#6a3d9a"
     marker = "p"
     bytes_per_ray = 100_000
+    way = ASIDE
     trials = (0.05, 0.01, 0.005)
     State = FootprintState
 
@@ -105,17 +104,20 @@ class Footprints(Adaptive):
         return most_of(projector.views) + self.hierarchy.most_patterns(camera, projector, inner)
 
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
-        """Return rounds, then the levels of dual photography below its floodlit one."""
+        """Return rounds, then the levels of dual photography, and of what that leaves."""
         rounds = (("model", in_round(k, projector.views)) for k in range(len(ROUNDS)))
-        return (*rounds, *(("hierarchy", 0),) * (BlockTree(projector).n_levels - 1))
+        return (*rounds, *self.below(projector))
 
     def _in_round(self, state: AdaptiveState) -> int:
         """Return the patterns of the next round; none where held-out ones are all that is left."""
-        if state.unfit or state.reached:
+        if state.unfit and not state.inner:
             return 0
-        return super()._in_round(state)
+        # views are lit in turn, each as often as all others
+        return self.slot(state)[1] if state.projector.views > 1 else super()._in_round(state)
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
+        if self.slot(state)[0] == "residual":
+            return super()._patterns(state, count)
         return view_patterns(state.projector.shape, state.level, count)
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
@@ -127,7 +129,7 @@ class Footprints(Adaptive):
         rays, views = state.projector.size, state.projector.views
         limit = state.options.patterns
         # the whole view, and four patterns of each
-        if views > 1 and limit and limit <= 1 + HELD_OUT + 5 * views:
+        if views > 1 and limit and limit <= 1 + len(HELD_OUT) + 5 * views:
             return False
         # smaller projectors are lit block by block at once
         return rays >= 4 * ROUNDS[0] * views
@@ -135,6 +137,8 @@ class Footprints(Adaptive):
     def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Fit the model to a round's pictures and all before them."""
         assert isinstance(state, FootprintState)
+        if self.slot(state, back=1)[0] == "residual":
+            return super()._fitted(state, images, first)
         count, channels = images.schedule.count, state.channels
         more = Pictures.read(images, channels, state.camera.size, first, count)
         state = state.changed(taken=more)
@@ -146,61 +150,50 @@ class Footprints(Adaptive):
         model = find(state.camera, state.projector, grey, parts, state.found)
         arrays = _arrays_of(model, state.camera, state.projector, unit)
         nodes, scalar = len(arrays["cores_columns"]), len(arrays["footprints_columns"])
-        return state.counted(nodes=nodes, scalar=scalar).changed(model=arrays, found=model.grey)
+        state = state.counted(nodes=nodes, scalar=scalar)
+        return self._with_residual(state.changed(model=arrays, found=model.grey, residual=None))
 
-    def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
-        """Yield the model, and the hierarchy if there is one."""
+    def _sender(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Sender:
+        """Return the projector's cells, what they send, and where the camera sees them lit."""
+        channels, camera = range(state.channels), state.camera
+        _, row, column = np.indices(camera.stack_shape).reshape(3, -1)
+        light = np.stack([np.ones_like(row), row, column]).astype(np.float32)
+        planar = np.repeat(light[:, None], state.channels, axis=1)
+        cells, side = cells_of(state.projector.shape), canvas.cells.side
+        lit, *moments = cells.total(
+            _model_of(state).direct().adjoint(planar, channels).sum(axis=1)
+        ).T.astype(np.float64)
+        seen = lit > 0
+        places = np.stack(moments) / np.where(seen, lit, 1) / side
+        if seen.any() and not seen.all():
+            from scipy.ndimage import distance_transform_edt
+
+            nearest = distance_transform_edt(
+                ~seen.reshape(cells.stack), return_distances=False, return_indices=True
+            )
+            places = places[:, np.ravel_multi_index(tuple(nearest), cells.stack).ravel()]
+        white = np.maximum(base.adjoint(planar[:1], channels)[0], 0)
+        return Sender(cells, root_of(white), places.T.astype(np.float32))
+
+    def _bases(self, state: AdaptiveState) -> Iterator[tuple[bool, SumTransport]]:
+        """Yield footprints, and the hierarchy if there is one, and whether it is that."""
         rows = list(state.rows)
-        yield SumTransport([_model_of(state)], rows)
+        yield False, SumTransport([_model_of(state)], rows)
         if state.inner is not None:
-            yield SumTransport([self.hierarchy.transport(state.inner)], rows)
+            yield True, SumTransport([self.hierarchy.transport(state.inner)], rows)
+
+    def _with_rest(
+        self, state: AdaptiveState, base: SumTransport, rest: Transport, of_hierarchy: bool
+    ) -> SumTransport:
+        """Return a model and what it leaves."""
+        return SumTransport([*base.parts, rest], list(state.rows))
 
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         """Return the camera pixels with at most a 50th of their direct light."""
-        assert state.held is not None
-        lit = state.held.lit[0]
-        direct = relit(_model_of(state).direct(), np.stack([lit, np.ones_like(lit)]))
-        observed, full = direct.sum(axis=1)
-        return ~np.asarray(observed > 0.02 * full)
-
-    def _nearness(self, state: AdaptiveState) -> Float:
-        """Return how much of each projector ray's light arrives near where it lights, (*shape).
-
-        Its indirect light, radiance, over the root mean square distance, in pixels of the camera,
-        from the ray's footprint; 0 where the camera sees no footprint. Of rays that the camera
-        hardly sees, the picture would be next to black.
-        """
-        transport = _model_of(state)
-        _, height, width = state.camera.stack_shape
-        ray = np.arange(state.camera.size)
-        row, column = ray // width % height, ray % width
-        moments = np.stack([np.ones_like(row), row, column, row**2 + column**2])
-        light = np.repeat(moments.astype(np.float32)[:, None], transport.channels, axis=1)
-        channels = range(transport.channels)
-        total = transport.adjoint(light, channels).sum(axis=1, dtype=np.float64)
-        direct = transport.direct().adjoint(light, channels).sum(axis=1, dtype=np.float64)
-        sent = np.maximum(direct[0], np.finfo(np.float32).tiny)
-        down, across = direct[1] / sent, direct[2] / sent
-        weight, to_row, to_column, squares = total - direct
-        distance = weight * (down**2 + across**2) + squares
-        distance = distance - 2 * (down * to_row + across * to_column)
-        there = (weight > 0) & (direct[0] > 0)
-        mean = np.divide(distance, weight, out=np.ones_like(weight), where=there)
-        reach = np.sqrt(np.clip(mean, 0.25, height**2 + width**2))
-        nearness = np.where(there, weight / reach, 0)
-        return nearness.astype(np.float32).reshape(state.projector.shape)
-
-    def decided(self, state: AdaptiveState) -> AdaptiveState:
-        """Go on, go another way, or end."""
-        state = state.changed(unfit=is_unfit(state))
-        following = footprints(state, len(ROUNDS))
-        if following == "hierarchy":
-            _log.info("the model of footprints leaves too much; going on with dual photography")
-            # mean errors of relit pictures in tolerances of dual photography: of scenes with glass
-            # and mirrors, where the model doesn't fit, 3 to 17, of diffuse scenes 1 to 6
-            part = 10.0 if state.unfit else 3.0
-            return self._hand_over(state, min(state.options.target_error / part, 0.01))
-        return state.changed(following=following)
+        lit = held_out_patterns(state.projector.shape).reshape(len(HELD_OUT), -1)
+        shown = np.concatenate([np.ones_like(lit[:1]), lit])
+        full, *direct = relit(_model_of(state).direct(), shown).sum(axis=1)
+        return ~np.asarray(np.stack(direct) > 0.02 * full)
 
 
 def _model_of(state: AdaptiveState) -> FootprintTransport:
