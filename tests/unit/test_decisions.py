@@ -121,3 +121,13 @@ def test_a_round_has_the_patterns_that_are_missing() -> None:
         assert going_on(state) == pytest.approx(missing, rel=1e-6)
         assert next_round(state, 100) == max(6, round(1.1 * missing))
     assert next_round(state, 7) == 7
+
+
+def test_both_targets_are_to_be_met() -> None:
+    state = after(NearFar(), [0.04, 0.009], 0.01)
+    for indirect, following in ((0.2, "done"), (0.05, "model")):
+        options = ErrorOptions(target_error=0.01, target_indirect=indirect)
+        told = replace(state, options=options)
+        told = replace(told, estimates=[replace(each, indirect=0.1) for each in state.estimates])
+        assert told.excess[-1] == pytest.approx(max(0.9, 0.1 / indirect))
+        assert decided(NearFar(), told) == following

@@ -21,7 +21,7 @@ ROWS = [
     {"level": 0, "patterns": 1},
     {"level": 1, "patterns": 14, "estimated_error": 0.08},
     {"level": 2, "patterns": 5},
-    {"level": 3, "patterns": 20, "estimated_error": 0.012},
+    {"level": 3, "patterns": 20, "estimated_error": 0.012, "estimated_indirect": 0.07},
     {"level": 4, "patterns": 0},
 ]
 COUNTS = {"nodes": 1, "empty": 0, "rank1": 0, "scalar": 0, "subdivided": 0}
@@ -44,9 +44,10 @@ def history(rows: list) -> pd.DataFrame:
 
 def test_history_adds_up_patterns_and_leaves_out_levels_without_an_estimate() -> None:
     table = history(ROWS)
-    assert list(table.columns) == list(HISTORY_COLUMNS) == ["level", "patterns", "estimated_error"]
-    assert table.to_numpy().tolist() == [[1, 15, 0.08], [3, 40, 0.012]]
-    assert table.to_dict("records") == estimates(ROWS)
+    errors = ["estimated_error", "estimated_indirect"]
+    assert list(table.columns) == list(HISTORY_COLUMNS) == ["level", "patterns", *errors]
+    np.testing.assert_array_equal(table.to_numpy(), [[1, 15, 0.08, np.nan], [3, 40, 0.012, 0.07]])
+    pd.testing.assert_frame_equal(pd.DataFrame(estimates(ROWS)), table)
 
 
 @pytest.mark.parametrize("rows", [[], ROWS[:1]])

@@ -67,6 +67,11 @@ class ErrorOptions(PatternOptions):
         description="Mean error of relit pictures at which to stop, a fraction of their norm "
         "between 0 and 1.",
     )
+    target_indirect: Fraction | None = Field(
+        None,
+        description="Mean error of their indirect light, on pixels without direct light, at which "
+        "to stop, a fraction of that light between 0 and 1; null: any.",
+    )
 
 
 class TargetOptions(Options):

@@ -26,7 +26,7 @@ Float = NDArray[np.float32]
 LIMIT = 8 * 2**30
 """Bytes that a matrix in a file may take by default, before compression."""
 
-HISTORY_COLUMNS = ("level", "patterns", "estimated_error")
+HISTORY_COLUMNS = ("level", "patterns", "estimated_error", "estimated_indirect")
 """Level; patterns shown up to there, the floodlit one included; the error that the method then
 estimated, relative to the norm of a relit image."""
 
@@ -274,7 +274,8 @@ class Transport(Light):
         import pandas as pd
 
         table = pd.DataFrame(estimates(self.level_rows), columns=list(HISTORY_COLUMNS))
-        return table.astype({"level": "int64", "patterns": "int64", "estimated_error": "float64"})
+        kinds = dict.fromkeys(HISTORY_COLUMNS[:2], "int64")
+        return table.astype(kinds | dict.fromkeys(HISTORY_COLUMNS[2:], "float64"))
 
     @property
     def nbytes(self) -> int:
@@ -400,6 +401,6 @@ def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     for row in level_rows:
         count += int(row["patterns"])
         if "estimated_error" in row:
-            error = float(row["estimated_error"])
-            errors.append({"level": int(row["level"]), "patterns": count, "estimated_error": error})
+            known = {name: float(row.get(name, np.nan)) for name in HISTORY_COLUMNS[2:]}
+            errors.append({"level": int(row["level"]), "patterns": count, **known})
     return errors

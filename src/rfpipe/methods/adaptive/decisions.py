@@ -33,6 +33,8 @@ class Thresholds:
         Patterns of a round, at least: so many, and this share of all before it.
     ample : float
         Patterns of a round over those that errors as they fall ask for.
+    indirect : float
+        Error of indirect light over that in total.
     nearly : float
         An error of so many times the target is nearly there.
     noise : float
@@ -47,6 +49,7 @@ class Thresholds:
     slowest: float = 0.2
     least: tuple[int, float] = (6, 0.1)
     ample: float = 1.1
+    indirect: float = 6.0
     nearly: float = 1.2
     noise: float = 1.5
     symmetric: tuple[float, float] = (30.0, 0.55)
@@ -80,7 +83,7 @@ class Way:
 
 
 COAXIAL = Way(_AT.symmetric, blocks_first=True, measured=True, tolerance=0.6)
-ASIDE = Way(_AT.dual, blocks_first=False, measured=False, tolerance=0.25)
+ASIDE = Way(_AT.dual, blocks_first=False, measured=False, tolerance=0.2)
 
 
 def what_follows(
@@ -91,7 +94,6 @@ def what_follows(
     `just` is what the last level was for, `slot` what the next one is for, `depth` the levels of
     the block tree.
     """
-    target, error = state.options.target_error, state.estimates[-1].error
     free = not state.options.patterns and state.inner is None
     over = slot != just
     slow = way.blocks_first and (state.leaves(_AT.stalled) if just == "model" else over)
@@ -99,8 +101,8 @@ def what_follows(
     last = just == ("residual" if way.blocks_first else "model")
     # what ends about at the target is not given up for what begins with nothing: on fields of
     # 9 x 12 x 16 rays, 680 more patterns of dual photography gained nothing
-    nearly = error <= _AT.nearly * target
-    noise = way.measured and error <= _AT.noise * state.pictures.noise
+    nearly = state.excess[-1] <= _AT.nearly
+    noise = way.measured and state.estimates[-1].error <= _AT.noise * state.pictures.noise
     # beyond a hierarchy there is nothing else, but for brute force
     hopeless = state.inner is not None and going_on(state) > state.projector.size
     table = (
@@ -124,23 +126,21 @@ def what_follows(
 
 def hierarchy(state: AdaptiveState, depth: int) -> str:
     """Tell what follows the held-out pictures, or a level of a hierarchy of so many."""
-    target = state.options.target_error or 0.0
     if not state.held:
         return "held"
-    going = state.inner.level < depth and state.estimates[-1].error > target
-    return "hierarchy" if going else "done"
+    return "hierarchy" if state.inner.level < depth and not state.reached else "done"
 
 
 def going_on(state: AdaptiveState) -> float:
     """Return how many more patterns the target takes as errors fall so far; 0 of one round."""
-    errors = [estimate.error for estimate in state.estimates[-3:]]
+    errors = state.excess[-3:]
     if len(errors) < 2 or errors[-1] <= 0:
         return 0.0
     patterns = [row["patterns"] for row in state.rows if row["patterns"]]
     before = state.shown - sum(patterns[1 - len(errors) :])
     power = np.log(errors[0] / errors[-1]) / np.log(state.shown / before)
     power = max(power, _AT.slowest)
-    return float(state.shown * ((errors[-1] / state.options.target_error) ** (1 / power) - 1))
+    return float(state.shown * (errors[-1] ** (1 / power) - 1))
 
 
 def next_round(state: AdaptiveState, most: int) -> int:
@@ -153,7 +153,16 @@ def next_round(state: AdaptiveState, most: int) -> int:
 def hierarchy_cost(state: AdaptiveState, depth: int, law: tuple[float, float]) -> float:
     """Return how many patterns a hierarchy of so many levels takes for the target."""
     a_level, power = law
-    return float(a_level * depth * (0.01 / state.options.target_error) ** power)
+    return float(a_level * depth * (0.01 / target_of(state)) ** power)
+
+
+def target_of(state: AdaptiveState) -> float:
+    """Return the error that a hierarchy has to have in total.
+
+    That of indirect light is some six times as large.
+    """
+    indirect = state.options.target_indirect or np.inf
+    return float(min(state.options.target_error, indirect / _AT.indirect))
 
 
 def _ended(state: AdaptiveState) -> bool:

@@ -159,8 +159,7 @@ class Targeted(Adaptive):
         states = [state.inner] if state.best is state.inner else [state.inner, state.best]
         estimates = [self._estimate(state, self.hierarchy.transport(each)) for each in states]
         estimate, best = min(zip(estimates, states, strict=True), key=lambda each: each[0].error)
-        after = replace(state, best=best).changed(best_level=best.level, estimates=[estimate])
-        return after.counted(estimated_error=estimate.error)
+        return replace(state, best=best).changed(best_level=best.level).estimated(estimate)
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return what predicts the held-out pictures best, of the inner method's kind."""

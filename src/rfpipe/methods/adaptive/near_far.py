@@ -117,14 +117,14 @@ class NearFar(Adaptive):
         Then the error is less than .95 of what it is without.
         """
         [(_, base)] = self._bases(state)
-        shape, error = state.projector.shape, self._estimate(state, base).error
-        if error <= state.options.target_error:
+        shape, estimate = state.projector.shape, self._estimate(state, base)
+        if state.estimated(estimate).reached:
             return None
         roughly, canvas = (Canvas.of(shape, state.pictures, cells) for cells in (1024, MOST_CELLS))
         residual = self._left_by(state, base, roughly)
         rest = residual.transport(roughly, shape)
         both = self._with_rest(state, base, rest, of_hierarchy=False)
-        if self._estimate(state, both).error >= 0.95 * error:
+        if self._estimate(state, both).error >= 0.95 * estimate.error:
             return None
         # of small pictures, the rough look is the close one
         same = roughly.cells.side == canvas.cells.side

@@ -11,13 +11,19 @@ import logging
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.adaptive.decisions import Way, hierarchy_cost, next_round, what_follows
+from rfpipe.methods.adaptive.decisions import (
+    Way,
+    hierarchy_cost,
+    next_round,
+    target_of,
+    what_follows,
+)
 from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, error_of, held_out_patterns
 from rfpipe.methods.adaptive.patterns import block_patterns
 from rfpipe.methods.adaptive.residual import (
@@ -112,13 +118,29 @@ class AdaptiveState(MethodState):
         return sum(row["patterns"] for row in self.rows)
 
     @property
+    def excess(self) -> list[float]:
+        """The estimates over the target: the larger of that in total and that of indirect light."""
+        indirect = getattr(self.options, "target_indirect", None) or np.inf
+        return [
+            float(np.fmax(each.error / self.options.target_error, each.indirect / indirect))
+            for each in self.estimates
+        ]
+
+    @property
     def reached(self) -> bool:
         """Whether the last estimate is at most the target."""
-        return bool(self.estimates and self.estimates[-1].error <= self.options.target_error)
+        return bool(self.estimates) and self.excess[-1] <= 1
 
-    def counted(self, **counts: Any) -> AdaptiveState:
+    def counted(self, **counts: Any) -> Self:
         """Return the state with more in the last level's row of the table."""
         return replace(self, rows=(*self.rows[:-1], {**self.rows[-1], **counts}))
+
+    def estimated(self, estimate: Estimate) -> Self:
+        """Return the state with an estimate, told in the last level's row."""
+        told = {"estimated_error": estimate.error}
+        if np.isfinite(estimate.indirect):
+            told["estimated_indirect"] = estimate.indirect
+        return self.counted(**told).changed(estimates=[estimate])
 
     def leaves(self, share: float) -> bool:
         """Tell whether the last round left more than this share of the error before it."""
@@ -215,7 +237,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Find what the better model leaves of all pictures, where the target isn't met."""
         bases = self._bases(state)
         of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
-        if self._estimate(state, base).error <= state.options.target_error:
+        if state.estimated(self._estimate(state, base)).reached:
             return state
         canvas = Canvas.of(state.camera.shape, state.pictures)
         residual = self._left_by(state, base, canvas)
@@ -234,13 +256,9 @@ class Adaptive(PackingMethod[AdaptiveState]):
                     "it may take about %d patterns in all, and brute force takes %d",
                     state.shown + cost, state.projector.size,
                 )  # fmt: skip
-            return self._hand_over(state, self.way.tolerance * state.options.target_error)
+            return self._hand_over(state, self.way.tolerance * target_of(state))
         if following == "done" and not state.reached:
-            error, target = state.estimates[-1].error, state.options.target_error
-            _log.warning(
-                "ended at an error of %.2g %%, where %.2g %% was asked for: %s",
-                100 * error, 100 * target, why,
-            )  # fmt: skip
+            _log.warning("ended at %.2f times the error asked for: %s", state.excess[-1], why)
         elif why:
             _log.info("%s; going on with random blocks", why)
         return state.changed(following=following)
@@ -382,7 +400,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _judged(self, state: AdaptiveState) -> AdaptiveState:
         """Estimate the error of what would be returned after the last level."""
         estimate = self._best(state)[1]
-        return state.counted(estimated_error=estimate.error).changed(estimates=[estimate])
+        return state.estimated(estimate)
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return what predicts the held-out pictures best."""
