@@ -29,6 +29,8 @@ NAMES = (*method_names(), *RIVALS)
 """The methods that are compared: those installed, and the rivals."""
 
 AUTO = "auto"
+PARTS = ("near_far", "footprints")
+"""What `AUTO` is made of: no rivals of it."""
 """The method whose regret is measured against the others."""
 
 TARGETS = (0.02, 0.01, 0.005)

@@ -15,6 +15,7 @@ from benchmarks.methods.cases import (
     AUTO,
     CAMERAS,
     CASE,
+    PARTS,
     PLACE,
     Case,
     by_place,
@@ -141,7 +142,7 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
     """
     found = []
     for _, rows in done.groupby(list(PLACE), sort=False):
-        others = rows[rows["method"] != AUTO]
+        others = rows[~rows["method"].isin([AUTO, *PARTS])]
         for own in rows[rows["method"] == AUTO].itertuples():
             row = {name: getattr(own, name) for name in ("section", "scene", "light", "seed")}
             row |= {"target": own.value, "missed": own.error_mean > _MISSED * own.value}

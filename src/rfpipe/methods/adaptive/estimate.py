@@ -29,8 +29,8 @@ from rfpipe.transport.base import Transport
 HELD_OUT = ("shapes", "shapes", "bars", "spots", "bars", "spots")
 """Kinds of the held-out pictures. The first two are of one pattern: they tell the noise."""
 
-_BARS = 3
-_SPOTS = 12  # of one picture, far apart, each judged in its own part of the image
+_BARS = 5
+_SPOTS = 20  # of one picture, far apart, each judged in its own part of the image
 _TRIED = 20  # places of a spot, of which that is taken that is farthest from all others
 _SEED = 2010
 
@@ -76,7 +76,8 @@ def held_out_parts(shape: tuple[int, ...]) -> tuple[Bools, ...]:
         if kind == "shapes":
             parts = shapes(image, random, 0.3)[None]
         elif kind == "bars":
-            parts = _bars(image, random)
+            # the second ones stand across the first
+            parts = _bars(image, random, (0.15 + index / 4) * np.pi)
         else:
             parts = _spots(image, random)
         views = np.ones((len(parts), domain.views, 1, 1), np.bool_)
@@ -87,13 +88,12 @@ def held_out_parts(shape: tuple[int, ...]) -> tuple[Bools, ...]:
     return tuple(drawn)
 
 
-def _bars(shape: tuple[int, int], random: np.random.Generator) -> Bools:
+def _bars(shape: tuple[int, int], random: np.random.Generator, angle: float) -> Bools:
     """Draw parallel bars, the first two pixels wide, the last a fifth of the image, (bars, H, W).
 
-    Of a half plane's error half is by chance, of theirs a fifth: they are about as wrong.
+    Of the error of one half plane half is by chance; bars together are about as wrong.
     """
     row, column = np.indices(shape)
-    angle = random.uniform(0, 2 * np.pi)
     across = row * np.sin(angle) + column * np.cos(angle)
     widths = np.geomspace(2, max(2.0, min(shape) / 5), _BARS)
     gap = max(np.ptp(across) - widths.sum(), 0) / _BARS

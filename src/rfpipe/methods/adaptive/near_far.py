@@ -112,13 +112,13 @@ class NearFar(Adaptive):
         return state.changed(residual=self._if_it_helps(state)) if state.level > 2 else state
 
     def _if_it_helps(self, state: AdaptiveState) -> Residual | None:
-        """Find what smooth light leaves where the target isn't met and a rough look says it helps.
+        """Find what smooth light leaves where that isn't little, and a rough look says it helps.
 
         Then the error is less than .95 of what it is without.
         """
         [(_, base)] = self._bases(state)
         shape, estimate = state.projector.shape, self._estimate(state, base)
-        if state.estimated(estimate).reached:
+        if state.estimated(estimate).is_close:
             return None
         roughly, canvas = (Canvas.of(shape, state.pictures, cells) for cells in (1024, MOST_CELLS))
         residual = self._left_by(state, base, roughly)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import (
+    SURE,
     Way,
     hierarchy_cost,
     next_round,
@@ -119,17 +120,20 @@ class AdaptiveState(MethodState):
 
     @property
     def excess(self) -> list[float]:
-        """The estimates over the target: the larger of that in total and that of indirect light."""
-        indirect = getattr(self.options, "target_indirect", None) or np.inf
-        return [
-            float(np.fmax(each.error / self.options.target_error, each.indirect / indirect))
-            for each in self.estimates
-        ]
+        """The estimates over what is surely the target, in total or of indirect light."""
+        targets = self.options.target_error, getattr(self.options, "target_indirect", None)
+        total, indirect = (SURE * (target or np.inf) for target in targets)
+        return [float(np.fmax(e.error / total, e.indirect / indirect)) for e in self.estimates]
 
     @property
     def reached(self) -> bool:
-        """Whether the last estimate is at most the target."""
+        """Whether the last estimate is at most what is surely the target."""
         return bool(self.estimates) and self.excess[-1] <= 1
+
+    @property
+    def is_close(self) -> bool:
+        """Whether the last estimate is half of the target or less."""
+        return self.excess[-1] <= 1 / 2
 
     def counted(self, **counts: Any) -> Self:
         """Return the state with more in the last level's row of the table."""
@@ -234,10 +238,10 @@ class Adaptive(PackingMethod[AdaptiveState]):
         return None
 
     def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
-        """Find what the better model leaves of all pictures, where the target isn't met."""
+        """Find what the better model leaves of all pictures, unless that is little."""
         bases = self._bases(state)
         of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
-        if state.estimated(self._estimate(state, base)).reached:
+        if state.estimated(self._estimate(state, base)).is_close:
             return state
         canvas = Canvas.of(state.camera.shape, state.pictures)
         residual = self._left_by(state, base, canvas)
