@@ -5,17 +5,12 @@ import pytest
 
 from rfpipe.errors import InputError
 from rfpipe.scenes import (
-    CREASE,
     GEOMETRIES,
     ONE_VIEW,
     Occluder,
     Pinhole,
     Plane,
-    planes_scene,
-    reference_scene,
     relighting_patterns,
-    room_scene,
-    scene_patterns,
     surface_points,
 )
 from rfpipe.scenes.geometries import (
@@ -160,26 +155,3 @@ def test_relighting_patterns_of_views_repeat_the_picture():
     for name, stack in views.items():
         assert stack.shape == (3, 8, 10)
         assert all(np.array_equal(view, image[name]) for view in stack)
-
-
-@pytest.mark.parametrize(("width", "reach"), [(20, 1), (64, 1), (127, 1), (128, 2), (350, 5)])
-def test_the_crease_strip_of_a_wedge_is_as_wide_as_said(width, reach):
-    patterns = scene_patterns(reference_scene("II", (16, width), channels=1))
-    assert list(patterns) == [*relighting_patterns((16, width)), CREASE]
-    strip = patterns[CREASE]
-    assert (strip == strip[0]).all()
-    first = width // 2 - reach + width % 2
-    assert np.flatnonzero(strip[0]).tolist() == list(range(first, first + 2 * reach))
-
-
-def test_the_crease_strip_follows_every_crease_and_no_outline():
-    assert CREASE not in scene_patterns(reference_scene("I", (16, 16), channels=1))
-    assert CREASE not in scene_patterns(room_scene(("white",) * 3, (6, 8), channels=1))
-    for geometry in ROOMS[:-1]:
-        surfaces = ("white",) * len(names_of(geometry))
-        scene = planes_scene(geometry, surfaces, (62, 70), channels=1, bounces=1)
-        lit = scene_patterns(scene)[CREASE] > 0
-        # the sphere hides where it touches the floor: all round it there is but its outline
-        planes = [each for each in scene.points.surfaces if isinstance(each, Plane)]
-        assert set(scene.points.surface[lit.ravel()]) == set(range(len(planes)))
-        assert 0.01 < lit.mean() < 0.06

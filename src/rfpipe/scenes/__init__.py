@@ -6,18 +6,15 @@ from rfpipe.scenes.light_field import room_scene
 from rfpipe.scenes.matrix import MatrixScene
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.relighting import (
-    CREASE,
     ONE_VIEW,
     RELIGHTING_PATTERNS,
     relighting_patterns,
-    scene_patterns,
 )
 from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
 from rfpipe.scenes.sight import Pinhole, surface_points
 from rfpipe.scenes.surfaces import Occluder, Plane
 
 __all__ = [
-    "CREASE",
     "GEOMETRIES",
     "ONE_VIEW",
     "REFERENCE_SCENES",
@@ -35,6 +32,5 @@ __all__ = [
     "relighting_patterns",
     "room_scene",
     "scene_from_config",
-    "scene_patterns",
     "surface_points",
 ]

@@ -7,20 +7,12 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
-from rfpipe.scenes.base import Scene
-from rfpipe.scenes.radiosity import RadiosityScene
-from rfpipe.scenes.sight import Points
 
 RELIGHTING_PATTERNS = ("vertical_bar", "horizontal_bar", "noise", "binary", "spot")
 
 ONE_VIEW = "one_view"
 """The pattern that a stack of views has besides: the first view's projector alone, fully on."""
 
-CREASE = "crease"
-"""The pattern that a simulated scene has besides: a strip along which its surfaces meet."""
-
-_CREASE_SHARE = 64  # of the image's width, the strip's on either side of where surfaces meet
-_MEETING = 4.0  # distance of neighbouring points that meet, over the mean side of a pixel
 _SPOT = (3, 4)  # height and width in pixels
 _SMOOTHNESS = 1 / 16  # standard deviation of the random field's blur, over the shorter side
 
@@ -57,39 +49,6 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
         patterns[ONE_VIEW] = np.zeros(shape, dtype=np.float32)
         patterns[ONE_VIEW].reshape(domain.stack_shape)[0] = 1
     return patterns
-
-
-def scene_patterns(scene: Scene, seed: int = 0) -> dict[str, NDArray[np.float32]]:
-    """Make the relighting patterns of a scene: those of its projector, and `CREASE`.
-
-    Near where surfaces meet most indirect light is exchanged between the fewest pixels, which the
-    other patterns hardly weigh. The strip is W / 64 wide on either side, at least a pixel. Outlines
-    where one surface only hides another are left out. Only a coaxial `RadiosityScene` has it.
-    """
-    patterns = relighting_patterns(scene.projector_shape, seed)
-    if isinstance(scene, RadiosityScene) and scene.rays is None:
-        strip = _crease_strip(scene.points, scene.shape)
-        if strip.any():
-            patterns[CREASE] = strip.astype(np.float32)
-    return patterns
-
-
-def _crease_strip(points: Points, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Pixels close to neighbours on another surface, (H, W)."""
-    from scipy.ndimage import binary_dilation
-
-    surface = points.surface.reshape(shape)
-    positions = points.positions.reshape(*shape, 3)
-    strip = np.zeros(shape, dtype=np.bool_)
-    for axis in (0, 1):
-        meet = np.diff(surface, axis=axis) != 0
-        squared = (np.diff(positions, axis=axis) ** 2).sum(2)
-        meet &= squared <= _MEETING**2 * points.mean_area
-        before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
-        before[axis], after[axis] = (1, 0), (0, 1)
-        strip |= np.pad(meet, before) | np.pad(meet, after)
-    wider = shape[1] // _CREASE_SHARE - 1
-    return binary_dilation(strip, np.ones((3, 3), np.bool_), wider) if wider > 0 else strip
 
 
 def _smooth_picture(height: int, width: int, random: np.random.Generator) -> NDArray[np.bool_]:

@@ -78,11 +78,11 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         Of a stack: ``views_relit``, ``views_truth`` (V, V, H, W, C): what each view (second axis)
         sees in the light of each view (first axis).
     """
-    from rfpipe.scenes import scene_patterns
+    from rfpipe.scenes import relighting_patterns
 
     shapes = transport.camera_shape, transport.projector_shape
     truth_of = partial(images_of, scene)
-    patterns = np.stack(list(scene_patterns(scene).values()))
+    patterns = np.stack(list(relighting_patterns(shapes[1]).values()))
     arrays = {
         **_relit(transport, patterns),
         "truth": truth_of(patterns),
@@ -256,26 +256,26 @@ def check_transport(store: Path) -> None:
 
 def run(folder: Path, scene: SceneSettings, code: str) -> None:
     """Relight the transport in a folder of results; write ``relight.zarr`` and ``relight.json``."""
-    from rfpipe.scenes import relighting_patterns, scene_from_config, scene_patterns
+    from rfpipe.scenes import relighting_patterns, scene_from_config
 
     acquired = read_manifest(folder / "transport.json")
     check_transport(folder / "transport.zarr")
     transport = open_transport(folder / "transport.zarr")
+    errors: dict[str, Any] = {}
     if scene.has_truth:
         simulated = scene_from_config(scene)
-        arrays, names = relit_arrays(transport, simulated), list(scene_patterns(simulated))
+        arrays = relit_arrays(transport, simulated)
         truth = arrays["floodlit_truth"]
         errors = mean_errors(transport, simulated, truth, is_coaxial=scene.is_coaxial)
     else:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
-        names, errors = list(relighting_patterns(transport.projector_shape)), {}
     made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
     facts = {
         "stage": "relight",
         "transport": acquired["digest"],
         **{name: acquired[name] for name in ("scene", "method", "patterns", "options")},
-        "names": names,
+        "names": list(relighting_patterns(transport.projector_shape)),
         "coaxial": scene.is_coaxial,
         "row": _middle_row(transport.camera_shape),
         "bytes": transport.nbytes,

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.transport.arrays import ArrayTransport
 from rfpipe.transport.base import Float
@@ -77,3 +78,17 @@ class FootprintTransport(ArrayTransport):
         starts: Any = self._held[f"{name}_starts"]
         shape = (len(starts) - 1, self._columns[name])
         return csr_array((values, self._held[f"{name}_columns"], starts), shape=shape)
+
+
+def sparse_arrays(
+    name: str, matrix: csr_array[Any], values: list[Float] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Return a sparse matrix, values channel by channel, as a `FootprintTransport` holds it."""
+    held = matrix.data.astype(np.float32) if values is None else np.stack(values)
+    used = np.atleast_2d(held).any(axis=0)
+    before = np.concatenate([[0], np.cumsum(used)])
+    return {
+        name: np.ascontiguousarray(held[..., used]),
+        f"{name}_columns": matrix.indices[used].astype(np.int32),
+        f"{name}_starts": before[matrix.indptr].astype(np.int32),
+    }

@@ -20,7 +20,6 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import COAXIAL
 from rfpipe.methods.adaptive.estimate import HELD_OUT
 from rfpipe.methods.adaptive.patterns import probe_patterns
-from rfpipe.methods.adaptive.residual import MOST_CELLS, Canvas, Residual
 from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive, AdaptiveState
 from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit, light_range
 from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method
@@ -31,6 +30,8 @@ from rfpipe.transport.sum import SumTransport
 
 # Probes of each round, a level: a round should cut the error, and end soon where the target is met.
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
+# What is left helps where the error with it is less than so much of that without.
+_HELPS = 0.95
 
 
 @dataclass(frozen=True)
@@ -109,26 +110,15 @@ class NearFar(Adaptive):
         state = state.changed(taken=more)
         model = fit(shape, state.pictures)
         state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
-        return state.changed(residual=self._if_it_helps(state)) if state.level > 2 else state
+        return self._where_it_helps(state) if state.level > 2 else state
 
-    def _if_it_helps(self, state: AdaptiveState) -> Residual | None:
-        """Find what smooth light leaves where that isn't little, and a rough look says it helps.
-
-        Then the error is less than .95 of what it is without.
-        """
+    def _where_it_helps(self, state: AdaptiveState) -> AdaptiveState:
+        """Find what smooth light leaves, where that helps: then rounds of blocks follow."""
+        after = self._with_residual(state)
         [(_, base)] = self._bases(state)
-        shape, estimate = state.projector.shape, self._estimate(state, base)
-        if state.estimated(estimate).is_close:
-            return None
-        roughly, canvas = (Canvas.of(shape, state.pictures, cells) for cells in (1024, MOST_CELLS))
-        residual = self._left_by(state, base, roughly)
-        rest = residual.transport(roughly, shape)
-        both = self._with_rest(state, base, rest, of_hierarchy=False)
-        if self._estimate(state, both).error >= 0.95 * estimate.error:
-            return None
-        # of small pictures, the rough look is the close one
-        same = roughly.cells.side == canvas.cells.side
-        return residual if same else self._left_by(state, base, canvas)
+        error = self._estimate(state, base).error
+        helps = self._best(after)[1].error < _HELPS * error
+        return after if helps else state
 
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         assert state.held is not None

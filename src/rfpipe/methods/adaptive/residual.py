@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from rfpipe.methods.base import Float, LevelImages
 from rfpipe.methods.images import Pictures, planar_batches
 from rfpipe.methods.states import joined
 from rfpipe.transport.base import Transport
-from rfpipe.transport.footprints import FootprintTransport
+from rfpipe.transport.footprints import FootprintTransport, sparse_arrays
 from rfpipe.transport.wavelet import Cells, Group, Haar, WaveletTransport, cell_side
 
 MOST_CELLS = 4096
@@ -160,26 +161,20 @@ class Residual:
                 "cores": self.cores,
             }
             return WaveletTransport(cells.shape, channels, [], arrays)
-        sender = cells_of(shape)
-        left, right = cells.functions(), sender.functions()
-        first, second = self.pairs
-        starts = np.searchsorted(first, np.arange(cells.haar.size + 1)).astype(np.int32)
+        from scipy.sparse import csr_array
+
+        lamp, pixels = cells_of(shape), canvas.known.size
+        places: Any = (np.ones(self.pairs.shape[1], np.float32), tuple(self.pairs))
+        cores = csr_array(places, shape=(cells.haar.size, lamp.haar.size))
+        nothing: Any = csr_array((pixels, lamp.of_ray.size), dtype=np.float32)
         arrays = {
-            "footprints": np.zeros((channels, 0), np.float32),
-            "footprints_columns": np.zeros(0, np.int32),
-            "footprints_starts": np.zeros(left.shape[0] + 1, np.int32),
-            "cores": self.cores,
-            "cores_columns": second,
-            "cores_starts": starts,
+            **sparse_arrays("footprints", nothing, [nothing.data] * channels),
+            **sparse_arrays("left", cells.functions()),
+            **sparse_arrays("right", lamp.functions()),
+            **sparse_arrays("cores", cores, list(self.cores)),
             "camera_factor": canvas.factor,
             "projector_factor": self.sent,
         }
-        for name, functions in (("left", left), ("right", right)):
-            arrays |= {
-                name: functions.data,
-                f"{name}_columns": functions.indices.astype(np.int32),
-                f"{name}_starts": functions.indptr.astype(np.int32),
-            }
         return FootprintTransport(cells.shape, shape, channels, [], arrays)
 
 

@@ -44,7 +44,7 @@ class Exchange:
     gains : tuple of two ndarrays of float32
         What the pictures make of these, pixel by pixel: 1 where nothing is known.
     unknowns : ndarray of float32, shape (functions.count,)
-        S: cores both ways, one way, and from functions of the projector's own.
+        S: cores both ways, and one way.
     looked_at : ndarray of int64, optional
         The camera rays that the fit looks at; None for all.
     """
@@ -194,7 +194,7 @@ class Exchange:
         return np.concatenate([each.applied(part) for each, part in parts], axis=1)
 
     def _light(self, projector: Float) -> Float:
-        """Return what patterns send to the functions, (n + own, all M)."""
+        """Return what patterns send to the functions, (n, all M)."""
         rays = len(self.series[0].lit)
         factors = projector.reshape(len(self.series), rays, 1)
         sides = zip(self._rights, self.series, factors, strict=True)
@@ -202,36 +202,29 @@ class Exchange:
         return np.ascontiguousarray(np.concatenate(light, axis=1), np.float32)
 
     def _forward(self, unknowns: Float, light: Float) -> Float:
-        from rfpipe.methods.adaptive.footprints.kernels import couple, couple_one_way
+        from rfpipe.methods.adaptive.footprints.kernels import couple
 
-        functions = self.functions
-        basis, pairs = functions.camera, len(functions.camera.first)
+        basis = self.functions.camera
         received = np.zeros((len(basis), light.shape[1]), np.float32)
-        even, odd, one_way = np.split(unknowns, [pairs, 2 * pairs])
+        even, odd = np.split(unknowns, 2)
         couple(basis.first, basis.second, even, odd, light, received)
-        first, second, _ = functions.from_own
-        couple_one_way(first, second, one_way, light[len(basis) :], received)
         predicted: Float = (self._left @ received) * self._looked(self.camera)[:, None]
         return predicted
 
     def _adjoint(self, observed: Float, light: Float) -> Float:
-        from rfpipe.methods.adaptive.footprints.kernels import correlate, correlate_one_way
+        from rfpipe.methods.adaptive.footprints.kernels import correlate
 
-        functions = self.functions
-        basis, pairs = functions.camera, len(functions.camera.first)
+        basis = self.functions.camera
         arriving = self._left.T @ (observed * self._looked(self.camera)[:, None])
         arriving = np.ascontiguousarray(arriving, np.float32)
-        out = np.empty(functions.count, np.float32)
-        even, odd, one_way = np.split(out, [pairs, 2 * pairs])
+        out = np.empty(self.functions.count, np.float32)
+        even, odd = np.split(out, 2)
         correlate(basis.first, basis.second, arriving, light, even, odd)
-        first, second, _ = functions.from_own
-        correlate_one_way(first, second, arriving, light[len(basis) :], one_way)
         return out
 
     def _diagonal(self, light: Float) -> Float:
         """Estimate the diagonal of the normal equations' matrix."""
-        functions = self.functions
-        basis, left = functions.camera, self._left
+        basis, left = self.functions.camera, self._left
         trace = sum(each.trace for each in self.precision)
         certainty = trace / light.shape[1] * np.square(self._looked(self.camera))
         weight = left.multiply(left).T @ certainty
@@ -239,8 +232,4 @@ class Exchange:
         one = weight[basis.first] * power[basis.second]
         other = weight[basis.second] * power[basis.first]
         both = np.where(basis.first == basis.second, one, one + other)
-        first, second, _ = functions.from_own
-        diagonal: Float = np.concatenate(
-            [both, both, weight[first] * power[len(basis) + second]]
-        ).astype(np.float32)
-        return diagonal
+        return np.concatenate([both, both]).astype(np.float32)

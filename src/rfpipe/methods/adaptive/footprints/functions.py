@@ -2,8 +2,7 @@
 
 The camera's functions are B-splines of several scales, `MultiscaleBasis`, on its own side, or,
 where the projector has several views, on a chart. On the projector's side the same functions arrive
-as the footprints carry them, where the camera sees what the projector lights; where it doesn't,
-there are B-splines of the projector's own.
+as the footprints carry them, where the camera sees what the projector lights.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int64
 from rfpipe.methods.adaptive.smooth_fit import OCTAVES
 from rfpipe.transport.multiscale import (
-    REACH,
-    VIEW,
     MultiscaleBasis,
     along,
     cells,
@@ -106,89 +103,45 @@ def projector_factor(carry: Carry, factor: Float, floodlit: Float) -> Float:
 
 @dataclass(frozen=True)
 class Functions:
-    """Functions over the rays of both sides, with the projector's own."""
+    """Functions over the camera's rays, and as they arrive on the projector's side.
+
+    Where the camera doesn't see what the projector lights there are none: what rays send from there
+    is left to the residual.
+    """
 
     camera: MultiscaleBasis
-    own: MultiscaleBasis
+    projector: RayDomain
     carry: Carry
 
     @property
     def count(self) -> int:
-        """Number of unknowns: cores both ways, one way, and from functions of the projector."""
-        return 2 * len(self.camera.first) + len(self.from_own[0])
+        """Number of unknowns: cores both ways, and one way."""
+        return 2 * len(self.camera.first)
 
     @cached_property
     def left(self) -> csr_array[np.float32]:
-        """Functions over the camera's rays, (camera rays, n)."""
+        """The functions over the camera's rays, (camera rays, n)."""
         return self.camera.weights
 
     @cached_property
     def right(self) -> csr_array[np.float32]:
-        """Those functions and then the projector's own, (projector rays, n + own)."""
-        from scipy.sparse import diags_array, hstack
+        """The functions over the projector's rays, (projector rays, n)."""
+        from scipy.sparse import diags_array
 
-        visibility = self.carry.seen
         if isinstance(self.camera, ChartBasis):
             arriving = self.camera.at(np.asarray(self.carry.means @ self.camera.places))
         else:
             arriving = self.carry.means @ self.left
-        carried = diags_array(visibility) @ arriving
-        together: Any = carried
-        if len(self.own):
-            together = hstack([carried, diags_array(1 - visibility) @ self.own.weights])
-        matrix: csr_array[np.float32] = together.tocsr().astype(np.float32)
+        carried: Any = diags_array(self.carry.seen) @ arriving
+        matrix: csr_array[np.float32] = carried.tocsr().astype(np.float32)
         return matrix
-
-    @cached_property
-    def density(self) -> float:
-        """Projector rays of a view that a camera ray spans a side, about."""
-        if isinstance(self.camera, ChartBasis):
-            return 1.0
-        return float(np.sqrt(np.prod(self.own.shape) / np.prod(self.camera.shape)))
 
     @property
     def _crowd(self) -> float:
         """Projector rays of all views that light what a camera ray sees, about."""
         if isinstance(self.camera, ChartBasis):
-            return float(RayDomain(self.own.shape).views)
-        return self.density**2
-
-    @cached_property
-    def from_own(self) -> tuple[Int32, Int32, Double]:
-        """Pairs of a camera's function and one of the projector's own, and their distances.
-
-        Numbers of the functions, int32 (pairs,) each, and distances in camera pixels.
-        """
-        if not len(self.own):
-            none = np.zeros(0, np.int32)
-            return none, none, np.zeros(0)
-        place, view, arrives = self._arrivals()
-        apart = np.abs(place[:, None] - self.own.centres[None]) / self.density
-        largest = apart.max(axis=2)
-        scale, other = self.camera.scales[:, None], self.own.scales[None] / self.density
-        coarser = np.maximum(scale, other)
-        near = (largest <= REACH * coarser) & arrives[:, None]
-        near &= view[:, None] == self.own.functions[None, :, VIEW]
-        # the coarsest meet all; what doesn't arrive anywhere has no distance
-        near |= (scale == self.camera.scales.max()) | (self.own.scales == self.own.scales.max())
-        first, second = np.nonzero(near)
-        side = max(RayDomain(self.camera.shape).image_shape)
-        distance = np.hypot(*apart[first, second].T)
-        distance = np.where(arrives[first], np.minimum(distance, side), side)
-        return first.astype(np.int32), second.astype(np.int32), distance
-
-    def _arrivals(self) -> tuple[Double, Int64, NDArray[np.bool_]]:
-        """Return where the camera's functions are on the projector, and which are at all."""
-        carried = self.right[:, : len(self.camera)]
-        views, height, width = RayDomain(self.own.shape).stack_shape
-        ray = np.arange(views * height * width)
-        place = np.column_stack(
-            [ray // width % height + 0.5, ray % width + 0.5, ray // (width * height)]
-        )
-        mass = np.asarray(carried.sum(axis=0), np.float64).ravel()
-        arrives = mass > 1e-6 * mass.max(initial=0)
-        centre = (carried.T @ place) / np.where(arrives, mass, 1)[:, None]
-        return centre[:, :2], np.rint(centre[:, 2]).astype(np.int64), arrives
+            return float(self.projector.views)
+        return float(self.projector.size / np.prod(self.camera.shape))
 
     def deviations(self, indirect: float, floodlit: float) -> Float:
         """Return how large cores are expected to be before any fit, (count,).
@@ -196,50 +149,37 @@ class Functions:
         `indirect` is the indirect light under full light, `floodlit` the mean floodlit radiance.
         What goes one way and not the other is a fifth of what goes both ways.
         """
-        _, _, coarser, distance, odd = self._places()
-        area = np.square(np.maximum(distance, coarser)) * OCTAVES
+        basis = self.camera
+        coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
+        area = np.square(np.maximum(basis.distances(), coarser)) * OCTAVES
         level = indirect / (max(floodlit, float(np.finfo(np.float32).tiny)) ** 2)
         expected = level / (area * self._crowd)
-        return np.where(odd, 0.2 * expected, expected).astype(np.float32)
+        return np.concatenate([expected, 0.2 * expected]).astype(np.float32)
 
     @cached_property
     def groups(self) -> Int64:
         """Number of each unknown's group: those of the same scales at about the same distance."""
-        kind, finer, coarser, distance, _ = self._places()
-        key = kind.astype(np.int64)
-        for scale in (coarser, finer):
-            # in quarters of an octave; scales of the other side may lie below one camera pixel
-            key = key * 1024 + np.rint(4 * np.log2(scale)).astype(np.int64)
-        place = np.minimum(2 * distance / coarser, 255).astype(np.int64)
-        group: Int64 = np.unique(key * 256 + place, return_inverse=True)[1]
-        return group
-
-    def _places(self) -> tuple[Int64, Double, Double, Double, NDArray[np.bool_]]:
-        """Return kind, finer and coarser scale, and distance of all unknowns; which are odd."""
         basis = self.camera
         scales = basis.scales[basis.first], basis.scales[basis.second]
-        first, second, apart = self.from_own
-        others = basis.scales[first], self.own.scales[second] / self.density
-        finer = np.concatenate([np.minimum(*scales)] * 2 + [np.minimum(*others)])
-        coarser = np.concatenate([np.maximum(*scales)] * 2 + [np.maximum(*others)])
-        near = basis.distances()
-        distance = np.concatenate([near, near, apart])
-        kind = np.repeat([0, 1, 2], [len(near), len(near), len(apart)])
-        return kind, finer.astype(np.float64), coarser.astype(np.float64), distance, kind == 1
+        key = np.zeros(len(basis.first), np.int64)
+        for scale in (np.maximum(*scales), np.minimum(*scales)):
+            # in quarters of an octave
+            key = key * 1024 + np.rint(4 * np.log2(scale)).astype(np.int64)
+        place = np.minimum(2 * basis.distances() / np.maximum(*scales), 255).astype(np.int64)
+        key = key * 256 + place
+        group: Int64 = np.unique(np.concatenate([key, key + (1 << 40)]), return_inverse=True)[1]
+        return group
 
     def cores(self, unknowns: Any) -> csr_array[np.float32]:
-        """Return what the functions exchange as a sparse matrix (n, n + own)."""
+        """Return what the functions exchange as a sparse matrix (n, n)."""
         from scipy.sparse import coo_array
 
-        basis, pairs = self.camera, len(self.camera.first)
-        even, odd, one_way = unknowns[:pairs], unknowns[pairs : 2 * pairs], unknowns[2 * pairs :]
-        first, second, _ = self.from_own
+        basis, (even, odd) = self.camera, np.split(unknowns, 2)
         off = basis.first != basis.second
-        rows = np.concatenate([basis.first, basis.second[off], first])
-        columns = np.concatenate([basis.second, basis.first[off], second + len(basis)])
-        values = np.concatenate([even + odd, (even - odd)[off], one_way]).astype(np.float32)
-        shape = (len(basis), len(basis) + len(self.own))
-        return coo_array((values, (rows, columns)), shape=shape).tocsr()
+        rows = np.concatenate([basis.first, basis.second[off]])
+        columns = np.concatenate([basis.second, basis.first[off]])
+        values = np.concatenate([even + odd, (even - odd)[off]]).astype(np.float32)
+        return coo_array((values, (rows, columns)), shape=(len(basis), len(basis))).tocsr()
 
 
 @dataclass(frozen=True)

@@ -186,15 +186,6 @@ def couple(first: Int32, second: Int32, even: Float, odd: Float, light: Float, o
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def couple_one_way(first: Int32, second: Int32, cores: Float, light: Float, out: Float) -> None:
-    """Add to `out` what functions of one side send to those of the other."""
-    for pair in range(len(first)):
-        a, b = first[pair], second[pair]
-        for m in range(light.shape[1]):
-            out[a, m] += cores[pair] * light[b, m]
-
-
-@njit(cache=True, nogil=True, fastmath=True)
 def correlate(
     first: Int32, second: Int32, seen: Float, light: Float, even: Float, odd: Float
 ) -> None:
@@ -207,13 +198,3 @@ def correlate(
             back += seen[b, m] * light[a, m]
         even[pair] = there if a == b else there + back
         odd[pair] = 0 if a == b else there - back
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def correlate_one_way(first: Int32, second: Int32, seen: Float, light: Float, out: Float) -> None:
-    """Write the adjoint of `couple_one_way` by cores."""
-    for pair in range(len(first)):
-        total = np.float32(0)
-        for m in range(light.shape[1]):
-            total += seen[first[pair], m] * light[second[pair], m]
-        out[pair] = total

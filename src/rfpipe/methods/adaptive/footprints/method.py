@@ -24,15 +24,15 @@ from rfpipe.methods.adaptive.footprints.series import series_of, unit_of
 from rfpipe.methods.adaptive.patterns import view_patterns
 from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, root_of
 from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState
-from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method, get_method, options_of
+from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method, options_of
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import kept
 from rfpipe.transport.base import Transport
-from rfpipe.transport.footprints import FootprintTransport
+from rfpipe.transport.footprints import FootprintTransport, sparse_arrays
 from rfpipe.transport.sum import SumTransport
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+    pass
 
 # Random patterns of each round, a level. The first has to be enough to find footprints. Of several
 # views, which are lit one at a time, each has as many as the second tuple tells.
@@ -206,10 +206,10 @@ def _model_of(state: AdaptiveState) -> FootprintTransport:
         nothing: Any = csr_array((pixels, rays), dtype=np.float32)
         one = np.ones((1, 1), np.float32)
         arrays = {
-            **_arrays("footprints", nothing, [nothing.data] * channels),
-            **_arrays("left", csr_array(np.ones((pixels, 1), np.float32))),
-            **_arrays("right", csr_array(np.ones((rays, 1), np.float32))),
-            **_arrays("cores", csr_array(one), [np.full(1, 1 / rays, np.float32)] * channels),
+            **sparse_arrays("footprints", nothing, [nothing.data] * channels),
+            **sparse_arrays("left", csr_array(np.ones((pixels, 1), np.float32))),
+            **sparse_arrays("right", csr_array(np.ones((rays, 1), np.float32))),
+            **sparse_arrays("cores", csr_array(one), [np.full(1, 1 / rays, np.float32)] * channels),
             "camera_factor": np.maximum(state.pictures.floodlit, 0),
             "projector_factor": np.ones((channels, rays), np.float32),
         }
@@ -226,24 +226,10 @@ def _arrays_of(
     direct = [candidates.matrix(camera.size, projector.size) for candidates, _ in model.channels]
     cores = [functions.cores(each.unknowns) for each in exchanges]
     return {
-        **_arrays("footprints", direct[0], [each.data * np.float32(unit) for each in direct]),
-        **_arrays("left", functions.left),
-        **_arrays("right", functions.right),
-        **_arrays("cores", cores[0], [each.data for each in cores]),
+        **sparse_arrays("footprints", direct[0], [each.data * np.float32(unit) for each in direct]),
+        **sparse_arrays("left", functions.left),
+        **sparse_arrays("right", functions.right),
+        **sparse_arrays("cores", cores[0], [each.data for each in cores]),
         "camera_factor": np.stack([each.camera * np.float32(unit) for each in exchanges]),
         "projector_factor": np.stack([each.projector for each in exchanges]),
-    }
-
-
-def _arrays(
-    name: str, matrix: csr_array[Any], values: list[Float] | None = None
-) -> dict[str, NDArray[Any]]:
-    """Return a sparse matrix, values channel by channel, as a `FootprintTransport` holds it."""
-    held = matrix.data.astype(np.float32) if values is None else np.stack(values)
-    used = np.atleast_2d(held).any(axis=0)
-    before = np.concatenate([[0], np.cumsum(used)])
-    return {
-        name: np.ascontiguousarray(held[..., used]),
-        f"{name}_columns": matrix.indices[used].astype(np.int32),
-        f"{name}_starts": before[matrix.indptr].astype(np.int32),
     }

@@ -33,7 +33,6 @@ from rfpipe.methods.adaptive.footprints.candidates import (
 )
 from rfpipe.methods.adaptive.footprints.exchange import FULLY, NEARLY, ROUGHLY, Exchange
 from rfpipe.methods.adaptive.footprints.functions import (
-    Carry,
     Chart,
     Functions,
     camera_factor,
@@ -48,7 +47,6 @@ from rfpipe.methods.adaptive.patterns import SEED
 from rfpipe.methods.images import SIGNIFICANT
 from rfpipe.provenance import generator
 from rfpipe.transport.multiscale import (
-    MultiscaleBasis,
     cells,
     coarsest_scale,
     functions_over,
@@ -225,13 +223,11 @@ def _refined(camera: RayDomain, projector: RayDomain, series: Views, found: Cand
     if len(series) > 1 and camera.size > _ENOUGH:
         random = generator(SEED, camera.size)
         chosen = np.sort(random.permutation(camera.size)[:_ENOUGH])
-    scale, top = coarsest_scale(chart.shape), coarsest_scale(projector.shape)
+    scale = coarsest_scale(chart.shape)
     on_camera = [functions_over(scale, np.ones(cells(chart.shape, scale), np.bool_))]
-    on_projector = [_own(projector, carry, top, 0.0)]
 
     def functions() -> Functions:
-        own = MultiscaleBasis(projector.shape, np.concatenate(on_projector))
-        return Functions(chart.basis(np.concatenate(on_camera)), own, carry)
+        return Functions(chart.basis(np.concatenate(on_camera)), projector, carry)
 
     exchange = Exchange(
         functions(),
@@ -249,8 +245,6 @@ def _refined(camera: RayDomain, projector: RayDomain, series: Views, found: Cand
         wanted = _wanting(chart, finer, exchange)
         if 2 * finer == scale:
             wanted[:] = True
-            if top > 1 and len(series) == 1:
-                on_projector.append(_own(projector, carry, top // 2, 0.5))
         on_camera.append(functions_over(finer, wanted))
         more = functions()
         if more.count > _MOST_UNKNOWNS:
@@ -264,15 +258,6 @@ def _from_nothing(exchange: Exchange, expected: float, mean: float) -> Exchange:
     begun = replace(exchange, unknowns=np.zeros(exchange.functions.count, np.float32))
     first = begun.fitted(exchange.functions.deviations(expected, mean), ROUGHLY)
     return first.fitted(first.learned(), NEARLY).with_gains()
-
-
-def _own(projector: RayDomain, carry: Carry, scale: int, least: float) -> NDArray[np.int32]:
-    """Return the functions of a scale of the projector's own, where it isn't well seen."""
-    unseen = 1 - carry.seen > max(least, 0.15)
-    mask = np.zeros(cells(projector.shape, scale), np.bool_)
-    view, row, column = np.nonzero(unseen.reshape(projector.stack_shape))
-    mask[view, row // scale, column // scale] = True
-    return functions_over(scale, mask)
 
 
 def _indirect(series: Views, floodlit: Float, direct: csr_array[np.float32]) -> float:
