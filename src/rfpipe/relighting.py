@@ -17,9 +17,6 @@ Double = NDArray[np.float64]
 KINDS = ("shapes", "bars", "spots")
 """Kinds of relit pictures, a third each."""
 
-LARGEST_SPOT = 1 / 8
-"""Side of the largest spot, over the image's shorter side; the smallest has two pixels."""
-
 _LEAST = 0.5  # of the light that a picture sends back typically, what errors are relative to
 
 
@@ -109,7 +106,7 @@ def spot(shape: tuple[int, int], random: np.random.Generator, size: float | None
     """Draw a square spot of any size, or of one from 0, the smallest, to 1, the largest."""
     height, width = shape
     size = random.random() if size is None else size
-    side = min(round(_between(2, max(2.0, LARGEST_SPOT * min(shape)), size)), height, width)
+    side = min(round(_between(2, max(2.0, min(shape) / 8), size)), height, width)
     top, left = random.integers(0, height - side + 1), random.integers(0, width - side + 1)
     drawn = np.zeros(shape, np.bool_)
     drawn[top : top + side, left : left + side] = True

@@ -17,6 +17,7 @@ from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import joined, level_row
 from rfpipe.provenance import generator
+from rfpipe.relighting import relative_errors
 from rfpipe.transport.base import Transport
 
 
@@ -127,7 +128,5 @@ def _error(found: Transport, held: Series) -> float:
     wrong = np.square(residual, dtype=np.float64).sum(axis=(1, 2))
     wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
     light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
-    there = light > 0
-    if not there.any():
-        return 0.0
-    return float(np.sqrt(np.maximum(wrong[there], 0) / light[there]).mean())
+    errors = relative_errors(wrong, light)[light > 0]
+    return float(errors.mean()) if errors.size else 0.0

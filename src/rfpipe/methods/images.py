@@ -127,11 +127,8 @@ class Pictures:
     @property
     def noise(self) -> float:
         """The floodlit image's noise over its light; 1 of what is darker than that."""
-        known = self.known
-        light, noise = (
-            float(each[0][:, known].sum(dtype=np.float64))
-            for each in (np.square(self.radiance[:1]), self.variance)
-        )
+        light = np.square(self.radiance[0][:, self.known], dtype=np.float64).sum()
+        noise = self.variance[0][:, self.known].sum(dtype=np.float64)
         return float(np.sqrt(noise / light)) if light > noise else 1.0
 
     def shine(self) -> bool:

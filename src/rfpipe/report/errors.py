@@ -36,7 +36,6 @@ def errors_section(inputs: Inputs) -> Section:
         [
             ("error, %", "error", percent),
             ("indirect, %", "indirect_error", percent),
-            ("PSNR, dB", "psnr_db", fixed(1)),
             ("CIEDE2000", "ciede2000", fixed(2)),
         ],
         csv="errors.csv",

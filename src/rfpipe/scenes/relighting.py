@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
+from rfpipe.relighting import octave_noise
 
 RELIGHTING_PATTERNS = ("vertical_bar", "horizontal_bar", "noise", "binary", "spot")
 
@@ -14,7 +15,6 @@ ONE_VIEW = "one_view"
 """The pattern that a stack of views has besides: the first view's projector alone, fully on."""
 
 _SPOT = (3, 4)  # height and width in pixels
-_SMOOTHNESS = 1 / 16  # standard deviation of the random field's blur, over the shorter side
 
 
 def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDArray[np.float32]]:
@@ -38,7 +38,8 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
     top = height // 3
     pictures["horizontal_bar"][top : max(top + 1, height // 2)] = 1
     pictures["noise"][:] = generator(seed, 0).random((height, width), dtype=np.float32)
-    pictures["binary"][:] = _smooth_picture(height, width, generator(seed, 1))
+    smooth = octave_noise((height, width), generator(seed, 1), falloff=2.0)
+    pictures["binary"][:] = smooth >= smooth.mean()
     top, left = height // 2, width // 5
     pictures["spot"][top : top + _SPOT[0], left : left + _SPOT[1]] = 1
     patterns = {
@@ -49,17 +50,3 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
         patterns[ONE_VIEW] = np.zeros(shape, dtype=np.float32)
         patterns[ONE_VIEW].reshape(domain.stack_shape)[0] = 1
     return patterns
-
-
-def _smooth_picture(height: int, width: int, random: np.random.Generator) -> NDArray[np.bool_]:
-    """White noise blurred by a Gaussian on the torus, cut at its mean; (height, width)."""
-    sigma = _SMOOTHNESS * min(height, width)
-    # times the blur's own spectrum, by hand: scipy.ndimage takes as long to load as a small job
-    down, across = (
-        np.exp(-2 * (np.pi * sigma * frequencies) ** 2)
-        for frequencies in (np.fft.fftfreq(height), np.fft.rfftfreq(width))
-    )
-    spectrum = np.fft.rfft2(random.standard_normal((height, width))) * (down[:, None] * across)
-    field = np.fft.irfft2(spectrum, s=(height, width))
-    picture: NDArray[np.bool_] = field >= field.mean()
-    return picture

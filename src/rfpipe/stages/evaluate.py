@@ -38,18 +38,18 @@ def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
     pandas.DataFrame
         ``scene``, ``method``, ``pattern``: those of the reference patterns, and the kinds of
         pictures that the mean is of. ``error`` and ``indirect_error``, see `picture_errors`, of a
-        kind the mean. Of the patterns ``psnr_db``, its peak the truth's maximum, and ``ciede2000``,
-        the mean, with the true floodlit image's maximum as white.
+        kind the mean. Of the patterns ``ciede2000``, the mean, with the true floodlit image's
+        maximum as white.
     """
     import pandas as pd
 
-    columns = [*_ABOUT, "pattern", "error", "indirect_error", "psnr_db", "ciede2000"]
+    columns = [*_ABOUT, "pattern", "error", "indirect_error", "ciede2000"]
     rows = []
     for facts, images in _with_truth(relight_manifests):
         about, nan = [facts[key] for key in _ABOUT], float("nan")
         for kind, error in facts["errors"].items():
             indirect = facts.get("indirect_errors", {}).get(kind, nan)
-            rows.append([*about, kind, error, indirect, nan, nan])
+            rows.append([*about, kind, error, indirect, nan])
         floodlit = images.read("floodlit_truth")
         relit, truth, patterns = (images.read(name) for name in ("relit", "truth", "patterns"))
         # a camera aside has no pixels that are known to get no direct light
@@ -59,7 +59,7 @@ def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
         each = zip(facts["names"], *errors, relit, truth, patterns, strict=True)
         for name, error, indirect, image, true, pattern in each:
             known = indirect if (pattern == 0).any() else nan
-            figures = [error, known, psnr(image, true), colour_difference(image, true, white)]
+            figures = [error, known, colour_difference(image, true, white)]
             rows.append([*about, name, *figures])
     return pd.DataFrame(rows, columns=columns)
 
@@ -110,19 +110,6 @@ def relative_rms(image: Image, truth: Image) -> float:
     image, truth = _checked(image, truth)
     light = float(np.linalg.norm(truth))
     return float(np.linalg.norm(image - truth)) / light if light > 0 else float("nan")
-
-
-def psnr(image: Image, truth: Image) -> float:
-    """Return the peak signal-to-noise ratio in dB; the peak is the truth's maximum.
-
-    Infinite for equal images, NaN when the truth is black.
-    """
-    image, truth = _checked(image, truth)
-    peak = float(truth.max(initial=0.0))
-    if peak <= 0:
-        return float("nan")
-    error = float(np.mean(np.square(image - truth)))
-    return 10 * float(np.log10(peak * peak / error)) if error > 0 else float("inf")
 
 
 def colour_difference(image: Image, truth: Image, white: float) -> float:

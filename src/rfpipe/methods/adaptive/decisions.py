@@ -7,17 +7,10 @@ acquisition goes on as before.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from rfpipe.methods.adaptive.rounds import AdaptiveState
-
-
-SURE = 0.95
-"""Estimates at most so many times the target end an acquisition. Their standard deviation is a
-seventh, on open scenes of the benchmark: so 95 % of the targets are met within a fifth."""
+from rfpipe.methods.adaptive.state import AdaptiveState
 
 
 @dataclass(frozen=True)
@@ -100,21 +93,24 @@ def what_follows(
     `just` is what the last level was for, `slot` what the next one is for, `depth` the levels of
     the block tree.
     """
-    free = not state.options.patterns and state.inner is None
+    limit = state.options.patterns
+    free = not limit and state.inner is None
     over = slot != just
-    slow = way.blocks_first and (state.leaves(_AT.stalled) if just == "model" else over)
+    errors = [estimate.error for estimate in state.estimates]
+    stalled = len(errors) > 2 and errors[-1] > _AT.stalled * errors[-2]
+    slow = way.blocks_first and (stalled if just == "model" else over)
     costly = going_on(state) > hierarchy_cost(state, depth, way.law)
     last = just == ("residual" if way.blocks_first else "model")
     # what ends about at the target is not given up for what begins with nothing: on fields of
     # 9 x 12 x 16 rays, 680 more patterns of dual photography gained nothing
     nearly = state.excess[-1] <= _AT.nearly
-    noise = way.measured and state.estimates[-1].error <= _AT.noise * state.pictures.noise
-    lost = len(state.estimates) == 1 and state.estimates[0].error > way.lost
+    noise = way.measured and errors[-1] <= _AT.noise * state.pictures.noise
+    lost = len(errors) == 1 and errors[0] > way.lost
     # beyond a hierarchy there is nothing else, but for brute force
     hopeless = state.inner is not None and going_on(state) > state.projector.size
     table = (
         (state.reached, "done", ""),
-        (_ended(state), "done", "all patterns are shown that there may be"),
+        (bool(limit) and state.shown >= limit, "done", "all patterns are shown that there may be"),
         ((over or slow) and noise, "done", "it is the noise of the floodlit image"),
         (free and (state.unfit or lost), "hierarchy", "the model doesn't fit the light"),
         ((over or costly) and last and nearly, "done", "it is nearly there"),
@@ -129,13 +125,6 @@ def what_follows(
         (hopeless, "done", "more rounds would take more patterns than brute force"),
     )
     return next(((what, why) for holds, what, why in table if holds), (state.following, ""))
-
-
-def hierarchy(state: AdaptiveState, depth: int) -> str:
-    """Tell what follows the held-out pictures, or a level of a hierarchy of so many."""
-    if not state.held:
-        return "held"
-    return "hierarchy" if state.inner.level < depth and not state.reached else "done"
 
 
 def going_on(state: AdaptiveState) -> float:
@@ -154,7 +143,9 @@ def next_round(state: AdaptiveState, most: int) -> int:
     """Return how many patterns the next round needs of at most so many: about what is missing."""
     missing = going_on(state)
     least = max(_AT.least[0], round(_AT.least[1] * state.shown))
-    return min(most, max(least, round(_AT.ample * missing))) if missing else most
+    count = max(least, round(_AT.ample * missing)) if missing else most
+    views = state.projector.views  # may be lit in turn, each as often as all others
+    return min(most, -(-count // views) * views)
 
 
 def hierarchy_cost(state: AdaptiveState, depth: int, law: tuple[float, float]) -> float:
@@ -170,9 +161,3 @@ def target_of(state: AdaptiveState) -> float:
     """
     indirect = state.options.target_indirect or np.inf
     return float(min(state.options.target_error, indirect / _AT.indirect))
-
-
-def _ended(state: AdaptiveState) -> bool:
-    """Tell whether all patterns are shown that there may be."""
-    limit = state.options.patterns
-    return bool(limit and state.shown >= limit)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.adaptive.decisions import hierarchy
 from rfpipe.methods.adaptive.estimate import HELD_OUT
-from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState, inner_packs
+from rfpipe.methods.adaptive.rounds import Adaptive, inner_packs
+from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     LevelImages,
@@ -167,8 +167,10 @@ class Targeted(Adaptive):
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Ask for the held-out pictures, go on down the tree, or end."""
-        depth = self._inner.n_levels(state.camera, state.projector)
-        return state.changed(following=hierarchy(state, depth))
+        if not state.held:
+            return state.changed(following="held")
+        ends = state.reached or state.inner.level == BlockTree(state.projector).n_levels
+        return state.changed(following="done" if ends else "hierarchy")
 
     def known(self, state: AdaptiveState) -> Transport:
         """Return what the inner method goes on with."""

@@ -20,8 +20,9 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import COAXIAL
 from rfpipe.methods.adaptive.estimate import HELD_OUT
 from rfpipe.methods.adaptive.patterns import probe_patterns
-from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive, AdaptiveState
+from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive
 from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit, light_range
+from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import kept, level_row

@@ -10,15 +10,14 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import (
-    SURE,
     Way,
     hierarchy_cost,
     next_round,
@@ -27,33 +26,11 @@ from rfpipe.methods.adaptive.decisions import (
 )
 from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, error_of, held_out_patterns
 from rfpipe.methods.adaptive.patterns import block_patterns
-from rfpipe.methods.adaptive.residual import (
-    Canvas,
-    CellPictures,
-    Residual,
-    Sender,
-    cells_of,
-    residual_of,
-)
-from rfpipe.methods.base import (
-    MEMORY_BYTES,
-    ErrorOptions,
-    LevelImages,
-    Method,
-    Pack,
-    options_of,
-)
+from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, residual_of
+from rfpipe.methods.adaptive.state import AdaptiveState
+from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Method, Pack, options_of
 from rfpipe.methods.images import ImagesAs, Pictures
-from rfpipe.methods.states import (
-    MethodState,
-    PackingMethod,
-    grown,
-    joined,
-    kept,
-    lengthened,
-    level_row,
-    unprefixed,
-)
+from rfpipe.methods.states import PackingMethod, joined, level_row, unprefixed
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.sum import SumTransport
@@ -62,96 +39,6 @@ _log = logging.getLogger(__name__)
 
 BLOCK_ROUNDS = tuple(("residual", count) for count in (12, 20, 28, 40, 60, 88, 124, 170))
 """Rounds of what models leave, in random blocks: each has some 1.4 times all patterns before it."""
-
-
-@dataclass(frozen=True)
-class AdaptiveState(MethodState):
-    """The state of an acquisition in rounds.
-
-    Attributes
-    ----------
-    following : str
-        What the next level that shows patterns is for: ``model``, ``residual``, ``hierarchy`` or
-        ``done``.
-    taken, others : Pictures and CellPictures, optional
-        Of the model's rounds, the floodlit one first; of all other levels, in cells alone.
-    estimates : sequence of Estimate
-        After each level that had images, of what is returned from then on.
-    model : object, optional
-        What the method fits to `taken`.
-    residual : Residual, optional
-        What the model, or the hierarchy (`of_hierarchy`), leaves.
-    unfit : bool
-        Whether the model has turned out not to fit: all that its rounds still show is held out.
-    inner : MethodState, optional
-        Where a hierarchy has taken over.
-    tolerance : float
-        Of the hierarchy.
-    descended : tuple of int
-        The levels of the hierarchy's own rows.
-    """
-
-    options: Any
-    following: str = "model"
-    taken: Pictures | None = lengthened(Pictures)
-    others: CellPictures | None = lengthened(CellPictures)
-    held: Pictures | None = kept(Pictures)
-    estimates: Sequence[Estimate] = grown(Estimate)
-    model: Any = None
-    residual: Residual | None = kept(Residual)
-    of_hierarchy: bool = False
-    unfit: bool = False
-    inner: Any = None
-    tolerance: float = 0.0
-    descended: tuple[int, ...] = ()
-
-    @property
-    def pictures(self) -> Pictures:
-        """All pictures of the model's rounds; before any, a dark floodlit one."""
-        if self.taken is not None:
-            return self.taken
-        dark = np.zeros((1, self.channels, self.camera.size), np.float32)
-        return Pictures(np.ones((1, self.projector.size), np.bool_), dark, dark)
-
-    @property
-    def shown(self) -> int:
-        """Patterns shown so far."""
-        return sum(row["patterns"] for row in self.rows)
-
-    @property
-    def excess(self) -> list[float]:
-        """The estimates over what is surely the target, in total or of indirect light."""
-        targets = self.options.target_error, getattr(self.options, "target_indirect", None)
-        total, indirect = (SURE * (target or np.inf) for target in targets)
-        return [float(np.fmax(e.error / total, e.indirect / indirect)) for e in self.estimates]
-
-    @property
-    def reached(self) -> bool:
-        """Whether the last estimate is at most what is surely the target."""
-        return bool(self.estimates) and self.excess[-1] <= 1
-
-    @property
-    def is_close(self) -> bool:
-        """Whether the last estimate is half of the target or less."""
-        return self.excess[-1] <= 1 / 2
-
-    def counted(self, **counts: Any) -> Self:
-        """Return the state with more in the last level's row of the table."""
-        return replace(self, rows=(*self.rows[:-1], {**self.rows[-1], **counts}))
-
-    def estimated(self, estimate: Estimate) -> Self:
-        """Return the state with an estimate, told in the last level's row."""
-        told = {"estimated_error": estimate.error}
-        if np.isfinite(estimate.indirect):
-            told["estimated_indirect"] = estimate.indirect
-        return self.counted(**told).changed(estimates=[estimate])
-
-    def leaves(self, share: float) -> bool:
-        """Tell whether the last round left more than this share of the error before it."""
-        if len(self.estimates) < 3:
-            return False
-        before, estimate = self.estimates[-2:]
-        return bool(estimate.error > share * before.error)
 
 
 class Adaptive(PackingMethod[AdaptiveState]):
@@ -225,27 +112,30 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Return the camera pixels without direct light in each held-out picture, if known."""
         return None
 
-    def _left_by(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Residual:
-        """Find what a model leaves of all pictures."""
-        series = state.pictures
-        pictures = canvas.taken(series.lit, series.radiance, series.variance)
-        if state.others is not None:
-            pictures = joined([pictures, state.others], axis=0)
-        return residual_of(canvas, pictures, base, self._sender(state, base, canvas))
-
     def _sender(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Sender | None:
         """Return the projector, unless the rig is coaxial."""
         return None
 
     def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
         """Find what the better model leaves of all pictures, unless that is little."""
-        bases = self._bases(state)
-        of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
-        if state.estimated(self._estimate(state, base)).is_close:
+        bases = [(self._estimate(state, base), each, base) for each, base in self._bases(state)]
+        estimate, of_hierarchy, base = min(bases, key=lambda each: each[0].error)
+        if state.estimated(estimate).excess[-1] <= 1 / 2:
             return state
-        canvas = Canvas.of(state.camera.shape, state.pictures)
-        residual = self._left_by(state, base, canvas)
+        canvas, series = Canvas.of(state.camera.shape, state.pictures), state.pictures
+        pictures = [canvas.taken(series.lit, series.radiance, series.variance)]
+        pictures += [] if state.others is None else [state.others]
+        sender = self._sender(state, base, canvas)
+        residual = residual_of(canvas, joined(pictures, axis=0), base, sender)
         return state.changed(residual=residual, of_hierarchy=of_hierarchy)
+
+    def _unless_worse(self, state: AdaptiveState, before: AdaptiveState) -> AdaptiveState:
+        """Return the state with the model of the one before, where that was better."""
+        if not before.estimates or self._best(state)[1].error <= before.estimates[-1].error:
+            return state
+        _log.info("the fit to more pictures is worse than the one before, which is kept")
+        fields = ("model", "residual", "of_hierarchy")
+        return state.changed(**{name: getattr(before, name) for name in fields})
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on, go another way, or end; and say so."""
@@ -327,7 +217,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
             held = Pictures.read(images, state.channels, state.camera.size, 0, first)
             after = after.changed(held=held)
         if count > first:
-            after = self._fitted(after, images, first)
+            after = self._unless_worse(self._fitted(after, images, first), state)
         return self.decided(self._judged(after))
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:

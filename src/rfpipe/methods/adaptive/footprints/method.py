@@ -23,7 +23,8 @@ from rfpipe.methods.adaptive.footprints.model import Model, find
 from rfpipe.methods.adaptive.footprints.series import series_of, unit_of
 from rfpipe.methods.adaptive.patterns import view_patterns
 from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, root_of
-from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState
+from rfpipe.methods.adaptive.rounds import Adaptive
+from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method, options_of
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import kept
@@ -110,10 +111,7 @@ class Footprints(Adaptive):
 
     def _in_round(self, state: AdaptiveState) -> int:
         """Return the patterns of the next round; none where held-out ones are all that is left."""
-        if state.unfit and not state.inner:
-            return 0
-        # views are lit in turn, each as often as all others
-        return self.slot(state)[1] if state.projector.views > 1 else super()._in_round(state)
+        return 0 if state.unfit and not state.inner else super()._in_round(state)
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         if self.slot(state)[0] == "residual":
