@@ -34,7 +34,7 @@ def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflo
     page = copy.path("report/index.html").read_text(encoding="utf-8")
     assert "<html" in page
     assert 'src="http' not in page
-    assert len(copy.path("report/tables/errors.csv").read_text().splitlines()) == 1 + 2 * 6 + 6
+    assert len(copy.path("report/tables/errors.csv").read_text().splitlines()) == 1 + 2 * 8 + 9
     assert open_transport(copy.path("field/symmetric/transport.zarr")).camera_shape == (4, 8, 12)
     assert not copy.path("field/dual").exists()
     assert "Nothing to be done" in copy.run()
