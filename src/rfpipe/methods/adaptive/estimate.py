@@ -186,9 +186,15 @@ def estimate(
     by_kind = {kind: float(np.mean(errors[kind])) for kind in KINDS}
     if dark is None:
         return Estimate(**by_kind)
-    of_dark, indirect = ((each * dark[:, known]).sum(axis=1) for each in (wrong, light))
-    by_chance = np.sqrt((2 * np.square(noise) * dark[:, known]).sum(axis=1))
-    whole = reference_light(indirect, typical_indirect(indirect, held.lit.mean(axis=1)))
+    # of many parts together, errors add up as chance does, and light more than that: each is judged
+    # by its share of the error, and by the light that it is predicted to send there alone
+    count = np.array([len(pattern) for pattern in parts])
+    of_dark = (wrong * dark[:, known]).sum(axis=1) / count
+    by_chance = np.sqrt((2 * np.square(noise) * dark[:, known]).sum(axis=1)) / count
+    alone = zip(predicted, dark & known, strict=True)
+    indirect = np.array([np.square(each[..., unlit]).sum() for each, unlit in alone]) / count
+    lit = held.lit.mean(axis=1) / count
+    whole = reference_light(indirect, typical_indirect(indirect, lit))
     kinds = np.array(HELD_OUT)
     unlit = [
         _mean_error(*(each[kinds == kind] for each in (of_dark, by_chance, whole)))
