@@ -29,9 +29,10 @@ NAMES = (*method_names(), *RIVALS)
 """The methods that are compared: those installed, and the rivals."""
 
 AUTO = "auto"
+"""The method whose regret is measured against the others."""
+
 PARTS = ("near_far", "footprints")
 """What `AUTO` is made of: no rivals of it."""
-"""The method whose regret is measured against the others."""
 
 TARGETS = (0.02, 0.01, 0.005)
 """Mean errors that it is asked for, and other methods that take a target."""

@@ -92,14 +92,19 @@ def shapes(shape: tuple[int, int], random: np.random.Generator, lit: float | Non
 
 def bar(shape: tuple[int, int], random: np.random.Generator) -> Bools:
     """Draw a bar, two pixels to half the image wide, or, as often, a half plane."""
-    row, column = np.indices(shape)
-    angle = random.uniform(0, 2 * np.pi)
-    across = row * np.sin(angle) + column * np.cos(angle)
-    middle = across.ravel()[random.integers(across.size)]
+    place = across(shape, random.uniform(0, 2 * np.pi))
+    middle = place.ravel()[random.integers(place.size)]
     if random.random() < 0.5:
-        return np.asarray(across >= middle)
+        return np.asarray(place >= middle)
     wide = _between(2, max(2.0, min(shape) / 2), random.random())
-    return np.asarray(np.abs(across - middle) <= wide / 2)
+    return np.asarray(np.abs(place - middle) <= wide / 2)
+
+
+def across(shape: tuple[int, int], angle: float) -> Double:
+    """Return each pixel's place, in pixels, along a direction: its angle from the rows, radians."""
+    row, column = np.indices(shape)
+    place: Double = row * np.sin(angle) + column * np.cos(angle)
+    return place
 
 
 def spot(shape: tuple[int, int], random: np.random.Generator, size: float | None = None) -> Bools:

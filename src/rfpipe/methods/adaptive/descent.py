@@ -153,7 +153,7 @@ class Targeted(Adaptive):
         transport.level_rows = list(state.rows)
         yield transport
 
-    def _judged(self, state: AdaptiveState) -> AdaptiveState:
+    def _judged(self, state: AdaptiveState, before: AdaptiveState | None = None) -> AdaptiveState:
         """Take the inner method's transport for the best where it is no worse."""
         assert isinstance(state, TargetedState)
         states = [state.inner] if state.best is state.inner else [state.inner, state.best]

@@ -17,13 +17,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures
 from rfpipe.provenance import generator
-from rfpipe.relighting import (
-    KINDS,
-    reference_light,
-    shapes,
-    spot,
-    typical_indirect,
-)
+from rfpipe.relighting import KINDS, across, reference_light, shapes, spot, typical_indirect
 from rfpipe.transport.base import Transport
 
 HELD_OUT = ("shapes", "shapes", "bars", "spots", "bars", "spots")
@@ -93,15 +87,14 @@ def _bars(shape: tuple[int, int], random: np.random.Generator, angle: float) -> 
 
     Of the error of one half plane half is by chance; bars together are about as wrong.
     """
-    row, column = np.indices(shape)
-    across = row * np.sin(angle) + column * np.cos(angle)
+    place = across(shape, angle)
     widths = np.geomspace(2, max(2.0, min(shape) / 5), _BARS)
-    gap = max(np.ptp(across) - widths.sum(), 0) / _BARS
-    starts = across.min() + gap * random.uniform(0.1, 0.9) + np.cumsum(widths + gap) - widths - gap
+    gap = max(np.ptp(place) - widths.sum(), 0) / _BARS
+    starts = place.min() + gap * random.uniform(0.1, 0.9) + np.cumsum(widths + gap) - widths - gap
     ends = starts + widths
-    bars = [(across >= start) & (across < end) for start, end in zip(starts, ends, strict=True)]
+    bars = [(place >= start) & (place < end) for start, end in zip(starts, ends, strict=True)]
     # the corner of an image may have no pixel of a bar
-    return np.stack([each for each in bars if each.any()] or [across == across.min()])
+    return np.stack([each for each in bars if each.any()] or [place == place.min()])
 
 
 def _spots(shape: tuple[int, int], random: np.random.Generator) -> Bools:

@@ -129,14 +129,6 @@ class Adaptive(PackingMethod[AdaptiveState]):
         residual = residual_of(canvas, joined(pictures, axis=0), base, sender)
         return state.changed(residual=residual, of_hierarchy=of_hierarchy)
 
-    def _unless_worse(self, state: AdaptiveState, before: AdaptiveState) -> AdaptiveState:
-        """Return the state with the model of the one before, where that was better."""
-        if not before.estimates or self._best(state)[1].error <= before.estimates[-1].error:
-            return state
-        _log.info("the fit to more pictures is worse than the one before, which is kept")
-        fields = ("model", "residual", "of_hierarchy")
-        return state.changed(**{name: getattr(before, name) for name in fields})
-
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on, go another way, or end; and say so."""
         just, slot = self.slot(state, back=1)[0], self.slot(state)[0]
@@ -217,8 +209,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
             held = Pictures.read(images, state.channels, state.camera.size, 0, first)
             after = after.changed(held=held)
         if count > first:
-            after = self._unless_worse(self._fitted(after, images, first), state)
-        return self.decided(self._judged(after))
+            after = self._fitted(after, images, first)
+        return self.decided(self._judged(after, state))
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image."""
@@ -291,9 +283,15 @@ class Adaptive(PackingMethod[AdaptiveState]):
         estimated = [(each, self._estimate(state, each)) for each in self._candidates(state)]
         return min(estimated, key=lambda pair: pair[1].error)
 
-    def _judged(self, state: AdaptiveState) -> AdaptiveState:
-        """Estimate the error of what would be returned after the last level."""
+    def _judged(self, state: AdaptiveState, before: AdaptiveState | None = None) -> AdaptiveState:
+        """Estimate the error of what would be returned; keep the model before, where better."""
         estimate = self._best(state)[1]
+        if before and before.estimates and estimate.error > before.estimates[-1].error:
+            _log.info("the fit to more pictures is worse than the one before, which is kept")
+            fields = ("model", "residual", "of_hierarchy")
+            state = state.changed(**{name: getattr(before, name) for name in fields})
+            # the same model, held-out pictures and floodlit image
+            estimate = before.estimates[-1]
         return state.estimated(estimate)
 
     def transport(self, state: AdaptiveState) -> Transport:
