@@ -157,13 +157,17 @@ class Pictures:
         Models take from the floodlit image how much light a ray sends; a pixel that nobody sees
         still lights others.
         """
-        from scipy.ndimage import distance_transform_edt
-
-        unknown = np.isinf(self.variance).any(axis=(0, 1))
+        unknown = np.asarray(np.isinf(self.variance).any(axis=(0, 1)))
         if not unknown.any():
             return self
-        nearest = distance_transform_edt(
-            unknown.reshape(shape), return_distances=False, return_indices=True
-        )
-        pixel = np.ravel_multi_index(tuple(nearest), shape).ravel()
+        pixel = nearest(~unknown.reshape(shape))
         return Pictures(self.lit, self.radiance[..., pixel], self.variance)
+
+
+def nearest(known: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return for each pixel of an image the number of the nearest known one, int64 (pixels,)."""
+    from scipy.ndimage import distance_transform_edt
+
+    place = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    number: NDArray[np.int64] = np.ravel_multi_index(tuple(place), known.shape).ravel()
+    return number

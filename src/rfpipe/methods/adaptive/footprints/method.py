@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,11 @@ from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, root_of
 from rfpipe.methods.adaptive.rounds import Adaptive
 from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method, options_of
-from rfpipe.methods.images import Pictures
+from rfpipe.methods.images import Pictures, nearest
 from rfpipe.methods.states import kept
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport, sparse_arrays
 from rfpipe.transport.sum import SumTransport
-
-if TYPE_CHECKING:
-    pass
 
 # Random patterns of each round, a level. The first has to be enough to find footprints. Of several
 # views, which are lit one at a time, each has as many as the second tuple tells.
@@ -164,12 +161,7 @@ class Footprints(Adaptive):
         seen = lit > 0
         places = np.stack(moments) / np.where(seen, lit, 1) / side
         if seen.any() and not seen.all():
-            from scipy.ndimage import distance_transform_edt
-
-            nearest = distance_transform_edt(
-                ~seen.reshape(cells.stack), return_distances=False, return_indices=True
-            )
-            places = places[:, np.ravel_multi_index(tuple(nearest), cells.stack).ravel()]
+            places = places[:, nearest(seen.reshape(cells.stack))]
         white = np.maximum(base.adjoint(planar[:1], channels)[0], 0)
         return Sender(cells, root_of(white), places.T.astype(np.float32))
 
