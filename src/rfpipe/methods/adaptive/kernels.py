@@ -1,4 +1,4 @@
-"""Kernels over patches of pixels, and over the matrix of what cells exchange."""
+"""A kernel over patches of pixels."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import numpy as np
 from numba import njit
 
 from rfpipe.methods.base import Float
-
-_TILE = 32  # transposes of tiles are cached
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -26,27 +24,3 @@ def weigh(arriving: Float, dark: Float, lit: Float, out: Float) -> None:
             out[patch, pattern] = dark[patch, pattern] * under + lacking
             back -= lacking
         out[patch, last] = back
-
-
-@njit(cache=True, nogil=True)
-def symmetric_product(half: Float, weight: Float) -> None:
-    """Replace `half` by ``(half + half^T) weight``, weights symmetric."""
-    size = len(half)
-    other = np.empty((_TILE, _TILE), np.float32)
-    for top in range(0, size, _TILE):
-        rows = min(_TILE, size - top)
-        for left in range(0, top + 1, _TILE):
-            columns = min(_TILE, size - left)
-            for column in range(columns):
-                for row in range(rows):
-                    other[row, column] = half[left + column, top + row]
-            for row in range(rows):
-                for column in range(columns):
-                    both = half[top + row, left + column] + other[row, column]
-                    other[row, column] = both * weight[top + row, left + column]
-            for row in range(rows):
-                for column in range(columns):
-                    half[top + row, left + column] = other[row, column]
-            for column in range(columns):
-                for row in range(rows):
-                    half[left + column, top + row] = other[row, column]

@@ -117,6 +117,7 @@ class Posterior:
     def prepare(self, prior: Float, times: int = 1) -> None:
         """Take a prior (size, size), and pictures whose variances are some times larger."""
         self.prior, self._times = prior, np.float32(times)
+        self._core = np.zeros_like(prior)
         count = self.light.shape[1]
         self._roots = np.empty((len(self._alike), count, count), np.float32)
         self._inverses = np.empty_like(self._roots)
@@ -173,11 +174,16 @@ class Posterior:
         That is C, `core`, and a diagonal for what cells send back directly, `direct`, by conjugate
         gradients in the space of the pictures.
         """
+        self.direct = np.zeros(len(observed), np.float32)
         self._applied(
             conjugate_gradients(
                 self._applied, observed, self._preconditioned, None, 1e-3, iterations, weighed=False
             )
         )
+        self.core = self._core
+        if self.symmetric:
+            self.core = self._core + self._core.T
+            self.core[np.diag_indices(len(self.core))] /= 2
 
     def matrix(self) -> Float:
         """Return K of the last solution, (cells, cells)."""
@@ -187,22 +193,31 @@ class Posterior:
 
     def _applied(self, dual: Float) -> Float:
         """Apply the covariance of the pictures; the solution that goes with it is left behind."""
-        from rfpipe.methods.adaptive.kernels import symmetric_product
-
-        core: Float = self.haar.forward(dual) @ self.light.T
+        sent = self.haar.forward(dual)
         if self.symmetric:
-            symmetric_product(core, self.prior)
-        else:
-            core *= self.prior
-        self.core = core
-        pictures = self.haar.inverse(core @ self.light)
-        self.direct = np.zeros(len(dual), np.float32)
-        if self.symmetric:
+            pictures = self.haar.inverse(self._exchanged(sent))
             self.direct = self._direct * np.einsum("cm,cm->c", dual, self.cells)
             pictures += self.direct[:, None] * self.cells
+        else:
+            np.matmul(sent, self.light.T, out=self._core)
+            self._core *= self.prior
+            pictures = self.haar.inverse(self._core @ self.light)
         pictures += self._times * self._variance * dual
         pictures *= self._known
         return pictures
+
+    def _exchanged(self, sent: Float) -> Float:
+        """Return C times the light, C being the prior times ``sent light^T`` and its transpose.
+
+        Of C one half is found, left of the diagonal, and the other one is never looked at.
+        """
+        from scipy.linalg.blas import ssymm, ssyr2k
+
+        light, half = self.light.T, self._core.T  # in Fortran's order, as BLAS has it
+        ssyr2k(1, sent.T, light, c=half, trans=1, overwrite_c=1)
+        self._core *= self.prior
+        exchanged: Float = ssymm(1, half, light, side=1).T
+        return exchanged
 
     def _preconditioned(self, rest: Float) -> Float:
         coefficients = self.haar.forward(rest)
