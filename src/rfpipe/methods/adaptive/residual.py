@@ -286,15 +286,15 @@ def _predicted(canvas: Canvas, lit: NDArray[np.bool_], model: Transport) -> Floa
 
 def _kept(cores: Float, weights: NDArray[np.float64], sent: Float) -> Residual:
     """Keep the cores without which a picture would change by more than a part of its norm."""
-    change = np.zeros(cores.shape[1:])
-    for entries, weight in zip(cores, weights, strict=True):
-        energy = np.square(entries)
-        both = energy * weight
-        if not sent.size:
-            both = np.triu(both) + np.triu(energy * weight[:, None], 1)
-        change = np.maximum(change, both)
+    change = np.zeros(cores.shape[1:], np.float32)
+    for entries, weight in zip(cores, weights.astype(np.float32), strict=True):
+        both = np.square(entries) * (weight if sent.size else weight + weight[:, None])
+        np.maximum(change, both, out=change)
+    if not sent.size:
+        change[np.diag_indices(len(change))] /= 2
+        change = np.triu(change)
     rising = np.sort(change, axis=None)
-    dropped = np.searchsorted(np.cumsum(rising), 5e-4**2, side="right")
+    dropped = np.searchsorted(np.cumsum(rising, dtype=np.float64), 5e-4**2, side="right")
     least = np.append(rising, np.inf)[dropped]
     pairs = np.stack(np.nonzero(change >= max(least, _TINY))).astype(np.int32)
     return Residual(pairs, np.ascontiguousarray(cores[:, pairs[0], pairs[1]]), sent)

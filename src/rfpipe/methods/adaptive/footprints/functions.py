@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int64
 from rfpipe.methods.adaptive.smooth_fit import OCTAVES
+from rfpipe.methods.images import nearest
 from rfpipe.transport.multiscale import (
     MultiscaleBasis,
     along,
@@ -271,19 +272,12 @@ def _carried_on(
     camera: RayDomain, places: Double, known: NDArray[np.bool_], shape: NDArray[np.int64]
 ) -> Double:
     """Let rays of unknown place lie beside the nearest that is known, view by view."""
-    from scipy.ndimage import distance_transform_edt
-
     views, height, width = camera.stack_shape
     # a camera's pixel as a place on the projector's image, were there no parallax
-    row, column = np.indices((height, width)).astype(np.float64) + 0.5
+    row, column = np.indices((height, width)).reshape(2, -1) + 0.5
     expected = np.stack([row * shape[0] / height, column * shape[1] / width], axis=-1)
-    aside = places.reshape(views, height, width, 2) - expected
-    place = np.empty_like(aside)
-    for view, there in enumerate(known.reshape(views, height, width)):
-        if not there.any():
-            place[view] = expected
-            continue
-        nearest = distance_transform_edt(~there, return_distances=False, return_indices=True)
-        place[view] = expected + aside[view][tuple(nearest)]
-    carried: Double = place.reshape(-1, 2)
+    aside = places.reshape(views, -1, 2) - expected
+    for each, there in zip(aside, known.reshape(views, height, width), strict=True):
+        each[:] = each[nearest(there)] if there.any() else 0
+    carried: Double = (expected + aside).reshape(-1, 2)
     return carried

@@ -12,8 +12,8 @@ from numba import njit
 
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int64
 
-# Weights are found to this part of the largest, in so many sweeps at most.
-_FINE, _SWEEPS = 1e-4, 300
+# What a weight would gain beyond this part of the most is not nothing.
+_FINE = 1e-8
 
 
 @njit(cache=True, nogil=True)
@@ -41,7 +41,7 @@ def solve_weights(
     seen: Float,
     least: float,
 ) -> Float:
-    """Return each pixel's non-negative least-squares weights, by coordinate descent.
+    """Return each pixel's non-negative least-squares weights.
 
     Weights lie about what is `expected`, with inverse variances `ridge`, (candidates,) each.
     Pictures are what is `seen`, with inverse variances `certainty`, (pixels, M). Weights that
@@ -55,31 +55,49 @@ def solve_weights(
             continue
         pixel_rays = rays[first:last]
         gram = _gram(pixel_rays, lit, certainty[pixel])
-        goal = np.zeros(count)
+        seen_goal = np.zeros(count)
         for a in range(count):
             for m in range(lit.shape[1]):
-                goal[a] += certainty[pixel, m] * lit[pixel_rays[a], m] * seen[pixel, m]
-        estimate, rest = np.zeros(count), goal.copy()
-        for _ in range(_SWEEPS):
-            change, largest = 0.0, 0.0
-            for a in range(count):
-                stiff = gram[a, a] + ridge[first + a]
-                pulled = ridge[first + a] * (expected[first + a] - estimate[a])
-                new = max(0.0, estimate[a] + (rest[a] + pulled) / stiff)
-                step = new - estimate[a]
-                if step != 0.0:
-                    estimate[a] = new
-                    for b in range(count):
-                        rest[b] -= gram[a, b] * step
-                change, largest = max(change, abs(step)), max(largest, new)
-            if change <= _FINE * largest:
-                break
-        gain = 0.0
+                seen_goal[a] += certainty[pixel, m] * lit[pixel_rays[a], m] * seen[pixel, m]
+        stiff, goal = gram.copy(), seen_goal.copy()
         for a in range(count):
-            gain += estimate[a] * (goal[a] + rest[a])
-        if gain >= least:
+            stiff[a, a] += ridge[first + a]
+            goal[a] += ridge[first + a] * expected[first + a]
+        estimate = _not_negative(stiff, goal)
+        if estimate @ (2 * seen_goal - gram @ estimate) >= least:
             weights[first:last] = estimate
     return weights
+
+
+@njit(cache=True, nogil=True)
+def _not_negative(stiff: Double, goal: Double) -> Double:
+    """Solve ``stiff x = goal`` for x of at least 0, by active sets (Lawson and Hanson, 1974).
+
+    Descent by coordinates would leave all to the first of places whose patterns are the same.
+    """
+    estimate, free = np.zeros(len(goal)), np.zeros(len(goal), np.bool_)
+    for _ in range(3 * len(goal)):
+        slope = goal - stiff @ estimate
+        slope[free] = 0
+        best = np.argmax(slope)
+        if slope[best] <= _FINE * goal.max():
+            break
+        free[best] = True
+        while True:
+            where = np.flatnonzero(free)
+            before = estimate[where]
+            after = np.linalg.solve(stiff[where][:, where], goal[where])
+            share = np.ones(len(where))
+            for k in range(len(where)):
+                if after[k] <= 0:
+                    share[k] = before[k] / (before[k] - after[k]) if before[k] > 0 else 0.0
+            step = share.min()
+            estimate[where] = before + step * (after - before)
+            if step == 1.0:
+                break
+            estimate[where[share == step]] = 0
+            free[where[share == step]] = False
+    return estimate
 
 
 @njit(cache=True, nogil=True)

@@ -102,7 +102,7 @@ def find(
         exchange = _refined(camera, projector, grey, joined(parts, rays))
         sides = zip(grey, parts, exchange.indirect(), templates, strict=True)
         parts = [
-            reweighted(series, found_anew(series, part, light, template), light)
+            reweighted(series, found_anew(series, part, light, camera, template), light)
             for series, part, light, template in sides
         ]
         if exchange.shares_rays:
