@@ -65,10 +65,17 @@ class Candidates:
 
     def pruned(self, series: Series) -> Candidates:
         """Drop candidates that turned out to give no light."""
-        floodlit = series.floodlit[self.pixels(len(series.lit))]
-        held = self.weights > 0.005 * floodlit
-        rest = Candidates(self.keys[held], self.variance[held], self.weights[held])
-        return rest.uncertain(series, 1.0, 0.02)
+        return self.brighter(series).uncertain(series, 1.0, 0.02)
+
+    def brighter(self, series: Series, but: Int64 | None = None) -> Candidates:
+        """Leave those out that give next to no light, but for those of some pixels."""
+        pixels = self.pixels(len(series.lit))
+        held = self.weights > 0.005 * series.floodlit[pixels]
+        if but is not None:
+            chosen = np.zeros(len(series.observed), np.bool_)
+            chosen[but] = True
+            held |= chosen[pixels]
+        return Candidates(self.keys[held], self.variance[held], self.weights[held])
 
     def looked_at(self, series: Series, chosen: Int64 | None) -> tuple[Series, Candidates]:
         """Return the pictures and candidates of chosen camera pixels, ascending; None for all."""

@@ -16,16 +16,18 @@ from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int6
 _FINE = 1e-8
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _gram(rays: Int32, lit: Float, certainty: Float) -> Double:
     """Return ``A^T W A`` of a pixel's candidates."""
     count = len(rays)
-    gram = np.empty((count, count))
+    gram, weighed = np.empty((count, count)), np.empty(lit.shape[1])
     for a in range(count):
+        for m in range(len(weighed)):
+            weighed[m] = certainty[m] * lit[rays[a], m]
         for b in range(a + 1):
-            total = 0.0
-            for m in range(lit.shape[1]):
-                total += certainty[m] * lit[rays[a], m] * lit[rays[b], m]
+            total, other = 0.0, lit[rays[b]]
+            for m in range(len(weighed)):
+                total += weighed[m] * other[m]
             gram[a, b] = gram[b, a] = total
     return gram
 
@@ -55,10 +57,10 @@ def solve_weights(
             continue
         pixel_rays = rays[first:last]
         gram = _gram(pixel_rays, lit, certainty[pixel])
-        seen_goal = np.zeros(count)
+        wanted, seen_goal = certainty[pixel] * seen[pixel], np.zeros(count)
         for a in range(count):
             for m in range(lit.shape[1]):
-                seen_goal[a] += certainty[pixel, m] * lit[pixel_rays[a], m] * seen[pixel, m]
+                seen_goal[a] += lit[pixel_rays[a], m] * wanted[m]
         stiff, goal = gram.copy(), seen_goal.copy()
         for a in range(count):
             stiff[a, a] += ridge[first + a]

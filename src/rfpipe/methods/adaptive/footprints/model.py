@@ -92,25 +92,30 @@ def find(
         # projector pixels of a view that a shining camera pixel spans a side, about
         density = np.sqrt(rays / max(1.0, float(series.shining.sum()) / camera.views))
         templates.append(Templates.of(view, series.lit, float(density)))
-    fresh = before is None
+    fresh, looked_at = before is None, None
+    if len(grey) > 1 and camera.size > _ENOUGH:
+        random = generator(SEED, camera.size)
+        looked_at = np.sort(random.permutation(camera.size)[:_ENOUGH])
     if before is not None:
         parts = split(before, projector.views, rays)
     else:
         pairs = zip(grey, templates, strict=True)
         parts = [first_footprints(series, camera, template) for series, template in pairs]
     for number in range(2 if fresh else 1):
-        exchange = _refined(camera, projector, grey, joined(parts, rays))
+        exchange = _refined(camera, projector, grey, joined(parts, rays), looked_at)
         sides = zip(grey, parts, exchange.indirect(), templates, strict=True)
         parts = [
             reweighted(series, found_anew(series, part, light, camera, template), light)
             for series, part, light, template in sides
         ]
+        if looked_at is not None:  # fits need all candidates of those rays alone
+            parts = [part.brighter(each, looked_at) for each, part in zip(grey, parts, strict=True)]
         if exchange.shares_rays:
             together = with_other_way(joined(parts, rays), projector.size)
             together = _reweighted(grey, together, exchange.indirect())
             parts = split(together, projector.views, rays)
         if number or not fresh:
-            parts = [part.pruned(series) for series, part in zip(grey, parts, strict=True)]
+            parts = [part.pruned(each) for each, part in zip(grey, parts, strict=True)]
     candidates, exchange = _settled(grey, joined(parts, rays), exchange)
     fitted = tuple(_of_channel(series, grey, candidates, exchange) for series in channels)
     return Model(candidates, fitted or ((candidates, exchange),))
@@ -206,7 +211,13 @@ def _floodlit(series: Views) -> Float:
     return radiance
 
 
-def _refined(camera: RayDomain, projector: RayDomain, series: Views, found: Candidates) -> Exchange:
+def _refined(
+    camera: RayDomain,
+    projector: RayDomain,
+    series: Views,
+    found: Candidates,
+    chosen: Int64 | None,
+) -> Exchange:
     """Add functions, scale by scale, where pictures differ from the model beyond noise."""
     direct, floodlit = found.matrix(camera.size, projector.size), _floodlit(series)
     chart = Chart(camera.shape)
@@ -219,10 +230,6 @@ def _refined(camera: RayDomain, projector: RayDomain, series: Views, found: Cand
     factor = camera_factor(direct, floodlit)
     expected = _indirect(series, floodlit, direct)
     mean = float(floodlit.mean(dtype=np.float64))
-    chosen: Int64 | None = None
-    if len(series) > 1 and camera.size > _ENOUGH:
-        random = generator(SEED, camera.size)
-        chosen = np.sort(random.permutation(camera.size)[:_ENOUGH])
     scale = coarsest_scale(chart.shape)
     on_camera = [functions_over(scale, np.ones(cells(chart.shape, scale), np.bool_))]
 
