@@ -23,7 +23,8 @@ class Thresholds:
         A round of smooth light that leaves more than this of the error before it has shown that
         more won't help.
     slowest : float
-        Errors fall with a power of the patterns; where they rose, this is what they may still do.
+        Errors fall with a power of the patterns; where they fall by a lesser one than this, more
+        patterns hardly help: half the error would take sixteen times as many.
     least : tuple of int and float
         Patterns of a round, at least: so many, and this share of all before it.
     ample : float
@@ -40,7 +41,7 @@ class Thresholds:
     """
 
     stalled: float = 0.85
-    slowest: float = 0.2
+    slowest: float = 0.25
     least: tuple[int, float] = (6, 0.1)
     ample: float = 1.1
     indirect: float = 6.0
@@ -128,14 +129,18 @@ def what_follows(
 
 
 def going_on(state: AdaptiveState) -> float:
-    """Return how many more patterns the target takes as errors fall so far; 0 of one round."""
+    """Return how many more patterns the target takes as errors fall so far; 0 of one round.
+
+    Infinity where they hardly fall any more.
+    """
     errors = state.excess[-3:]
     if len(errors) < 2 or errors[-1] <= 0:
         return 0.0
     patterns = [row["patterns"] for row in state.rows if row["patterns"]]
     before = state.shown - sum(patterns[1 - len(errors) :])
     power = np.log(errors[0] / errors[-1]) / np.log(state.shown / before)
-    power = max(power, _AT.slowest)
+    if power < _AT.slowest and errors[-1] > 1:
+        return np.inf
     return float(state.shown * (errors[-1] ** (1 / power) - 1))
 
 
@@ -143,7 +148,7 @@ def next_round(state: AdaptiveState, most: int) -> int:
     """Return how many patterns the next round needs of at most so many: about what is missing."""
     missing = going_on(state)
     least = max(_AT.least[0], round(_AT.least[1] * state.shown))
-    count = max(least, round(_AT.ample * missing)) if missing else most
+    count = max(least, round(min(_AT.ample * missing, most))) if missing else most
     views = state.projector.views  # may be lit in turn, each as often as all others
     return min(most, -(-count // views) * views)
 

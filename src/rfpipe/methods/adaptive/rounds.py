@@ -27,7 +27,7 @@ from rfpipe.methods.adaptive.decisions import (
 from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, error_of, held_out_patterns
 from rfpipe.methods.adaptive.patterns import block_patterns
 from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, residual_of
-from rfpipe.methods.adaptive.state import AdaptiveState
+from rfpipe.methods.adaptive.state import SURE, AdaptiveState
 from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Method, Pack, options_of
 from rfpipe.methods.images import ImagesAs, Pictures
 from rfpipe.methods.states import PackingMethod, joined, level_row, unprefixed
@@ -144,7 +144,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
                 )  # fmt: skip
             return self._hand_over(state, self.way.tolerance * target_of(state))
         if following == "done" and not state.reached:
-            _log.warning("ended at %.2f times the error asked for: %s", state.excess[-1], why)
+            times = SURE * state.excess[-1]
+            _log.warning("ended at an estimated %.2f times the error asked for: %s", times, why)
         elif why:
             _log.info("%s; going on with random blocks", why)
         return state.changed(following=following)
