@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -283,18 +284,17 @@ def joined(parts: list[Candidates], rays: int) -> Candidates:
     return Candidates(keys[order], variance, weights)
 
 
-def split(found: Candidates, views: int, rays: int) -> list[Candidates]:
-    """Return the footprints on each of a projector's views, of so many rays each."""
-    if views == 1:
-        return [found]
-    of_view = (found.keys % (views * rays) // rays).astype(np.int16)
-    parts = []
-    for view in range(views):
-        mask = of_view == view
-        keys = found.keys[mask]
-        keys -= (keys // (views * rays) * (views - 1) + view) * rays
-        parts.append(Candidates(keys, found.variance[mask], found.weights[mask]))
-    return parts
+def split(found: Candidates, views: int, rays: int) -> Iterator[Candidates]:
+    """Yield the footprints on each of a projector's views, of so many rays each."""
+    return (found if views == 1 else on_view(found, each, views, rays) for each in range(views))
+
+
+def on_view(found: Candidates, view: int, views: int, rays: int) -> Candidates:
+    """Return the footprints on one of a projector's views, of so many rays each."""
+    mask = found.keys % (views * rays) // rays == view
+    keys = found.keys[mask]
+    keys -= (keys // (views * rays) * (views - 1) + view) * rays
+    return Candidates(keys, found.variance[mask], found.weights[mask])
 
 
 def is_symmetric(found: Candidates, rays: int) -> bool:

@@ -135,8 +135,9 @@ class Footprints(Adaptive):
         if self.slot(state, back=1)[0] == "residual":
             return super()._fitted(state, images, first)
         count, channels = images.schedule.count, state.channels
-        more = Pictures.read(images, channels, state.camera.size, first, count)
-        state = state.changed(taken=more)
+        state = state.changed(
+            taken=Pictures.read(images, channels, state.camera.size, first, count)
+        )
         pictures, views = state.pictures, state.projector.views
         unit = unit_of(pictures)
         grey = series_of(pictures.grey() if channels > 1 else pictures, unit, views)

@@ -26,6 +26,7 @@ from rfpipe.methods.adaptive.footprints.candidates import (
     found_anew,
     is_symmetric,
     joined,
+    on_view,
     reconciled,
     reweighted,
     split,
@@ -96,29 +97,40 @@ def find(
     if len(grey) > 1 and camera.size > _ENOUGH:
         random = generator(SEED, camera.size)
         looked_at = np.sort(random.permutation(camera.size)[:_ENOUGH])
-    if before is not None:
-        parts = split(before, projector.views, rays)
-    else:
+    found = before
+    if found is None:
         pairs = zip(grey, templates, strict=True)
-        parts = [first_footprints(series, camera, template) for series, template in pairs]
+        found = joined([first_footprints(each, camera, template) for each, template in pairs], rays)
     for number in range(2 if fresh else 1):
-        exchange = _refined(camera, projector, grey, joined(parts, rays), looked_at)
-        sides = zip(grey, parts, exchange.indirect(), templates, strict=True)
-        parts = [
-            reweighted(series, found_anew(series, part, light, camera, template), light)
-            for series, part, light, template in sides
-        ]
-        if looked_at is not None:  # fits need all candidates of those rays alone
-            parts = [part.brighter(each, looked_at) for each, part in zip(grey, parts, strict=True)]
+        exchange = _refined(camera, projector, grey, found, looked_at)
+        found = _searched(camera, grey, found, exchange.indirect(), templates, looked_at)
         if exchange.shares_rays:
-            together = with_other_way(joined(parts, rays), projector.size)
-            together = _reweighted(grey, together, exchange.indirect())
-            parts = split(together, projector.views, rays)
+            found = with_other_way(found, projector.size)
+            found = _reweighted(grey, found, exchange.indirect())
         if number or not fresh:
-            parts = [part.pruned(each) for each, part in zip(grey, parts, strict=True)]
-    candidates, exchange = _settled(grey, joined(parts, rays), exchange)
+            sure = zip(grey, split(found, projector.views, rays), strict=True)
+            found = joined([part.pruned(series) for series, part in sure], rays)
+    candidates, exchange = _settled(grey, found, exchange)
     fitted = tuple(_of_channel(series, grey, candidates, exchange) for series in channels)
     return Model(candidates, fitted or ((candidates, exchange),))
+
+
+def _searched(
+    camera: RayDomain,
+    grey: Views,
+    found: Candidates,
+    indirect: list[Float],
+    templates: list[Templates],
+    looked_at: Int64 | None,
+) -> Candidates:
+    """Look for footprints again, in what indirect light leaves of the pictures."""
+    rays, parts = len(grey[0].lit), []
+    sides = zip(grey, split(found, len(grey), rays), indirect, templates, strict=True)
+    for series, part, light, template in sides:
+        anew = reweighted(series, found_anew(series, part, light, camera, template), light)
+        # fits need all candidates of the rays that they look at, and of no other
+        parts.append(anew if looked_at is None else anew.brighter(series, looked_at))
+    return joined(parts, rays)
 
 
 def _settled(series: Views, found: Candidates, exchange: Exchange) -> Channel:
@@ -223,7 +235,7 @@ def _refined(
     chart = Chart(camera.shape)
     if len(series) > 1:  # what all views see of the middle one
         middle, rays = projector.views // 2, projector.rays_per_image
-        own = split(found, projector.views, rays)[middle].matrix(camera.size, rays)
+        own = on_view(found, middle, projector.views, rays).matrix(camera.size, rays)
         chart = chart_of(camera, own, projector.image_shape, series[middle].floodlit)
     shares = len(series) > 1 and camera == projector and is_symmetric(found, camera.size)
     carry = shared_rays(camera.size) if shares else carry_of(direct, floodlit)
