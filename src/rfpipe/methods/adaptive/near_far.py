@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import COAXIAL
-from rfpipe.methods.adaptive.estimate import HELD_OUT
 from rfpipe.methods.adaptive.patterns import probe_patterns
 from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive
 from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit, light_range
 from rfpipe.methods.adaptive.state import AdaptiveState
-from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method
+from rfpipe.methods.base import LevelImages, Method, get_method
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import kept, level_row
 from rfpipe.transport.base import Transport
@@ -60,23 +59,12 @@ class NearFar(Adaptive):
     bytes_per_ray = 10_000
     way = COAXIAL
     trials = (0.05, 0.01, 0.003)
-    most = 1 + len(HELD_OUT) + sum(ROUNDS) + sum(count for _, count in BLOCK_ROUNDS)
     State = NearFarState
 
     @cached_property
     def hierarchy(self) -> Method[Any]:
         """Symmetric photography."""
         return get_method("symmetric")
-
-    def expected_patterns(
-        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
-    ) -> int:
-        """Return the patterns of all rounds: they don't grow with the resolution."""
-        return min(projector.size, options.patterns or self.most)
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
-        """Return those of a scene in which no block is of low rank, after all rounds."""
-        return self.most + self.hierarchy.most_patterns(camera, projector, options)
 
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return rounds of smooth light, of what it leaves, the hierarchy, and what that leaves."""

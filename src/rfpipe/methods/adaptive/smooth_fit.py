@@ -148,10 +148,8 @@ class Observations:
         for index, pattern in enumerate(evidence.lit):
             light[:, index] = patches.basis.sums @ (pattern * evidence.factor)
             weight, shown = evidence.weight[index], evidence.shown[index]
-            dark[:, index], lit[:, index] = (
-                together @ (weight * ~pattern),
-                together @ (weight * pattern),
-            )
+            dark[:, index] = together @ (weight * ~pattern)
+            lit[:, index] = together @ (weight * pattern)
             on_dark[:, index] = together @ (shown * ~pattern)
             on_lit[:, index] = together @ (shown * pattern)
         light[:, count] = patches.basis.sums @ evidence.factor
@@ -216,7 +214,6 @@ def solve(
 
     `deviations` are those of the prior, `most` the iterations at most.
     """
-    from rfpipe.methods.adaptive.kernels import weigh
     from rfpipe.transport.pair_kernels import couple
 
     patches = observed.patches
@@ -227,7 +224,11 @@ def solve(
         received = np.zeros_like(observed.light)
         couple(basis.first, basis.second, deviations * known, observed.light, received)
         arriving = patches.weights @ received
-        weigh(arriving, observed.dark, observed.lit, arriving)
+        # dark pixels see a pattern's light, lit ones how it differs from full light
+        lacking = observed.lit * (arriving[:, :-1] - arriving[:, -1:])
+        arriving[:, :-1] *= observed.dark
+        arriving[:, :-1] += lacking
+        arriving[:, -1] = -lacking.sum(axis=1)
         result = observed.adjoint(arriving)
         result *= deviations
         result += known

@@ -205,14 +205,13 @@ def found_anew(
     pixel = np.flatnonzero(series.shining & (rest > max(_ANOTHER, residual.shape[1] / 2)))
     if len(pixel) > templates.most_pixels:
         pixel = np.sort(pixel[np.argsort(-rest[pixel], kind="stable")[: templates.most_pixels]])
-    if len(pixel):
-        whitener = templates.whitener(series.lit, series.relative_noise())
-        best, score = templates.match(residual[pixel] / floodlit[pixel, None], whitener)
-        box, weight = templates.seen[best], certainty[pixel]
-        gain = np.square(np.einsum("im,im,im->i", weight, residual[pixel], box))
-        gain /= np.maximum(np.einsum("im,im,im->i", weight, box, box), _TINY)
-        there = (score > 0) & (gain > _ANOTHER) & (gain > 0.25 * rest[pixel])
-        keys.append(templates.windows(pixel[there], best[there]))
+    whitener = templates.whitener(series.lit, series.relative_noise())
+    best, score = templates.match(residual[pixel] / floodlit[pixel, None], whitener)
+    box, weight = templates.seen[best], certainty[pixel]
+    gain = np.square(np.einsum("im,im,im->i", weight, residual[pixel], box))
+    gain /= np.maximum(np.einsum("im,im,im->i", weight, box, box), _TINY)
+    there = (score > 0) & (gain > _ANOTHER) & (gain > 0.25 * rest[pixel])
+    keys.append(templates.windows(pixel[there], best[there]))
     together = distinct(np.concatenate(keys))
     weights = np.zeros(len(together), np.float32)
     weights[np.searchsorted(together, found.keys[strong])] = found.weights[strong]

@@ -25,7 +25,7 @@ from rfpipe.methods.adaptive.patterns import view_patterns
 from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, root_of
 from rfpipe.methods.adaptive.rounds import Adaptive
 from rfpipe.methods.adaptive.state import AdaptiveState
-from rfpipe.methods.base import ErrorOptions, LevelImages, Method, get_method, options_of
+from rfpipe.methods.base import LevelImages, Method, get_method
 from rfpipe.methods.images import Pictures, nearest
 from rfpipe.methods.states import kept
 from rfpipe.transport.base import Transport
@@ -44,11 +44,6 @@ def in_round(number: int, views: int) -> int:
         return ROUNDS[number]
     # each view is lit whole at first
     return views * (_VIEW_ROUNDS[number] + (number == 0))
-
-
-def most_of(views: int) -> int:
-    """Return the patterns of all rounds, the floodlit and the held-out ones among them."""
-    return 1 + len(HELD_OUT) + sum(in_round(number, views) for number in range(len(ROUNDS)))
 
 
 @dataclass(frozen=True)
@@ -89,17 +84,6 @@ class Footprints(Adaptive):
     def hierarchy(self) -> Method[Any]:
         """Dual photography."""
         return get_method("dual")
-
-    def expected_patterns(
-        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
-    ) -> int:
-        """Return the patterns of all rounds: more views, more patterns."""
-        return min(projector.size, options.patterns or most_of(projector.views))
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
-        """Return those of a scene for which all blocks are lit one by one, after all rounds."""
-        inner = options_of(self.hierarchy)
-        return most_of(projector.views) + self.hierarchy.most_patterns(camera, projector, inner)
 
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return rounds, then the levels of dual photography, and of what that leaves."""

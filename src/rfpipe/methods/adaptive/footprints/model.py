@@ -217,18 +217,11 @@ def _of_channel(series: Views, grey: Views, found: Candidates, exchange: Exchang
 
 def _floodlit(series: Views) -> Float:
     """Return what pixels show when all views are lit, at least 0, (pixels,)."""
-    radiance = series[0].floodlit
-    for each in series[1:]:
-        radiance = radiance + each.floodlit
-    return radiance
+    return sum((each.floodlit for each in series[1:]), series[0].floodlit)
 
 
 def _refined(
-    camera: RayDomain,
-    projector: RayDomain,
-    series: Views,
-    found: Candidates,
-    chosen: Int64 | None,
+    camera: RayDomain, projector: RayDomain, series: Views, found: Candidates, chosen: Int64 | None
 ) -> Exchange:
     """Add functions, scale by scale, where pictures differ from the model beyond noise."""
     direct, floodlit = found.matrix(camera.size, projector.size), _floodlit(series)
