@@ -131,10 +131,10 @@ class Adaptive(PackingMethod[AdaptiveState]):
         return None
 
     def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
-        """Find what the better model leaves of all pictures, unless that is little."""
+        """Find what the better model leaves of all pictures, unless it is good enough."""
         bases = [(self._estimate(state, base), each, base) for each, base in self._bases(state)]
         estimate, of_hierarchy, base = min(bases, key=lambda each: each[0].error)
-        if state.estimated(estimate).excess[-1] <= 1 / 2:
+        if state.estimated(estimate).reached:
             return state
         canvas, series = Canvas.of(state.camera.shape, state.pictures), state.pictures
         pictures = [canvas.taken(series.lit, series.radiance, series.variance)]
