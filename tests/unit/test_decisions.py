@@ -131,3 +131,12 @@ def test_both_targets_are_to_be_met() -> None:
         told = replace(told, estimates=[replace(each, indirect=0.1) for each in state.estimates])
         assert told.excess[-1] == pytest.approx(max(0.9, 0.1 / indirect) / SURE)
         assert decided(NearFar(), told) == following
+
+
+def test_blocks_end_where_more_of_them_hardly_help() -> None:
+    """Nearly at the target, errors that fall by a tenth while patterns double are the end."""
+    state = after(NearFar(), [0.04, 0.02], 0.01)
+    for last, following in ((0.0105, "done"), (0.0125, "hierarchy")):
+        errors = (last * 1.1, last * 1.05, last)
+        assert going_on(in_blocks(state, (12, 20, 28), errors)) == np.inf
+        assert decided(NearFar(), in_blocks(state, (12, 20, 28), errors)) == following

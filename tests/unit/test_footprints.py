@@ -6,13 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from tests.helpers import dense, picture_error
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
+from rfpipe.methods.adaptive.footprints.candidates import Candidates, found_anew, reweighted
+from rfpipe.methods.adaptive.footprints.kernels import solve_weights
+from rfpipe.methods.adaptive.footprints.matching import Templates
 from rfpipe.methods.adaptive.footprints.method import ROUNDS, Footprints
+from rfpipe.methods.adaptive.footprints.series import Series
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
 
@@ -76,6 +81,40 @@ def errors(matrix: np.ndarray, transport: Any, projector: tuple[int, ...]) -> fl
 def run(matrix: np.ndarray, camera: Any, projector: Any, **options: Any):
     rig = OperatorRig(matrix, camera, projector, CameraConfig(), seed=2)
     return acquire(rig, Footprints(), progress=False, **options)
+
+
+# --- weights
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_weights_are_the_best_of_those_that_are_not_negative(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    lit = (random.random((12, 9)) < 0.5).astype(np.float32)
+    lit[7] = lit[3]  # two places with the same patterns share by their variances
+    seen = random.normal(1, 1, (1, 9)).astype(np.float32)
+    certainty = random.uniform(1, 1e4, (1, 9)).astype(np.float32)
+    ridge, expected = random.uniform(0.1, 10, (2, 12)).astype(np.float32)
+    rays = np.arange(12, dtype=np.int32)
+    found = solve_weights(np.array([0, 12]), rays, ridge, expected, lit, certainty, seen, 0.0)
+    rows = [lit.T * np.sqrt(certainty.T), np.diag(np.sqrt(ridge))]
+    goal = [(seen * np.sqrt(certainty))[0], expected * np.sqrt(ridge)]
+    best, _ = nnls(np.concatenate(rows), np.concatenate(goal))
+    np.testing.assert_allclose(found, best, rtol=1e-3, atol=1e-4)
+
+
+def test_of_two_places_with_the_same_patterns_neighbours_tell_which_is_seen() -> None:
+    side, own, elsewhere = RayDomain((12, 12)), 5 * 12 + 5, 9 * 12 + 1
+    lit = (np.random.default_rng(0).random((side.size, 25)) < 0.5).astype(np.float32)
+    lit[:, 0], lit[elsewhere] = 1, lit[own]
+    series = Series(lit, lit.copy(), np.full_like(lit, 1e-6))
+    place = np.arange(side.size)
+    place[own] = elsewhere
+    ones, nothing = np.ones(side.size, np.float32), np.zeros_like(lit)
+    found = Candidates(np.arange(side.size) * side.size + place, ones, ones)
+    again = found_anew(series, found, nothing, side, Templates.of(side, lit, 1.0))
+    weights = reweighted(series, again, nothing).matrix(side.size, side.size).toarray()
+    assert weights[own, own] > 0.9
+    assert weights[own, elsewhere] < 0.1
 
 
 # --- acquisitions
