@@ -129,17 +129,17 @@ def what_follows(
 
 
 def going_on(state: AdaptiveState) -> float:
-    """Return how many more patterns the target takes as errors fall so far; 0 of one round.
+    """Return how many more patterns the target takes as errors fall so far.
 
-    Infinity where they hardly fall any more.
+    Infinity where they hardly fall any more; 0 after one round, or where the target is reached.
     """
     errors = state.excess[-3:]
-    if len(errors) < 2 or errors[-1] <= 0:
+    if len(errors) < 2 or errors[-1] <= 1:
         return 0.0
     patterns = [row["patterns"] for row in state.rows if row["patterns"]]
     before = state.shown - sum(patterns[1 - len(errors) :])
     power = np.log(errors[0] / errors[-1]) / np.log(state.shown / before)
-    if power < _AT.slowest and errors[-1] > 1:
+    if power < _AT.slowest:
         return np.inf
     return float(state.shown * (errors[-1] ** (1 / power) - 1))
 

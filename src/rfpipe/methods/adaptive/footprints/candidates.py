@@ -196,7 +196,7 @@ def found_anew(
     strong = found.weights > 0.01 * floodlit[found.pixels(rays)]
     neighbours = _neighbours(found.keys[strong], found.weights[strong], camera, rays)
     beside = distinct((np.arange(pixels) * rays + neighbours)[neighbours >= 0])
-    beside = beside[_support(beside, neighbours, templates) > 1 / 8]
+    beside = beside[_support(beside, neighbours, templates) > 1 / 8]  # more than one of them
     together = np.concatenate([found.keys[strong], beside])
     keys = [_surroundings(together, templates.projector)]
     residual = series.observed - indirect - found.matrix(pixels, rays) @ series.lit
@@ -243,11 +243,11 @@ def _support(keys: Int64, neighbours: Int64, templates: Templates) -> Float:
     projector, reach = templates.projector, templates.width.min()
     width = projector.image_shape[1]
     pixel, ray = np.divmod(keys, projector.size)
+    row, column = np.divmod(ray, width)
     support = np.zeros(len(keys), np.float32)
-    for each in neighbours:
-        other = each[pixel]
-        near = abs(ray // width - other // width) <= reach
-        support += near & (abs(ray % width - other % width) <= reach) & (other >= 0)
+    for down, right in zip(*np.divmod(neighbours, width), strict=True):
+        near = (down[pixel] >= 0) & (abs(row - down[pixel]) <= reach)
+        support += near & (abs(column - right[pixel]) <= reach)
     return support / np.float32(len(neighbours))
 
 
