@@ -81,7 +81,7 @@ def test_held_out_pictures_are_all_that_it_costs(name: str) -> None:
 
 
 @BOTH
-def test_what_predicts_best_is_returned(name: str) -> None:
+def test_what_predicts_best_is_returned(name: str, caplog: pytest.LogCaptureFixture) -> None:
     """Where the last level shows another scene, that of an upper level; and it says so."""
     albedo = generator(1).uniform(0.5, 1, 256)
     matrix = (np.outer(albedo, albedo) + 0.02 * WEDGE)[:1]
@@ -98,6 +98,7 @@ def test_what_predicts_best_is_returned(name: str) -> None:
         packs.append(targeted.pack(state))
     assert state.inner.level == 5
     assert state.best.level < 5
+    assert "no blocks are left" in caplog.text
     found = targeted.transport(state)
     assert last_estimate(found) == state.estimates[-1].error
     lowest = method.transport(state.inner)

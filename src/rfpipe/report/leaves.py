@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 _KINDS = {
     "rank1": ("rank-1 leaves (dual: stored)", "#3a6fb0"),
-    "rank_k": ("rank-k leaves", "#7d5ba6"),
     "scalar": ("scalar leaves", "#9dc0e6"),
     "empty": ("empty", "#b9b9b9"),
     "subdivided": ("subdivided at the next level", "#ffffff"),
@@ -31,13 +30,13 @@ def leaves_section(inputs: Inputs) -> Section | None:
         return None
     levels = pd.DataFrame(
         [
-            {"scene": run.scene, "method": run.method, "rank_k": 0, **row}
+            {"scene": run.scene, "method": run.method, **row}
             for run in inputs.runs
             for row in run.facts["levels"]
         ]
     )
-    kinds = {"rank1": "rank-1 or stored", "rank_k": "rank-k"}
-    counted = ("patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided")
+    kinds = {"rank1": "rank-1 or stored"}
+    counted = ("patterns", "nodes", "empty", "rank1", "scalar", "subdivided")
     columns: list[Column] = [(kinds.get(kind, kind), kind, number) for kind in counted]
     table = table_of(
         "Levels",

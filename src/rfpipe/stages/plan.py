@@ -87,6 +87,13 @@ class Plan:
         """Keep the method's state before a level for `state_before`; None: after the last one."""
         self._carried, self._restored = (level, state), None
 
+    def end_early(self) -> bool:
+        """Take the state that is carried for the last one; tell whether there is any."""
+        if self._carried is None:
+            return False
+        self.carry(None, self._carried[1])
+        return True
+
     def state_before(self, folder: AcquisitionFolder, level: int | None) -> Any:
         """Return the method's state before a level; None for that after the last one.
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.estimate import HELD_OUT
-from rfpipe.methods.adaptive.rounds import Adaptive, inner_packs
+from rfpipe.methods.adaptive.rounds import Adaptive, inner_packs, log_end
 from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import (
     MEMORY_BYTES,
@@ -169,8 +169,10 @@ class Targeted(Adaptive):
         """Ask for the held-out pictures, go on down the tree, or end."""
         if not state.held:
             return state.changed(following="held")
-        ends = state.reached or state.inner.level == BlockTree(state.projector).n_levels
-        return state.changed(following="done" if ends else "hierarchy")
+        below = state.inner.level < BlockTree(state.projector).n_levels
+        if not (state.reached or below):
+            log_end(state, f"no blocks are left at a tolerance of {state.tolerance:.2g}")
+        return state.changed(following="hierarchy" if below and not state.reached else "done")
 
     def known(self, state: AdaptiveState) -> Transport:
         """Return what the inner method goes on with."""

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import (
     Way,
-    hierarchy_cost,
     next_round,
     target_of,
     what_follows,
@@ -150,16 +149,9 @@ class Adaptive(PackingMethod[AdaptiveState]):
         following, why = what_follows(state, self.way, just, slot, depth)
         if following == "hierarchy":
             _log.info("%s; going on with %s", why, self.hierarchy.title.lower())
-            cost = round(hierarchy_cost(state, depth, self.way.law))
-            if state.shown + cost > state.projector.size:
-                _log.warning(
-                    "it may take about %d patterns in all, and brute force takes %d",
-                    state.shown + cost, state.projector.size,
-                )  # fmt: skip
             return self._hand_over(state, self.way.tolerance * target_of(state))
         if following == "done" and not state.reached:
-            times = SURE * state.excess[-1]
-            _log.warning("ended at an estimated %.2f times the error asked for: %s", times, why)
+            log_end(state, why)
         elif why:
             _log.info("%s; going on with random blocks", why)
         return state.changed(following=following)
@@ -336,6 +328,12 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if not inner:
             return state
         return replace(state, inner=self.hierarchy.restore(self._inner_start(state), inner))
+
+
+def log_end(state: AdaptiveState, why: str) -> None:
+    """Say how far from the target an acquisition ends, and why."""
+    times = SURE * state.excess[-1]
+    _log.warning("ended at an estimated %.2f times the error asked for: %s", times, why)
 
 
 def inner_packs(packs: Sequence[Pack]) -> list[Pack]:

@@ -30,9 +30,8 @@ CODED_PARTS = ("block_a", "block_b", "codes", "scales")
 class LeafSet:
     """Rank-1 leaves of one level: ``T_ab = factor_a x factor_b`` and, by symmetry, ``T_ba``.
 
-    A leaf of rank k is k of them over the same pair, its terms: what leaves of a pair hold adds
-    up. Factors may be negative; on the diagonal, where both factors are the same, a term has a
-    sign of its own: ``T_aa = sum_r s_r u_r x u_r``.
+    Leaves of the same pair add up. Factors may be negative; on the diagonal, where both factors
+    are the same, a leaf has a sign of its own: ``T_aa = sum_r s_r u_r x u_r``.
 
     Attributes
     ----------

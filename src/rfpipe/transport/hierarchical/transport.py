@@ -26,9 +26,7 @@ from rfpipe.units import NumberFormat
 
 
 class HierarchicalTransport(CoaxialTransport, LevelTransport):
-    """Symmetric transport as a hierarchical tensor with rank-1, rank-k and scalar leaves.
-
-    A leaf of rank k is k rank-1 leaves over the same pair of blocks, see `LeafSet`.
+    """Symmetric transport as a hierarchical tensor with rank-1 and scalar leaves.
 
     Parameters
     ----------
