@@ -24,7 +24,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
 .PHONY: help install run thesis figures calibrate serve unlock test test-all validators lint \
-  format bench benchmark config lock clean
+  format bench benchmark measured config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -101,6 +101,10 @@ format: $(INSTALLED) ## format the sources and the workflow
 bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@for script in benchmarks/bench_*.py; do echo "$$script"; \
 	  python -m "benchmarks.$$(basename "$$script" .py)"; done
+
+measured: $(INSTALLED) ## make the tables of docs/measured.md and README anew, hours
+	@rfpipe run
+	@python -m benchmarks.measured $(ARGS)
 
 benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv
 	@python -m benchmarks.methods $(ARGS)
