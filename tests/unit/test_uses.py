@@ -1,5 +1,8 @@
 """What people do with a transport: what sees what, depth, and patterns that make pictures."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -71,3 +74,11 @@ def test_what_is_no_picture_of_the_camera_is_refused(aside, picture) -> None:
         aside[0].pattern_for(picture)
     with pytest.raises(InputError, match=r"shape \(3, 4\)"):
         aside[0].correspondence().points(np.eye(3), np.eye(4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", sorted((Path(__file__).parents[2] / "docs/uses").glob("*.py")))
+def test_the_scripts_of_the_page_make_their_pictures(script: Path, tmp_path: Path) -> None:
+    settings = {**os.environ, "MPLBACKEND": "agg"}
+    subprocess.run([sys.executable, script, "24"], cwd=tmp_path, env=settings, check=True)
+    assert (tmp_path / script.with_suffix(".png").name).stat().st_size > 5000
