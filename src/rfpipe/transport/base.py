@@ -81,6 +81,26 @@ class Light(MatrixAlgebra):
 
         return correspondence_of(self)
 
+    def relight_environment(
+        self, environment: NDArray[Any], lights: NDArray[Any], turned: float = 0.0
+    ) -> Float:
+        """Relight with a panorama of the light around; the projector's rays are single lights.
+
+        Parameters are those of `rfpipe.environment.environment_weights`; `lights` has a direction
+        for each ray. Returns the image (*camera_shape, channels), in colour if either is; InputError
+        as there, or if there are more or fewer directions than lights.
+        """
+        from rfpipe.environment import environment_weights
+
+        weights = environment_weights(environment, lights, turned)
+        rays = int(np.prod(self.projector_shape))
+        if len(weights) != rays:
+            raise InputError(f"{len(weights)} directions of lights for {rays} lights")
+        planes = weights.T.reshape(-1, *self.projector_shape)
+        if self.channels == 1 or len(planes) == 1:
+            return np.concatenate([self.relight(plane) for plane in planes], axis=-1)
+        return self.relight(np.moveaxis(planes, 0, -1))
+
     def pattern_for(self, picture: NDArray[Any]) -> Compensation:
         """Return the pattern, of weights between 0 and 1, that makes the scene look like a picture.
 
