@@ -17,7 +17,7 @@ lights = np.stack([ring * np.sin(turn), height, ring * np.cos(turn)], axis=1)
 y, x = (1.1 - 2.2 * (each + 0.5) / side for each in np.indices((side, side)))
 x, inside = -x, x**2 + y**2 < 1
 normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
-halfway = lights + [0, 0, 1]
+halfway = lights + np.array([0, 0, 1])
 halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
 facing = np.maximum(normals @ lights.T, 0)
 pictures = inside[..., None] * facing * (0.2 + 2 * np.maximum(normals @ halfway.T, 0) ** 60)

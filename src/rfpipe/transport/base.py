@@ -87,8 +87,9 @@ class Light(MatrixAlgebra):
         """Relight with a panorama of the light around; the projector's rays are single lights.
 
         Parameters are those of `rfpipe.environment.environment_weights`; `lights` has a direction
-        for each ray. Returns the image (*camera_shape, channels), in colour if either is; InputError
-        as there, or if there are more or fewer directions than lights.
+        for each ray. Returns the image (*camera_shape, channels), in colour if either is.
+
+        Raises InputError as there, or if there are more or fewer directions than lights.
         """
         from rfpipe.environment import environment_weights
 
