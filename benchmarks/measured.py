@@ -98,7 +98,7 @@ def written(text: str, folder: Path) -> str:
 
 def _percent(value: Any) -> str:
     """Return a fraction in per cent, of two digits; a word where there is no such light."""
-    return f"{100 * value:.2g}" if value > 0 else "none" if value == 0 else ""
+    return f"{100 * value:#.2g}".rstrip(".") if value > 0 else "none" if value == 0 else ""
 
 
 def _default(rows: pd.DataFrame) -> str:
@@ -149,7 +149,8 @@ def _of_planes(rows: pd.DataFrame) -> str:
            for row in own.sort_values("patterns").itertuples())]
         for (scene, method), own in chosen.groupby(["scene", "method"])
     ]  # fmt: skip
-    return markdown(["scene", "method", "coarse", "finer", "finest"], lines)
+    head = ["scene", "method", "coarse", "finer", "finest"]
+    return markdown(head, ([*line, *[""] * (len(head) - len(line))] for line in lines))
 
 
 def _of_thesis(rows: pd.DataFrame, scenes: Sequence[str]) -> str:
