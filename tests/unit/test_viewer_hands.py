@@ -217,13 +217,15 @@ def test_the_picture_is_saved(page: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("width", [1280, 400])
 def test_axe_finds_nothing(chromium: Any, symmetric: Path, colours: str, width: int) -> None:
     page = opened(chromium, symmetric, color_scheme=colours)
-    page.set_viewport_size({"width": width, "height": 800})
+    page.set_viewport_size({"width": width, "height": 900})
     page.locator("summary").click()
     page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
     for tool in ("spot", "bar", "brush", "picture", "pixel"):
         page.locator(f"[data-tool={tool}]").click()
         found = page.evaluate("axe.run()")["violations"]
         assert [(each["id"], each["nodes"][0]["html"]) for each in found] == []
+        controls = page.locator(".controls").bounding_box()
+        assert width == 400 or controls["y"] + controls["height"] <= 900  # not below the fold
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.context.close()
 
