@@ -70,13 +70,18 @@ def alike(page: Any, transport: Any) -> None:
     np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
 
 
-def drag(page: Any, canvas: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
-    """From one place to another, in parts of the canvas."""
+def place(page: Any, canvas: str, x: float, y: float) -> tuple[float, float]:
+    """Where a part of the picture is, which fills the canvas' height."""
     box = page.locator(canvas).bounding_box()
-    places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in (begin, end)]
-    page.mouse.move(*places[0])
+    width = min(box["width"], box["height"] * SHAPE[1] / SHAPE[0])
+    return box["x"] + (box["width"] - width) / 2 + x * width, box["y"] + y * box["height"]
+
+
+def drag(page: Any, canvas: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
+    """From one place to another, in parts of the picture."""
+    page.mouse.move(*place(page, canvas, *begin))
     page.mouse.down()
-    page.mouse.move(*places[1], steps=3)
+    page.mouse.move(*place(page, canvas, *end), steps=3)
     page.mouse.up()
     settled(page)
 
@@ -119,8 +124,7 @@ def test_a_picture_is_light(page: Any, tmp_path: Path) -> None:
 
 def test_a_pixel_s_row_shows_where_its_light_comes_from(page: Any) -> None:
     page.locator("[data-tool=pixel]").click()
-    box = page.locator("#seen").bounding_box()
-    page.mouse.click(box["x"] + box["width"] * 5.5 / 24, box["y"] + box["height"] * 7.5 / 20)
+    page.mouse.click(*place(page, "#seen", 5.5 / 24, 7.5 / 20))
     settled(page)
     page.wait_for_timeout(200)
     pixels = "[...$('light').getContext('2d').getImageData(0, 0, 24, 20).data]"
