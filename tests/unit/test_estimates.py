@@ -1,7 +1,5 @@
 """The errors that methods estimate of themselves: kept, logged, and shown beside the true ones."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -295,7 +295,7 @@ def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_pat
     assert "of indirect light" not in page.words  # no pixel is known to be unlit
     assert "scene_desk" in stems(tmp_path)
     (row,) = glance_of(tmp_path)[0].rows
-    assert {"recorded truth", "0.30", "5.20"} < set(row)
+    assert {"recording", "0.30", "5.20"} < set(row)
     assert "drjit 1.5.0" in page.words.replace("  ", " ")
 
 

@@ -196,14 +196,15 @@ def scene_curves(scenes: Sequence[str], draw_scene: Callable[[Axes, str], None])
         axis.set(xscale="log", yscale="log", xlabel="patterns", ylabel="error, %")
         axis.grid(True, linewidth=0.4, color="#dddddd")
         for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 3))):
-            _plain_numbers(direction, marks)
+            plain_numbers(direction, marks)
         draw_scene(axis, scene)
         axis.label_outer()
     shared_legend(figure)
     return figure
 
 
-def _plain_numbers(axis: Any, marks: tuple[int, ...]) -> None:
+def plain_numbers(axis: Any, marks: tuple[int, ...]) -> None:
+    """Mark a logarithmic axis at these multiples of powers of ten, by plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(10, marks))

@@ -27,20 +27,20 @@ def glance_section(inputs: Inputs) -> Section:
         ("patterns", "patterns", number),
         ("error, %", "mean_error", percent),
         ("verified by", "verified", str),
+        ("its grain, %", "grain", percent),
+        ("grain where unlit, %", "grain_unlit", percent),
         ("rig", "rig", str),
         ("largest error, %", "worst_error", percent),
         ("indirect light, %", "mean_indirect", percent),
         ("estimated error, %", "estimated_error", percent),
-        ("grain of truth, %", "grain", percent),
-        ("of its unlit pixels, %", "grain_unlit", percent),
         ("time, min", "minutes", fixed(1)),
         ("stored, MB", "megabytes", fixed(2)),
     ]
     about = [f"{ERROR}, mean of shapes, bars and spots; indirect: on pixels that they leave dark."]
     if _RECORDED in kinds:
         about.append(
-            "Recorded truth: light transport that was traced by Monte Carlo, and by which the rig "
-            "is simulated; its grain is its own standard error, in a half-lit picture."
+            "Recording: the truth is light transport that was traced by Monte Carlo, by which the "
+            "rig is simulated, too; its grain is its own standard error, in a half-lit picture."
         )
     if _NOTHING in kinds:
         about.append("Not verified: the truth of a real scene is not known.")
@@ -57,7 +57,7 @@ def glance_section(inputs: Inputs) -> Section:
     return Section("glance", "At a glance", [table, pictures], text)
 
 
-_EXACT, _RECORDED, _NOTHING = "exact truth", "recorded truth", "not verified"
+_EXACT, _RECORDED, _NOTHING = "exact truth", "recording", "not verified"
 
 
 def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
