@@ -88,6 +88,20 @@ def test_the_page_needs_nothing_from_elsewhere_and_names_rows_and_columns(page):
     assert all(re.findall(r'<img [^>]*alt="([^"]+)"', page.source))
 
 
+@pytest.mark.parametrize("width", [1280, 1920])
+def test_it_fits_a_screen_and_begins_with_what_came_out(chromium, results, width):
+    screen = chromium.new_page(viewport={"width": width, "height": 1000})
+    screen.goto(f"file://{results}/report/index.html")
+    assert screen.evaluate("document.documentElement.scrollWidth") <= width
+    assert screen.evaluate(
+        "[...document.querySelectorAll('.scroll')].every(it => it.scrollWidth <= it.clientWidth)"
+    )
+    table, picture = (screen.locator(it).first.bounding_box() for it in ("table", "img"))
+    assert table["y"] + table["height"] < picture["y"] < 700
+    assert picture["width"] > 800
+    screen.close()
+
+
 def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     config = GREY.model_copy(update={"verification": VerificationConfig(pictures=3)})
     acquired(tmp_path, config)
@@ -103,6 +117,7 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     write_bundle(folder / "verification.json", "it", arrays, {**found.facts(), **rig})
     page = built(tmp_path, config)
     assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in page.words
+    assert "3 pictures" in page.words
     about = json.loads((tmp_path / "report/results.json").read_text())
     (entry,) = about["provenance"]["acquisitions"]
     assert entry["verification"]["mean_error"] == pytest.approx(found.mean_error)
@@ -226,6 +241,7 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
         assert row["mean_indirect"] == 0 if row["scene"] == "flat" else row["mean_indirect"] > 0
         assert row["minutes"] == pytest.approx((2 * row["patterns"] + 9) / 60, rel=1e-4)
         assert shown[2] == number(row["patterns"])
+        assert "Of indirect light" in table.caption
         assert shown[3:5] == [percent(row["mean_error"]), "exact truth"]
 
 
@@ -292,7 +308,7 @@ def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_pat
     assert errors["indirect_error"].isna().all()
     page = built(tmp_path, ASIDE)
     assert "times brighter" not in page.words
-    assert "of indirect light" not in page.words  # no pixel is known to be unlit
+    assert "Of indirect light" not in page.words  # no pixel is known to be unlit
     assert "scene_desk" in stems(tmp_path)
     (row,) = glance_of(tmp_path)[0].rows
     assert {"recording", "0.30", "5.20"} < set(row)

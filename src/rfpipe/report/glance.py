@@ -36,7 +36,9 @@ def glance_section(inputs: Inputs) -> Section:
         ("time, min", "minutes", fixed(1)),
         ("stored, MB", "megabytes", fixed(2)),
     ]
-    about = [f"{ERROR}, mean of shapes, bars and spots; indirect: on pixels that they leave dark."]
+    about = [f"{ERROR}, mean of shapes, bars and spots."]
+    if any(row["mean_indirect"] is not None for row in results):
+        about.append("Of indirect light: on pixels that a picture leaves dark.")
     if _RECORDED in kinds:
         about.append(
             "Recording: the truth is light transport that was traced by Monte Carlo, by which the "

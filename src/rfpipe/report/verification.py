@@ -67,8 +67,7 @@ def summaries(inputs: Inputs, run: Run) -> list[str]:
     )
     if bound is not None:
         is_above = facts["mean_error"] is None or facts["mean_error"] > bound
-        text += " THIS IS ABOVE the " if is_above else " It is not above the "
-        text += f"{percent(bound)} % that was accepted."
+        text += f" This is {'ABOVE' if is_above else 'within'} the {percent(bound)} % accepted."
     return [text, *(f"NOTICED DURING THE CAPTURE, {alarm}." for alarm in facts["alarms"])]
 
 
