@@ -36,7 +36,9 @@ def glance_section(inputs: Inputs) -> Section:
         ("time, min", "minutes", fixed(1)),
         ("stored, MB", "megabytes", fixed(2)),
     ]
-    about = [f"{ERROR}, mean of shapes, bars and spots."]
+    about = []
+    if kinds != {_NOTHING}:
+        about.append(f"{ERROR}, mean of shapes, bars and spots.")
     if any(row["mean_indirect"] is not None for row in results):
         about.append("Of indirect light: on pixels that a picture leaves dark.")
     if _RECORDED in kinds:
@@ -134,7 +136,7 @@ def _compared(run: Run) -> tuple[list[Panel], list[Any], str]:
         images = run.middle(run.read("relit"))
         light += map(run.panel, images, map(words, names))
         error = relative_rms(run.read("floodlit_relit"), floodlit)
-        return light, [], f"the floodlit picture relit to {percent(error)} % of the captured one"
+        return light, [], f"relit, the floodlit picture is {percent(error)} % off the captured one"
     gain: Any = 1.0
     if run.has_truth:
         index = names.index(_SHOWN) if _SHOWN in names else 0
