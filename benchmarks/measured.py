@@ -70,8 +70,7 @@ def all_cases() -> Iterator[Case]:
 
 def default_run(tables: Path) -> str:
     """Return what is shown of the default run's tables, as CSV."""
-    results, estimates = (pd.read_csv(tables / f"{each}.csv") for each in ("results", "estimates"))
-    told = results.merge(estimates[["scene", "method", "estimated_error"]], "left")
+    told = pd.read_csv(tables / "results.csv")
     columns = ["scene", "method", "patterns", "megabytes", "mean_error", "estimated_error",
                "worst_error", "mean_indirect"]  # fmt: skip
     return str(told[columns].to_csv(index=False, float_format="%.4g", lineterminator="\n"))
