@@ -9,6 +9,8 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +20,7 @@ from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.folder import AcquisitionFolder, name_of
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.store import FrameStore, restore_header
 from rfpipe.units import LOOK_KEY
@@ -157,12 +159,23 @@ def watching_level(
     looks : int
         Patterns from one look to the next, 0 for none.
     """
-    folder, merger = of_level.folder, None
-    if folder.exists(0, "merge"):
-        merger = read_merger(of_level.rig.sensor, folder)
     with ExitStack() as stack:
         begun = _begin(stack, of_level, level, looks if mode != "off" else 0)
+        merger = _merger(of_level, begun.every) if begun else None
         yield Watcher(of_level, level, merger, begun, mode == "refuse")
+
+
+def _merger(of_level: Brackets, every: int) -> Merger | None:
+    """Return the acquisition's merger; before its first merge one for the looks of a long level."""
+    sensor, folder = of_level.rig.sensor, of_level.folder
+    if folder.exists(0, "merge"):
+        return read_merger(sensor, folder)
+    if of_level.count <= every:
+        return None
+    with FrameStore.open(folder.store(0, REFERENCE)) as frames:
+        brackets = (frames.read(n, n + 1) for n in range(frames.shape[0]))
+        black = islice(brackets, frames.attributes["black_frames"])
+        return Merger.from_references(sensor, black, brackets, mask_defects=False)
 
 
 def _begin(stack: ExitStack, of_level: Brackets, level: int, every: int) -> _Looks | None:
@@ -210,7 +223,8 @@ class Watcher:
     def before(self, position: int) -> None:
         """Take the look that is due before the pattern at `position`, or after the last one.
 
-        Raises CaptureError where it shows that the rig moved, and that is to end the capture.
+        Raises CaptureError where it shows, and once more, that the rig moved, and that is to end
+        the capture. That look isn't stored: the next run begins by taking it again.
         """
         if not self.looks:
             return
@@ -218,21 +232,36 @@ class Watcher:
         index = brackets.count - 1 if position == self.of_level.count else position // every
         if frames.done[index]:
             return
-        bracket = brackets.take(frames, index, index + 1)
-        known = _first_look(self.of_level.folder, self.merger) if self.merger else None
-        rest = change(self.merger, known, bracket).rest if self.merger and known else 0.0
+        bracket = brackets.take(index, index + 1)
+        rest = self._change(bracket)
         if rest > _MOVED:
-            text = (
-                f"{name_of(self.level)}, before pattern {position}: the rig or the scene moved: "
-                f"the same pattern looks different by {rest:.1%} from how it looked first, "
-                "whatever the lamp does. Pictures from before and after don't fit together"
+            seen = (
+                f"{name_of(self.level)}, before pattern {position}: the same pattern looks "
+                f"different by {rest:.1%} from how it looked first, whatever the lamp does"
             )
-            if self.refuse:
-                raise CaptureError(
-                    f"{text}. What is captured is kept: put things back, or remove the "
-                    "acquisition's folder and begin anew; capture.watch: warn goes on regardless"
-                )
+            if self._change(brackets.take(index, index + 1)) > _MOVED:
+                self._say_moved(f"{seen}: the rig or the scene moved", brackets.path.parent)
+            else:
+                _log.warning("%s, but not once more: patterns before may show what passed", seen)
+        frames.write(index, bracket)
+
+    def _say_moved(self, seen: str, of_level: Path) -> None:
+        """Raise CaptureError, or log a warning."""
+        text = f"{seen}. Pictures from before and after don't fit together"
+        if not self.refuse:
             _log.warning("%s; capture.watch: refuse would stop here", text)
+            return
+        raise CaptureError(
+            f"{text}, so the capture ends here; all that is captured is kept. To begin anew, "
+            f"remove {of_level.parent} and run again. Or put back what moved, remove {of_level} "
+            "and run again: that level alone is captured anew, if the pattern looks as it did "
+            "first. capture.watch: warn goes on all the same"
+        )
+
+    def _change(self, bracket: NDArray[Any]) -> float:
+        """Return by what a look differs from the first one, 0 where none is known."""
+        known = _first_look(self.of_level.folder, self.merger) if self.merger else None
+        return change(self.merger, known, bracket).rest if self.merger and known else 0.0
 
     def entries(self) -> dict[str, Any]:
         """Return what the level's manifest says of the looks."""
