@@ -83,6 +83,27 @@ class Changing(Dim):
         return {"number": next(self.numbers)}
 
 
+class Used(Dim):
+    used = 0
+
+    def radiance(self, weights):
+        self.used += 1
+        return super().radiance(weights)
+
+    def describe(self):
+        return {"used": self.used}
+
+
+class Bright(Dim):
+    def radiance(self, weights):
+        return 6 * super().radiance(weights)
+
+
+class Narrow(Dim):
+    def radiance(self, weights):
+        return super().radiance(weights) * (np.arange(20) % 5 < 4)[:, None, None]
+
+
 @pytest.mark.parametrize(
     ("scene", "test", "message"),
     [
@@ -93,6 +114,9 @@ class Changing(Dim):
         (Shifted, "dense", "T from its transpose"),
         (Together, "same_bytes_beside_any_patterns", "by themselves"),
         (Changing, "description", "made again"),
+        (Used, "description", "after use"),
+        (Bright, "light", "default camera"),
+        (Narrow, "dense", "lights nothing"),
     ],
 )
 def test_what_is_wrong_is_found(scene, test, message):

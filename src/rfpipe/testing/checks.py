@@ -40,13 +40,22 @@ def require_raises(kind: type[Exception], call: Callable[..., Any], *arguments: 
     raise AssertionError(f"{call} took {arguments} without raising {kind.__name__}")
 
 
-def require_equal_descriptions(make: Callable[[], Any]) -> None:
-    """Raise AssertionError unless what is made twice describes itself alike, in plain data."""
+def require_equal_descriptions(make: Callable[[], Any], use: Callable[[Any], object]) -> None:
+    """Raise AssertionError unless what is made twice describes itself alike, before use and after.
+
+    In plain data, that JSON keeps.
+    """
     described = []
     for _ in range(2):
         with opened(make()) as subject:
-            described.append(json.dumps(subject.describe(), sort_keys=True))
-    require(described[0] == described[1], f"describe() differs for what is made again: {described}")
+            for used in (False, True):
+                if used:
+                    use(subject)
+                described.append(json.dumps(subject.describe(), sort_keys=True))
+    require(
+        len(set(described)) == 1,
+        f"describe() differs after use, or for what is made again: {described}",
+    )
 
 
 def opened(made: Any) -> AbstractContextManager[Any]:

@@ -77,7 +77,9 @@ class ProjectorContract:
 
     def test_describes_itself_and_closes(self) -> None:
         """`describe` is the same for equal projectors; a closed one raises CaptureError."""
-        require_equal_descriptions(self.make_projector)
+        require_equal_descriptions(
+            self.make_projector, lambda one: one.show(_pictures(one.shape)["noise"])
+        )
         with opened(self.make_projector()) as projector:
             picture = _pictures(projector.shape)["noise"]
             projector.close()
@@ -92,12 +94,14 @@ class ProjectorContract:
 class CameraContract:
     """Tests that any camera must pass; subclass it as ``Test...`` and define `make_camera`.
 
-    What is before the camera should not change, nor be brighter than the shortest exposure takes.
+    What is before the camera is lit, should not change, nor be brighter than the shortest exposure
+    takes.
 
     Attributes
     ----------
     steadiness : float
-        Fraction of the mean counts by which two pictures of one thing may differ.
+        Fraction of the mean counts by which two pictures of one thing may differ, and of full scale
+        that light has at the longest exposure.
     """
 
     steadiness: float = 0.02
@@ -105,6 +109,11 @@ class CameraContract:
     def make_camera(self) -> Camera:
         """Return a camera, each time anew and each time the same; small, to be quick."""
         raise NotImplementedError(f"{type(self).__name__} must define make_camera()")
+
+    def set_light(self, camera: Camera, is_on: bool) -> bool:
+        """Light what is before the camera, or darken it, and return True; False: nobody can."""
+        del camera, is_on
+        return False
 
     def test_brackets(self) -> None:
         """Brackets have the sensor's shape, dtype and range, from any thread, keep them, merge."""
@@ -128,18 +137,39 @@ class CameraContract:
     def test_exposures(self) -> None:
         """Longer ones are not darker; two brackets of one thing are alike: no frame is old."""
         with opened(self.make_camera()) as camera:
+            self.set_light(camera, True)
             first, second = _means(camera), _means(camera)
+            dark = self._darkness(camera)
+            require(first[-1] > dark, f"no light: {first[-1]:.4g} counts, of {dark:.4g} or more")
             steps = np.diff(first) >= -self.steadiness * first[:-1]
             require(steps.all(), f"mean counts of ascending exposures: {first}")
             alike = np.abs(first - second) <= self.steadiness * np.maximum(first, second) + 1
             require(alike.all(), f"mean counts are {first}, then {second}")
 
+    def test_sees_what_is_lit_now(self) -> None:
+        """The first bracket after the light went is dark, the next one lit: no frame is old."""
+        with opened(self.make_camera()) as camera:
+            if not self.set_light(camera, True):
+                return
+            for is_on in (True, False, True, False):
+                self.set_light(camera, is_on)
+                seen, dark = _means(camera)[-1], self._darkness(camera)
+                require((seen > dark) == is_on, f"light is {is_on}, and counts are {seen:.4g}")
+
     def test_describes_itself_and_closes(self) -> None:
         """`describe` is the same for equal cameras; a closed one raises CaptureError."""
-        require_equal_descriptions(self.make_camera)
+        require_equal_descriptions(self.make_camera, lambda camera: camera.expose())
         with opened(self.make_camera()) as camera:
             camera.close()
             require_raises(CaptureError, camera.expose)
+
+    def _darkness(self, camera: Camera) -> float:
+        """Return the mean counts, or radiance, that are no light."""
+        sensor = camera.sensor
+        if not isinstance(sensor, CameraModel):
+            return 0.0
+        black = sensor.black_level_counts
+        return black + self.steadiness * (sensor.white_level - black)
 
 
 def _means(camera: Camera) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from rfpipe.testing.checks import opened, require, require_equal_descriptions, r
 from rfpipe.units import BLACK_LEVEL_KEY
 
 Float = NDArray[np.float32]
+Double = NDArray[np.float64]
 
 
 class RigContract:
@@ -72,23 +73,30 @@ class RigContract:
                 require(not np.array_equal(*frames), "two keys got the same noise")
 
     def test_light_adds_up(self) -> None:
-        """Half of the rays and the other half give what all rays give; none give no light."""
+        """Half of the rays and the other half give what all rays give; none give no light, at once.
+
+        Each edge of the projector's picture gives some: put a scene there that shows it.
+        """
         with opened(self.make_rig()) as rig:
             black, count = _black(rig)
-            dark = np.zeros(rig.projector_shape, np.float32)
-            frames = rig.capture(dark[None], [(BLACK_LEVEL_KEY, count)])
-            merged = rig.sensor.merge(frames, black, count)
-            self._require_equal_light(merged.radiance[0], merged.variance[0], 0.0, "black")
-            half = dark.copy()
+            edges = np.zeros((4, *rig.projector_shape), np.float32)
+            edges[0, ..., 0] = edges[1, ..., -1] = edges[2, ..., 0, :] = edges[3, ..., -1, :] = 1
+            half = np.zeros(rig.projector_shape, np.float32)
             half.ravel()[::2] = 1
-            patterns = np.stack([half, 1 - half, np.ones_like(half)])
-            frames = rig.capture(patterns, [(2, index) for index in range(3)])
+            patterns = np.stack([*edges, half, 1 - half, np.ones_like(half), np.zeros_like(half)])
+            frames = rig.capture(patterns, [(2, index) for index in range(len(patterns))])
             merged = rig.sensor.merge(frames, black, count)
-            require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
-            require((merged.variance >= 0).all(), "a variance is negative")
+            light, variance = merged.radiance, merged.variance
+            require(np.isfinite(light).all(), "merged radiance isn't finite")
+            require((variance >= 0).all(), "a variance is negative")
+            self._require_equal_light(light[7], variance[7], 0.0, "black after white")
             require(not merged.saturated, "the floodlit pattern saturates: expose for less")
-            parts, whole = merged.radiance[:2].sum(axis=0, dtype=np.float64), merged.radiance[2]
-            self._require_equal_light(parts - whole, merged.variance.sum(axis=0), whole, "halves")
+            for index, name in enumerate(("left", "right", "upper", "lower")):
+                seen = light[index].sum(dtype=np.float64)
+                noise = np.sqrt(variance[index].sum(dtype=np.float64))
+                require(seen > self.significance * noise, f"no light comes from the {name} edge")
+            parts, noise = light[4:6].sum(axis=0, dtype=np.float64), variance[4:7].sum(axis=0)
+            self._require_equal_light(parts - light[6], noise, light[6], "halves")
 
     def test_sequences_are_what_is_taken_one_by_one(self) -> None:
         """A rig that shows sequences in hardware returns the brackets of each pattern."""
@@ -119,18 +127,22 @@ class RigContract:
 
     def test_describes_itself(self) -> None:
         """`describe` gives plain data, the same for equal rigs."""
-        require_equal_descriptions(self.make_rig)
+        require_equal_descriptions(self.make_rig, lambda rig: rig.capture(*_batch(rig, 2)))
 
     def _require_equal_light(
         self, difference: NDArray[Any], variance: Float, scale: Float | float, name: str
     ) -> None:
-        """Compare sums over the image, with room for the rounding of float32 and of counts."""
-        rounding = float(np.finfo(np.float32).eps) * float(np.sum(scale, dtype=np.float64)) * 4
-        error = float(np.sqrt(variance.sum(dtype=np.float64)))
-        total = float(np.sum(difference, dtype=np.float64))
+        """Compare sums over columns, with room for the rounding of float32 and of counts."""
+        rows = tuple(range(difference.ndim - 2))
+        total: Double = np.asarray(np.sum(difference, axis=rows, dtype=np.float64))
+        error: Double = np.sqrt(variance.sum(axis=rows, dtype=np.float64))
+        brightness = np.sum(scale, axis=rows if np.ndim(scale) else None, dtype=np.float64)
+        allowed = self.significance * error + 4 * float(np.finfo(np.float32).eps) * brightness
+        column, channel = np.unravel_index(np.argmax(np.abs(total) - allowed), total.shape)
         require(
-            abs(total) <= self.significance * error + rounding,
-            f"{name}: light is off by {total:.4g} in all; noise {error:.4g}",
+            bool((np.abs(total) <= allowed).all()),
+            f"{name}: light of column {column}, channel {channel} is off by "
+            f"{total[column, channel]:.4g} in all; noise {error[column, channel]:.4g}",
         )
 
 
