@@ -77,9 +77,9 @@ class SceneContract:
             assert_array_equal(part, images[first:last], "patterns lit by themselves")
 
     def test_dense(self) -> None:
-        """Every channel's matrix is what `apply` does, and symmetric where coaxial.
+        """Every channel's matrix is what `apply` does.
 
-        Each row and column of the projector lights something that the camera sees.
+        Where coaxial it is symmetric, and each row and column of the projector lights something.
         """
         scene = self.make_scene()
         light = np.zeros(scene.projector_shape)
@@ -92,8 +92,8 @@ class SceneContract:
             if self.coaxial:
                 require_close(matrix, matrix.T, self.tolerance, "T from its transpose")
             light += matrix.sum(axis=0).reshape(light.shape)
-        for name, axis in (("row", -1), ("column", -2)):
-            require(light.sum(axis=axis).all(), f"a {name} of the projector lights nothing")
+        is_lit = light.any(axis=-1).all() and light.any(axis=-2).all()
+        require(is_lit or not self.coaxial, "a row or column of the projector lights nothing")
 
     def test_description(self) -> None:
         """`describe` is plain data that JSON keeps, and the same each time."""
