@@ -47,8 +47,8 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@touch $@
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
-	@rfpipe run $(ARGS) || { status=$$?; [ $$status -le 128 ] || \
-	  echo "make: the run was stopped. 'make run' goes on where it stopped;" \
+	@rfpipe run $(ARGS) || { status=$$?; \
+	  echo "make: the run ended early. Where a signal ended it, 'make run' goes on there;" \
 	    "after a kill -9 it is 'make unlock run', with the same ARGS." >&2; exit $$status; }
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/

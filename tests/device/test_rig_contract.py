@@ -38,7 +38,7 @@ class Broken(OperatorRig):
 
     def __init__(self, fault: str) -> None:
         light = 3 if fault == "three times the light" else 1
-        super().__init__(light * transport(30, 30), (5, 6), (5, 6), noise=CAMERA)
+        super().__init__(np.full((30, 30), light / 40), (5, 6), (5, 6), noise=CAMERA)
         self._fault = fault
         self._captured = 0
         self._shown = np.zeros((1, 5, 6), np.float32)

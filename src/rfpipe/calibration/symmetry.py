@@ -25,7 +25,6 @@ CONFIDENCE = 2.0
 """Standard errors that a verdict leaves to chance."""
 
 _LEAST = float(np.finfo(np.float64).tiny)  # where there is no light at all
-_UNKNOWN = 0.5  # squared error that unknown pixels may seem to make, for their share
 
 
 class Pictures(NamedTuple):

@@ -52,7 +52,7 @@ def run(context: typer.Context) -> None:
             load_config(settings)
     ended = _to_its_end([snakemake_program(), *context.args])
     if ended:
-        raise typer.Exit(ended)
+        raise typer.Exit(ended if ended > 0 else 1)
     report = folder / _REPORT
     if report.is_file():
         typer.echo(f"report: {os.path.normpath(report)}")
@@ -70,27 +70,21 @@ def _working_in(folder: Path, settings: Path) -> Iterator[Path]:
 
 
 def _to_its_end(command: list[str]) -> int:
-    """Run a program to its own end and return its status, 128 and the signal if one ended it.
+    """Run a program to its own end and return its status, whatever signals come.
 
     Ctrl-C reaches it as well, from the terminal; SIGTERM is passed on. It ends its jobs by itself.
     """
     process = subprocess.Popen(command)
-    stopped: list[int] = []
-
-    def stop(number: int, _frame: object) -> None:
-        stopped.append(number)
-        if number == signal.SIGTERM:
-            process.terminate()
-
     # handlers, which a program that is started doesn't inherit
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        signal.SIGINT: signal.signal(signal.SIGINT, lambda *_: None),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda *_: process.terminate()),
+    }
     try:
-        status = process.wait()
+        return process.wait()
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    by = stopped[0] if stopped else max(-status, 0)
-    return 128 + by if status and by else status
 
 
 def plan(

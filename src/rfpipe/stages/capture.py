@@ -115,7 +115,7 @@ def run(
         beside[name] = {**part.capture(batch, progress=progress), **facts[name]}
     with watching_level(of_level, level, **(watching or {})) as watch:
         captured = of_level.capture(batch, watch, progress=progress)
-        beside |= watch.entries()
+        beside |= watch.entries() if watch else {}
     manifest = {
         "stage": "capture",
         "level": level,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -133,19 +133,11 @@ def measure_looks(
     return gains, {MOVES: facts}
 
 
-class _Looks(NamedTuple):
-    """Brackets of one pattern, taken again and again between those of a level."""
-
-    brackets: Brackets
-    frames: Any
-    every: int
-
-
 @contextmanager
 def watching_level(
     of_level: Brackets, level: int, mode: str = "off", looks: int = 0
-) -> Iterator[Watcher]:
-    """Provide what watches the capture of a level.
+) -> Iterator[Watcher | None]:
+    """Provide what watches the capture of a level, or None.
 
     A level that was begun with looks goes on with them, as they were; one that was begun without
     has none, since looks at its first part can't be taken afterwards.
@@ -159,10 +151,39 @@ def watching_level(
     looks : int
         Patterns from one look to the next, 0 for none.
     """
-    with ExitStack() as stack:
-        begun = _begin(stack, of_level, level, looks if mode != "off" else 0)
-        merger = _merger(of_level, begun.every) if begun else None
-        yield Watcher(of_level, level, merger, begun, mode == "refuse")
+    path = of_level.folder.store(level, MOVES)
+    every = _interval(of_level, path, looks if mode != "off" else 0)
+    if not every:
+        yield None
+        return
+    lit = random_signs(of_level.rig.projector_shape, 1, seed=15)[0] > 0
+    pattern = np.asarray(lit if lit.any() else ~lit, np.float32)
+
+    def repeated(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        keys: Keys = [(LOOK_KEY, level, index) for index in range(first, last)]
+        return np.repeat(pattern[None], last - first, axis=0), keys
+
+    about = {"every": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
+    brackets = Brackets(
+        of_level.rig, of_level.folder, path, f"{name_of(level)}, looks at the rig",
+        look_count(of_level.count, every), about, repeated,
+    )  # fmt: skip
+    brackets.settle()
+    with brackets.recording() as frames:
+        merger = _merger(of_level, every)
+        yield Watcher(of_level, level, merger, brackets, frames, every, mode == "refuse")
+
+
+def _interval(of_level: Brackets, path: Path, every: int) -> int:
+    """Return the patterns between looks, whose store is `path`; those of a level that was begun."""
+    if of_level.count_missing() == of_level.count:
+        return every if of_level.count else 0
+    if path.exists():
+        restore_header(path)
+        with FrameStore.open(path) as begun:
+            if begun.attributes.get("made_beside") == of_level.made_for:
+                return int(begun.attributes["every"])
+    return 0
 
 
 def _merger(of_level: Brackets, every: int) -> Merger | None:
@@ -178,47 +199,21 @@ def _merger(of_level: Brackets, every: int) -> Merger | None:
         return Merger.from_references(sensor, black, brackets, mask_defects=False)
 
 
-def _begin(stack: ExitStack, of_level: Brackets, level: int, every: int) -> _Looks | None:
-    path, patterns = of_level.folder.store(level, MOVES), of_level.count
-    if of_level.count_missing() < patterns:  # it was begun, with looks or without
-        every = 0
-        if path.exists():
-            restore_header(path)
-            with FrameStore.open(path) as old:
-                if old.attributes.get("made_beside") == of_level.made_for:
-                    every = int(old.attributes["every"])
-    if not every or not patterns:
-        return None
-    lit = random_signs(of_level.rig.projector_shape, 1, seed=15)[0] > 0
-    pattern = np.asarray(lit if lit.any() else ~lit, np.float32)
-
-    def repeated(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        keys: Keys = [(LOOK_KEY, level, index) for index in range(first, last)]
-        return np.repeat(pattern[None], last - first, axis=0), keys
-
-    about = {"every": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
-    brackets = Brackets(
-        of_level.rig, of_level.folder, path, f"{name_of(level)}, looks at the rig",
-        look_count(patterns, every), about, repeated,
-    )  # fmt: skip
-    brackets.settle()
-    return _Looks(brackets, stack.enter_context(brackets.recording()), every)
-
-
 @dataclass(frozen=True)
 class Watcher:
-    """Takes the looks of a level."""
+    """Takes the looks of a level: brackets of one pattern, again and again between its own."""
 
     of_level: Brackets
     level: int
     merger: Merger | None
-    looks: _Looks | None
+    looks: Brackets
+    frames: Any
+    every: int
     refuse: bool
 
     def due(self, first: int, last: int) -> Sequence[int]:
         """Return the positions between two patterns at which a look is due."""
-        every = self.looks.every if self.looks else last
-        return range((first // every + 1) * every, last, every)
+        return range((first // self.every + 1) * self.every, last, self.every)
 
     def before(self, position: int) -> None:
         """Take the look that is due before the pattern at `position`, or after the last one.
@@ -226,31 +221,30 @@ class Watcher:
         Raises CaptureError where it shows, and once more, that the rig moved, and that is to end
         the capture. That look isn't stored: the next run begins by taking it again.
         """
-        if not self.looks:
+        is_last = position == self.of_level.count
+        index = self.looks.count - 1 if is_last else position // self.every
+        if self.frames.done[index]:
             return
-        brackets, frames, every = self.looks
-        index = brackets.count - 1 if position == self.of_level.count else position // every
-        if frames.done[index]:
-            return
-        bracket = brackets.take(index, index + 1)
+        bracket = self.looks.take(index, index + 1)
         rest = self._change(bracket)
         if rest > _MOVED:
             seen = (
                 f"{name_of(self.level)}, before pattern {position}: the same pattern looks "
                 f"different by {rest:.1%} from how it looked first, whatever the lamp does"
             )
-            if self._change(brackets.take(index, index + 1)) > _MOVED:
-                self._say_moved(f"{seen}: the rig or the scene moved", brackets.path.parent)
+            if self._change(self.looks.take(index, index + 1)) > _MOVED:
+                self._say_moved(f"{seen}: the rig or the scene moved")
             else:
                 _log.warning("%s, but not once more: patterns before may show what passed", seen)
-        frames.write(index, bracket)
+        self.frames.write(index, bracket)
 
-    def _say_moved(self, seen: str, of_level: Path) -> None:
+    def _say_moved(self, seen: str) -> None:
         """Raise CaptureError, or log a warning."""
         text = f"{seen}. Pictures from before and after don't fit together"
         if not self.refuse:
             _log.warning("%s; capture.watch: refuse would stop here", text)
             return
+        of_level = self.looks.path.parent.absolute()
         raise CaptureError(
             f"{text}, so the capture ends here; all that is captured is kept. To begin anew, "
             f"remove {of_level.parent} and run again. Or put back what moved, remove {of_level} "
@@ -265,6 +259,4 @@ class Watcher:
 
     def entries(self) -> dict[str, Any]:
         """Return what the level's manifest says of the looks."""
-        if not self.looks:
-            return {}
-        return {MOVES: {**self.looks.brackets.entry(self.looks.frames), "every": self.looks.every}}
+        return {MOVES: {**self.looks.entry(self.frames), "every": self.every}}

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.errors import CaptureError
 from rfpipe.provenance import generator
 
 if TYPE_CHECKING:
@@ -48,14 +49,19 @@ def require_equal_descriptions(make: Callable[[], Any], use: Callable[[Any], obj
     described = []
     for _ in range(2):
         with opened(make()) as subject:
-            for used in (False, True):
-                if used:
-                    use(subject)
-                described.append(json.dumps(subject.describe(), sort_keys=True))
-    require(
-        len(set(described)) == 1,
-        f"describe() differs after use, or for what is made again: {described}",
-    )
+            described.append(json.dumps(subject.describe(), sort_keys=True))
+            use(subject)
+            described.append(json.dumps(subject.describe(), sort_keys=True))
+    message = f"describe() differs after use, or for what is made again: {described}"
+    require(len(set(described)) == 1, message)
+
+
+def require_closing(make: Callable[[], Any], use: Callable[[Any], object]) -> None:
+    """Raise AssertionError unless what is closed raises CaptureError in use, and as above."""
+    require_equal_descriptions(make, use)
+    with opened(make()) as subject:
+        subject.close()
+        require_raises(CaptureError, use, subject)
 
 
 def opened(made: Any) -> AbstractContextManager[Any]:

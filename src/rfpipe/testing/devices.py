@@ -10,11 +10,11 @@ import numpy as np
 from numpy.testing import assert_array_equal, assert_equal
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import Camera, Projector
-from rfpipe.testing.checks import opened, require, require_equal_descriptions, require_raises
+from rfpipe.testing.checks import opened, require, require_closing, require_raises
 
 Float = NDArray[np.float32]
 
@@ -77,13 +77,7 @@ class ProjectorContract:
 
     def test_describes_itself_and_closes(self) -> None:
         """`describe` is the same for equal projectors; a closed one raises CaptureError."""
-        require_equal_descriptions(
-            self.make_projector, lambda one: one.show(_pictures(one.shape)["noise"])
-        )
-        with opened(self.make_projector()) as projector:
-            picture = _pictures(projector.shape)["noise"]
-            projector.close()
-            require_raises(CaptureError, projector.show, picture)
+        require_closing(self.make_projector, lambda it: it.show(_pictures(it.shape)["noise"]))
 
     def _require_shown(self, projector: Projector, picture: Float, name: str) -> None:
         light = self.read_back(projector)
@@ -139,8 +133,7 @@ class CameraContract:
         with opened(self.make_camera()) as camera:
             self.set_light(camera, True)
             first, second = _means(camera), _means(camera)
-            dark = self._darkness(camera)
-            require(first[-1] > dark, f"no light: {first[-1]:.4g} counts, of {dark:.4g} or more")
+            self._require_seen(first[-1], camera, True)
             steps = np.diff(first) >= -self.steadiness * first[:-1]
             require(steps.all(), f"mean counts of ascending exposures: {first}")
             alike = np.abs(first - second) <= self.steadiness * np.maximum(first, second) + 1
@@ -153,23 +146,19 @@ class CameraContract:
                 return
             for is_on in (True, False, True, False):
                 self.set_light(camera, is_on)
-                seen, dark = _means(camera)[-1], self._darkness(camera)
-                require((seen > dark) == is_on, f"light is {is_on}, and counts are {seen:.4g}")
+                self._require_seen(_means(camera)[-1], camera, is_on)
 
     def test_describes_itself_and_closes(self) -> None:
         """`describe` is the same for equal cameras; a closed one raises CaptureError."""
-        require_equal_descriptions(self.make_camera, lambda camera: camera.expose())
-        with opened(self.make_camera()) as camera:
-            camera.close()
-            require_raises(CaptureError, camera.expose)
+        require_closing(self.make_camera, lambda camera: camera.expose())
 
-    def _darkness(self, camera: Camera) -> float:
-        """Return the mean counts, or radiance, that are no light."""
-        sensor = camera.sensor
-        if not isinstance(sensor, CameraModel):
-            return 0.0
-        black = sensor.black_level_counts
-        return black + self.steadiness * (sensor.white_level - black)
+    def _require_seen(self, counts: float, camera: Camera, is_on: bool) -> None:
+        dark, sensor = 0.0, camera.sensor
+        if isinstance(sensor, CameraModel):
+            black = sensor.black_level_counts
+            dark = black + self.steadiness * (sensor.white_level - black)
+        seen = f"{counts:.4g} of at least {dark:.4g} counts"
+        require((counts > dark) == is_on, f"{seen} where light is {'on' if is_on else 'off'}")
 
 
 def _means(camera: Camera) -> NDArray[np.float64]:

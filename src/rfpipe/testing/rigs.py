@@ -18,7 +18,6 @@ from rfpipe.testing.checks import opened, require, require_equal_descriptions, r
 from rfpipe.units import BLACK_LEVEL_KEY
 
 Float = NDArray[np.float32]
-Double = NDArray[np.float64]
 
 
 class RigContract:
@@ -89,12 +88,13 @@ class RigContract:
             light, variance = merged.radiance, merged.variance
             require(np.isfinite(light).all(), "merged radiance isn't finite")
             require((variance >= 0).all(), "a variance is negative")
-            self._require_equal_light(light[7], variance[7], 0.0, "black after white")
+            self._require_equal_light(light[7], variance[7], 0 * light[7], "black after white")
             require(not merged.saturated, "the floodlit pattern saturates: expose for less")
-            for index, name in enumerate(("left", "right", "upper", "lower")):
-                seen = light[index].sum(dtype=np.float64)
-                noise = np.sqrt(variance[index].sum(dtype=np.float64))
-                require(seen > self.significance * noise, f"no light comes from the {name} edge")
+            sums, squares = (
+                one.reshape(8, -1).sum(1, dtype=np.float64) for one in (light, variance)
+            )
+            seen = sums[:4] > self.significance * np.sqrt(squares[:4])
+            require(seen.all(), f"light of the left, right, upper and lower edge: {sums[:4]}")
             parts, noise = light[4:6].sum(axis=0, dtype=np.float64), variance[4:7].sum(axis=0)
             self._require_equal_light(parts - light[6], noise, light[6], "halves")
 
@@ -130,19 +130,20 @@ class RigContract:
         require_equal_descriptions(self.make_rig, lambda rig: rig.capture(*_batch(rig, 2)))
 
     def _require_equal_light(
-        self, difference: NDArray[Any], variance: Float, scale: Float | float, name: str
+        self, difference: NDArray[Any], variance: Float, scale: Float, name: str
     ) -> None:
         """Compare sums over columns, with room for the rounding of float32 and of counts."""
         rows = tuple(range(difference.ndim - 2))
-        total: Double = np.asarray(np.sum(difference, axis=rows, dtype=np.float64))
-        error: Double = np.sqrt(variance.sum(axis=rows, dtype=np.float64))
-        brightness = np.sum(scale, axis=rows if np.ndim(scale) else None, dtype=np.float64)
-        allowed = self.significance * error + 4 * float(np.finfo(np.float32).eps) * brightness
-        column, channel = np.unravel_index(np.argmax(np.abs(total) - allowed), total.shape)
+        total, square, brightness = (
+            one.sum(axis=rows, dtype=np.float64) for one in (difference, variance, scale)
+        )
+        rounding = 4 * float(np.finfo(np.float32).eps) * brightness
+        above = np.abs(total) - self.significance * np.sqrt(square) - rounding
+        at = np.unravel_index(above.argmax(), above.shape)
         require(
-            bool((np.abs(total) <= allowed).all()),
-            f"{name}: light of column {column}, channel {channel} is off by "
-            f"{total[column, channel]:.4g} in all; noise {error[column, channel]:.4g}",
+            above[at] <= 0,
+            f"{name}: light of column {at[0]}, channel {at[1]} is off by {total[at]:.4g} in all; "
+            f"noise {np.sqrt(square[at]):.4g}",
         )
 
 
