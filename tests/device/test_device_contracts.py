@@ -81,9 +81,13 @@ class BrokenProjector(SimulatedProjector):
 
 class BrokenCamera(SimulatedCamera):
     def __init__(self, fault: str) -> None:
-        self.is_lit = fault != "in the dark"
+        self.is_lit = True
         super().__init__(lambda: np.full((*CAMERA, 1), 0.5 * self.is_lit), CAMERA, 1, SENSOR)
         self._fault, self._buffer = fault, np.zeros((2, *CAMERA, 1), np.uint16)
+
+    def set_light(self, is_on: bool) -> bool:
+        self.is_lit = is_on and self._fault != "in the dark"
+        return self._fault != "in the dark"
 
     def expose(self) -> np.ndarray:
         frames = super().expose()
@@ -117,17 +121,11 @@ class BrokenCamera(SimulatedCamera):
     ],
 )
 def test_the_contract_finds_what_is_wrong(device: Any, fault: str, test: str) -> None:
-    def set_light(camera: Any, is_on: bool) -> bool:
-        camera.is_lit = is_on
-        return test == "sees_what_is_lit_now"
-
-    def run(fault: str) -> None:
-        suite: Any = ProjectorContract() if device is BrokenProjector else CameraContract()
-        suite.make_projector = suite.make_camera = lambda: device(fault)
-        suite.read_back = lambda projector: projector.light
-        suite.set_light = set_light if fault != "in the dark" else lambda *_: False
-        getattr(suite, f"test_{test}")()
-
-    run("none")
+    suite: Any = ProjectorContract() if device is BrokenProjector else CameraContract()
+    suite.make_projector = suite.make_camera = lambda: device("none")
+    suite.read_back = lambda projector: projector.light
+    suite.set_light = BrokenCamera.set_light
+    getattr(suite, f"test_{test}")()
+    suite.make_projector = suite.make_camera = lambda: device(fault)
     with pytest.raises(AssertionError):
-        run(fault)
+        getattr(suite, f"test_{test}")()

@@ -228,29 +228,31 @@ class Watcher:
         bracket = self.looks.take(index, index + 1)
         rest = self._change(bracket)
         if rest > _MOVED:
-            seen = (
-                f"{name_of(self.level)}, before pattern {position}: the same pattern looks "
-                f"different by {rest:.1%} from how it looked first, whatever the lamp does"
-            )
-            if self._change(self.looks.take(index, index + 1)) > _MOVED:
-                self._say_moved(f"{seen}: the rig or the scene moved")
-            else:
-                _log.warning("%s, but not once more: patterns before may show what passed", seen)
+            again = self._change(self.looks.take(index, index + 1))
+            self._say(position, rest, again > _MOVED)
         self.frames.write(index, bracket)
 
-    def _say_moved(self, seen: str) -> None:
-        """Raise CaptureError, or log a warning."""
-        text = f"{seen}. Pictures from before and after don't fit together"
-        if not self.refuse:
-            _log.warning("%s; capture.watch: refuse would stop here", text)
-            return
-        of_level = self.looks.path.parent.absolute()
-        raise CaptureError(
-            f"{text}, so the capture ends here; all that is captured is kept. To begin anew, "
-            f"remove {of_level.parent} and run again. Or put back what moved, remove {of_level} "
-            "and run again: that level alone is captured anew, if the pattern looks as it did "
-            "first. capture.watch: warn goes on all the same"
+    def _say(self, position: int, rest: float, is_lasting: bool) -> None:
+        """Log what a look shows, or raise CaptureError."""
+        text = (
+            f"{name_of(self.level)}, before pattern {position}: the same pattern looks different "
+            f"by {rest:.1%} from how it looked first, whatever the lamp does"
         )
+        if not is_lasting:
+            text += ", but not once more: patterns before may show what passed"
+        else:
+            text += (
+                ": the rig or the scene moved. Pictures from before and after don't fit together"
+            )
+        if is_lasting and self.refuse:
+            of_level = self.looks.path.parent.absolute()
+            raise CaptureError(
+                f"{text}, so the capture ends here; all that is captured is kept. To begin anew, "
+                f"remove {of_level.parent} and run again. Or put back what moved, remove "
+                f"{of_level} and run again: that level alone is captured anew, if the pattern "
+                "looks as it did first. capture.watch: warn goes on all the same"
+            )
+        _log.warning("%s", text)
 
     def _change(self, bracket: NDArray[Any]) -> float:
         """Return by what a look differs from the first one, 0 where none is known."""
