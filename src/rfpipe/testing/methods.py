@@ -208,16 +208,13 @@ class MethodContract:
         matrix = self._matrix()
         transport = self._run(matrix).transport
         estimate = matrix_of(transport)
-        columns = (-1, matrix.shape[1], *transport.projector_shape)
-        for channel in range(len(matrix)):
-            found, true = (one[channel].reshape(columns) for one in (estimate, matrix))
-            for column in range(columns[-1]):
-                name = f"the projector's column {column} in channel {channel}"
-                require_close(found[..., column], true[..., column], self.error, name)
-            name = f"the floodlit image of channel {channel}"
-            require_close(
-                estimate[channel].sum(1), matrix[channel].sum(1), self.floodlit_error, name
-            )
+        width = transport.projector_shape[-1]
+        for channel, (found, true) in enumerate(zip(estimate, matrix, strict=True)):
+            name = f"floodlight in channel {channel}"
+            require_close(found.sum(1), true.sum(1), self.floodlit_error, name)
+            for column in range(width):
+                name = f"light of the projector's column {column} in channel {channel}"
+                require_close(found[:, column::width], true[:, column::width], self.error, name)
         dot_test(transport)
         twice = matrix_of(self._run(2 * matrix).transport)
         require_close(twice, 2 * estimate, 1e-4, "twice the light")
