@@ -48,7 +48,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
 	@rfpipe run $(ARGS) || { status=$$?; \
-	  echo "make: the run stopped. 'make run' goes on where it stopped;" \
+	  echo "make: the run ended early. Where a signal ended it, 'make run' goes on there;" \
 	    "after a kill -9 it is 'make unlock run', with the same ARGS." >&2; exit $$status; }
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
