@@ -73,22 +73,6 @@ class TestNearFar(MethodContract):
         return NearFar()
 
 
-class TestDualToATarget(MethodContract):
-    options = {"target_error": 1e-4}  # noqa: RUF012
-    error = 0.1
-
-    def make_method(self) -> Method:
-        return Dual().with_options(options_of(Dual(), **self.options))
-
-
-class TestSymmetricToATarget(MethodContract):
-    options = {"target_error": 1e-4}  # noqa: RUF012
-    error = floodlit_error = 1e-3
-
-    def make_method(self) -> Method:
-        return Symmetric().with_options(options_of(Symmetric(), **self.options))
-
-
 class Broken(BruteForce):
     """Brute force whose matrix comes out changed."""
 

@@ -114,7 +114,6 @@ def run_method(
     matrix = matrix[None] if matrix.ndim == 2 else matrix
     camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
     settings = options_of(method, **options)
-    method = method.with_options(settings)
     state = method.start(camera, projector, len(matrix), settings)
     schedules, states, packs = [], [state], []
     for _ in range(method.n_levels(camera, projector)):
