@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,32 @@ def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) ->
     before = folder.manifest("dark").stat().st_mtime_ns
     run()
     assert folder.manifest("dark").stat().st_mtime_ns > before
+
+
+def test_what_builds_on_a_step_that_is_not_good_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench, folder, run = begun(tmp_path)
+    expose, full = bench.camera.expose, CAMERA.white_level
+    bench.camera.expose = lambda: (expose() * (0.3 + expose() / full) / 1.3).astype(np.uint16)  # type: ignore[method-assign]
+    run(["dark", "linearity", "light"])
+    assert folder.read("linearity")["response_gamma"] == 1
+    assert folder.verdicts()["light"]["verdict"].startswith("Mend linearity first")
+    assert "Linearity of the camera: NOT GOOD" in caplog.text
+
+
+@pytest.mark.parametrize(("ambient", "longest"), [(0.0, 0.05), (0.3, 0.004)])
+def test_a_bracket_is_proposed_that_suits_a_dim_projector_and_the_room(
+    tmp_path: Path, ambient: float, longest: float
+) -> None:
+    bench, folder, run = begun(tmp_path, sensor=replace(CAMERA, exposures=(0.001, 0.004)))
+    bench.path._ambient = np.float32(ambient)
+    run(["scene", "dark"])
+    scene, dark = (folder.read(name) for name in ("scene", "dark"))
+    assert longest < scene["proposed_exposures_s"][-1] < 2 * longest
+    assert scene["bearable_s"] == pytest.approx(dark["bearable_s"], rel=0.02)
+    assert scene["proposed_exposures_s"][-1] <= 1.02 * dark["bearable_s"]
+    assert ("darken the room" if ambient else "less noise") in scene.verdict.text
 
 
 @pytest.mark.parametrize(

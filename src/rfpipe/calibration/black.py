@@ -78,9 +78,17 @@ def measure_dark(bench: Bench) -> Findings:
         "noise_counts": float(noise[np.argmin(headroom)]),
         "headroom_deviations": float(headroom.min()) if np.isfinite(headroom).any() else None,
         "filled_share": float(filled),
-        "bearable_s": float(0.05 * span / current) if current > 0 else None,
+        "bearable_s": bearable_seconds(span, current),
     }
     return Findings.of("dark", facts, {"black": black.astype(np.float32), "hot": hot})
+
+
+def bearable_seconds(span: float, rate: float) -> float:
+    """Return the longest exposure that light of a rate (counts a second) is bearable in, at most 60.
+
+    It then takes a twentieth of the range, `span` counts.
+    """
+    return min(0.05 * span / max(rate, 1e-9), 60.0)
 
 
 def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:

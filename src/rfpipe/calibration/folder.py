@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from rfpipe.errors import InputError, IntegrityError, RfpipeError, StoreError
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.build import devices_from_config
-from rfpipe.rigs.calibrated import Calibration, write_calibration
+from rfpipe.rigs.calibrated import STANDINGS, Calibration, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import StoreLock, open_arrays, read_manifest, write_arrays, write_manifest
@@ -247,7 +247,8 @@ def calibrate(
             findings = _measured(step, bench)
             folder.write(step.name, findings, made_for)
             level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
-            _log.log(level, "%s: %s. %s", step.title, *findings.verdict)
+            standing, text = findings.verdict
+            _log.log(level, "%s: %s. %s", step.title, STANDINGS[standing], text)
         if only is None:
             finish(folder, settings)
 
@@ -280,8 +281,13 @@ def _measured(step: Step, bench: Bench) -> Findings:
             text = f"Not measured, as this failed: {STEPS[name].title.lower()}."
             return Findings(Verdict("failed", text))
     try:
-        return step.measure(bench)
+        found = step.measure(bench)
     except DeviceError as failure:
         raise failure.args[0] from None
     except RfpipeError as error:
-        return Findings(Verdict("failed", f"Could not be measured: {error}."))
+        found = Findings(Verdict("failed", f"Could not be measured: {error}."))
+    first = [name for name, one in bench.found.items() if one.verdict.standing == "poor"]
+    if not first:
+        return found
+    standing, text = found.verdict
+    return replace(found, verdict=Verdict(standing, f"Mend {first[0]} first. {text}"))

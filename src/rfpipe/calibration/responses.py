@@ -66,13 +66,16 @@ def measure_linearity(bench: Bench) -> Findings:
     there = (sums[0] >= _LEAST_PIXELS) & (sums[1] > 0)
     count, short, long, squares = sums[:, there]
     ratio = ratio[there]
-    scatter = squares - (short * ratio - long) ** 2 / count
-    # rounding is no chance: noise below a step, of which it may feign a quarter, leaves a mean up
-    # to this share of a step off
-    noise = np.maximum(scatter / count / ratio**2 - 1 / 4, 0)
-    rounding = np.exp(-2 * np.pi**2 * noise) / np.pi * ratio * count / long
-    error = np.sqrt(scatter) / long + rounding / _SURE
-    error += dark["black_level_error"] * (ratio - 1) * count / long
+    scatter = np.maximum(squares - (short * ratio - long) ** 2 / count, 0)
+    # rounding is no chance: without noise, of which it may feign a quarter, means and black level
+    # are up to half a step off, all the same way
+    dither, dark_dither = (
+        np.exp(-2 * np.pi**2 * np.maximum(noise - 1 / 4, 0)) / 2
+        for noise in (scatter / count / ratio**2, dark["variance_counts2"][0])
+    )
+    rounding = (dither * (ratio + 1) + dark_dither * (ratio - 1)) / _SURE
+    error = np.sqrt(scatter) / long
+    error += (rounding + dark["black_level_error"] * (ratio - 1)) * count / long
     deviation = short * ratio / long - 1
     arrays = {"level": long / span / count, "deviation": deviation, "error": error}
     known = error < max(tolerance, 1e-3)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.black import bearable_seconds
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.pictures.images import srgb
 from rfpipe.units import SATURATION_FRACTION
@@ -101,6 +102,14 @@ def measure_sight(
     of_lit = rates.ravel() if is_few else rates[lit]
     brightest, brighter = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
     level = min(float(np.median(black[0])), white_level / 2)
+    # a saturated frame is of the least light that it may be
+    last = max(
+        (k for k in range(1, len(off_full)) if k == 1 or off_full[k].mean() < 0.5), default=0
+    )
+    low, high = (float(black[k].mean()) for k in (0, last))
+    rise = max(high - low - _SURE * float(noise[last]) / np.sqrt(lit.size), 0)
+    rate = rise / max(exposures[last] - exposures[0], 1e-9)
+    bearable = bearable_seconds(white_level - low + rate * exposures[0], rate)
     share = float(saturated.sum() / max(lit.sum(), 1))
     seen = (signal > _SURE * noise[:, None, None]) & ~off_full
     sides = {"upper": lit[0], "lower": lit[-1], "left": lit[:, 0], "right": lit[:, -1]}
@@ -109,7 +118,7 @@ def measure_sight(
         "lit_share": float(lit.mean()),
         "edges_left": len(edges),
         "edges": ", ".join(edges),
-        **_exposed(brightest, brighter, white_level - level, exposures, share > 0.01),
+        **_exposed(brightest, brighter, white_level - level, exposures, share > 0.01, bearable),
         "stripes_pixels": period,
         "focus_contrast": float(np.nanmedian(focus)) if np.isfinite(focus).any() else None,
         "black_level": float(level),
@@ -148,19 +157,30 @@ def sight_picture(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -
 
 
 def _exposed(
-    brightest: float, brighter: float, span: float, exposures: Sequence[float], is_over: bool
+    brightest: float,
+    brighter: float,
+    span: float,
+    exposures: Sequence[float],
+    is_over: bool,
+    bearable: float,
 ) -> dict[str, Any]:
     """Return how bright the lit pixels are (counts a second), and a bracket that suits them.
 
     It has as many exposures, as far apart, the brightest pixels just below saturation; none longer
-    than a minute.
+    than a minute, or than light that the projector doesn't make is `bearable`.
     """
-    proposed = list(exposures)
-    if brightest > 0:
-        first = exposures[0] / _DARKER if is_over else _AIM * span / brightest
-        scaled = [float(f"{one * first / exposures[0]:.2g}") for one in exposures]
-        proposed = list(dict.fromkeys(min(one, 60.0) for one in scaled))
+    longer = 1 / _DARKER if is_over else 1.0
+    if brightest > 0 and not is_over:
+        longer = _AIM * span / brightest / exposures[0]
+    wanted, longer = longer * exposures[-1], min(longer, bearable / exposures[-1])
+    scaled = [min(float(f"{one * longer:.2g}"), 60.0) for one in exposures]
+    proposed = list(dict.fromkeys(scaled))
+    times = proposed[-1] / exposures[-1]
     return {
+        "bearable_s": bearable,
+        "wanted_s": wanted,
+        "longer_times": times,
+        "less_noise": float(np.sqrt(times)),
         "shortest_s": exposures[0],
         "longest_s": exposures[-1],
         "brighter_level": float(brighter * exposures[-1] / span),
