@@ -105,4 +105,6 @@ def rows(seeds: int) -> Iterator[dict[str, Any]]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=20)
-    write("linearity", rows(parser.parse_args().seeds))
+    table = write("linearity", rows(parser.parse_args().seeds)).groupby(["camera", "exponent"])
+    told = table[["linear", "bent", "not good", "can't tell"]].sum()
+    print(told.join(table["worst exponent's error"].max()).to_string())

@@ -180,35 +180,25 @@ def test_pictures_without_light_are_refused() -> None:
         transfer_of(CAMERA, np.zeros((32, 32)))
 
 
-# light of a pixel in the shortest exposure is up to three quarters of full scale; the lens cap's
-# counts are no whole number where there is hardly any noise to even out rounding
-NOISELESS = replace(
-    CAMERA, bits=10, read_noise_electrons=0.0, full_well_electrons=1e9,
-    electrons_per_radiance=3e10, black_level_counts=20, dark_current_electrons=3e5,
-)  # fmt: skip
-CAMERAS = {"8 bits": replace(CAMERA, bits=8), "12 bits": CAMERA, "noiseless": NOISELESS}
-SCENES = {
-    "textured": SCENE,
-    **{str(of): np.repeat(of, 64 // len(of) + 1)[:64] * np.ones((64, 1)) for of in [
-        (1.0,), (0.3, 1.0), (0.2, 0.7), (0.2, 0.5), (0.2, 0.5, 0.8),
-    ]},
-}  # fmt: skip
+# so little noise that nothing evens rounding out
+QUIET = CameraModel(read_noise_electrons=0, full_well_electrons=1e9, electrons_per_radiance=3e10)
+TONES = [(1.0,), (0.3, 1.0), (0.2, 0.7), (0.2, 0.5), (0.2, 0.5, 0.8)]
+SCENES = [SCENE, *(np.resize(np.repeat(of, 22), SCENE.shape) for of in TONES)]
 
 
+@pytest.mark.parametrize(("camera", "bits"), [(CAMERA, 8), (CAMERA, 12), (QUIET, 10)])
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_a_linear_camera_is_linear(camera: str, scene: str) -> None:
-    for seed in range(3):
-        for scale in (1.0, 0.83, 0.61):
-            found = linearity_of(CAMERAS[camera], scale * SCENES[scene], seed=seed)
-            assert found.verdict.standing in ("good", *["unknown"] * (camera != "12 bits"))
-            assert found["response_gamma"] == 1
+def test_a_linear_camera_is_linear(camera: CameraModel, bits: int, scene: np.ndarray) -> None:
+    for scale in (1.0, 0.83, 0.61):
+        found = linearity_of(replace(camera, bits=bits), scale * scene)
+        assert found.verdict.standing in ("good", *["unknown"] * (bits < 12))
+        assert found["response_gamma"] == 1
 
 
 @pytest.mark.parametrize("gamma", [0.8, 1.05, 1.1, 1.25, 2.2])
 def test_a_power_law_is_found_and_its_noise_still_measured(gamma: float) -> None:
     camera = replace(CAMERA, response_gamma=gamma)
-    for scene in SCENES.values():
+    for scene in SCENES:
         found = linearity_of(camera, scene)
         assert found["response_gamma"] == pytest.approx(gamma, rel=0.03)
         assert found.verdict.standing == "good"

@@ -14,6 +14,9 @@ from rfpipe.units import SATURATION_FRACTION
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+LONGEST_SECONDS = 60.0
+"""Longest exposure that a bracket may have."""
+
 
 def measure_dark(bench: Bench) -> Findings:
     """Measure brackets of the all-off picture.
@@ -84,11 +87,11 @@ def measure_dark(bench: Bench) -> Findings:
 
 
 def bearable_seconds(span: float, rate: float) -> float:
-    """Return the longest exposure that light of a rate (counts a second) is bearable in, at most 60.
+    """Return the longest exposure, a minute at most, that light of so many counts a second leaves.
 
     It then takes a twentieth of the range, `span` counts.
     """
-    return min(0.05 * span / max(rate, 1e-9), 60.0)
+    return min(0.05 * span / max(rate, 1e-9), LONGEST_SECONDS)
 
 
 def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:

@@ -18,14 +18,12 @@ from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs.layout import ProjectorLayout
 
-Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
 CONFIDENCE = 2.0
 """Standard errors that a verdict leaves to chance."""
 
 _LEAST = float(np.finfo(np.float64).tiny)  # where there is no light at all
-_UNKNOWN = 0.5  # squared error that unknown pixels may seem to make, for their share
 
 
 class Pictures(NamedTuple):
