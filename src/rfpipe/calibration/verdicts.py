@@ -94,11 +94,11 @@ scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.
 scene poor is_stripeless > 0: No stripes of the projector are seen, at {longest_s:.3g} s at most. Is
     the lamp on, the lens cap off, does the camera see what the projector lights, are both in focus?
     Then take much longer exposures, or open the aperture.
-scene note longer_times > 2: The exposures sensor.exposures: {proposed_exposures_s} are
-    {longer_times:,.0f} times as long, and leave dark parts {less_noise:.1f} times less noise:
-    methods then take fewer patterns, or end at a smaller error.
-scene note bearable_s < wanted_s: Light that is there under the all-off picture, too, bears
-    exposures up to {bearable_s:.2g} s: darken the room for longer ones.
+scene note longer_times > 4: Dim: with sensor.exposures: {proposed_exposures_s},
+    {longer_times:,.0f} times as long, dark parts have {less_noise:.1f} times less noise, and
+    methods take fewer patterns or end at a smaller error.
+scene note bearable_s < wanted_s: The all-off picture's light bears exposures up to {bearable_s:.2g}
+    s; darken the room for longer ones.
 scene note edges_left > 0: It leaves the camera's view at the {edges} edge.
 dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites left out.
 dark poor headroom_deviations < 4: The black level, {black_level_counts:.1f} counts, is less than
