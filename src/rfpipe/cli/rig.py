@@ -64,7 +64,7 @@ def calibrate(
     from rfpipe.config import load_rig_config
     from rfpipe.errors import StoreError
     from rfpipe.report.calibration import build_calibration_report
-    from rfpipe.rigs.calibrated import faults_of
+    from rfpipe.rigs.calibrated import STANDINGS
     from rfpipe.stages.jobs.job import Progress
 
     logging.basicConfig(format="%(message)s")
@@ -76,11 +76,10 @@ def calibrate(
     finally:
         with suppress(StoreError):  # nothing is done yet
             typer.echo(f"report: {build_calibration_report(folder)}")
-    verdicts = folder.verdicts()
-    if faults_of(verdicts):
-        bad = [one for one in verdicts.values() if one["standing"] in ("poor", "failed")]
-        names = ", ".join(one["title"].lower() for one in bad)
-        typer.echo(f"not good: {names}. rfpipe serve refuses such a rig", err=True)
+    bad = [one for one in folder.verdicts().values() if one["standing"] in ("poor", "failed")]
+    if bad:
+        names = "; ".join(f"{one['title']}: {STANDINGS[one['standing']]}" for one in bad)
+        typer.echo(f"{names}. rfpipe serve refuses such a rig", err=True)
         raise typer.Exit(1)
 
 
