@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rfpipe.errors import InputError
-
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -29,28 +27,30 @@ _REPORT = Path("results") / "report" / "index.html"
 
 
 def run(context: typer.Context) -> None:
-    """Run the workflow of this folder; options are Snakemake's, as --directory and --configfile.
+    """Run the workflow in this folder; options are Snakemake's, as --directory and --configfile.
 
     The settings are checked first, so that what is wrong is said with its file and line. At the
-    end the report's path is printed.
+    end the report's path is printed. A Snakefile in this folder, or --snakefile, takes the place of
+    rfpipe's own.
     """
     parser = ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
     parser.add_argument("--directory", "-d", type=Path, default=Path())
-    parser.add_argument("--snakefile", "-s", default="Snakefile")
+    parser.add_argument("--snakefile", "-s")
     arguments, _ = parser.parse_known_args(context.args)
     files, folder = arguments.configfile, arguments.directory
-    if not Path(arguments.snakefile).is_file():
-        raise InputError("Snakefile: isn't here; run this in rfpipe's folder, or give --snakefile")
     from rfpipe.config import load_config, read_yaml
-    from rfpipe.stages.jobs.ends import snakemake_program
+    from rfpipe.provenance import workflow_folder
+    from rfpipe.stages.jobs.ends import program
 
     for file in files:
         read_yaml(file)
     if len(files) == 1:
         with _working_in(folder, Path(files[0])) as settings:
             load_config(settings)
-    ended = _to_its_end([snakemake_program(), *context.args])
+    is_named = arguments.snakefile or Path("Snakefile").is_file()
+    own = [] if is_named else ["--snakefile", str(workflow_folder() / "Snakefile")]
+    ended = _to_its_end([program("snakemake"), *own, *context.args])
     if ended:
         raise typer.Exit(ended if ended > 0 else 1)
     report = folder / _REPORT
