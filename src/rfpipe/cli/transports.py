@@ -88,7 +88,9 @@ def export(
     path: TransportPath,
     output: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="To write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3)."),
+        typer.Option(
+            "--output", "-o", help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3)."
+        ),
     ],
     rows: Annotated[
         list[str] | None,
@@ -136,7 +138,7 @@ def export(
 
 def movie(
     path: TransportPath,
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="To write: .mp4.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .mp4.")],
     along: Annotated[
         str,
         typer.Option(
