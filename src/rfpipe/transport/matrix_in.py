@@ -59,8 +59,11 @@ def read_matrix(
     path = Path(path)
     names = [None] if dataset is None else [name.strip() for name in dataset.split(",")]
     given = {"camera_shape": camera_shape, "projector_shape": projector_shape}
-    shapes = [tuple(_own(path, side) if it is None else it) for side, it in given.items()]
-    return [m for name in names for m in _channels(_read(path, name), *shapes, f"{path}", order)]
+    camera, projector = (
+        tuple(_own(path, side) if shape is None else shape) for side, shape in given.items()
+    )
+    read = (_channels(_read(path, name), camera, projector, f"{path}", order) for name in names)
+    return [matrix for matrices in read for matrix in matrices]
 
 
 def _own(path: Path, name: str) -> NDArray[np.int64]:
