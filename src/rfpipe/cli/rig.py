@@ -21,7 +21,8 @@ def aim(
     Open the address that is printed, on this machine; from another one through an SSH tunnel
     (ssh -L 8751:127.0.0.1:8751 RIG). The page shows the scene with what is saturated in red, what
     is too dark in blue and the projector's outline; how sharp stripes are; and a bracket of
-    exposures to paste into the rig's settings. Ctrl-C ends it, and gives the devices back.
+    exposures to paste into the rig's settings. Ctrl-C ends it, and gives the devices back: end it
+    before 'rfpipe calibrate' or 'serve', which need them.
     """
     import logging
 
@@ -33,9 +34,10 @@ def aim(
     config = load_rig_config(rig).model_copy(update={"calibration": None})
 
     def say(address: str) -> None:
-        typer.echo(f"open {address}")
+        typer.echo(f"open {address}; Ctrl-C here ends it")
 
     run(lambda: devices_from_config(config), config.calibrate.period_pixels, port, say)
+    typer.echo("stopped; the devices are free for rfpipe calibrate")
 
 
 def calibrate(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,9 +46,9 @@ class Series:
 
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, ...]
-    patterns: Float
-    radiance: Float
-    variance: Float
+    patterns: Float = field(repr=False)
+    radiance: Float = field(repr=False)
+    variance: Float = field(repr=False)
 
     def __post_init__(self) -> None:
         rays = prod(ray_shape(self.camera_shape, "camera_shape"))
@@ -58,7 +58,8 @@ class Series:
         for name, shape in (
             ("patterns", (count, lights)), ("radiance", pictures), ("variance", pictures)
         ):  # fmt: skip
-            values = getattr(self, name)
+            values = np.asarray(getattr(self, name))  # of other libraries, too
+            object.__setattr__(self, name, values)
             if values.shape != shape:
                 raise InputError(f"{name} has the shape {values.shape}; expected {shape}")
             if not np.isfinite(values).all() or (name != "radiance" and (values < 0).any()):
