@@ -54,7 +54,7 @@ def verify(
         for path in removals:
             remove_tree(path)
         again = dict.fromkeys(command.rpartition(" && ")[2] for command in commands if command)
-        typer.echo(f"removed {', '.join(map(str, removals))}; now run: {' && '.join(again)}")
+        typer.echo(f"removed what has to go ({len(removals)}); now run: {' && '.join(again)}")
         return
     pages = [
         place / "index.html" for place in (folder, folder / "report", folder / "results/report")
