@@ -76,12 +76,11 @@ def measure_linearity(bench: Bench) -> Findings:
     offset = dither / _SURE * (ratio + 1) + of_black * (ratio - 1)
     error = (np.sqrt(scatter) + offset * count) / long
     arrays = {"level": long / span / count, "deviation": short * ratio / long - 1, "error": error}
-    known = error < max(tolerance, 1e-3)
-    short, long, ratio, error = (values[known] for values in (short, long, ratio, error))
-    facts = _exponent(short, long, ratio, error, tolerance) if known.any() else {}
-    facts |= {"tolerance": tolerance, "compared_levels": int(known.sum())}
-    linear = {"kind": "Linear", "response_gamma": 1.0}
-    return Findings.of("linearity", {**linear, **facts}, arrays)
+    # that exposures agree is told by levels that are well known, that they don't by any
+    known = int((error < max(tolerance, 1e-3)).sum())
+    facts = _exponent(short, long, ratio, error, tolerance) if there.any() else {}
+    linear = {"kind": "Linear", "response_gamma": 1.0, "compared_levels": known}
+    return Findings.of("linearity", {**linear, **facts, "tolerance": tolerance}, arrays)
 
 
 def _exponent(
@@ -98,10 +97,11 @@ def _exponent(
     apart, steps = (np.average(np.log(x), weights=error**-2) for x in (ratio, long / short))
     gamma, worst = float(apart / max(steps, 1e-9)), beyond(1.0)
     facts: dict[str, Any] = {"worst_deviation": worst, "deviation": worst}
-    is_bent = worst > tolerance and 0.2 <= gamma <= 5 and abs(gamma - 1) > _STRAIGHT
-    if is_bent and (misfit := beyond(gamma)) <= tolerance:
+    is_known = np.average(error, weights=error**-2) / apart < _STRAIGHT < abs(gamma - 1)
+    if worst > tolerance and is_known and 0.2 <= gamma <= 5 and beyond(gamma) <= tolerance:
         kind = f"Undone as a power law of exponent {gamma:.3g}"
-        facts |= {"response_gamma": gamma, "deviation": misfit, "kind": kind}
+        facts |= {"response_gamma": gamma, "deviation": beyond(gamma), "kind": kind}
+        facts["compared_levels"] = len(error)
     return facts
 
 

@@ -115,8 +115,8 @@ linearity good: {kind}: exposures agree within {deviation:.2%} beyond noise, {to
 linearity unknown compared_levels < 1: Exposures could not be compared: it takes two or more, a few
     times apart, of light between black and saturated.
 linearity poor deviation > tolerance: Not linear: exposures of the same light differ by up to
-    {worst_deviation:.1%}, and no power law describes them. Switch the camera's gamma off. Is the
-    light steady, are gain and exposure not automatic, and are the exposure times true?
+    {worst_deviation:.1%}, and no power law surely describes them. Switch the camera's gamma off.
+    Is the light steady, are gain and exposure not automatic, and are the exposure times true?
 light good: {usable_codes} steps of light; half the light is code {code_of_half_light:.0f}; the lamp
     drifted by {drift:+.2%}.
 light poor over_noise < 30: Too dark: full light is {over_noise:.0f} times a pixel's noise where it
