@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,17 +53,27 @@ def import_(
         typer.Option(help="Folder of the pictures; 'pictures' in the sheet's folder by default."),
     ] = None,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Take pictures that are too bright or dark, too.")
+        bool,
+        typer.Option(
+            "--anyway",
+            help="Take pictures that are too bright or dark or don't seem to show their patterns.",
+        ),
+    ] = False,
+    take_back: Annotated[
+        bool, typer.Option("--take-back", help="Remove what was imported from here on, instead.")
     ] = False,
 ) -> None:
     """Read the pictures that were taken of a sheet's patterns, go on, and write the next sheet.
 
     Pictures are TIFF, PNG, EXR or raw files, which sort by the numbers in their names as they were
     taken, a bracket's exposures together. All are checked before any is kept: number, size,
-    channels, bits, exposure times where the files say them, saturation and, by the marker frames,
-    order.
+    channels, bits, exposure times where the files say them, saturation, order by the marker frames,
+    and whether each picture shows its pattern. A sheet that was imported can be taken back, with
+    all that followed from it; its pictures stay.
     """
     from rfpipe.config import load_config
+    from rfpipe.errors import CaptureError
+    from rfpipe.pictures import picture_files
     from rfpipe.rigs.offline import read_sheet
     from rfpipe.stages.offline import PICTURES, OfflineAcquisition
 
@@ -69,22 +82,40 @@ def import_(
     config, results = Path(about["settings"]), Path(about["results"])
     scene, name = about["scene"], about["method"]
     acquisition = OfflineAcquisition(load_config(config), scene, name, results / scene / name)
+    if take_back:
+        picture_files(pictures or folder / PICTURES)  # nothing else is left of them
+        for path in acquisition.take_back(about["level"]):
+            typer.echo(f"{path}: removed")
+        typer.echo(f"{folder}: taken back. Import its pictures again when they are right")
+        return
     checked = acquisition.read(sheet, pictures or folder / PICTURES, anyway=anyway)
     for note in checked.notes:
         typer.echo(f"{folder}: {note}", err=True)
     rig = acquisition.rig(checked)
-    level = acquisition.advance(rig)
-    typer.echo(f"{folder}: {len(checked.files)} brackets imported")
+    is_new = not acquisition.files.exists(about["level"], "capture")
+    try:
+        level = acquisition.advance(rig)
+    except CaptureError as error:
+        if not is_new:
+            raise
+        acquisition.take_back(about["level"])
+        raise CaptureError(f"{error}. None of the pictures in {folder} is kept") from error
+    before = "imported before, and left as they are: --take-back comes before other pictures"
+    typer.echo(f"{folder}: {len(checked.files)} brackets {'imported' if is_new else before}")
     further = None if level is None else acquisition.write(rig, folder.parent, config, results)
     _tell(f"{scene} by {name}", further, results / scene / name, config)
 
 
 def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
     """Say what is to be done next."""
+    beside = str(Path(sys.executable).with_name("rfpipe"))
+    program = "rfpipe" if shutil.which("rfpipe") else beside
     if sheet is None:
+        home, settings = folder.absolute().parents[2], config.absolute()
+        run = shlex.join([program, "run", "--directory", str(home), "--configfile", str(settings)])
         typer.echo(
             f"{acquisition}: nothing more is asked for; the transport is "
-            f'{folder / "transport.zarr"}. For the report: make run ARGS="--configfile {config}"'
+            f"{folder / 'transport.zarr'}. For the report: {run}"
         )
         return
     about: dict[str, Any] = sheet.about
@@ -92,6 +123,6 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
     typer.echo(
         f"{acquisition}: level {about['level']} asks for {len(sheet.patterns)} patterns "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
-        f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: rfpipe import "
-        f"{sheet.folder}"
+        f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "
+        f"{shlex.join([program, 'import', str(sheet.folder)])}"
     )

@@ -101,6 +101,17 @@ class OfflineRig:
             return self.layout.picture(pattern)
         return np.reshape(pattern, RayDomain(self.projector_shape).picture_shape)
 
+    def weights(self, codes: NDArray[Any], gamma: float) -> Float:
+        """Return the weights of the rays in a picture of 8 bits; views one above the other."""
+        light = np.asarray((codes[..., 0] / 255) ** gamma, np.float32)
+        if self.layout is None:
+            return light
+        flat, count = self.layout.ray_of_pixel.ravel(), self.layout.pixels_of_ray
+        total = np.bincount(flat[flat != DARK], light.ravel()[flat != DARK], len(count))
+        # rays that no pixel shows are unlit in every picture
+        of_rays = np.where(count, total / np.maximum(count, 1), light.max())
+        return np.reshape(of_rays, RayDomain(self.projector_shape).picture_shape).astype(np.float32)
+
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
         return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,7 +71,7 @@ class OfflineAcquisition:
         resources = Resources(self.settings.resources.memory_gib)
         try:
             with StoreLock(self.folder):
-                acquisition.run(plan, self._files, captured, stages, resources)
+                acquisition.run(plan, self.files, captured, stages, resources)
         except PicturesNeeded:
             return self._level
         return None
@@ -114,17 +115,30 @@ class OfflineAcquisition:
 
     def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> Checked:
         """Check the pictures of a sheet; see `rfpipe.rigs.offline_pictures.check_pictures`."""
-        return check_pictures(self.rig(), sheet, pictures, anyway=anyway)
+        gamma = self.settings.offline.projector_gamma
+        coaxial = self.settings.scenes[self.scene].is_coaxial
+        how: dict[str, Any] = {"coaxial": coaxial, "gamma": gamma, "anyway": anyway}
+        return check_pictures(self.rig(), sheet, pictures, **how)
+
+    def take_back(self, level: int) -> list[Path]:
+        """Remove what was made of the pictures of a level and of the later ones; return what."""
+        gone = [path for path in sorted(self.folder.glob("L[0-9]*")) if int(path.name[1:]) >= level]
+        gone += list(self.folder.glob("transport.*")) if gone else []
+        with StoreLock(self.folder):
+            for path in reversed(gone):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        return gone
 
     @property
-    def _files(self) -> AcquisitionFolder:
+    def files(self) -> AcquisitionFolder:
+        """What its stages leave."""
         return AcquisitionFolder(self.folder)
 
     def _asked(self, rig: OfflineRig) -> Asked:
         """Yield key and pattern of all that the level lacks."""
         options = self._options
         of_level, before = capture.brackets_of(
-            rig, self._files, self._level, options["references"], options["symmetry_frames"]
+            rig, self.files, self._level, options["references"], options["symmetry_frames"]
         )
         for part in (*before.values(), of_level):
             for first, last in part.missing(self.settings.capture.batch_patterns):
