@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.fitting.folder import Series
-from rfpipe.fitting.linear import solve_linear
+from rfpipe.fitting.linear import misfits, solve_linear
 from rfpipe.methods.adaptive.estimate import relit
 from rfpipe.methods.adaptive.residual import Canvas, residual_of
 from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import joined, level_row
+from rfpipe.pictures.order import Shown
 from rfpipe.provenance import generator
 from rfpipe.relighting import relative_errors
 from rfpipe.transport.base import Transport
@@ -38,6 +39,9 @@ class Fit:
         noise that they are known to have. None where each pattern is needed.
     held_out : int
         Pictures that were left out.
+    doubts : tuple of str
+        Reasons for which the transport is worth nothing: pictures that contradict the others, or
+        more rays than the patterns tell of.
     """
 
     transport: Transport
@@ -45,6 +49,7 @@ class Fit:
     complete: bool
     error: float | None
     held_out: int
+    doubts: tuple[str, ...] = ()
 
 
 def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
@@ -79,7 +84,44 @@ def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
     if errors:
         row["estimated_error"] = errors[best]
     transport = models[best](series, [row])
-    return Fit(transport, best, complete, errors.get(best), len(held) if errors else 0)
+    doubts = _contradictions(series, coaxial=coaxial) if errors or coaxial else []
+    if errors and not doubts:
+        doubts = _too_few(series, errors[best], _error_of_mean(rest, series.some(held)), coaxial)
+    held_out = len(held) if errors else 0
+    return Fit(transport, best, complete, errors.get(best), held_out, tuple(doubts))
+
+
+def _contradictions(series: Series, *, coaxial: bool) -> list[str]:
+    """Say which pictures don't fit the others or, on a coaxial rig, their patterns."""
+    said, shape = list[str](), series.projector_shape
+    if coaxial and len(shape) == 2:
+        light, variance = (
+            each.sum(axis=1, dtype=np.float64).reshape(-1, *shape)
+            for each in (series.radiance, series.variance)
+        )
+        white = light[series.patterns.all(axis=1)].mean(axis=0)
+        names = [f"the pattern of {name}" for name in series.names]
+        shown = Shown(series.patterns.reshape(light.shape), names, light, variance, white)
+        said += [f"{series.names[index]} {what}" for index, what in shown.misplaced().items()]
+    found = {} if said else misfits(series)
+    if pair := found.get("exchanged"):
+        said.append(" and ".join(series.names[list(pair)]) + " fit the others when exchanged")
+    strange = series.names[list(found.get("strange", ()))]
+    return said + [f"{name} doesn't fit the others" for name in strange]
+
+
+def _too_few(series: Series, error: float, by_mean: float, coaxial: bool) -> list[str]:
+    """Say that a fit predicts little more than the mean picture, if so, and what would help."""
+    if error <= 0.5 * by_mean:
+        return []
+    rank, rays = series.rank, series.patterns.shape[1]
+    more = f"; take {rays - rank} more" if rank < rays else ", or not in so much noise"
+    other = "" if coaxial else ", or give --coaxial where camera and projector share their rays"
+    said = (
+        f"left-out pictures are off by {error:.0%}, and by {by_mean:.0%} where each is taken for "
+        f"the mean one: {rank} independent patterns don't tell of {rays} rays{more}{other}"
+    )
+    return [said]
 
 
 def _check_coaxial(series: Series) -> None:
@@ -120,6 +162,15 @@ def _held_out(series: Series) -> NDArray[np.int64]:
     free = np.flatnonzero(~(series.patterns.min(axis=1) > 0) & series.patterns.any(axis=1))
     count = min(len(free) // (8 if len(free) >= 8 else 2), 16)
     return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
+
+
+def _error_of_mean(rest: Series, held: Series) -> float:
+    """Return the mean error of pictures that are each taken for the mean of others, as bright."""
+    mean = rest.radiance.mean(axis=0, dtype=np.float64) / rest.patterns.mean(dtype=np.float64)
+    guess = held.patterns.mean(axis=1, dtype=np.float64)[:, None, None] * mean
+    wrong = np.square(guess - held.radiance).sum(axis=(1, 2))
+    light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
+    return float(np.sqrt(wrong[light > 0] / light[light > 0]).mean()) if light.any() else 1.0
 
 
 def _error(found: Transport, held: Series) -> float:

@@ -34,6 +34,7 @@ _STRANGE = 0.1
 _LEAST_LIT = 0.02
 # Logarithm of how improbable by chance a picture has to be that is refused: one in a million.
 _SURE = 14.0
+_EVEN = 1e-12
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -175,4 +176,5 @@ class Shown:
         flat = images - (share * images).sum(axis=(1, 2), keepdims=True)
         flat = (flat * np.sqrt(share)).reshape(len(images), -1)
         power = np.square(flat).sum(axis=1)
-        return flat / np.sqrt(np.maximum(power, _TINY))[:, None], power
+        norm = np.where(power > _EVEN, np.sqrt(power), np.inf)  # what is even has no shape
+        return flat / norm[:, None], power
