@@ -24,7 +24,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
 .PHONY: help install run thesis figures calibrate serve unlock test test-all validators lint \
-  format bench benchmark config lock clean
+  format bench benchmark measured config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -48,7 +48,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
 	@rfpipe run $(ARGS) || { status=$$?; \
-	  echo "make: the run stopped. 'make run' goes on where it stopped;" \
+	  echo "make: the run ended early. Where a signal ended it, 'make run' goes on there;" \
 	    "after a kill -9 it is 'make unlock run', with the same ARGS." >&2; exit $$status; }
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
@@ -101,6 +101,10 @@ format: $(INSTALLED) ## format the sources and the workflow
 bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@for script in benchmarks/bench_*.py; do echo "$$script"; \
 	  python -m "benchmarks.$$(basename "$$script" .py)"; done
+
+measured: $(INSTALLED) ## make the tables of docs/measured.md and README anew, hours
+	@rfpipe run
+	@python -m benchmarks.measured $(ARGS)
 
 benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv
 	@python -m benchmarks.methods $(ARGS)

@@ -30,7 +30,7 @@ from rfpipe_mitsuba.worlds import WORLDS
 OUTPUT = Path("results/bench")
 SCENES = ("two_blocks", "red_wall_box")
 TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
-_KINDS = ("empty", "scalar", "rank 1", "rank k")
+_KINDS = ("empty", "scalar", "rank 1")
 _SMALL = 4  # of the pictures are a crease and spots
 _CREASE = 0.02  # of the pixels
 _HALF_LIT = 8  # random pictures to localise errors by
@@ -81,17 +81,14 @@ def by_leaf(transport: HierarchicalTransport, matrix: Array) -> list[dict[str, A
     kind, level = np.zeros((rays, rays), np.int8), np.full((rays, rays), -1, np.int8)
     on_diagonal = np.zeros((rays, rays), np.bool_)
     for leaves in transport.leaf_sets:
-        pairs, terms = np.unique(
-            np.stack([leaves.block_a, leaves.block_b]), axis=1, return_counts=True
-        )
         starts, scalar = tree.starts[leaves.level], leaves.level == tree.n_levels - 1
-        for a, b, count in zip(*pairs, terms, strict=True):
+        for a, b in zip(leaves.block_a, leaves.block_b, strict=True):
             for one, other in ((a, b), (b, a)):
                 place = (
                     slice(starts[one], starts[one + 1]),
                     slice(starts[other], starts[other + 1]),
                 )
-                kind[place] = 1 if scalar else 2 + (count > 1)
+                kind[place] = 1 if scalar else 2
                 level[place], on_diagonal[place] = leaves.level, a == b
     lit = np.random.default_rng(0).integers(0, 2, (rays, _HALF_LIT)).astype(np.float64)
     norm = np.linalg.norm(truth @ lit)

@@ -205,7 +205,7 @@ def _regret(regret: pd.DataFrame, name: str) -> str:
     lines = [[_starred(str(scene)), *cells(own, name == "error")] for scene, own in scenes]
     for section, own in means.groupby("section", sort=False):
         lines.append([f"**mean, {section}**", *cells(own, False)])
-    return _markdown(["scene", *(f"{light}, {100 * target:g}%" for light, target in places)], lines)
+    return markdown(["scene", *(f"{light}, {100 * target:g}%" for light, target in places)], lines)
 
 
 def _starred(scene: str) -> str:
@@ -229,7 +229,7 @@ def _fewest(rows: pd.DataFrame) -> str:
                 least = own.groupby("seed")["error_mean"].min().mean()
                 cells.append(f"{least:.2%}" if len(own) else "-" if len(tried) else "")
         lines.append([_starred(str(scene)), *cells])
-    return _markdown(["scene", *(f"`{name}`" for name in methods)], lines)
+    return markdown(["scene", *(f"`{name}`" for name in methods)], lines)
 
 
 def _estimates(done: pd.DataFrame) -> str:
@@ -244,7 +244,7 @@ def _estimates(done: pd.DataFrame) -> str:
             shares = (f"{each.mean():.0%}" if len(each) else "" for each in told)
             lines.append([f"`{method}`", str(light), str(section), str(len(own)), *shares])
     head = ["method", "light", "", "runs", "error estimated", "indirect estimated", "targets met"]
-    return _markdown(head, lines)
+    return markdown(head, lines)
 
 
 def _sides(done: pd.DataFrame) -> str:
@@ -262,10 +262,10 @@ def _sides(done: pd.DataFrame) -> str:
         )  # fmt: skip
     head = ["scene", "light", "method", "setting", "side", "patterns", "error", "processing, s",
             "memory, GB"]  # fmt: skip
-    return _markdown(head, lines) if lines else ""
+    return markdown(head, lines) if lines else ""
 
 
-def _markdown(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+def markdown(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """Return a table of markdown."""
     rows = [list(head), ["---"] * len(head), *lines]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)

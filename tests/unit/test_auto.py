@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import logging
+from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.helpers import scene_matrices
 
 import rfpipe
-from rfpipe.methods import Method
+from rfpipe import steps
+from rfpipe.methods import Method, get_method
 from rfpipe.methods.adaptive.footprints.method import Footprints
 from rfpipe.methods.adaptive.near_far import NearFar
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
+from rfpipe.testing.methods import run_method
 
 SIDE = 12
 SHAPE = (SIDE, SIDE)
@@ -62,3 +66,47 @@ def test_what_the_rig_is_decides(
     np.testing.assert_array_equal(*same)
     assert result.patterns == by_hand.patterns <= 24
     assert "estimated_error" in result.history
+
+
+@pytest.mark.parametrize("brackets", [2, 5])
+def test_ctrl_c_keeps_what_the_levels_before_told(brackets: int) -> None:
+    """Without the floodlit image there is nothing to keep."""
+
+    class Stopped(OperatorRig):
+        shown = 0
+
+        def capture(self, patterns: Any, keys: Any) -> Any:
+            self.shown += len(patterns)
+            if self.shown > brackets:
+                raise KeyboardInterrupt
+            return super().capture(patterns, keys)
+
+    stopped = Stopped(coaxial(), SHAPE, SHAPE, noise=None)
+    if brackets < 3:  # a dark one, two of full light
+        with pytest.raises(KeyboardInterrupt):
+            rfpipe.acquire(stopped, "near_far", symmetry_frames=0, **FRAMES)
+    else:
+        result = rfpipe.acquire(stopped, "near_far", symmetry_frames=0, **FRAMES)
+        assert result.patterns == 1
+        floodlit = np.asarray(coaxial().sum(axis=1)).reshape(*SHAPE, 1)
+        assert np.allclose(result.transport.relight(np.ones(SHAPE)), floodlit, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("seen", "method"), [(coaxial(), "near_far"), (beside(), "footprints")])
+def test_fits_count_their_steps(seen: np.ndarray, method: str) -> None:
+    counts: dict[str, list[int]] = {}
+
+    class Bar(nullcontext[Any]):
+        def __init__(self, name: str, total: int) -> None:
+            super().__init__(self)
+            self.count = counts.setdefault(name, [0, 0])
+            self.count[1] += total
+
+        def advance(self, count: int) -> None:
+            self.count[0] += count
+
+    with steps.counted_by(Bar):
+        run_method(get_method(method), seen[None], SHAPE, SHAPE, target_error=1e-4, patterns=40)
+    assert len(counts) == 2
+    for counted, total in counts.values():
+        assert 0.7 * total <= counted <= total

@@ -73,7 +73,9 @@ def failure(
 
 
 def test_validate_names_the_acquisitions() -> None:
-    assert "valid. 6 acquisitions\n" in run("plan", CONFIG)
+    planned = run("plan", CONFIG)
+    assert "valid. 6 acquisitions\n" in planned
+    assert "up to 657" in planned
 
 
 def test_schema_is_the_model_s() -> None:

@@ -38,7 +38,7 @@ def scan() -> Made:
 
 
 def leaves(shape: tuple[int, ...] = COAXIAL) -> Made:
-    transport, matrices = random_transport(shape, 3, seed=5, signed=True)
+    transport, matrices = random_transport(shape, 3, seed=5)
     transport.level_rows = ROWS
     return transport, matrices
 

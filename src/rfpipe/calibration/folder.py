@@ -24,7 +24,7 @@ from rfpipe.errors import InputError, IntegrityError, RfpipeError, StoreError
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.build import devices_from_config
-from rfpipe.rigs.calibrated import Calibration, write_calibration
+from rfpipe.rigs.calibrated import STANDINGS, Calibration, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import StoreLock, open_arrays, read_manifest, write_arrays, write_manifest
@@ -247,7 +247,8 @@ def calibrate(
             findings = _measured(step, bench)
             folder.write(step.name, findings, made_for)
             level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
-            _log.log(level, "%s: %s. %s", step.title, *findings.verdict)
+            standing, text = STANDINGS[findings.verdict.standing], findings.verdict.text
+            _log.log(level, "%s: %s. %s", step.title, standing, text)
         if only is None:
             finish(folder, settings)
 

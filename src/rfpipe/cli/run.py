@@ -101,8 +101,8 @@ def plan(
     Every mistake in the file is said. A rig's settings are checked alone.
 
     Patterns are the method's guess, on the high side: as many a level as the thesis' largest scenes
-    took, or all rounds of methods that end by their own estimate. At most are those of a scene
-    without any structure. Time is that of the capture on a rig; disk is before compression.
+    took, or "up to" all rounds of methods that end by their own estimate, most often far earlier.
+    Most patterns are those of a scene without any structure. Disk is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
@@ -126,6 +126,8 @@ def plan(
         f"\nOne after the other: {_duration(rows['seconds'].sum())} of capture on a rig, "
         f"{shown_bytes(disk)} of disk; {shown_bytes(free)} are free."
     )
+    if rows["adapts"].any():
+        typer.echo("Up to: the method ends by its own estimate, most often far earlier.")
     if disk > free:
         typer.echo(
             "That may not fit: make room, put the results on another disk, or set "
@@ -144,12 +146,14 @@ def plan(
 def _shown(rows: pd.DataFrame) -> pd.DataFrame:
     from rfpipe.stages.forecast import shown_bytes
 
-    table = rows.drop(columns=["scene", "method"]).map("{:,}".format)
+    table = rows.drop(columns=["scene", "method", "adapts"]).map("{:,}".format)
     for name in ("seconds", "most_seconds"):
         table[name] = rows[name].map(_duration)
     for name in ("disk", "memory"):
         table[name] = rows[name].map(shown_bytes)
-    names = {"seconds": "on a rig", "most": "at most", "most_seconds": "in"}
+    for name in ("patterns", "seconds"):
+        table[name] = table[name].mask(rows["adapts"], "up to " + table[name])
+    names = {"seconds": "capture", "most": "most patterns", "most_seconds": "most capture"}
     return rows[["scene", "method"]].join(table).rename(columns=names)
 
 

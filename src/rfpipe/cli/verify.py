@@ -85,4 +85,5 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
     if not checked.findings:
         typer.echo(f"{named}: whole. {amount}")
         return
-    typer.echo(f"\n{named}: {len(checked.findings)} findings in {amount}")
+    count = len(checked.findings)
+    typer.echo(f"\n{named}: {count} finding{'s' * (count != 1)} in {amount}")

@@ -80,7 +80,7 @@ def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
             name: _error(solve(rest, []), series.some(held)) for name, solve in models.items()
         }
     best = min(errors, key=lambda name: errors[name]) if errors else "least squares"
-    row = level_row(0, len(series.patterns), rank_k=0)
+    row = level_row(0, len(series.patterns))
     if errors:
         row["estimated_error"] = errors[best]
     transport = models[best](series, [row])

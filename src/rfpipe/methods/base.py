@@ -74,17 +74,6 @@ class ErrorOptions(PatternOptions):
     )
 
 
-class TargetOptions(Options):
-    """The options of methods that have a tolerance, and may be told an error to end at."""
-
-    target_error: Fraction | None = Field(
-        None,
-        description="Mean error of relit pictures at which to end, a fraction of their norm "
-        "between 0 and 1, estimated from six more pictures; null: by the "
-        "tolerance.",
-    )
-
-
 class LevelImages(Protocol):
     """The radiance images of one level, read a few patterns at a time."""
 
@@ -160,10 +149,6 @@ class Method(ABC, Generic[State]):
     Options: type[Options] = Options
     trades: str | None = None
     trials: tuple[float, ...] = ()
-
-    def with_options(self, options: Any) -> Method[Any]:
-        """Return the method that these options ask for: this one, or another made of it."""
-        return self
 
     def check(self, camera: RayDomain, projector: RayDomain) -> None:
         """Raise InputError if the method does not fit a rig of these rays."""

@@ -13,7 +13,7 @@ from rfpipe.calibration.folder import STEPS, CalibrationFolder
 from rfpipe.calibration.sight import sight_picture
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import StoreError
-from rfpipe.report.drawing import Map, draw, new_figure
+from rfpipe.report.drawing import Map, draw, new_figure, plain_numbers
 from rfpipe.report.page import Block, Illustration, Section, Table, table_of, write_page
 from rfpipe.report.text import STANDING_COLOURS
 from rfpipe.rigs.calibrated import STANDINGS
@@ -133,6 +133,7 @@ def _linearity(one: Findings) -> Figure:
     axis.axhline(0, color=_GREY, linewidth=0.8)
     _errors(axis, one["level"], 100 * one["deviation"], 100 * one["error"])
     axis.set_xscale("log")
+    plain_numbers(axis.xaxis, (1, 3))
     return figure
 
 

@@ -1,4 +1,4 @@
-"""What becomes of each level's nodes [Fig. 5.10]."""
+"""What becomes of each level's nodes, as in Fig. 5.10."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 _KINDS = {
     "rank1": ("rank-1 leaves (dual: stored)", "#3a6fb0"),
-    "rank_k": ("rank-k leaves", "#7d5ba6"),
     "scalar": ("scalar leaves", "#9dc0e6"),
     "empty": ("empty", "#b9b9b9"),
     "subdivided": ("subdivided at the next level", "#ffffff"),
@@ -31,13 +30,14 @@ def leaves_section(inputs: Inputs) -> Section | None:
         return None
     levels = pd.DataFrame(
         [
-            {"scene": run.scene, "method": run.method, "rank_k": 0, **row}
+            {"scene": run.scene, "method": run.method, **row}
             for run in inputs.runs
             for row in run.facts["levels"]
+            if row["patterns"] or row["nodes"]
         ]
     )
-    kinds = {"rank1": "rank-1 or stored", "rank_k": "rank-k"}
-    counted = ("patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided")
+    kinds = {"rank1": "rank-1 or stored"}
+    counted = ("patterns", "nodes", "empty", "rank1", "scalar", "subdivided")
     columns: list[Column] = [(kinds.get(kind, kind), kind, number) for kind in counted]
     table = table_of(
         "Levels",
@@ -56,8 +56,8 @@ def leaves_section(inputs: Inputs) -> Section | None:
             "dual photography a block as seen by one camera pixel."
         )
         figure = _figure(inputs, drawn, levels)
-        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", figure))
-    return Section("leaves", "Leaves at each level (Fig. 5.10)", blocks)
+        blocks.insert(0, Illustration("Leaves", caption, "leaves", figure))
+    return Section("leaves", "Leaves at each level", blocks)
 
 
 def _is_hierarchy(levels: pd.DataFrame) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -31,6 +32,8 @@ from rfpipe.units import RADIANCE
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,8 @@ def acquire(
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
 
+    Ctrl-C ends it with what the levels before have told, if there is one.
+
     Parameters
     ----------
     rig : Rig
@@ -103,8 +108,8 @@ def acquire(
         A name in `rfpipe.methods.method_names`, the path of a class of one's own as
         ``module:Class`` or ``file.py:Class``, or a method itself.
     progress : bool
-        Whether to show a progress bar a level on stderr, and to log what methods estimate of
-        their error.
+        Whether to show progress bars of captures and fits on stderr, and to log what methods
+        estimate of their error.
     black_frames : int
         All-off brackets whose mean is subtracted; at least 1. Exact radiance takes one.
     floodlit_frames : int
@@ -170,10 +175,17 @@ def acquire(
     }  # fmt: skip
     settings = {
         "schedule": code, "capture": capturing, "merge": merging,
-        "normalize": {"mode": "per_channel", **code}, "refine": code,
+        "normalize": {"mode": "per_channel", **code},
+        "refine": {"progress": progress, **code},
     }  # fmt: skip
     resources = Resources()
-    run_levels(plan, folder, partial(capture.run, rig), settings, resources)
+    try:
+        run_levels(plan, folder, partial(capture.run, rig), settings, resources)
+    except KeyboardInterrupt:
+        if not plan.end_early():
+            raise
+        _log.warning("stopped: what all levels before told is returned")
+        verification = 0
     transport, masked = assembled(plan, folder)
     verified = None
     if verification:
@@ -183,9 +195,9 @@ def acquire(
             capture.run(rig, folder, VERIFICATION, **capturing)
         merge.run(folder, VERIFICATION, **merging)
         verified = compared(folder, transport)
+    levels = [level for level in folder.levels() if folder.exists(level, "refine")]
     captured, merged = (
-        [folder.read_manifest(level, stage) for level in folder.levels()]
-        for stage in ("capture", "merge")
+        [folder.read_manifest(level, stage) for level in levels] for stage in ("capture", "merge")
     )
     return AcquisitionResult(
         transport,

@@ -71,7 +71,8 @@ def forecast(settings: Config) -> pd.DataFrame:
     pandas.DataFrame
         ``scene``, ``method``; ``rays`` of the projector, ``levels``; ``patterns`` that the method
         expects, ``seconds`` on the rig, ``disk`` and ``memory`` in bytes, before compression; and
-        ``most`` patterns, of a scene without any structure, with their ``most_seconds``.
+        ``most`` patterns, of a scene without any structure, with their ``most_seconds``;
+        ``adapts``: whether the method may end earlier, by its own estimate.
 
     Raises
     ------
@@ -108,6 +109,7 @@ def forecast(settings: Config) -> pd.DataFrame:
                 "memory": plan.method.memory_bytes(*rays, plan.channels, plan.options)
                 + settings.scenes[scene].simulation_bytes,
                 "most": most, "most_seconds": warm_up + each * (most + references),
+                "adapts": plan.method.estimates_error,
             }
         )  # fmt: skip
     return pd.DataFrame(rows)

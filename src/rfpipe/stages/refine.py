@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from rfpipe.methods import Pack
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.steps import counted_by
 from rfpipe.transport.base import estimates
 from rfpipe.units import RADIANCE_UNIT
 
@@ -25,6 +28,8 @@ def run(
     level: int,
     code: str,
     resources: Resources | None = None,
+    *,
+    progress: bool = True,
 ) -> None:
     """Refine the method's state by a level's images; write what the level added.
 
@@ -50,7 +55,8 @@ def run(
     schedule, factors = read_schedule(folder, level), read_normalization(folder, level)
     with folder.frames(level, "merge") as merged:
         images = NormalizedImages(schedule, merged, factors)
-        state = method.refine(state, images, (resources or Resources()).data_bytes)
+        with counted_by(partial(Progress, unit="step", shown=progress)):
+            state = method.refine(state, images, (resources or Resources()).data_bytes)
     log_estimate(state.rows, plan.options)
     # in memory the state itself is carried on
     pack = method.pack if folder.is_kept else lambda _: Pack({}, {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from rfpipe.errors import InputError
@@ -9,6 +10,8 @@ from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
+
+_log = logging.getLogger(__name__)
 
 _UNITS = "number of the pattern that lights a ray, -1 for none"
 _WEIGHT_UNITS = "fraction of full light"
@@ -27,7 +30,20 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     schedule = method.schedule(plan.state_before(folder, level))
     if level and not schedule.count:
         raise InputError(f"{folder.path}: level {level} has no patterns to show")
+    _warn_of_many(plan, folder, schedule)
     write_schedule(folder, made_from, schedule, coaxial=method.needs_coaxial_rig)
+
+
+def _warn_of_many(plan: Plan, folder: AcquisitionFolder, schedule: Schedule) -> None:
+    """Say beforehand where a method that adapts takes more patterns than brute force would."""
+    above = folder.levels_above(schedule.level)
+    total = schedule.count + sum(folder.read_manifest(k, "schedule")["patterns"] for k in above)
+    if plan.method.trades and total > plan.projector.size:
+        _log.warning(
+            "level %d makes it %d patterns, where brute force takes %d: more may be asked for than "
+            "the scene's light allows",
+            schedule.level, total, plan.projector.size,
+        )  # fmt: skip
 
 
 def write_schedule(

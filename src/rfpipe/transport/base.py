@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator
 
+    from rfpipe.transport.compensation import Compensation
+    from rfpipe.transport.correspondence import Correspondence
+
 Float = NDArray[np.float32]
 
 LIMIT = 8 * 2**30
@@ -67,6 +70,46 @@ class Light(MatrixAlgebra):
         images = self.forward(planar, range(self.channels))
         shape = (len(images), *self.camera_shape, self.channels)
         return np.moveaxis(images, 1, -1).reshape(shape)
+
+    def correspondence(self) -> Correspondence:
+        """Return which place of the projector lights each camera pixel directly.
+
+        Places to a fraction of a pixel, their confidence and a mask; InputError for a projector of
+        several views. See `rfpipe.transport.correspondence`.
+        """
+        from rfpipe.transport.correspondence import correspondence_of
+
+        return correspondence_of(self)
+
+    def relight_environment(
+        self, environment: NDArray[Any], lights: NDArray[Any], turned: float = 0.0
+    ) -> Float:
+        """Relight with a panorama of the light around; the projector's rays are single lights.
+
+        Parameters are those of `rfpipe.environment.environment_weights`; `lights` has a direction
+        for each ray. Returns the image (*camera_shape, channels), in colour if either is.
+
+        Raises InputError as there, or if there are more or fewer directions than lights.
+        """
+        from rfpipe.environment import environment_weights
+
+        weights = environment_weights(environment, lights, turned)
+        rays = int(np.prod(self.projector_shape))
+        if len(weights) != rays:
+            raise InputError(f"{len(weights)} directions of lights for {rays} lights")
+        planes = weights.T.reshape(-1, *self.projector_shape)
+        if self.channels == 1 or len(planes) == 1:
+            return np.concatenate([self.relight(plane) for plane in planes], axis=-1)
+        return self.relight(np.moveaxis(planes, 0, -1))
+
+    def pattern_for(self, picture: NDArray[Any]) -> Compensation:
+        """Return the pattern, of weights between 0 and 1, that makes the scene look like a picture.
+
+        See `rfpipe.transport.compensation.compensation_for`.
+        """
+        from rfpipe.transport.compensation import compensation_for
+
+        return compensation_for(self, picture)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.

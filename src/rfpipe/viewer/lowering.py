@@ -20,7 +20,6 @@ from rfpipe.transport.hierarchical.leaves import (
     leaf_offsets,
     pack_leaves,
     runs,
-    signed_apart,
 )
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
@@ -199,12 +198,10 @@ def _add_leaves(
         builder.add("pairs", light, received, arrays, shared=True)
         return
     # factors that a store hasn't rounded take 16 bits here: 1e-5 of their values
-    held = leaves.scales is not None
-    alike = [leaves] if held else signed_apart(tree, leaves, "uint16")
+    number_format = "uint16" if leaves.scales is None else leaves.values.dtype.name
+    packed = pack_leaves(tree, leaves, number_format)  # type: ignore[arg-type]
     sizes = np.diff(tree.starts[leaves.level]).astype(np.int32)
-    for one in alike:
-        packed = pack_leaves(tree, one, one.values.dtype.name if held else "uint16")  # type: ignore[arg-type]
-        builder.add("leaves", light, received, {"sizes": sizes, **packed}, shared=True)
+    builder.add("leaves", light, received, {"sizes": sizes, **packed}, shared=True)
 
 
 def _lower_multilevel(builder: Builder, transport: MultilevelTransport) -> None:

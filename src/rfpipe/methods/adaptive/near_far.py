@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from math import log2
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,10 @@ from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit
 from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import LevelImages, Method, get_method
 from rfpipe.methods.images import Pictures
-from rfpipe.methods.states import kept, level_row
+from rfpipe.methods.states import kept
+from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
+from rfpipe.transport.multiscale import coarsest_scale
 from rfpipe.transport.sum import SumTransport
 
 # Probes of each round, a level: a round should cut the error, and end soon where the target is met.
@@ -81,9 +84,6 @@ class NearFar(Adaptive):
         assert state.model is not None
         return light_range(state.projector.shape, state.model, state.pictures.floodlit)
 
-    def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
-        return level_row(state.level, patterns, rank_k=0, **counts)
-
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image; unknown pixels are as bright as their neighbours."""
         after = super()._begun(state, images)
@@ -97,7 +97,10 @@ class NearFar(Adaptive):
         shape, count = state.projector.shape, images.schedule.count
         more = Pictures.read(images, state.channels, state.projector.size, first, count)
         state = state.changed(taken=more)
-        model = fit(shape, state.pictures)
+        # a solution a scale, two of all, one of each channel
+        solutions = round(log2(coarsest_scale(shape))) + 2 + state.channels
+        with steps("smooth light", solutions):
+            model = fit(shape, state.pictures)
         state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
         return self._where_it_helps(state) if state.level > 2 else state
 

@@ -21,6 +21,7 @@ from rfpipe.methods.adaptive.posterior import Posterior
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.methods.images import Pictures, planar_batches
 from rfpipe.methods.states import joined
+from rfpipe.steps import step, steps
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport, sparse_arrays
 from rfpipe.transport.wavelet import Cells, WaveletTransport, cell_side
@@ -28,8 +29,8 @@ from rfpipe.transport.wavelet import Cells, WaveletTransport, cell_side
 MOST_CELLS = 4096
 """Of so many cells, the covariance of all pairs takes 64 MiB."""
 
-# How often light is made to be not negative, and iterations of each solution.
-_CLIPPED, _ITERATIONS = 8, 8
+# How often variances are learned and light is made to be not negative, and iterations of each.
+_LEARNED, _CLIPPED, _ITERATIONS = 2, 8, 8
 # Of more pictures, those are fitted that the model predicts worst: time grows with their square,
 # and so does memory, to 1.3 GB with as many cells as there may be.
 _MOST_PICTURES = 512
@@ -210,29 +211,25 @@ def residual_of(
     prior: Float | None = None
     # the brightest channel tells most of the ways that light takes; others take the same
     brightest = int(np.argmax(canvas.brightest))
-    for channel in sorted(range(channels), key=lambda index: index != brightest):
-        share = canvas.brightest[channel] / max(canvas.brightest[brightest], _TINY)
-        if not share > 0:
-            continue
-        posterior = Posterior(
-            cells.haar,
-            lamp.total(lit * factor[channel]),
-            residual[:, channel].T,
-            variance[:, channel].T,
-            None if sender is None else (lamp.haar, sender.places),
-        )
-        if prior is None:
-            prior = posterior.guessed()
-            for _ in range(2):
-                posterior.prepare(prior)
-                posterior.solve(posterior.observed, _ITERATIONS)
-                prior = posterior.relearned()
-        between = _between(canvas, model, channel, sender)
-        matrix = _not_negative(posterior, prior * share**2, between)
-        half = cells.haar.forward(matrix)
-        cores[channel] = lamp.haar.forward(np.ascontiguousarray(half.T)).T
-        energy = np.square(observed[:, channel], dtype=np.float64).sum(axis=1).mean()
-        weights[channel] = np.square(posterior.light, dtype=np.float64).mean(axis=1) / energy
+    order = sorted(range(channels), key=lambda index: index != brightest)
+    shining = [channel for channel in order if canvas.brightest[channel] > 0]
+    with steps("light between cells", _LEARNED + len(shining) * (1 + _CLIPPED)):
+        for channel in shining:
+            share = canvas.brightest[channel] / canvas.brightest[brightest]
+            posterior = Posterior(
+                cells.haar,
+                lamp.total(lit * factor[channel]),
+                residual[:, channel].T,
+                variance[:, channel].T,
+                None if sender is None else (lamp.haar, sender.places),
+            )
+            prior = _learned(posterior) if prior is None else prior
+            between = _between(canvas, model, channel, sender)
+            matrix = _not_negative(posterior, prior * share**2, between)
+            half = cells.haar.forward(matrix)
+            cores[channel] = lamp.haar.forward(np.ascontiguousarray(half.T)).T
+            energy = np.square(observed[:, channel], dtype=np.float64).sum(axis=1).mean()
+            weights[channel] = np.square(posterior.light, dtype=np.float64).mean(axis=1) / energy
     sent = np.zeros((channels, 0), np.float32) if sender is None else factor
     return _kept(cores, weights, sent)
 
@@ -247,6 +244,17 @@ def _telling(left: Float, variance: Float) -> NDArray[np.int64]:
     return np.concatenate([[0], np.sort(worst[: _MOST_PICTURES - 1]) + 1])
 
 
+def _learned(posterior: Posterior) -> Float:
+    """Return the variances that pictures tell of what cells exchange."""
+    prior = posterior.guessed()
+    for _ in range(_LEARNED):
+        posterior.prepare(prior)
+        posterior.solve(posterior.observed, _ITERATIONS)
+        prior = posterior.relearned()
+        step()
+    return prior
+
+
 def _not_negative(posterior: Posterior, prior: Float, model: Float) -> Float:
     """Return K, (cells, cells), that takes no more light from between cells than is there.
 
@@ -256,6 +264,7 @@ def _not_negative(posterior: Posterior, prior: Float, model: Float) -> Float:
     posterior.prepare(prior)
     posterior.solve(posterior.observed, 2 * _ITERATIONS)
     matrix, direct = posterior.matrix(), posterior.direct
+    step()
     posterior.prepare(prior, _CLIPPED)
     between = np.ones(matrix.shape, np.bool_)
     if posterior.symmetric:
@@ -265,6 +274,7 @@ def _not_negative(posterior: Posterior, prior: Float, model: Float) -> Float:
         posterior.solve(posterior.left(matrix, direct), _ITERATIONS)
         matrix += posterior.matrix()
         direct = direct + posterior.direct
+        step()
     return matrix
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures
+from rfpipe.steps import step
 from rfpipe.transport.multiscale import MultiscaleBasis
 
 if TYPE_CHECKING:
@@ -239,6 +240,7 @@ def solve(
     if start is not None:
         start = np.divide(start, deviations, out=np.zeros_like(goal), where=deviations > 0)
     solution = conjugate_gradients(normal, goal, scaling.__mul__, start, tolerance, most)
+    step()
     return deviations * solution
 
 

@@ -12,8 +12,8 @@ from pydantic import Field
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour_apart, conflict_graph
-from rfpipe.methods.adaptive.descent import Descent
-from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, TargetOptions
+from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, Options
+from rfpipe.methods.descent import Descent
 from rfpipe.methods.states import MethodState, grown, joined, kept, level_row
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
@@ -31,12 +31,9 @@ from rfpipe.methods.symmetric.nodes import (
 from rfpipe.methods.symmetric.rank_test import (
     AGREES,
     CLOSE,
-    DIFFERS,
     Found,
     Limits,
     classify,
-    predictable,
-    rank_k_leaves,
     rank_test,
 )
 from rfpipe.patterns import Schedule
@@ -48,7 +45,7 @@ from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 _TOGETHER = 3.5
 
 
-class SymmetricOptions(TargetOptions):
+class SymmetricOptions(Options):
     """The options of symmetric photography."""
 
     tolerance: Fraction = Field(
@@ -132,9 +129,9 @@ class Symmetric(Descent[SymmetricState]):
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
         if not images.schedule.count:
-            return state.after(level_row(level, 0, rank_k=0))
+            return state.after(level_row(level, 0))
         limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
-        rank1, rank_k, parts, counts, above = zip(
+        leaves, parts, counts, above = zip(
             *(
                 _refine_nodes(
                     state, select(tree, level - 1, nodes, run), images, limits, memory_bytes
@@ -146,10 +143,10 @@ class Symmetric(Descent[SymmetricState]):
         before = state.rows[-1]
         outcome = _total(above)
         outcome["rank1"] += before["rank1"]
-        row = level_row(level, images.schedule.count, rank_k=0, **_total(counts))
+        row = level_row(level, images.schedule.count, **_total(counts))
         return replace(state, rows=(*state.rows[:-1], {**before, **outcome})).after(
             row,
-            known=(joined([*rank1, *rank_k]), joined([part.leaves for part in parts])),
+            known=(joined(leaves), joined([part.leaves for part in parts])),
             frontier=joined([part.frontier for part in parts]),
         )
 
@@ -165,7 +162,7 @@ class Symmetric(Descent[SymmetricState]):
         first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
         limits = _limits(state, tests=1)
         outcome = classify(state.tree, 0, pieces, first, unsettled, nothing, first, limits)
-        row = level_row(0, 1, nodes=1, rank_k=0, **outcome.counts)
+        row = level_row(0, 1, nodes=1, **outcome.counts)
         return state.after(
             row,
             known=(outcome.leaves,),
@@ -212,11 +209,11 @@ def _refine_nodes(
     images: LevelImages,
     limits: Limits,
     memory_bytes: int,
-) -> tuple[LeafSet, LeafSet, Found, dict[str, int], dict[str, int]]:
+) -> tuple[LeafSet, Found, dict[str, int], dict[str, int]]:
     """Test nodes of the level above the images'; keep them as leaves or sort their children.
 
-    Returns the nodes' own leaves, of rank 1 and of rank k, what became of their children, and the
-    counts of children and of nodes.
+    Returns the nodes' own leaves, what became of their children, and the counts of children and of
+    nodes.
     """
     from rfpipe.methods.symmetric import kernels
 
@@ -226,16 +223,11 @@ def _refine_nodes(
     first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
     divided = Subdivided(tree, level - 1, nodes, first_pair, pieces)
     verdict = rank_test(divided, limits)
-    unsettled = (verdict == DIFFERS) | (verdict == AGREES)
-    smooth = predictable(divided, unsettled, limits)
-    rank1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
-    subdivided = (verdict < CLOSE) & ~smooth
-    chosen = np.flatnonzero(subdivided[node])
+    leaves = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
+    chosen = np.flatnonzero(verdict[node] < CLOSE)
     above = node[chosen]
     settled = verdict[above] == AGREES
     kernels.reconcile(divided.arrays)
-    rank_k = rank_k_leaves(divided, smooth)
     outcome = classify(tree, level, pieces, chosen, settled, nodes, above, limits)
-    smooth_nodes, divided_nodes = (int(np.count_nonzero(each)) for each in (smooth, subdivided))
-    counts = {"rank1": len(rank1), "rank_k": smooth_nodes, "subdivided": divided_nodes}
-    return rank1, rank_k, outcome, {"nodes": len(chosen), **outcome.counts}, counts
+    counts = {"rank1": len(leaves), "subdivided": len(nodes) - len(leaves)}
+    return leaves, outcome, {"nodes": len(chosen), **outcome.counts}, counts

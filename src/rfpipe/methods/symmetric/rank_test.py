@@ -1,10 +1,4 @@
-"""What the pieces of a level say of the nodes above, and of the pairs themselves (thesis §5.1).
-
-Where the images of a node's children predict each other, they make a leaf of rank k for free. With
-``Y = T_ab Omega``, the images in a under the children of b, ``Z = T_ab^T Psi``, those in b under
-the children of a, and ``W = Psi^T T_ab Omega``, their blocks' sums, ``T_ab ~ Y W^+ Z^T`` is the
-generalised Nystroem approximation [Nakatsukasa 2020, arXiv:2009.11392].
-"""
+"""What the pieces of a level say of the nodes above, and of the pairs themselves (thesis §5.1)."""
 
 from __future__ import annotations
 
@@ -28,18 +22,14 @@ from rfpipe.methods.symmetric.nodes import (
     no_nodes,
     select,
 )
-from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
+from rfpipe.transport.hierarchical.leaves import LeafSet
 
 Flags = NDArray[np.bool_]
 
 # The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
 _SPREAD = 3.0
 # Outcomes of the rank test, the better the higher.
-UNTOLD, DIFFERS, AGREES, CLOSE = range(4)
-
-AMPLIFIED = 32.0
-"""How many times the leading term's a term's norm, over its part of the block sums, may be. From 8
-to 128 errors are the same within some per cent (`benchmarks/bench_rank_k.py --sweep`)."""
+DIFFERS, AGREES, CLOSE = range(3)
 
 
 @dataclass(frozen=True)
@@ -99,10 +89,9 @@ def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
     light: they are as alike as can be where all views see the same spots, each of which is lit by
     few rays of any of them.
 
-    `UNTOLD`: there is no evidence, its children are unknown. `DIFFERS`: so they are, unless the
-    node is of a higher rank. `AGREES`: they are leaves, made of the images that are there now; the
-    error of a rank-1 leaf falls with the sides of both its blocks, so that it is some four times
-    less than the node's own. `CLOSE`: nothing is gained by that.
+    `DIFFERS`: its children are unknown. `AGREES`: they are leaves, made of the images that are
+    there now; the error of a rank-1 leaf falls with the sides of both its blocks, so that it is
+    some four times less than the node's own. `CLOSE`: nothing is gained by that.
     """
     from rfpipe.methods.symmetric import kernels
 
@@ -122,9 +111,9 @@ def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
     for outcome, share in ((AGREES, 1.0), (CLOSE, 1.0 / 16)):
         allowed = limits.allowed(noise / samples, samples, share)
         verdict[(ssd / samples <= allowed).all(axis=0)] = outcome
-    verdict[~evident.all(axis=0)] = UNTOLD
+    verdict[~evident.all(axis=0)] = DIFFERS
     if tree.splits_views(level):
-        verdict[:] = UNTOLD
+        verdict[:] = DIFFERS
     return verdict
 
 
@@ -198,64 +187,3 @@ def _profiles(
             outer.at_b[node] + finer[pairs.b] - starts[outer.b[node]],
         ]
     )
-
-
-def predictable(divided: Subdivided, asked: Flags, limits: Limits) -> Flags:
-    """Tell which nodes' images under each child follow from those under the other children, (n,).
-
-    Each of the 4 + 4 images is held out in turn and predicted by the approximation of the others,
-    of rank 3 at most. All four together make a leaf that is better than what passes: the corner of
-    a square is extrapolated from the three others. None on the diagonal passes, where direct light
-    is, and none with a single child on a side. The children's pieces are those measured.
-    """
-    from rfpipe.methods.symmetric import rank_k_kernels as kernels
-
-    tree, level, nodes = divided.tree, divided.level, divided.nodes
-    children = np.diff(tree.child_starts[level])
-    several = np.minimum(children[nodes.block_a], children[nodes.block_b]) > 1
-    passed = np.zeros(len(nodes), np.bool_)
-    chosen = np.flatnonzero(asked & several & (nodes.block_a != nodes.block_b))
-    ssd = np.empty((len(nodes.energy), len(chosen)))
-    noise = np.empty_like(ssd)
-    kernels.leave_one_out(divided.arrays, chosen, AMPLIFIED, ssd, noise)
-    samples = compared_pixels(tree, level, nodes)[chosen]
-    allowed = limits.allowed(noise / samples, samples)
-    passed[chosen] = (ssd / samples <= allowed).all(axis=0)
-    return passed
-
-
-def rank_k_leaves(divided: Subdivided, chosen: Flags) -> LeafSet:
-    """Return the leaves of chosen nodes, as many terms each as their block sums are evidence of.
-
-    Where none is, in a colour channel that had light a level above, the node's rank-1 leaf is kept.
-    The children's pieces may have been reconciled with the nodes'.
-    """
-    from rfpipe.methods.symmetric import rank_k_kernels as kernels
-    from rfpipe.methods.symmetric.kernels import sum_pieces
-
-    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
-    arrays, node = divided.arrays, np.flatnonzero(chosen)
-    block_a, block_b = nodes.block_a[node], nodes.block_b[node]
-    channels, count = len(pieces.values), len(node)
-    children = np.diff(arrays.grid.children)
-    largest = int(children[np.concatenate([block_a, block_b])].max(initial=0))
-    left, right = np.zeros((2, channels, count, largest, largest))
-    rank = np.empty((channels, count), np.int64)
-    sums = np.empty_like(pieces.sums)
-    sum_pieces(arrays.grid.below, pieces.pairs, pieces.values, sums)
-    kernels.invert_cores(arrays, node, AMPLIFIED, sums, left, right, rank)
-    without = (rank == 0) & (nodes.energy[:, node] > 0)
-    terms = np.maximum(rank.max(axis=0), without.any(axis=0))
-    term_a, term_b = np.repeat(block_a, terms), np.repeat(block_b, terms)
-    begin, _, n_values = factor_offsets(arrays.grid.starts, term_a, term_b)
-    factors = np.zeros((channels, n_values), np.float32)
-    first_term = np.append(0, np.cumsum(terms))
-    kernels.combine_pieces(arrays, node, left, right, first_term, begin, factors)
-    if without.any():
-        rank_1 = as_leaves(tree, level, select(tree, level, nodes, chosen)).values
-        at, _, n_values = factor_offsets(arrays.grid.starts, block_a, block_b)
-        sizes = np.diff(np.append(at, n_values))
-        for c, some in enumerate(without):
-            target = ragged_ranges(begin[first_term[:-1][some]], sizes[some])
-            factors[c, target] = rank_1[c, ragged_ranges(at[some], sizes[some])]
-    return LeafSet(level, term_a, term_b, factors)

@@ -85,17 +85,22 @@ class _LogLines(StringIO):
 
 
 class Progress:
-    """Counts patterns, and says when the rest will be done; a context manager.
+    """Counts patterns or steps, and says when the rest will be done; a context manager.
 
     Parameters
     ----------
     name : str
         What is in progress.
     total, done : int
-        Patterns in all, and those done before.
+        In all, and those done before.
+    shown : bool
+    unit : str
+        What is counted, one of them.
     """
 
-    def __init__(self, name: str, total: int, done: int = 0, *, shown: bool = True) -> None:
+    def __init__(
+        self, name: str, total: int, done: int = 0, *, shown: bool = True, unit: str = "pattern"
+    ) -> None:
         from tqdm import tqdm
 
         to_log: dict[str, Any] = {
@@ -104,13 +109,13 @@ class Progress:
             "bar_format": "{desc}: {n_fmt} of {total_fmt} {unit}s, {remaining} to go",
         }  # fmt: skip
         self._bar: Any = tqdm(
-            total=total, initial=done, desc=name, unit="pattern", leave=False, disable=not shown,
+            total=total, initial=done, desc=name, unit=unit, leave=False, disable=not shown,
             **({} if sys.stderr.isatty() else to_log),
         )  # fmt: skip
 
-    def advance(self, patterns: int) -> None:
+    def advance(self, count: int) -> None:
         """Count so many as done."""
-        self._bar.update(patterns)
+        self._bar.update(count)
 
     def __enter__(self) -> Progress:
         return self

@@ -18,17 +18,14 @@ from rfpipe.transport.hierarchical.leaves import (
     decoded,
     merge_leaf_sets,
     pack_leaves,
-    signed_apart,
 )
 from rfpipe.transport.hierarchical.some import Rays, StoredLeaves
-from rfpipe.transport.hierarchical.truncation import collapse, found_later
+from rfpipe.transport.hierarchical.truncation import collapse
 from rfpipe.units import NumberFormat
 
 
 class HierarchicalTransport(CoaxialTransport, LevelTransport):
-    """Symmetric transport as a hierarchical tensor with rank-1, rank-k and scalar leaves.
-
-    A leaf of rank k is k rank-1 leaves over the same pair of blocks, see `LeafSet`.
+    """Symmetric transport as a hierarchical tensor with rank-1 and scalar leaves.
 
     Parameters
     ----------
@@ -68,10 +65,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
 
     def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
-        alike = (
-            part for leaves in self._held for part in signed_apart(self.tree, leaves, number_format)
-        )
-        for index, leaves in enumerate(alike):
+        for index, leaves in enumerate(self._held):
             packed = pack_leaves(self.tree, leaves, number_format)
             prefix = f"level_{leaves.level:02d}_{index:04d}"
             arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
@@ -92,12 +86,6 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     def _truncated(self, level: int) -> Sequence[LeafSet]:
         """Make leaves of what was subdivided at `level` of the blocks."""
         held: list[LeafSet] = [*self._held]
-        of_level = [leaves for leaves in held if leaves.level == level]
-        kept = [leaves for leaves in held if leaves.level < level]
-        below: list[LeafSet] = []
-        for leaves, terms in zip(of_level, found_later(self.tree, of_level), strict=True):
-            kept.append(leaves.subset(self.tree, ~terms) if terms.any() else leaves)
-            if terms.any():
-                below.append(leaves.subset(self.tree, terms))
-        below += (leaves for leaves in held if leaves.level > level)
+        kept = [leaves for leaves in held if leaves.level <= level]
+        below = [leaves for leaves in held if leaves.level > level]
         return [*kept, *collapse(self.tree, below, level, self.channels)]

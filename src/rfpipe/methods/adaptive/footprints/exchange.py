@@ -16,6 +16,7 @@ from rfpipe.methods.adaptive.footprints.candidates import Precision
 from rfpipe.methods.adaptive.footprints.functions import Functions
 from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
 from rfpipe.methods.adaptive.smooth_fit import conjugate_gradients, learned
+from rfpipe.steps import step
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -93,6 +94,7 @@ class Exchange:
         scaling = np.float32(1) / (1 + self._diagonal(light) * np.square(deviations))
         goal = back(self._observed)
         solution = conjugate_gradients(normal, goal, scaling.__mul__, start, *accuracy)
+        step()
         return replace(self, unknowns=deviations * solution)
 
     def beyond(self, allowed: float) -> tuple[Float, Float, Float]:

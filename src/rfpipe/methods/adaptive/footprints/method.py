@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from math import log2
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,10 @@ from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import LevelImages, Method, get_method
 from rfpipe.methods.images import Pictures, nearest
 from rfpipe.methods.states import kept
+from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport, sparse_arrays
+from rfpipe.transport.multiscale import coarsest_scale
 from rfpipe.transport.sum import SumTransport
 
 # Random patterns of each round, a level. The first has to be enough to find footprints. Of several
@@ -127,7 +130,11 @@ class Footprints(Adaptive):
         grey = series_of(pictures.grey() if channels > 1 else pictures, unit, views)
         indices = range(channels if channels > 1 else 0)
         parts = (series_of(pictures.channel(index), unit, views) for index in indices)
-        model = find(state.camera, state.projector, grey, parts, state.found)
+        # two solutions a scale, twice where nothing is known; then one or two of each channel
+        scales = round(log2(coarsest_scale(state.projector.image_shape)))
+        solutions = (2 if state.found is None else 1) * (3 + 2 * scales)
+        with steps("footprints", solutions + (1 + len(indices)) * min(views, 2)):
+            model = find(state.camera, state.projector, grey, parts, state.found)
         arrays = _arrays_of(model, state.camera, state.projector, unit)
         nodes, scalar = len(arrays["cores_columns"]), len(arrays["footprints_columns"])
         state = state.counted(nodes=nodes, scalar=scalar)

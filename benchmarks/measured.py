@@ -1,0 +1,176 @@
+"""The tables of docs/measured.md, and those that README shows of them: ``make measured``.
+
+Acquires what docs/measured/acquisitions.csv lacks of the code as it is, hours from nothing, takes
+the default run's results from ``--run``, if it is there, and writes each table between its
+markers, ``<!-- NAME -->`` and ``<!-- /NAME -->``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from benchmarks.methods.__main__ import run
+from benchmarks.methods.cases import Case, by_place, cases_of, known_keys, newest
+from benchmarks.methods.page import markdown
+from rfpipe.store.files import write_atomically
+
+FOLDER = Path("docs/measured")
+PAGES = (Path("docs/measured.md"), Path("README.md"))
+THESIS = {  # Table 5.1: patterns and MB
+    "plane_i": ("I, one textured plane", 809, 255),
+    "wedge_ii": ("II, two white planes", 1085, 371),
+    "wedge_iii": ("III, white and textured", 1081, 334),
+    "wedge_iv": ("IV, two textured", 841, 274),
+}
+_SIDES = ("48", "96", "192")
+_THESIS_SIDE = "310x350"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Acquire what is missing, then write the tables."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.measured", description=__doc__)
+    parser.add_argument("--run", type=Path, default=Path("results/report/tables"),
+                        help="tables of the default run")  # fmt: skip
+    parser.add_argument("--cache", type=Path, default=Path("results/recorded"),
+                        help="folder of recorded matrices")  # fmt: skip
+    parser.add_argument("--minutes", type=float, default=float("inf"),
+                        help="begin no acquisition after so long")  # fmt: skip
+    parser.add_argument("--table-only", action="store_true", help="acquire nothing")
+    asked = parser.parse_args(arguments)
+    table = FOLDER / "acquisitions.csv"
+    if not asked.table_only:
+        known = known_keys(table)
+        lacking = [case for case in all_cases() if case.key not in known]
+        run(lacking, table, by_place(table), asked.cache, 60 * asked.minutes)
+    if (asked.run / "results.csv").exists():
+        write_atomically(FOLDER / "default_run.csv", default_run(asked.run).encode())
+    for page in PAGES:
+        write_atomically(page, written(page.read_text("utf-8"), FOLDER).encode())
+
+
+def all_cases() -> Iterator[Case]:
+    """List all acquisitions, the largest ones last."""
+    matt, physical = ["wedge_30", "wedge_aside"], ["red_wall_box", "two_blocks"]
+    for side in _SIDES:
+        scenes = matt + physical * (side != _SIDES[-1])
+        yield from cases_of(scenes, ["auto"], ["full"], [1], values=[0.01], side=side)
+    for method, values in (("near_far", [0.01, 0.005, 0.003]), ("symmetric", [1e-2, 3e-3, 1e-3])):
+        scenes = list(THESIS)[1:]
+        yield from cases_of(scenes, [method], ["full"], [0], values=values, side=_THESIS_SIDE)
+    for method, value in (("near_far", 0.005), ("symmetric", 1.5e-4)):
+        yield from cases_of(list(THESIS), [method], ["full"], [0], values=[value],
+                            side=_THESIS_SIDE, channels=3)  # fmt: skip
+
+
+def default_run(tables: Path) -> str:
+    """Return what is shown of the default run's tables, as CSV."""
+    told = pd.read_csv(tables / "results.csv")
+    columns = ["scene", "method", "patterns", "megabytes", "mean_error", "estimated_error",
+               "worst_error", "mean_indirect"]  # fmt: skip
+    return str(told[columns].to_csv(index=False, float_format="%.4g", lineterminator="\n"))
+
+
+def written(text: str, folder: Path) -> str:
+    """Return a page with its tables made anew from the files in a folder."""
+    rows = newest(folder / "acquisitions.csv")
+    makers: dict[str, Callable[[], str]] = {
+        "default run": lambda: _default(pd.read_csv(folder / "default_run.csv")),
+        "methods": lambda: _methods(pd.read_csv(folder / "default_run.csv")),
+        "sides": lambda: _of_sides(rows),
+        "errors": lambda: _of_planes(rows[rows["channels"] == 1]),
+        "thesis": lambda: _of_thesis(rows, list(THESIS)),
+        "thesis, two": lambda: _of_thesis(rows, ["plane_i", "wedge_iv"]),
+    }
+    for name, make in makers.items():
+        begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
+        before, found, after = text.partition(begin)
+        if found:
+            text = f"{before}{begin}\n{make()}\n{end}{after.partition(end)[2]}"
+    return text
+
+
+def _percent(value: Any) -> str:
+    """Return a fraction in per cent, of two digits; a word where there is no such light."""
+    return f"{100 * value:#.2g}".rstrip(".") if value > 0 else "none" if value == 0 else ""
+
+
+def _default(rows: pd.DataFrame) -> str:
+    head = ["scene", "method", "patterns", "MB stored", "mean error, %", "estimated, %",
+            "largest, %", "indirect, %"]  # fmt: skip
+    return markdown(
+        head,
+        (
+            [row.scene, f"`{row.method}`", str(row.patterns), f"{row.megabytes:.2f}",
+             *map(_percent, (row.mean_error, row.estimated_error, row.worst_error,
+                             row.mean_indirect))]
+            for row in rows.itertuples()
+        ),
+    )  # fmt: skip
+
+
+def _methods(rows: pd.DataFrame) -> str:
+    """Return the methods on the default run's scene IV."""
+    own = rows[rows["scene"] == "planes_iv"]
+    return markdown(
+        ["method", "patterns", "mean error, %", "of indirect light, %"],
+        ([f"`{row.method}`", str(row.patterns), _percent(row.mean_error),
+          _percent(row.mean_indirect)] for row in own.itertuples()),
+    )  # fmt: skip
+
+
+def _of_sides(rows: pd.DataFrame) -> str:
+    """Return what `auto` takes for 1 % as pixels grow."""
+    chosen = rows[(rows["method"] == "auto") & rows["side"].isin(_SIDES)]
+    lines = []
+    for scene, own in chosen.groupby("scene", sort=False):
+        at = own.set_index("side")
+        cells = [
+            f"{at.patterns[side]}: {_percent(at.error_mean[side])}, {at.processing_s[side]:.0f} s, "
+            f"{at.memory_gb[side]:.1f} GB" if side in at.index else ""
+            for side in _SIDES
+        ]  # fmt: skip
+        lines.append([f"`{scene}`", *cells])
+    return markdown(["scene", *(f"{side} x {side}" for side in _SIDES)], lines)
+
+
+def _of_planes(rows: pd.DataFrame) -> str:
+    """Return speed against error at the thesis' size."""
+    chosen = rows[(rows["side"] == _THESIS_SIDE) & (rows["status"] == "done")]
+    lines = [
+        [THESIS[str(scene)][0], f"`{method}`",
+         *(f"{row.patterns}: {_percent(row.error_mean)}, {_percent(row.indirect_mean)}"
+           for row in own.sort_values("patterns").itertuples())]
+        for (scene, method), own in chosen.groupby(["scene", "method"])
+    ]  # fmt: skip
+    head = ["scene", "method", "coarse", "finer", "finest"]
+    return markdown(head, ([*line, *[""] * (len(head) - len(line))] for line in lines))
+
+
+def _of_thesis(rows: pd.DataFrame, scenes: Sequence[str]) -> str:
+    """Return acquisitions beside Table 5.1 of the thesis."""
+    own = rows[(rows["side"] == _THESIS_SIDE) & (rows["channels"] == 3)]
+    own = own[(own["status"] == "done") & own["scene"].isin(scenes)]
+    lines = []
+    for row in own.sort_values(["scene", "method"]).itertuples():
+        title, patterns, megabytes = THESIS[str(row.scene)]
+        lines.append(
+            [title, f"`{row.method}`", f"{row.patterns} ({patterns:,})",
+             f"{row.stored_mb:.1f} ({megabytes})",
+             *map(_percent, (row.error_mean, row.error_worst, row.indirect_mean))]
+        )  # fmt: skip
+    head = ["scene, 108,500 rays", "method", "patterns (thesis)", "MB stored (thesis)",
+            "mean error, %", "largest, %", "of indirect light, %"]  # fmt: skip
+    return markdown(head, lines)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    logging.getLogger("benchmark").setLevel(logging.INFO)
+    logging.getLogger("rfpipe").setLevel(logging.ERROR)
+    main()
