@@ -35,6 +35,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "wedge_30": {"kind": "wedge_30", "surfaces": ["white", "white"]},
     "sphere": {"kind": "sphere_on_plane"},
     "white room": {"kind": "room"},
+    "mirror": {"kind": "wedge", "surfaces": ["texture", "texture"]},
 }
 EXPOSURES = [0.015625, 0.0625, 0.25, 1.0]
 
@@ -49,6 +50,10 @@ class Series:
         options = {**SCENES[scene], "shape": [side, side], "channels": 1}
         simulated = scene_from_config(SceneSettings.model_validate(options))
         self.matrix = simulated.dense(0)[None]
+        if scene == "mirror":  # in its lower right quarter, where it turns what is seen
+            rays = np.arange(side**2).reshape(side, side)[side // 2 :, side // 2 :].ravel()
+            bright = np.diag(self.matrix[0])[rays].mean()
+            self.matrix[0][np.ix_(rays, rays)] = bright * np.eye(len(rays))[::-1]
         settings = {
             "scenes": {"desk": {"kind": "captured", "shape": [side, side], "channels": 1}},
             "methods": {"near_far": {}},

@@ -164,12 +164,12 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda folder: (folder / "IMG_3.tif").unlink(), "holds 27 pictures; 14 patterns of 2"),
+        (lambda folder: (folder / "IMG_3.tif").unlink(), "IMG_4.*A picture may be missing before"),
+        (lambda folder: (folder / "IMG_27.tif").unlink(), "holds 27 pictures; 14 patterns of 2"),
         (rewritten("IMG_5.tif", lambda pixels: pixels, 1.0), r"IMG_5.*exposed for 1 s.*0\.5, 2 s"),
         (rewritten("IMG_6.tif", lambda pixels: pixels[:3]), r"3 x 5 pixels.*expected 4 x 5"),
         (rewritten("IMG_7.tif", lambda pixels: pixels.repeat(3, axis=2)), "has 3 channels"),
         (rewritten("IMG_7.tif", lambda pixels: pixels / np.float32(9)), "holds light"),
-        (rewritten("IMG_7.tif", lambda pixels: (pixels >> 8).astype(np.uint8)), "counts of 8 bits"),
         (rewritten("IMG_8.tif", lambda pixels: np.full_like(pixels, 65535)), "add a shorter one"),
         (rewritten("IMG_9.tif", lambda pixels: np.full_like(pixels, 1000)), "lens cap"),
         (swapped, "doesn't begin with the marker"),
@@ -191,9 +191,9 @@ def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(tmp_path: Path
     pictures, kept = sheet / "pictures", tmp_path / "r" / "desk" / "symmetric" / "L00"
     swapped(pictures, (12, 14), (13, 15))
     said = command("import", sheet, fails=True)
-    assert "IMG_12.tif, of 0006_random.png, shows 0007_random.png" in said
+    assert "IMG_12.tif shows the pattern of IMG_14.tif" in said
     assert not list(kept.glob("reference.zarr/c.*"))
-    assert "None of the pictures" in command("import", sheet, "--anyway", fails=True)
+    assert "None of these pictures" in command("import", sheet, "--anyway", fails=True)
     assert not kept.exists()
     swapped(pictures, (12, 14), (13, 15))
     command("import", sheet)

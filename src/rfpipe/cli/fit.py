@@ -70,18 +70,13 @@ def fit(
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor
     series = read_series(folder, lights=lights, camera=camera, black=black, transfer=transfer)
-    result = fit_transport(series, coaxial=coaxial)
-    doubts = "; ".join(result.doubts)
-    if doubts and not anyway:
-        raise InputError(f"{folder}: {doubts}. To write it all the same: --anyway")
+    result = fit_transport(series, coaxial=coaxial, anyway=anyway)
     save_transport(result.transport, output, scene=folder.name, method="fit")
     count, rays = series.patterns.shape
     typer.echo(
         f"{output}: {count} pictures of {rays} projector rays "
         f"({'complete' if result.complete else f'{series.rank} independent'}), by {result.model}"
     )
-    if doubts:
-        typer.echo(f"{output}: {doubts}", err=True)
     typer.echo(
         "no error is known: each pattern is needed. A few more patterns would tell"
         if result.error is None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import shutil
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -53,11 +52,7 @@ def import_(
         typer.Option(help="Folder of the pictures; 'pictures' in the sheet's folder by default."),
     ] = None,
     anyway: Annotated[
-        bool,
-        typer.Option(
-            "--anyway",
-            help="Take pictures that are too bright or dark or don't seem to show their patterns.",
-        ),
+        bool, typer.Option("--anyway", help="Take pictures that seem wrong.")
     ] = False,
     take_back: Annotated[
         bool, typer.Option("--take-back", help="Remove what was imported from here on, instead.")
@@ -74,8 +69,8 @@ def import_(
     from rfpipe.config import load_config
     from rfpipe.errors import CaptureError
     from rfpipe.pictures import picture_files
-    from rfpipe.rigs.offline import read_sheet
-    from rfpipe.stages.offline import PICTURES, OfflineAcquisition
+    from rfpipe.rigs.offline import PICTURES, read_sheet
+    from rfpipe.stages.offline import OfflineAcquisition
 
     sheet = read_sheet(folder)
     about = sheet.about
@@ -99,8 +94,8 @@ def import_(
         if not is_new:
             raise
         acquisition.take_back(about["level"])
-        raise CaptureError(f"{error}. None of the pictures in {folder} is kept") from error
-    before = "imported before, and left as they are: --take-back comes before other pictures"
+        raise CaptureError(f"{error}. None of these pictures is kept") from error
+    before = "imported before and left as they are; others come after --take-back"
     typer.echo(f"{folder}: {len(checked.files)} brackets {'imported' if is_new else before}")
     further = None if level is None else acquisition.write(rig, folder.parent, config, results)
     _tell(f"{scene} by {name}", further, results / scene / name, config)
@@ -108,14 +103,12 @@ def import_(
 
 def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
     """Say what is to be done next."""
-    beside = str(Path(sys.executable).with_name("rfpipe"))
-    program = "rfpipe" if shutil.which("rfpipe") else beside
     if sheet is None:
-        home, settings = folder.absolute().parents[2], config.absolute()
-        run = shlex.join([program, "run", "--directory", str(home), "--configfile", str(settings)])
+        home, settings = str(folder.absolute().parents[2]), str(config.absolute())
+        run = [sys.argv[0], "run", "--directory", home, "--configfile", settings]
         typer.echo(
             f"{acquisition}: nothing more is asked for; the transport is "
-            f"{folder / 'transport.zarr'}. For the report: {run}"
+            f"{folder / 'transport.zarr'}. For the report: {shlex.join(run)}"
         )
         return
     about: dict[str, Any] = sheet.about
@@ -124,5 +117,5 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
         f"{acquisition}: level {about['level']} asks for {len(sheet.patterns)} patterns "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
         f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "
-        f"{shlex.join([program, 'import', str(sheet.folder)])}"
+        f"{shlex.join([sys.argv[0], 'import', str(sheet.folder)])}"
     )

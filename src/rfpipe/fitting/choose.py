@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.fitting.folder import Series
-from rfpipe.fitting.linear import misfits, solve_linear
+from rfpipe.fitting.linear import solve_linear, strange_pictures
 from rfpipe.methods.adaptive.estimate import relit
 from rfpipe.methods.adaptive.residual import Canvas, residual_of
 from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.states import joined, level_row
-from rfpipe.pictures.order import Shown
 from rfpipe.provenance import generator
 from rfpipe.relighting import relative_errors
 from rfpipe.transport.base import Transport
@@ -39,9 +38,6 @@ class Fit:
         noise that they are known to have. None where each pattern is needed.
     held_out : int
         Pictures that were left out.
-    doubts : tuple of str
-        Reasons for which the transport is worth nothing: pictures that contradict the others, or
-        more rays than the patterns tell of.
     """
 
     transport: Transport
@@ -49,10 +45,9 @@ class Fit:
     complete: bool
     error: float | None
     held_out: int
-    doubts: tuple[str, ...] = ()
 
 
-def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
+def fit_transport(series: Series, *, coaxial: bool = False, anyway: bool = False) -> Fit:
     """Find the light transport behind pictures.
 
     Parameters
@@ -61,67 +56,59 @@ def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
     coaxial : bool
         Whether camera and projector share their rays. Near/far's model is fitted, too, and taken
         where it predicts pictures better that are left out of the fits.
+    anyway : bool
+        Whether to return a transport that is worth little, too.
 
     Raises
     ------
     InputError
-        When the pictures of a coaxial rig don't allow near/far's model.
+        When the pictures of a coaxial rig don't allow near/far's model; when pictures contradict
+        the others, or the patterns tell of little more than the mean picture.
     """
     models = {"least squares": solve_linear}
     if coaxial:
         _check_coaxial(series)
         models["near/far"] = _solve_near_far
     complete, held = series.is_complete, _held_out(series)
-    rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
+    rest, left_out = (
+        series.some(np.setdiff1d(np.arange(len(series.patterns)), held)),
+        series.some(held),
+    )
     errors: dict[str, float] = {}
     # of patterns that are just complete, one that is left out isn't told of by the others
     if held.size and not (complete and not rest.is_complete):
         errors = {
-            name: _error(solve(rest, []), series.some(held)) for name, solve in models.items()
+            name: _error(relit(solve(rest, []), left_out.patterns), left_out)
+            for name, solve in models.items()
         }
     best = min(errors, key=lambda name: errors[name]) if errors else "least squares"
     row = level_row(0, len(series.patterns))
     if errors:
         row["estimated_error"] = errors[best]
+        doubts = _doubts(series, rest, left_out, errors[best])
+        if doubts and not anyway:
+            raise InputError(f"{doubts} To take them all the same: --anyway")
     transport = models[best](series, [row])
-    doubts = _contradictions(series, coaxial=coaxial) if errors or coaxial else []
-    if errors and not doubts:
-        doubts = _too_few(series, errors[best], _error_of_mean(rest, series.some(held)), coaxial)
-    held_out = len(held) if errors else 0
-    return Fit(transport, best, complete, errors.get(best), held_out, tuple(doubts))
+    return Fit(transport, best, complete, errors.get(best), len(held) if errors else 0)
 
 
-def _contradictions(series: Series, *, coaxial: bool) -> list[str]:
-    """Say which pictures don't fit the others or, on a coaxial rig, their patterns."""
-    said, shape = list[str](), series.projector_shape
-    if coaxial and len(shape) == 2:
-        light, variance = (
-            each.sum(axis=1, dtype=np.float64).reshape(-1, *shape)
-            for each in (series.radiance, series.variance)
-        )
-        white = light[series.patterns.all(axis=1)].mean(axis=0)
-        names = [f"the pattern of {name}" for name in series.names]
-        shown = Shown(series.patterns.reshape(light.shape), names, light, variance, white)
-        said += [f"{series.names[index]} {what}" for index, what in shown.misplaced().items()]
-    found = {} if said else misfits(series)
-    if pair := found.get("exchanged"):
-        said.append(" and ".join(series.names[list(pair)]) + " fit the others when exchanged")
-    strange = series.names[list(found.get("strange", ()))]
-    return said + [f"{name} doesn't fit the others" for name in strange]
-
-
-def _too_few(series: Series, error: float, by_mean: float, coaxial: bool) -> list[str]:
-    """Say that a fit predicts little more than the mean picture, if so, and what would help."""
+def _doubts(series: Series, rest: Series, held: Series, error: float) -> str:
+    """Say which pictures contradict the others, or that the fit is hardly better than a mean."""
+    if (strange := strange_pictures(series)).size:
+        names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
+        worst = ", ".join(names[index] for index in strange[:4])
+        return f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"
+    mean = rest.radiance.mean(axis=0, dtype=np.float64) / rest.patterns.mean(dtype=np.float64)
+    by_mean = _error(held.patterns.mean(axis=1)[:, None, None] * mean, held)
     if error <= 0.5 * by_mean:
-        return []
+        return ""
     rank, rays = series.rank, series.patterns.shape[1]
-    more = f"; take {rays - rank} more" if rank < rays else ", or not in so much noise"
-    other = "" if coaxial else ", or give --coaxial where camera and projector share their rays"
-    said = (
-        f"left-out pictures are off by {error:.0%}, and by {by_mean:.0%} where each is taken for "
-        f"the mean one: {rank} independent patterns don't tell of {rays} rays{more}{other}"
+    return (
+        f"left-out pictures are off by {error:.0%}, by {by_mean:.0%} where each is taken for the "
+        f"mean one: {rank} independent patterns tell too little of {rays} rays. Take "
+        f"{max(rays - rank, 0)} more and in less noise, see that none are exchanged, or give "
+        "--coaxial where camera and projector share their rays."
     )
-    return [said]
 
 
 def _check_coaxial(series: Series) -> None:
@@ -164,18 +151,9 @@ def _held_out(series: Series) -> NDArray[np.int64]:
     return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
 
 
-def _error_of_mean(rest: Series, held: Series) -> float:
-    """Return the mean error of pictures that are each taken for the mean of others, as bright."""
-    mean = rest.radiance.mean(axis=0, dtype=np.float64) / rest.patterns.mean(dtype=np.float64)
-    guess = held.patterns.mean(axis=1, dtype=np.float64)[:, None, None] * mean
-    wrong = np.square(guess - held.radiance).sum(axis=(1, 2))
-    light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
-    return float(np.sqrt(wrong[light > 0] / light[light > 0]).mean()) if light.any() else 1.0
-
-
-def _error(found: Transport, held: Series) -> float:
-    """Return the mean error of pictures that aren't black, less their own noise."""
-    residual = relit(found, held.patterns) - held.radiance
+def _error(guess: NDArray[Any], held: Series) -> float:
+    """Return the mean error of a guess at pictures that aren't black, less their own noise."""
+    residual = guess - held.radiance
     wrong = np.square(residual, dtype=np.float64).sum(axis=(1, 2))
     wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
     light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))

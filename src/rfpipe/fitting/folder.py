@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,7 +39,7 @@ class Series:
     variance : ndarray of float32, shape (K, C, M)
         Of `radiance`, at least 0; 0 where nothing is known of it.
     names : sequence of K str
-        Of the pictures; their numbers where there are none.
+        Of the pictures; empty where they have none.
 
     Raises
     ------
@@ -51,14 +52,12 @@ class Series:
     patterns: Float
     radiance: Float
     variance: Float
-    names: NDArray[np.str_] = field(default_factory=lambda: np.array([], np.str_))
+    names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         rays = prod(ray_shape(self.camera_shape, "camera_shape"))
         lights = prod(ray_shape(self.projector_shape, "projector_shape"))
         count = len(self.patterns)
-        if len(self.names) != count:
-            object.__setattr__(self, "names", np.arange(1, count + 1).astype(np.str_))
         pictures = (count, self.channels, rays)
         for name, shape in (
             ("patterns", (count, lights)), ("radiance", pictures), ("variance", pictures)
@@ -93,8 +92,8 @@ class Series:
 
     def some(self, chosen: NDArray[np.int64]) -> Series:
         """Return some of the pictures."""
-        parts = ("patterns", "radiance", "variance", "names")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in parts})
+        parts = {name: getattr(self, name)[chosen] for name in ("patterns", "radiance", "variance")}
+        return replace(self, **parts, names=())
 
 
 def read_series(
@@ -158,7 +157,7 @@ def read_series(
             darkness = [_light(path, transfer, differ) for [path] in dark]
             radiance -= np.mean(darkness, axis=0, dtype=np.float64).astype(np.float32)
         variance = np.zeros_like(radiance)
-    names = np.array([files[0].name for files in brackets])
+    names = [files[0].name for files in brackets]
     return Series(headers[0].size, weights.shape[1:], patterns[lit], radiance, variance, names)
 
 
