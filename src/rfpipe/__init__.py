@@ -15,36 +15,21 @@ from typing import TYPE_CHECKING
 from rfpipe import errors
 
 if TYPE_CHECKING:
-    from rfpipe.environment import environment_weights, read_lights
-    from rfpipe.photometry import CameraModel
-    from rfpipe.relighting import picture_errors, relighting_pictures
-    from rfpipe.rigs import OperatorRig
-    from rfpipe.stages.acquire import acquire
-    from rfpipe.transport import coarser, open_transport
-    from rfpipe.transport.collection import Collection, open_collection
-    from rfpipe.transport.matrix_in import read_matrix
-    from rfpipe.transport.rays import crop
-    from rfpipe.version import __version__
-    from rfpipe.weights import picture_weights
-
-__all__ = [
-    "CameraModel",
-    "Collection",
-    "OperatorRig",
-    "__version__",
-    "acquire",
-    "coarser",
-    "crop",
-    "environment_weights",
-    "errors",
-    "open_collection",
-    "open_transport",
-    "picture_errors",
-    "picture_weights",
-    "read_lights",
-    "read_matrix",
-    "relighting_pictures",
-]
+    from rfpipe.environment import environment_weights as environment_weights
+    from rfpipe.environment import read_lights as read_lights
+    from rfpipe.photometry import CameraModel as CameraModel
+    from rfpipe.relighting import picture_errors as picture_errors
+    from rfpipe.relighting import relighting_pictures as relighting_pictures
+    from rfpipe.rigs import OperatorRig as OperatorRig
+    from rfpipe.stages.acquire import acquire as acquire
+    from rfpipe.transport import coarser as coarser
+    from rfpipe.transport import open_transport as open_transport
+    from rfpipe.transport.collection import Collection as Collection
+    from rfpipe.transport.collection import open_collection as open_collection
+    from rfpipe.transport.matrix_in import read_matrix as read_matrix
+    from rfpipe.transport.rays import crop as crop
+    from rfpipe.version import __version__ as __version__
+    from rfpipe.weights import picture_weights as picture_weights
 
 _HOMES = {
     "CameraModel": "rfpipe.photometry",
@@ -63,6 +48,8 @@ _HOMES = {
     "read_matrix": "rfpipe.transport.matrix_in",
     "relighting_pictures": "rfpipe.relighting",
 }
+
+__all__ = ["errors", *_HOMES]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> object:

@@ -64,13 +64,6 @@ def test_a_healthy_bench_is_good(tmp_path: Path) -> None:
     assert (tmp_path / "figures" / "scene.png").stat().st_size > 5000
 
 
-def test_exposures_far_too_short_are_too_dark(tmp_path: Path) -> None:
-    exposures = [2e-5, 8e-5, 32e-5]
-    verdicts, _, _ = calibrated(tmp_path, ["scene"], sensor={"exposures": exposures})
-    assert verdicts["scene"]["standing"] == "poor"
-    assert "longer exposures" in verdicts["scene"]["verdict"]
-
-
 @pytest.mark.parametrize("light", [{"ambient": 0.3}, {"projector_black": 0.05}])
 def test_light_that_fills_the_dark_leads_no_step_astray(
     tmp_path: Path, light: dict[str, float]
@@ -92,7 +85,7 @@ def test_a_calibration_that_is_not_good_is_not_served(
     rig.write_text(json.dumps(plain))
     done = CliRunner().invoke(app, ["calibrate", str(rig), "--output", str(folder)])
     assert done.exit_code == 1
-    assert "not good: rays of camera and projector" in done.output
+    assert "Rays of camera and projector: NOT GOOD" in done.output
     found = CalibrationFolder(folder)
     count, total = found.read("rays").facts["unseen_rays"], RAYS**2
     assert 0.3 * total < count < 0.7 * total

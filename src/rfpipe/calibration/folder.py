@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from rfpipe.errors import InputError, IntegrityError, RfpipeError, StoreError
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.build import devices_from_config
-from rfpipe.rigs.calibrated import STANDINGS, Calibration, write_calibration
+from rfpipe.rigs.calibrated import Calibration, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import StoreLock, open_arrays, read_manifest, write_arrays, write_manifest
@@ -83,8 +83,7 @@ STEPS: dict[str, Step] = {
 
 def steps_of(settings: CalibrationConfig) -> dict[str, Step]:
     """Return the steps of a rig by name."""
-    every = STEPS.items()
-    return {name: step for name, step in every if settings.coaxial or not step.is_coaxial}
+    return {name: step for name, step in STEPS.items() if settings.coaxial or not step.is_coaxial}
 
 
 @dataclass(frozen=True)
@@ -243,12 +242,10 @@ def calibrate(
                 _log.info("%s: done before", step.title)
                 continue
             count = partial(progress, step.title) if progress else lambda _: nullcontext()
-            bench = Bench(projector, camera, settings, rays, needs, count)
-            findings = _measured(step, bench)
+            findings = _measured(step, Bench(projector, camera, settings, rays, needs, count))
             folder.write(step.name, findings, made_for)
             level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
-            standing, text = STANDINGS[findings.verdict.standing], findings.verdict.text
-            _log.log(level, "%s: %s. %s", step.title, standing, text)
+            _log.log(level, "%s: %s", step.title, findings.verdict)
         if only is None:
             finish(folder, settings)
 
@@ -276,13 +273,15 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
 
 def _measured(step: Step, bench: Bench) -> Findings:
     """Measure a step; where that can't be done though the devices work, that is the finding."""
-    for name, one in bench.found.items():
-        if one.verdict.standing == "failed":
-            text = f"Not measured, as this failed: {STEPS[name].title.lower()}."
-            return Findings(Verdict("failed", text))
+    standings = {name: one.verdict.standing for name, one in bench.found.items()}
+    bad = [name for name, standing in standings.items() if standing in ("poor", "failed")]
+    mend = f"Mend {bad[0]} first. " if bad else ""
+    if "failed" in standings.values():
+        return Findings(Verdict("failed", f"{mend}There is nothing that this can build on."))
     try:
-        return step.measure(bench)
+        found = step.measure(bench)
     except DeviceError as failure:
         raise failure.args[0] from None
     except RfpipeError as error:
-        return Findings(Verdict("failed", f"Could not be measured: {error}."))
+        found = Findings(Verdict("failed", f"Could not be measured: {error}."))
+    return replace(found, verdict=found.verdict._replace(text=mend + found.verdict.text))

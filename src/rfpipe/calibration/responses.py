@@ -62,25 +62,25 @@ def measure_linearity(bench: Bench) -> Findings:
             less, more = signal[k : k + 2, inside]
             rest = less * ratio - more  # fixed differences between photosites cancel
             sums[:, k] += _binned(at[inside], bins, less, more, rest**2)
-    ratio = np.broadcast_to(ratios[:, None], sums.shape[1:])
     there = (sums[0] >= _LEAST_PIXELS) & (sums[1] > 0)
+    ratio = np.broadcast_to(ratios[:, None], there.shape)[there]
     count, short, long, squares = sums[:, there]
-    ratio = ratio[there]
-    scatter = squares - (short * ratio - long) ** 2 / count
-    # rounding is no chance: noise below a step, of which it may feign a quarter, leaves a mean up
-    # to this share of a step off
-    noise = np.maximum(scatter / count / ratio**2 - 1 / 4, 0)
-    rounding = np.exp(-2 * np.pi**2 * noise) / np.pi * ratio * count / long
-    error = np.sqrt(scatter) / long + rounding / _SURE
-    error += dark["black_level_error"] * (ratio - 1) * count / long
-    deviation = short * ratio / long - 1
-    arrays = {"level": long / span / count, "deviation": deviation, "error": error}
-    known = error < max(tolerance, 1e-3)
-    short, long, ratio, error = (values[known] for values in (short, long, ratio, error))
-    facts = _exponent(short, long, ratio, error, tolerance) if known.any() else {}
-    facts |= {"tolerance": tolerance, "compared_levels": int(known.sum())}
-    linear = {"kind": "Linear", "response_gamma": 1.0}
-    return Findings.of("linearity", {**linear, **facts}, arrays)
+    scatter = np.maximum(squares - (short * ratio - long) ** 2 / count, 0)
+    # rounding is no chance: without noise, of which it may feign a quarter, means and black level
+    # are up to half a step off, all the same way
+    dither, dark_dither = (
+        np.exp(-2 * np.pi**2 * np.maximum(noise - 1 / 4, 0)) / 2
+        for noise in (scatter / count / ratio**2, dark["variance_counts2"][0])
+    )
+    of_black = dark["black_level_error"] + dark_dither / _SURE
+    offset = dither / _SURE * (ratio + 1) + of_black * (ratio - 1)
+    error = (np.sqrt(scatter) + offset * count) / long
+    arrays = {"level": long / span / count, "deviation": short * ratio / long - 1, "error": error}
+    # that exposures agree is told by levels that are well known, that they don't by any
+    known = int((error < max(tolerance, 1e-3)).sum())
+    facts = _exponent(short, long, ratio, error, tolerance) if there.any() else {}
+    linear = {"kind": "Linear", "response_gamma": 1.0, "compared_levels": known}
+    return Findings.of("linearity", {**linear, **facts, "tolerance": tolerance}, arrays)
 
 
 def _exponent(
@@ -88,22 +88,20 @@ def _exponent(
 ) -> dict[str, Any]:
     """Judge sums of counts by the exponent that makes exposures of each pair `ratio` apart."""
 
-    def beyond(deviation: Double) -> float:
-        """Return the largest deviation beyond its error."""
+    def beyond(gamma: float) -> float:
+        """Return the largest deviation beyond its error, an exponent undone."""
+        deviation = short**gamma * ratio / long**gamma - 1
         return float(np.maximum(np.abs(deviation) - _SURE * error, 0).max())
 
-    worst = beyond(short * ratio / long - 1)
-    facts: dict[str, Any] = {"worst_deviation": worst, "deviation": worst}
-    if worst <= tolerance:
-        return facts
     # one exponent for pairs of all ratios
     apart, steps = (np.average(np.log(x), weights=error**-2) for x in (ratio, long / short))
-    gamma = float(apart / steps) if steps > 0 else np.inf
-    if 0.2 <= gamma <= 5 and abs(gamma - 1) > _STRAIGHT:
-        misfit = beyond(short**gamma * ratio / long**gamma - 1)
-        if misfit <= tolerance:
-            kind = f"Undone as a power law of exponent {gamma:.3g}"
-            facts |= {"response_gamma": gamma, "deviation": misfit, "kind": kind}
+    gamma, worst = float(apart / max(steps, 1e-9)), beyond(1.0)
+    facts: dict[str, Any] = {"worst_deviation": worst, "deviation": worst}
+    is_known = np.average(error, weights=error**-2) / apart < _STRAIGHT < abs(gamma - 1)
+    if worst > tolerance and is_known and 0.2 <= gamma <= 5 and beyond(gamma) <= tolerance:
+        kind = f"Undone as a power law of exponent {gamma:.3g}"
+        facts |= {"response_gamma": gamma, "deviation": beyond(gamma), "kind": kind}
+        facts["compared_levels"] = len(error)
     return facts
 
 
@@ -249,18 +247,14 @@ def measure_transfer(bench: Bench) -> Findings:
         added = current, dark_variance, weight, np.ones(len(current))
         bins = [np.append(old, new[bare]) for old, new in zip(bins, added, strict=True)]
     fit = fit_noise(*bins)
-    facts = {
-        **_noise_facts(fit, dark),
-        "full_well_electrons": fit.gain * span,
-    }
     curve = fit.read + signal / fit.gain + step**2 / 12
     arrays = {
         "signal": signal, "variance": variance, "error": error, "model": curve, "used": used
     }  # fmt: skip
-    return Findings.of("transfer", facts, arrays)
+    return Findings.of("transfer", _noise_facts(fit, dark, span), arrays)
 
 
-def _noise_facts(fit: NoiseFit, dark: Findings) -> dict[str, Any]:
+def _noise_facts(fit: NoiseFit, dark: Findings, span: float) -> dict[str, Any]:
     """Return what the camera model and the verdict need of a fit."""
     read = fit.gain * np.sqrt(fit.read)
     read_error = fit.gain * fit.read_error / (2 * np.sqrt(max(fit.read, fit.read_error)))
@@ -269,10 +263,10 @@ def _noise_facts(fit: NoiseFit, dark: Findings) -> dict[str, Any]:
     return {
         "electrons_per_count": fit.gain,
         "electrons_per_count_error": fit.gain_error,
+        "full_well_electrons": fit.gain * span,
         "read_noise_electrons": read,
         "read_noise_error": read_error,
         "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * fit.gain),
-        "dark_current_error": dark["current_error"] * fit.gain,
         "misfit": fit.misfit,
         "known_within": 2 * max(fit.gain_error / fit.gain, of_darkness),
         "numbers": f"{fit.gain:.3g} +- {fit.gain_error:.2g} electrons a count, read noise "

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.black import LONGEST_SECONDS, bearable_seconds
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.pictures.images import srgb
 from rfpipe.units import SATURATION_FRACTION
@@ -100,26 +101,42 @@ def measure_sight(
     is_few = bool(lit.sum() < _FEW)
     of_lit = rates.ravel() if is_few else rates[lit]
     brightest, brighter = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
-    level = min(float(np.median(black[0])), white_level / 2)
+    # a saturated frame is of the least light that it may be
+    last = max(
+        (k for k in range(1, len(off_full)) if k == 1 or off_full[k].mean() < 0.5), default=0
+    )
+    low, high = black[0].mean(), black[last].mean()
+    rate = max(float(high - low), 0.0) / max(exposures[last] - exposures[0], 1e-9)
+    level = min(float(low) - rate * exposures[0], white_level / 2)
+    bearable = bearable_seconds(white_level - level, rate)
     share = float(saturated.sum() / max(lit.sum(), 1))
+    # as many exposures, as far apart, the brightest pixels just below saturation in the shortest
+    fitting = _AIM * (white_level - level) / brightest if brightest > 0 else exposures[0]
+    wanted = exposures[-1] * (1 / _DARKER if share > 0.01 else fitting / exposures[0])
+    longer = min(wanted, bearable) / exposures[-1]
+    reached = float(brighter * exposures[-1] / (white_level - level))
     seen = (signal > _SURE * noise[:, None, None]) & ~off_full
     sides = {"upper": lit[0], "lower": lit[-1], "left": lit[:, 0], "right": lit[:, -1]}
     edges = [name for name, side in sides.items() if side.mean() > 0.1]
+    is_black = off_full[0].mean() <= 0.01
     facts = {
         "lit_share": float(lit.mean()),
         "edges_left": len(edges),
         "edges": ", ".join(edges),
-        **_exposed(brightest, brighter, white_level - level, exposures, share > 0.01),
+        "bearable_s": bearable,
+        "wanted_s": min(wanted, LONGEST_SECONDS),
+        "shortest_s": exposures[0],
+        "longest_s": exposures[-1],
+        "longer_times": longer,
+        "less_noise": float(np.sqrt(longer)),
+        "proposed_exposures_s": [float(f"{one * longer:.2g}") for one in exposures],
         "stripes_pixels": period,
         "focus_contrast": float(np.nanmedian(focus)) if np.isfinite(focus).any() else None,
-        "black_level": float(level),
+        "black_level": level,
         "saturated_share": share,
         "black_saturated_share": float(off_full[0].mean()),
-    }
-    is_black = facts["black_saturated_share"] <= 0.01
-    facts |= {
         "overexposed_share": share if is_black else None,
-        "brighter_level": facts["brighter_level"] if is_black and not is_few else None,
+        "brighter_level": reached if is_black and not is_few else None,
         "is_stripeless": int(is_black and is_few),
     }
     arrays = {
@@ -145,27 +162,6 @@ def sight_picture(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -
     picture[saturated], picture[dark] = RED, BLUE
     picture[binary_dilation(lit, np.ones((3, 3), bool)) & ~lit] = YELLOW
     return picture
-
-
-def _exposed(
-    brightest: float, brighter: float, span: float, exposures: Sequence[float], is_over: bool
-) -> dict[str, Any]:
-    """Return how bright the lit pixels are (counts a second), and a bracket that suits them.
-
-    It has as many exposures, as far apart, the brightest pixels just below saturation; none longer
-    than a minute.
-    """
-    proposed = list(exposures)
-    if brightest > 0:
-        first = exposures[0] / _DARKER if is_over else _AIM * span / brightest
-        scaled = [float(f"{one * first / exposures[0]:.2g}") for one in exposures]
-        proposed = list(dict.fromkeys(min(one, 60.0) for one in scaled))
-    return {
-        "shortest_s": exposures[0],
-        "longest_s": exposures[-1],
-        "brighter_level": float(brighter * exposures[-1] / span),
-        "proposed_exposures_s": proposed,
-    }
 
 
 def _filled(lit: Mask) -> Mask:

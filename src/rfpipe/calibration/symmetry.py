@@ -18,7 +18,6 @@ from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs.layout import ProjectorLayout
 
-Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
 CONFIDENCE = 2.0

@@ -70,10 +70,8 @@ def fit_transport(series: Series, *, coaxial: bool = False, anyway: bool = False
         _check_coaxial(series)
         models["near/far"] = _solve_near_far
     complete, held = series.is_complete, _held_out(series)
-    rest, left_out = (
-        series.some(np.setdiff1d(np.arange(len(series.patterns)), held)),
-        series.some(held),
-    )
+    rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
+    left_out = series.some(held)
     errors: dict[str, float] = {}
     # of patterns that are just complete, one that is left out isn't told of by the others
     if held.size and not (complete and not rest.is_complete):

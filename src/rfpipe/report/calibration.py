@@ -53,7 +53,7 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     lead = "; ".join(f"{STEPS[name].title}: {read[name]}" for name in faults)
     rows = [[STEPS[name].title, standing] for name, standing in read.items()]
     table = Table("Verdicts", "", ["step", "verdict"], rows, 2, is_folded=False)
-    reasons = [f"{STEPS[name].title}: {_verdict(done[name])}" for name in faults]
+    reasons = [f"{STEPS[name].title}: {done[name].verdict}" for name in faults]
     sections = [_section(name, done[name]) for name in sorted(done, key="scene".__ne__)]
     sections.insert(0, Section("verdicts", "Verdicts", [table], reasons))
     page, lead = folder.path / "report.html", lead or "No step found a fault."
@@ -61,13 +61,9 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     return page
 
 
-def _verdict(findings: Findings) -> str:
-    return f"{STANDINGS[findings.verdict.standing]}. {findings.verdict.text}"
-
-
 def _section(name: str, findings: Findings) -> Section:
     title = STEPS[name].title
-    verdict = f"Verdict: {_verdict(findings)}"
+    verdict = f"Verdict: {findings.verdict}"
     if findings.verdict.standing == "failed":
         return Section(name, title, [], [verdict])
     numbers = [

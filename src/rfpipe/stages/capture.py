@@ -87,7 +87,8 @@ def run(
     """
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):
-        _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
+        if of_level.count:
+            _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
         return
     parts = (*before.values(), of_level)
     for part in parts:

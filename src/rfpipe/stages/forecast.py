@@ -70,9 +70,9 @@ def forecast(settings: Config) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``scene``, ``method``; ``rays`` of the projector, ``levels``; ``patterns`` that the method
-        expects, ``seconds`` on the rig, ``disk`` and ``memory`` in bytes, before compression; and
-        ``most`` patterns, of a scene without any structure, with their ``most_seconds``;
-        ``adapts``: whether the method may end earlier, by its own estimate.
+        expects, at most where it ``ends_itself`` by its estimate of the error; ``seconds`` on the
+        rig, ``disk`` and ``memory`` in bytes, before compression; and ``most`` patterns, of a scene
+        without any structure, with their ``most_seconds``.
 
     Raises
     ------
@@ -104,12 +104,12 @@ def forecast(settings: Config) -> pd.DataFrame:
             {
                 "scene": scene, "method": name,
                 "rays": plan.projector.size, "levels": plan.n_levels,
-                "patterns": expected, "seconds": warm_up + each * (expected + references),
+                "patterns": expected, "ends_itself": plan.method.estimates_error,
+                "seconds": warm_up + each * (expected + references),
                 "disk": disk_bytes(sensor, *camera, brackets, expected),
                 "memory": plan.method.memory_bytes(*rays, plan.channels, plan.options)
                 + settings.scenes[scene].simulation_bytes,
                 "most": most, "most_seconds": warm_up + each * (most + references),
-                "adapts": plan.method.estimates_error,
             }
         )  # fmt: skip
     return pd.DataFrame(rows)

@@ -25,24 +25,7 @@ _FLOAT32_BITS = 24
 
 
 class CoaxialTransport(Transport):
-    """A symmetric transport over the ray domain, `shape`, that camera and projector share."""
-
-    stored_names = ("shape",)
-
-    def __init__(
-        self,
-        shape: tuple[int, ...],
-        channels: int,
-        level_rows: list[dict[str, Any]],
-        held: Any,
-        nbytes: int | None = None,
-    ) -> None:
-        super().__init__(shape, shape, channels, level_rows, held, nbytes)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The ray domain."""
-        return self.camera_shape
+    """A symmetric transport over the ray domain that camera and projector share."""
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c = T c`` for planar images ``(P, K, N)``."""

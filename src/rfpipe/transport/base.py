@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
+from rfpipe.errors import InputError, installing
 from rfpipe.store.arrays import ArrayBundle, write_arrays
-from rfpipe.transport.algebra import MatrixAlgebra, Rays
+from rfpipe.transport.algebra import MatrixAlgebra, Rays, chosen_rays
 from rfpipe.units import NumberFormat
 from rfpipe.weights import as_weights
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator
+    from xarray import DataArray
 
     from rfpipe.transport.compensation import Compensation
     from rfpipe.transport.correspondence import Correspondence
@@ -137,13 +138,38 @@ class Light(MatrixAlgebra):
 
         forward, adjoint = applied(self.forward), applied(self.adjoint)
         return LinearOperator(
-            shape=self.matrix_shape[1:],
+            shape=self.shape[1:],
             matvec=forward,
             rmatvec=adjoint,
             matmat=forward,
             rmatmat=adjoint,
             dtype=np.dtype(np.float32),
         )
+
+    def to_xarray(self, rows: Rays = None, columns: Rays = None) -> DataArray:
+        """Return the matrix, or some rows and columns of it as `toarray`, labelled by its rays.
+
+        Returns
+        -------
+        xarray.DataArray of float32, dims (channel, camera, projector)
+            Ray numbers are the coordinates; ``camera_shape`` and ``projector_shape`` attributes.
+
+        Raises
+        ------
+        InputError
+            As `toarray`, and where xarray isn't installed.
+        """
+        try:
+            from xarray import DataArray
+        except ImportError as error:
+            raise InputError(f"to_xarray needs xarray; {installing('xarray')}") from error
+        rays = {
+            "camera": chosen_rays(rows, self.camera_shape, "rows"),
+            "projector": chosen_rays(columns, self.projector_shape, "columns"),
+        }
+        about = {"camera_shape": self.camera_shape, "projector_shape": self.projector_shape}
+        matrix = self.toarray(*rays.values())
+        return DataArray(matrix, rays, ("channel", *rays), "radiance per weight", about)
 
     def save(
         self, path: str | Path, *, rows: Rays = None, columns: Rays = None, limit_bytes: int = LIMIT
@@ -240,6 +266,8 @@ class Transport(Light):
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; what fits into `memory_budget` bytes stays in memory."""
         about = bundle.attributes
+        if "shape" in about:  # of both sides, in stores of older versions
+            about = {**about, "camera_shape": about["shape"], "projector_shape": about["shape"]}
         return cls(
             channels=about["channels"],
             level_rows=about["levels"],

@@ -259,7 +259,7 @@ def _lower_low_rank(builder: Builder, transport: LowRankTransport) -> None:
 def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
     """``F B S B^T F``, with B by the pyramid of its scales."""
     arrays, basis = transport.pack()[0], transport.basis
-    rays = math.prod(transport.shape)
+    rays = math.prod(transport.camera_shape)
     # near and far range go by the same functions, of which each worker needs one pyramid
     same = digest_of(arrays["functions"], arrays["factor"])
     builder.begin_chain(f"functions {same}", is_common=True)
@@ -297,7 +297,7 @@ def _lower_wavelet(builder: Builder, transport: WaveletTransport) -> None:
     from scipy.sparse import csr_array
 
     arrays, cells = transport.pack()[0], transport.cells
-    rays = math.prod(transport.shape)
+    rays = math.prod(transport.camera_shape)
     ones = np.ones(rays, np.float32)
     spread = csr_array((ones, cells.of_ray, np.arange(rays + 1)), shape=(rays, cells.count))
     wavelets = csr_array(cells.haar.forward(np.eye(cells.count, dtype=np.float32)))

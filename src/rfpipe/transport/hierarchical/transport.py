@@ -29,8 +29,8 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
 
     Parameters
     ----------
-    shape, channels, level_rows, nbytes
-        See `rfpipe.transport.arrays.CoaxialTransport`.
+    camera_shape, projector_shape, channels, level_rows, nbytes
+        See `rfpipe.transport.Transport`; one shape twice.
     held : sequence of LeafSet
         By level, the coarsest first; may be rounded, and may be read when used.
     """
@@ -47,7 +47,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     ) -> HierarchicalTransport:
         """Build a transport from leaf sets in any order."""
         merged = merge_leaf_sets(leaf_sets, tree)
-        return cls(tree.domain.shape, channels, level_rows, merged)
+        return cls(tree.domain.shape, tree.domain.shape, channels, level_rows, merged)
 
     @property
     def leaf_sets(self) -> Sequence[LeafSet]:

@@ -1,0 +1,110 @@
+"""Whether calibration tells linear cameras from bent ones, whatever scene they stand before.
+
+Usage: ``python -m benchmarks.bench_linearity [--seeds 20]`` (two minutes). Cameras of known
+exponents look at scenes of one, two, three and many albedos, without any texture: all pixels of a
+tone have the same light, wherever that lies between the edges of the bins that are compared. For
+each: of how many seeds the camera was found linear, bent, or neither, and the worst exponent.
+Writes results/bench/linearity.csv.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.harness import write
+from rfpipe.calibration.bench import Bench
+from rfpipe.calibration.black import measure_dark
+from rfpipe.calibration.responses import measure_linearity
+from rfpipe.calibration.verdicts import Findings
+from rfpipe.config import CalibrationConfig
+from rfpipe.photometry import CameraModel
+
+SIDE = 64
+EXPONENTS = (1.0, 0.8, 1.1, 1.25)
+CAMERAS = {
+    "default": CameraModel(),
+    "8 bits": CameraModel(bits=8, black_level_counts=8),
+    "dim, 1 and 4 ms": CameraModel(exposures=(0.001, 0.004)),
+    "10 bits, hardly any noise": CameraModel(
+        bits=10, read_noise_electrons=0, full_well_electrons=1e9, electrons_per_radiance=2.3e10
+    ),
+}
+SCENES = {
+    "0.5": (0.5,),
+    "0.2, 0.7": (0.2, 0.7),
+    "0.2, 0.5": (0.2, 0.5),
+    "0.2, 0.8": (0.2, 0.8),
+    "0.13, 0.61": (0.13, 0.61),
+    "0.34, 0.47": (0.34, 0.47),
+    "0.2, 0.5, 0.8": (0.2, 0.5, 0.8),
+    "32": tuple(np.linspace(0.1, 0.9, 32)),
+}
+
+
+class Wall:
+    """Projector and camera at once, before stripes of albedos."""
+
+    shape, channels = (SIDE, SIDE), 1
+
+    def __init__(self, albedos: tuple[float, ...], sensor: CameraModel, seed: int) -> None:
+        tones = np.array(albedos)[np.arange(SIDE) * len(albedos) // SIDE]
+        self.sensor, self.seed, self.frames, self.light = sensor, seed, 0, 0.0
+        self.albedo = np.broadcast_to(tones, self.shape)[..., None]
+
+    def show(self, picture: NDArray[Any]) -> None:
+        """Show a flat picture."""
+        self.light = float(picture[0, 0])
+
+    def expose(self) -> NDArray[np.uint16]:
+        """Take a bracket."""
+        self.frames += 1
+        return self.sensor.expose(self.light * self.albedo, self.seed, (self.frames,))
+
+    def describe(self) -> dict[str, Any]:
+        """Nothing keeps what is measured here."""
+        return {}
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def linearity(wall: Wall) -> Findings:
+    """Do the steps dark and linearity."""
+    bench = Bench(wall, wall, CalibrationConfig(), None, {}, lambda _: nullcontext())
+    return measure_linearity(replace(bench, found={"dark": measure_dark(bench)}))
+
+
+def rows(seeds: int) -> Iterator[dict[str, Any]]:
+    """Yield a row a camera, exponent and scene."""
+    for name, camera in CAMERAS.items():
+        for exponent in EXPONENTS:
+            bent = replace(camera, response_gamma=exponent)
+            for scene, albedos in SCENES.items():
+                found = [linearity(Wall(albedos, bent, seed)) for seed in range(seeds)]
+                good = [one for one in found if one.verdict.standing == "good"]
+                gammas = np.array([one["response_gamma"] for one in good])
+                yield {
+                    "camera": name,
+                    "exponent": exponent,
+                    "albedos": scene,
+                    "linear": int((gammas == 1).sum()),
+                    "bent": int((gammas != 1).sum()),
+                    "not good": sum(one.verdict.standing == "poor" for one in found),
+                    "can't tell": sum(one.verdict.standing == "unknown" for one in found),
+                    "worst exponent's error": np.abs(gammas / exponent - 1).max(initial=0.0),
+                }
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=20)
+    table = write("linearity", rows(parser.parse_args().seeds)).groupby(["camera", "exponent"])
+    told = table[["linear", "bent", "not good", "can't tell"]].sum()
+    print(told.join(table["worst exponent's error"].max()).to_string())
