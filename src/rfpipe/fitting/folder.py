@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
@@ -37,6 +38,8 @@ class Series:
         Linear, without the light of anything else; finite.
     variance : ndarray of float32, shape (K, C, M)
         Of `radiance`, at least 0; 0 where nothing is known of it.
+    names : sequence of K str
+        Of the pictures; empty where they have none.
 
     Raises
     ------
@@ -49,6 +52,7 @@ class Series:
     patterns: Float = field(repr=False)
     radiance: Float = field(repr=False)
     variance: Float = field(repr=False)
+    names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         rays = prod(ray_shape(self.camera_shape, "camera_shape"))
@@ -90,7 +94,7 @@ class Series:
     def some(self, chosen: NDArray[np.int64]) -> Series:
         """Return some of the pictures."""
         parts = {name: getattr(self, name)[chosen] for name in ("patterns", "radiance", "variance")}
-        return replace(self, **parts)
+        return replace(self, **parts, names=())
 
 
 def read_series(
@@ -154,7 +158,8 @@ def read_series(
             darkness = [_light(path, transfer, differ) for [path] in dark]
             radiance -= np.mean(darkness, axis=0, dtype=np.float64).astype(np.float32)
         variance = np.zeros_like(radiance)
-    return Series(headers[0].size, weights.shape[1:], patterns[lit], radiance, variance)
+    names, shapes = [files[0].name for files in brackets], (headers[0].size, weights.shape[1:])
+    return Series(*shapes, patterns[lit], radiance, variance, names)
 
 
 def _brackets(place: Path, step: int) -> list[list[Path]]:
