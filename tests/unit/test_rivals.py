@@ -15,7 +15,6 @@ from rfpipe.errors import InputError
 from rfpipe.methods import Method, options_of
 from rfpipe.scenes import reference_scene
 from rfpipe.testing import MethodContract
-from rfpipe.testing.methods import MatrixImages
 
 COMPRESSIVE = "benchmarks.rivals.compressive:Compressive"
 LOW_RANK = "benchmarks.rivals.low_rank:LowRank"
@@ -99,22 +98,3 @@ def test_no_terms_are_made_of_noise() -> None:
     assert result.patterns == 257
     assert result.transport.rank <= 5
     assert relative(dense(result.transport)[0], matrix) < 5e-3
-
-
-def test_the_number_of_patterns_is_a_limit_that_holds() -> None:
-    rig = OperatorRig(of_rank(100), (16, 16), (16, 16))
-    exact = acquire(rig, LOW_RANK, progress=False, patterns=41, target_error=1e-6)
-    assert exact.levels["patterns"].tolist() == [1, 16, 16, 8, 0, 0]
-
-
-def test_the_held_out_estimate_is_the_error_on_patterns_not_yet_seen() -> None:
-    matrix = of_rank(60) + np.eye(256)
-    method, domain = LowRank(), RayDomain((16, 16))
-    state = method.start(domain, domain, 1, options_of(method, target_error=1e-6))
-    for _ in range(3):
-        before = dense(method.transport(state))[0] if state.level else None
-        schedule = method.schedule(state)
-        state = method.refine(state, MatrixImages(matrix[None], (16, 16), schedule))
-    signs = 2 * schedule.batch(0, 16).reshape(16, -1) - 1
-    true = np.linalg.norm((before - matrix) @ signs.T) / np.linalg.norm(matrix @ signs.T)
-    assert state.rows[-1]["estimated_error"] == pytest.approx(true, rel=1e-3)
