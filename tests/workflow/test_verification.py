@@ -112,7 +112,7 @@ def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
     assert {"capture.zarr", "verification.json"} <= places
 
 
-@pytest.mark.parametrize(("at", "method"), [(3, "dual"), (12, "dual"), (40, "brute_force")])
+@pytest.mark.parametrize(("at", "method"), [(3, "dual"), (12, "dual")])
 def test_a_knock_ends_the_capture_within_ten_patterns(
     tmp_path: Path, at: int, method: str, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -102,8 +102,8 @@ def plan(
 
     Patterns are the method's guess, on the high side: as many a level as the thesis' largest scenes
     took. "Up to" are all rounds of a method that ends by its own estimate: for 1 % of error the
-    scenes of docs/benchmark.md took 13 to 363 of 657. Most are those of a scene without any
-    structure. Time is that of the capture on a rig; disk is before compression.
+    scenes of docs/benchmark.md took 13 to 363 of 657. Time is that of the capture on a rig; disk is
+    before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
@@ -147,16 +147,14 @@ def _shown(rows: pd.DataFrame) -> str:
     from rfpipe.stages.forecast import shown_bytes
 
     table = rows.drop(columns="ends_itself")
-    for name in ("rays", "patterns", "most"):
+    for name in ("rays", "patterns"):
         table[name] = rows[name].map("{:,}".format)
-    for name in ("seconds", "most_seconds"):
-        table[name] = rows[name].map(_duration)
+    table["seconds"] = rows["seconds"].map(_duration)
     for name in ("disk", "memory"):
         table[name] = rows[name].map(shown_bytes)
     for name in ("patterns", "seconds"):
         table[name] = table[name].mask(rows["ends_itself"], "up to " + table[name])
-    names = {"seconds": "time", "most": "most patterns", "most_seconds": "most time"}
-    return table.rename(columns=names).to_string(index=False, col_space=8)
+    return table.rename(columns={"seconds": "time"}).to_string(index=False, col_space=8)
 
 
 def _duration(seconds: float) -> str:

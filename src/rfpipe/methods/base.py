@@ -176,10 +176,6 @@ class Method(ABC, Generic[State]):
         """Guess the patterns of a whole acquisition, for forecasts; one a ray if not said."""
         return projector.size
 
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return the patterns that a scene without any structure may take."""
-        return max(projector.size, self.expected_patterns(camera, projector, options))
-
     def memory_bytes(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> int:

@@ -31,8 +31,3 @@ class Descent(PackingMethod[State]):
         """Guess the patterns from those of the thesis' scene, so many a level."""
         levels = self.n_levels(camera, projector)
         return min(projector.size, round(levels * self.thesis_patterns / 10))
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return the patterns of a scene for which all blocks are lit one by one."""
-        tree = BlockTree(projector)
-        return sum(tree.n_blocks(level) for level in range(tree.n_levels))

@@ -9,7 +9,6 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +19,7 @@ from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
+from rfpipe.stages.folder import AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.store import FrameStore, restore_header
 from rfpipe.units import LOOK_KEY
@@ -170,7 +169,9 @@ def watching_level(
     )  # fmt: skip
     brackets.settle()
     with brackets.recording() as frames:
-        merger = _merger(of_level, every)
+        folder = of_level.folder
+        known = folder.exists(0, "merge")
+        merger = read_merger(of_level.rig.sensor, folder) if known else None
         yield Watcher(of_level, level, merger, brackets, frames, every, mode == "refuse")
 
 
@@ -184,19 +185,6 @@ def _interval(of_level: Brackets, path: Path, every: int) -> int:
             if begun.attributes.get("made_beside") == of_level.made_for:
                 return int(begun.attributes["every"])
     return 0
-
-
-def _merger(of_level: Brackets, every: int) -> Merger | None:
-    """Return the acquisition's merger; before its first merge one for the looks of a long level."""
-    sensor, folder = of_level.rig.sensor, of_level.folder
-    if folder.exists(0, "merge"):
-        return read_merger(sensor, folder)
-    if of_level.count <= every:
-        return None
-    with FrameStore.open(folder.store(0, REFERENCE)) as frames:
-        brackets = (frames.read(n, n + 1) for n in range(frames.shape[0]))
-        black = islice(brackets, frames.attributes["black_frames"])
-        return Merger.from_references(sensor, black, brackets, mask_defects=False)
 
 
 @dataclass(frozen=True)

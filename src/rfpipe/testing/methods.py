@@ -194,8 +194,7 @@ class MethodContract:
         for shape in ((1, 1), (8, 8), (62, 70), (3, 10, 11)):
             rays = RayDomain(shape)
             expected = method.expected_patterns(rays, rays, options)
-            bound = method.most_patterns(rays, rays, options)
-            require(0 < expected <= bound, f"{expected} patterns of at most {bound} for {shape}")
+            require(expected > 0, f"{expected} patterns for {shape}")
         others = map(RayDomain, _ANY)
         if method.needs_coaxial_rig:
             require_raises(InputError, method.n_levels, *others)

@@ -10,15 +10,12 @@ defocus, IJCV 2013]. Around that place, dots so far apart that one is near tell 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.store.files import write_atomically
 from rfpipe.transport.algebra import MatrixAlgebra
 
 Float = NDArray[np.float32]
@@ -46,63 +43,6 @@ class Correspondence:
     places: Float
     confidence: Float
     mask: NDArray[np.bool_]
-
-    def points(self, camera: NDArray[Any], projector: NDArray[Any]) -> Float:
-        """Return the surface's point that each camera pixel sees, by triangulation.
-
-        Parameters
-        ----------
-        camera, projector : array, shape (3, 4)
-            Projection matrices: of homogeneous points to (column, row, 1), times a factor.
-
-        Returns
-        -------
-        ndarray of float32, shape (*camera_shape, 3)
-            In the unit of the matrices; NaN outside the mask, and where both rays are one line.
-
-        Raises
-        ------
-        InputError
-            If a matrix has another shape.
-        """
-        sides = [np.asarray(each, np.float64) for each in (camera, projector)]
-        if any(each.shape != (3, 4) for each in sides):
-            shapes = " and ".join(str(each.shape) for each in sides)
-            raise InputError(f"projection matrices have the shape (3, 4), got {shapes}")
-        own = np.moveaxis(np.indices(self.mask.shape), 0, -1) + 0.5
-        places = own[self.mask], self.places[self.mask].astype(np.float64)
-        lines = [
-            place[:, each, None] * matrix[2] - matrix[1 - each]
-            for place, matrix in zip(places, sides, strict=True)
-            for each in (0, 1)
-        ]
-        # what all four lines map to nothing: least squares of algebraic errors
-        point = np.linalg.svd(np.stack(lines, axis=1))[2][:, -1]
-        found = np.full((*self.mask.shape, 3), np.nan, np.float32)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            found[self.mask] = point[:, :3] / point[:, 3:]
-        return found
-
-
-def write_ply(path: str | Path, points: NDArray[Any], colours: NDArray[Any]) -> int:
-    """Write a point cloud that viewers of meshes open, binary PLY; return the number of points.
-
-    Parameters
-    ----------
-    path : path
-    points : array, shape (..., 3)
-        Those that aren't finite are left out.
-    colours : array of uint8, shape (..., 3)
-    """
-    chosen = np.isfinite(points).all(axis=-1)
-    cloud = np.empty(int(chosen.sum()), [("place", "<f4", 3), ("colour", "u1", 3)])
-    cloud["place"], cloud["colour"] = points[chosen], np.asarray(colours)[chosen]
-    names = [f"property float {axis}" for axis in "xyz"]
-    names += [f"property uchar {name}" for name in ("red", "green", "blue")]
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(cloud)}", *names]
-    text = "\n".join([*head, "end_header\n"])
-    write_atomically(Path(path), text.encode() + cloud.tobytes())
-    return len(cloud)
 
 
 def correspondence_of(transport: MatrixAlgebra) -> Correspondence:

@@ -74,16 +74,9 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Return the patterns of all rounds before the hierarchy, which don't grow with size."""
-        return min(projector.size, options.patterns or self._most(projector))
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return those of a scene in which the hierarchy asks for each block, after all rounds."""
-        inner = self.hierarchy.most_patterns(camera, projector, options)
-        return self._most(projector) + inner
-
-    def _most(self, projector: RayDomain) -> int:
         rounds = takewhile(lambda each: each[0] != "hierarchy", self.levels(projector))
-        return 1 + len(HELD_OUT) + sum(count for _, count in rounds)
+        total = 1 + len(HELD_OUT) + sum(count for _, count in rounds)
+        return min(projector.size, options.patterns or total)
 
     def below(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return the levels of the hierarchy below its floodlit one, and of what that leaves."""
