@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -181,24 +182,18 @@ def test_pictures_are_refused_before_any_is_kept(level_0: Path, spoil: Any, mess
     assert not list(level_0.parents[1].glob("r/desk/symmetric/L00/reference.zarr/c.*"))
 
 
-def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(tmp_path: Path) -> None:
-    scenes = {"desk": {**SETTINGS["scenes"]["desk"], "shape": [12, 12]}}
-    path = settings_file(tmp_path, camera=QUIET, scenes=scenes)
-    command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
-    (sheet,) = sheets(tmp_path / "p")
-    matrix = np.diag(np.linspace(0.3, 1, 144)) + 0.2 / 144
-    photographer.photograph(sheet, matrix[None], photographer.counts)
-    pictures, kept = sheet / "pictures", tmp_path / "r" / "desk" / "symmetric" / "L00"
-    swapped(pictures, (12, 14), (13, 15))
-    said = command("import", sheet, fails=True)
-    assert "IMG_12.tif shows the pattern of IMG_14.tif" in said
+def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path) -> None:
+    photographer.photograph(level_0, (np.eye(20) + 0.02)[None], photographer.counts)
+    exchange = partial(swapped, level_0 / "pictures", (12, 14), (13, 15))
+    kept = level_0.parents[1] / "r" / "desk" / "symmetric" / "L00"
+    exchange()
+    assert "IMG_12.tif shows the pattern of IMG_14.tif" in command("import", level_0, fails=True)
     assert not list(kept.glob("reference.zarr/c.*"))
-    assert "None of these pictures" in command("import", sheet, "--anyway", fails=True)
+    assert "None of these pictures" in command("import", level_0, "--anyway", fails=True)
     assert not kept.exists()
-    swapped(pictures, (12, 14), (13, 15))
-    command("import", sheet)
-    assert "left as they are" in command("import", sheet)
-    assert f"{kept}: removed" in command("import", sheet, "--take-back").replace("\n", "")
+    exchange()
+    command("import", level_0)
+    assert f"{kept}: removed" in command("import", level_0, "--take-back").replace("\n", "")
     assert not kept.exists()
 
 

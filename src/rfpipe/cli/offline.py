@@ -86,10 +86,9 @@ def import_(
     checked = acquisition.read(sheet, pictures or folder / PICTURES, anyway=anyway)
     for note in checked.notes:
         typer.echo(f"{folder}: {note}", err=True)
-    rig = acquisition.rig(checked)
     is_new = not acquisition.files.exists(about["level"], "capture")
     try:
-        level = acquisition.advance(rig)
+        level = acquisition.advance(checked.rig)
     except CaptureError as error:
         if not is_new:
             raise
@@ -97,7 +96,9 @@ def import_(
         raise CaptureError(f"{error}. None of these pictures is kept") from error
     before = "imported before and left as they are; others come after --take-back"
     typer.echo(f"{folder}: {len(checked.files)} brackets {'imported' if is_new else before}")
-    further = None if level is None else acquisition.write(rig, folder.parent, config, results)
+    further = (
+        None if level is None else acquisition.write(checked.rig, folder.parent, config, results)
+    )
     _tell(f"{scene} by {name}", further, results / scene / name, config)
 
 
@@ -114,7 +115,7 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
     about: dict[str, Any] = sheet.about
     times = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
-        f"{acquisition}: level {about['level']} asks for {len(sheet.patterns)} patterns "
+        f"{acquisition}: level {about['level']} asks for {len(sheet.shown) - 3} patterns "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
         f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "
         f"{shlex.join([sys.argv[0], 'import', str(sheet.folder)])}"

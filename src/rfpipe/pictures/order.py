@@ -29,10 +29,9 @@ _COAXIAL, _ABOVE = 0.75, 0.25
 # of the light from which on a pattern is looked for: one of fewer pixels may light a mirror alone.
 _UNEVEN, _LEAST_LIT = 0.1, 0.1
 _NAMED = 4  # pictures that a message names
-_TINY = float(np.finfo(np.float32).eps)
 
 
-def misplaced(patterns: Float, names: Sequence[str], light: Float, variance: Float) -> list[str]:
+def misplaced(patterns: Float, names: Sequence[str], light: Float) -> list[str]:
     """Say which pictures show something else than their patterns, and what.
 
     Nothing is said of pictures that noise hides, nor where the rig isn't coaxial after all.
@@ -40,32 +39,31 @@ def misplaced(patterns: Float, names: Sequence[str], light: Float, variance: Flo
     Parameters
     ----------
     patterns : ndarray of float32, shape (K, H, W)
-        Weights from 0 to 1; the first two are a marker and its opposite.
+        Weights from 0 to 1: a marker and its opposite, others, the opposite again.
     names : sequence of K str
         Of the pictures.
-    light, variance : ndarray of float32, shape (K, H, W)
+    light : ndarray of float32, shape (K, H, W)
         Of the pictures.
     """
     light = light - light.min(axis=0)
     white = light[0] + light[1]
-    over = np.where(white > 0, white, np.inf)
-    share = np.maximum(white, 0) / (over + white.mean())  # dark pixels tell little
-    share /= max(share.sum(), _TINY)
-    ratio = np.asarray(np.clip(light / over, -1, 2), np.float32)
-
-    def mean(images: Float) -> Float:
-        return np.asarray(np.einsum("hw,khw->k", share, images))
+    bright = white > white.mean() / 4  # dark pixels tell little
 
     def shapes(images: Float) -> tuple[Float, Float]:
-        """Return images without their means, weighted, (K, H W) of norm 1; and squared norms."""
-        flat = ((images - mean(images)[:, None, None]) * np.sqrt(share)).reshape(len(images), -1)
-        power = np.maximum(np.square(flat).sum(axis=1), _TINY)
-        return flat / np.sqrt(power)[:, None], power
+        """Return images less their means, (K, pixels) of norm 1; and the variances of pixels."""
+        flat = images[:, bright]
+        flat = flat - flat.mean(axis=1, keepdims=True)
+        power = np.maximum(np.square(flat).mean(axis=1), np.finfo(np.float32).eps)
+        return flat / np.sqrt(power[:, None] * flat.shape[1]), power
 
-    (known, spread), (seen, power), lit = shapes(patterns), shapes(ratio), mean(patterns)
-    noise, edge = mean(np.minimum(variance / over**2, 1)), np.minimum(lit, 1 - lit)
-    uneven = (power > np.maximum(_UNEVEN**2, 5 * noise)) & (edge < _UNEVEN**2 / 4)
-    found = dict.fromkeys(np.flatnonzero(uneven), "isn't evenly lit")
+    ratio = np.asarray(light / np.where(bright, white, np.inf), np.float32)
+    (known, spread), (seen, power) = shapes(patterns), shapes(ratio)
+    noise = shapes(ratio[1:2] - ratio[-1:])[1] / 2
+    level, lit = (each[:, bright].mean(axis=1) for each in (ratio, patterns))
+    edge = np.minimum(lit, 1 - lit)
+    is_other = (power > np.maximum(_UNEVEN**2, 5 * noise)) | (np.abs(level - lit) > 0.5)
+    other = np.flatnonzero(is_other & (edge < _UNEVEN**2 / 4))
+    found = dict.fromkeys(other, "isn't evenly lit, or dark")
     shaped = edge > _LEAST_LIT
     told = np.flatnonzero(shaped & (noise < np.median((power / spread)[shaped]) * spread / 2))
     own = {

@@ -203,11 +203,6 @@ class Sheet(BaseModel):
     picture_size: tuple[int, int]
     shown: tuple[Shown, ...]
 
-    @property
-    def patterns(self) -> list[Shown]:
-        """What is to be shown, markers left out."""
-        return [each for each in self.shown if each.key is not None]
-
 
 def write_sheet(
     rig: OfflineRig,

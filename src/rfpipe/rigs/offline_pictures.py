@@ -41,6 +41,7 @@ class Checked:
     Attributes
     ----------
     rig : OfflineRig
+        With these pictures as its brackets.
     files, patterns : dict
         Files of each pattern's bracket, by exposure, ascending; fingerprints of the patterns; by
         key.
@@ -99,7 +100,7 @@ def check_pictures(
             f"exposures each make {expected}, as {sheet.folder} says. Check that the first and "
             "the last are there, none twice, and none of another series"
         )
-    light, variance = _merged(rig, brackets)
+    light = _light(rig, brackets)
     marker, opposite, last = light[[0, 1, -1]]
     if np.linalg.norm(opposite - last) >= SAME * np.linalg.norm(marker - last):
         raise CaptureError(
@@ -114,24 +115,22 @@ def check_pictures(
     if coaxial:
         codes = [read_picture(sheet.folder / shown.file).pixels for shown in sheet.shown]
         weights, names = np.stack([*map(rig.weights, codes)]), [path.name for path, *_ in brackets]
-        wrong += misplaced(weights, names, light, variance)
+        wrong += misplaced(weights, names, light)
     if wrong and not anyway:
         raise CaptureError(f"{folder}: {'; '.join(wrong)}. To take them all the same: --anyway")
-    return Checked(rig, of_key, patterns, notes + wrong)
+    checked = Checked(rig, of_key, patterns, notes + wrong)
+    rig.bracket = checked.bracket
+    return checked
 
 
-def _merged(rig: OfflineRig, brackets: list[tuple[Path, ...]]) -> tuple[Float, Float]:
-    """Return the pictures' light on the rays, and its variance; (K, H, W) each."""
+def _light(rig: OfflineRig, brackets: list[tuple[Path, ...]]) -> Float:
+    """Return the pictures' light on the rays, (K, H, W)."""
     shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
     level = getattr(rig.camera_sensor, "black_level_counts", 0)
-    merge, parts = rig.sensor.merging(np.full(shape, level, np.float32)), []
-    for bracket in brackets:
-        frames = np.stack([_pixels(rig, path) for path in bracket])
-        merged = merge(frames.reshape(1, *shape))
-        parts.append([part[0].sum(axis=-1) for part in (merged.radiance, merged.variance)])
-    size = RayDomain(rig.camera_shape).picture_shape
-    light, variance = np.moveaxis(np.reshape(parts, (len(parts), 2, *size)), 1, 0)
-    return light, variance
+    merge = rig.sensor.merging(np.full(shape, level, np.float32))
+    frames = (np.stack([_pixels(rig, path) for path in bracket]) for bracket in brackets)
+    light = [merge(each.reshape(1, *shape)).radiance.sum(axis=-1) for each in frames]
+    return np.reshape(light, (len(light), *RayDomain(rig.camera_shape).picture_shape))
 
 
 def _checked_header(rig: OfflineRig, path: Path) -> Header:
@@ -183,9 +182,8 @@ def _wrong_light(rig: OfflineRig, files: dict[Key, tuple[Path, ...]]) -> list[st
     wrong, top = [], SATURATION_FRACTION * sensor.white_level
     if sensor.bits > 8:
         counts = reduce(np.union1d, (_pixels(rig, bracket[-1]) for bracket in files.values()))
-        if counts[-1] <= 255 <= sensor.white_level >> 6 or (
-            np.gcd.reduce(np.diff(counts)) > sensor.white_level >> 8
-        ):
+        step = np.gcd.reduce(np.diff(counts)) if len(counts) > 16 else 0  # few tell nothing
+        if counts[-1] <= 255 <= sensor.white_level >> 6 or step > sensor.white_level >> 8:
             wrong.append(
                 f"these are counts of 8 bits; camera.bits says {sensor.bits}. Save pictures of 16 "
                 "bits, linear and not developed, or set camera.bits and black_level_counts"

@@ -12,12 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, PicturesNeeded
-from rfpipe.rigs.offline import (
-    OfflineRig,
-    Sheet,
-    offline_rig,
-    write_sheet,
-)
+from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, write_sheet
 from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
@@ -71,13 +66,11 @@ class OfflineAcquisition:
             return self._level
         return None
 
-    def rig(self, checked: Checked | None = None) -> OfflineRig:
-        """Return the rig of the settings, with the pictures that were checked if there are any."""
+    def rig(self) -> OfflineRig:
+        """Return the rig of the settings, without pictures."""
         settings, about = self.settings, self.settings.scenes[self.scene]
         rays = about.camera_ray_shape, about.ray_shape, about.channels
-        rig = offline_rig(settings.offline, settings.camera, *rays)
-        rig.bracket = None if checked is None else checked.bracket
-        return rig
+        return offline_rig(settings.offline, settings.camera, *rays)
 
     def write(self, rig: OfflineRig, folder: Path, settings_file: Path, results: Path) -> Sheet:
         """Write what is to be shown at the level that `advance` came to, as a sheet in a folder.
