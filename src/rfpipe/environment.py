@@ -19,19 +19,17 @@ def read_lights(path: str | Path) -> Float:
     Parameters
     ----------
     path : path
-        ``.npy``, (lights, 3); or text, the last three words of each line being numbers, as in the
-        ``.lp`` files of RTI, whose first line is the number of lights.
+        Text, the last three words of each line being numbers, as in the ``.lp`` files of RTI, whose
+        first line is the number of lights.
 
     Raises
     ------
     InputError
         If the file isn't there, a line has no three numbers, or the number is another one.
     """
-    path = Path(path)
     try:
-        if path.suffix == ".npy":
-            return np.asarray(np.load(path), np.float32)
-        lines = [line.split() for line in path.read_text("utf-8").splitlines() if line.strip()]
+        text = Path(path).read_text("utf-8")
+        lines = [line.split() for line in text.splitlines() if line.strip()]
         counted = [int(line[0]) for line in lines[:1] if len(line) == 1]
         lights = np.array([line[-3:] for line in lines[len(counted) :]], np.float32).reshape(-1, 3)
     except (OSError, ValueError) as error:

@@ -45,10 +45,8 @@ def test_a_pattern_makes_what_is_within_reach(aside) -> None:
     lit = np.random.default_rng(1).uniform(0.2, 0.8, LAMP.shape)
     found = transport.pattern_for(transport.relight(lit)[..., 0])
     assert found.residual < 0.01
-    assert found.pattern.min() >= 0
-    assert found.pattern.max() <= 1
-    bright = 2 * transport.relight(np.ones(LAMP.shape))
-    assert transport.pattern_for(bright).out_of_reach.mean() > 0.5
+    assert ((found.pattern >= 0) & (found.pattern <= 1)).all()
+    assert transport.pattern_for(np.full(CAMERA.shape, 1e3)).out_of_reach.mean() > 0.5
 
 
 @pytest.mark.parametrize(

@@ -88,10 +88,9 @@ class Plan:
 
     def end_early(self) -> bool:
         """Take the state that is carried for the last one; tell whether there is any."""
-        if self._carried is None:
-            return False
-        self.carry(None, self._carried[1])
-        return True
+        if self._carried:
+            self.carry(None, self._carried[1])
+        return self._carried is not None
 
     def state_before(self, folder: AcquisitionFolder, level: int | None) -> Any:
         """Return the method's state before a level; None for that after the last one.

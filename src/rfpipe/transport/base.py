@@ -95,9 +95,8 @@ class Light(MatrixAlgebra):
         from rfpipe.environment import environment_weights
 
         weights = environment_weights(environment, lights, turned)
-        rays = int(np.prod(self.projector_shape))
-        if len(weights) != rays:
-            raise InputError(f"{len(weights)} directions of lights for {rays} lights")
+        if len(weights) != self.shape[2]:
+            raise InputError(f"{len(weights)} directions of lights for {self.shape[2]} lights")
         planes = weights.T.reshape(-1, *self.projector_shape)
         if self.channels == 1 or len(planes) == 1:
             return np.concatenate([self.relight(plane) for plane in planes], axis=-1)
