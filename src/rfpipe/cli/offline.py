@@ -86,9 +86,9 @@ def import_(
     checked = acquisition.read(sheet, pictures or folder / PICTURES, anyway=anyway)
     for note in checked.notes:
         typer.echo(f"{folder}: {note}", err=True)
-    is_new = not acquisition.files.exists(about["level"], "capture")
+    rig, is_new = checked.rig, not acquisition.files.exists(about["level"], "capture")
     try:
-        level = acquisition.advance(checked.rig)
+        level = acquisition.advance(rig)
     except CaptureError as error:
         if not is_new:
             raise
@@ -96,9 +96,7 @@ def import_(
         raise CaptureError(f"{error}. None of these pictures is kept") from error
     before = "imported before and left as they are; others come after --take-back"
     typer.echo(f"{folder}: {len(checked.files)} brackets {'imported' if is_new else before}")
-    further = (
-        None if level is None else acquisition.write(checked.rig, folder.parent, config, results)
-    )
+    further = None if level is None else acquisition.write(rig, folder.parent, config, results)
     _tell(f"{scene} by {name}", further, results / scene / name, config)
 
 

@@ -28,7 +28,6 @@ _COAXIAL, _ABOVE = 0.75, 0.25
 # Standard deviation that a picture of even light may have, as a share of white light, and share
 # of the light from which on a pattern is looked for: one of fewer pixels may light a mirror alone.
 _UNEVEN, _LEAST_LIT = 0.1, 0.1
-_NAMED = 4  # pictures that a message names
 
 
 def misplaced(patterns: Float, names: Sequence[str], light: Float) -> list[str]:
@@ -81,4 +80,4 @@ def misplaced(patterns: Float, names: Sequence[str], light: Float) -> list[str]:
         elif fit[index] < _ABOVE:
             found[index] = "shows none of these patterns"
     said = [f"{names[int(index)]} {found[index]}" for index in sorted(found)]
-    return said if len(said) <= _NAMED else [*said[:_NAMED], f"and {len(said) - _NAMED} more"]
+    return said if len(said) <= 4 else [*said[:4], f"and {len(said) - 4} more"]
