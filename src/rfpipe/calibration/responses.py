@@ -15,6 +15,7 @@ Double = NDArray[np.float64]
 
 _LEVELS = (1.0, 0.25, 1 / 16)  # weights of the flat pictures whose exposures are compared
 _SURE = 4.0  # standard errors beyond which exposures differ in one of many bins
+_BINS = 12
 _LEAST_PIXELS = 100  # photosites in a bin that is compared
 _STRAIGHT = 0.03  # by how much noise bends the exponent of a linear camera
 
@@ -47,40 +48,61 @@ def measure_linearity(bench: Bench) -> Findings:
     """
     model, dark, tolerance = bench.model, bench.found["dark"], bench.settings.tolerance / 2
     black, good = dark["black_level_counts"], ~dark["hot"]
-    span = model.white_level - black
-    # below, noise and black level rule; above, saturation
-    edges = np.geomspace(0.02, 0.9, 13)
-    bins = len(edges) - 1
+    span, offset = model.white_level - black, dark["black"][0, good]
+    offset -= offset.mean()
     ratios = np.divide(model.exposures[1:], model.exposures[:-1])
-    sums = np.zeros((4, len(ratios), bins))
+    sums = np.zeros((5, len(ratios), _BINS))
     frames = bench.take([bench.flat(level) for level in _LEVELS for _ in range(2)])
     for first, other in zip(frames, frames, strict=False):
-        signal, level = (taken[:, good] - black for taken in (first, other))
+        level = other[:, good] - black
+        signal, again = first[:, good] - black - offset, level - offset
         for k, ratio in enumerate(ratios):
-            at = np.searchsorted(edges, level[k + 1] / span) - 1
-            inside = (at >= 0) & (at < bins)
+            at = np.searchsorted(_edges(level[k + 1] / span), level[k + 1] / span) - 1
+            inside = (at >= 0) & (at < _BINS)
             less, more = signal[k : k + 2, inside]
             rest = less * ratio - more  # fixed differences between photosites cancel
-            sums[:, k] += _binned(at[inside], bins, less, more, rest**2)
+            noise = (less - again[k, inside]) ** 2 / 2
+            sums[:, k] += _binned(at[inside], _BINS, less, more, rest**2, noise)
     ratio = np.broadcast_to(ratios[:, None], sums.shape[1:])
     there = (sums[0] >= _LEAST_PIXELS) & (sums[1] > 0)
-    count, short, long, squares = sums[:, there]
+    count, short, long, squares, noise = sums[:, there]
     ratio = ratio[there]
-    scatter = squares - (short * ratio - long) ** 2 / count
-    # rounding is no chance: noise below a step, of which it may feign a quarter, leaves a mean up
-    # to this share of a step off
-    noise = np.maximum(scatter / count / ratio**2 - 1 / 4, 0)
-    rounding = np.exp(-2 * np.pi**2 * noise) / np.pi * ratio * count / long
-    error = np.sqrt(scatter) / long + rounding / _SURE
+    scatter = np.maximum(squares - (short * ratio - long) ** 2 / count, 0)
+    # counts that are rounded, or cut, to whole ones by the converter: of both exposures, of black
+    off = (ratio + 1) * _rounding(noise / count)
+    off += (ratio - 1) * _rounding(np.min(dark["variance_counts2"]))
+    error = np.sqrt(scatter) / long + off * count / long / _SURE
     error += dark["black_level_error"] * (ratio - 1) * count / long
     deviation = short * ratio / long - 1
     arrays = {"level": long / span / count, "deviation": deviation, "error": error}
-    known = error < max(tolerance, 1e-3)
-    short, long, ratio, error = (values[known] for values in (short, long, ratio, error))
+    # a large difference is one however coarse the comparison, which agreement is not
+    known = (error < max(tolerance, 1e-3)) | (np.abs(deviation) > tolerance + _SURE * error)
     facts = _exponent(short, long, ratio, error, tolerance) if known.any() else {}
     facts |= {"tolerance": tolerance, "compared_levels": int(known.sum())}
     linear = {"kind": "Linear", "response_gamma": 1.0}
     return Findings.of("linearity", {**linear, **facts}, arrays)
+
+
+def _edges(level: Double) -> Double:
+    """Return bins' edges, (_BINS + 1,) fractions of full scale, between tones where there are few.
+
+    Of a tone that an edge parts, noise that pictures share, as that of photosites' offsets, would
+    lie above in the one part and below in the other.
+    """
+    # below, noise and black level rule; above, saturation
+    fine = np.geomspace(0.02, 0.9, 16 * (_BINS + 1) + 2)
+    count = np.histogram(level, fine)[0]
+    beside = (count[1:] + count[:-1]).reshape(_BINS + 1, 16)[:, 2:14]
+    return np.asarray(fine[1:-1].reshape(_BINS + 1, 16)[range(_BINS + 1), beside.argmin(1) + 2])
+
+
+def _rounding(variance: Any) -> Any:
+    """Return how far rounding may move a mean of counts of some variance, itself included.
+
+    Rounding alone may feign a quarter. What noise leaves of the half step falls off as the
+    characteristic function of noise does.
+    """
+    return np.exp(-2 * np.pi**2 * np.maximum(variance - 1 / 4, 0)) / 2
 
 
 def _exponent(
