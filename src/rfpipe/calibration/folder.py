@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -274,14 +274,23 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
 
 
 def _measured(step: Step, bench: Bench) -> Findings:
-    """Measure a step; where that can't be done though the devices work, that is the finding."""
-    for name, one in bench.found.items():
-        if one.verdict.standing == "failed":
-            text = f"Not measured, as this failed: {STEPS[name].title.lower()}."
+    """Measure a step; where that can't be done though the devices work, that is the finding.
+
+    One that isn't good names the first of those it builds on that has to be mended before it.
+    """
+    standings = {name: one.verdict.standing for name, one in bench.found.items()}
+    for name, standing in standings.items():
+        if standing == "failed":
+            text = f"Builds on what was not measured: {STEPS[name].title.lower()}."
             return Findings(Verdict("failed", text))
     try:
-        return step.measure(bench)
+        found = step.measure(bench)
     except DeviceError as failure:
         raise failure.args[0] from None
     except RfpipeError as error:
-        return Findings(Verdict("failed", f"Could not be measured: {error}."))
+        found = Findings(Verdict("failed", f"Could not be measured: {error}."))
+    poor = [name for name, standing in standings.items() if standing == "poor"]
+    if not poor or found.verdict.standing == "good":
+        return found
+    text = f"Mend {poor[0]} first, which this builds on. {found.verdict.text}"
+    return replace(found, verdict=found.verdict._replace(text=text))
