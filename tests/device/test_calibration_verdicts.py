@@ -64,11 +64,22 @@ def test_a_healthy_bench_is_good(tmp_path: Path) -> None:
     assert (tmp_path / "figures" / "scene.png").stat().st_size > 5000
 
 
-def test_exposures_far_too_short_are_too_dark(tmp_path: Path) -> None:
-    exposures = [2e-5, 8e-5, 32e-5]
-    verdicts, _, _ = calibrated(tmp_path, ["scene"], sensor={"exposures": exposures})
-    assert verdicts["scene"]["standing"] == "poor"
-    assert "longer exposures" in verdicts["scene"]["verdict"]
+@pytest.mark.parametrize(
+    ("shortest", "standing"), [(2e-5, "poor"), (1e-3, "good")], ids=["too dark", "dim"]
+)
+def test_a_dim_picture_is_said_to_cost_and_longer_exposures_mend_it(
+    tmp_path: Path, shortest: float, standing: str
+) -> None:
+    exposures = [shortest, 4 * shortest]
+    verdicts, facts, _ = calibrated(tmp_path, ["scene"], sensor={"exposures": exposures})
+    proposed, said = facts["scene"]["proposed_exposures_s"], verdicts["scene"]["verdict"]
+    assert verdicts["scene"]["standing"] == standing
+    assert f"sensor.exposures: {proposed}" in said
+    assert f"{facts['scene']['longer']:.3g} times as long" in said
+    assert facts["scene"]["longer"] == pytest.approx(proposed[0] / shortest, rel=0.05)
+    mended = calibrated(tmp_path, ["scene"], sensor={"exposures": proposed})[0]["scene"]
+    assert mended["standing"] == "good"
+    assert "times as long" not in mended["verdict"]
 
 
 @pytest.mark.parametrize("light", [{"ambient": 0.3}, {"projector_black": 0.05}])
@@ -81,6 +92,10 @@ def test_light_that_fills_the_dark_leads_no_step_astray(
     assert facts["dark"]["hot_photosites"] == 0
     assert verdicts["linearity"]["standing"] == verdicts["light"]["standing"] == "good"
     assert verdicts["transfer"]["standing"] in ("good", "unknown")
+    borne = facts["scene"]["proposed_exposures_s"]
+    assert borne[-1] == pytest.approx(facts["dark"]["bearable_s"], rel=0.1)
+    proposed = {"bench": light, "sensor": {"exposures": borne}}
+    assert calibrated(tmp_path, ["dark"], **proposed)[0]["dark"]["standing"] == "good"
 
 
 def test_a_calibration_that_is_not_good_is_not_served(

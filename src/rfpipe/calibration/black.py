@@ -78,9 +78,17 @@ def measure_dark(bench: Bench) -> Findings:
         "noise_counts": float(noise[np.argmin(headroom)]),
         "headroom_deviations": float(headroom.min()) if np.isfinite(headroom).any() else None,
         "filled_share": float(filled),
-        "bearable_s": float(0.05 * span / current) if current > 0 else None,
+        "bearable_s": bearable_seconds(span, current) if current > 0 else None,
     }
     return Findings.of("dark", facts, {"black": black.astype(np.float32), "hot": hot})
+
+
+def bearable_seconds(span: float, current: float) -> float:
+    """Return the longest exposure whose darkness is good, with room for noise.
+
+    `current` is in counts a second, of `span` counts.
+    """
+    return float(0.04 * span / current) if current > 0 else np.inf
 
 
 def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:

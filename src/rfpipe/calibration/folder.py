@@ -24,7 +24,7 @@ from rfpipe.errors import InputError, IntegrityError, RfpipeError, StoreError
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.build import devices_from_config
-from rfpipe.rigs.calibrated import Calibration, write_calibration
+from rfpipe.rigs.calibrated import STANDINGS, Calibration, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import StoreLock, open_arrays, read_manifest, write_arrays, write_manifest
@@ -224,7 +224,11 @@ def calibrate(
         if name not in steps:
             raise InputError(f"calibration step {name!r} is none of this rig's: {', '.join(steps)}")
     folder.path.mkdir(parents=True, exist_ok=True)
-    devices = {"projector": projector.describe(), "camera": camera.describe()}
+    devices = {
+        "projector": projector.describe(),
+        "camera": camera.describe(),
+        "sensor": camera.sensor.describe(),  # its exposures are no part of the camera's own
+    }
     with StoreLock(folder.path / "steps"):
         if only is None and all(map(folder.is_done, steps)):
             standings = {folder.read(name).verdict.standing for name in steps}
@@ -247,7 +251,8 @@ def calibrate(
             findings = _measured(step, bench)
             folder.write(step.name, findings, made_for)
             level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
-            _log.log(level, "%s: %s. %s", step.title, *findings.verdict)
+            standing, text = findings.verdict
+            _log.log(level, "%s: %s. %s", step.title, STANDINGS[standing], text)
         if only is None:
             finish(folder, settings)
 

@@ -48,7 +48,9 @@ def measure_linearity(bench: Bench) -> Findings:
     """
     model, dark, tolerance = bench.model, bench.found["dark"], bench.settings.tolerance / 2
     black, good = dark["black_level_counts"], ~dark["hot"]
-    span, offset = model.white_level - black, dark["black"][0, good]
+    span, times = model.white_level - black, model.exposures[:2]
+    # of each photosite at no exposure
+    offset = np.polyfit(times, dark["black"][: len(times), good], len(times) - 1)[-1]
     offset -= offset.mean()
     ratios = np.divide(model.exposures[1:], model.exposures[:-1])
     sums = np.zeros((5, len(ratios), _BINS))

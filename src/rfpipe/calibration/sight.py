@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.black import bearable_seconds
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.pictures.images import srgb
 from rfpipe.units import SATURATION_FRACTION
@@ -100,26 +101,29 @@ def measure_sight(
     is_few = bool(lit.sum() < _FEW)
     of_lit = rates.ravel() if is_few else rates[lit]
     brightest, brighter = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
-    level = min(float(np.median(black[0])), white_level / 2)
+    room = _room(black, noise, off_full, exposures)
+    level = min(max(float(np.median(black[0])) - room * exposures[0], 0.0), white_level / 2)
     share = float(saturated.sum() / max(lit.sum(), 1))
     seen = (signal > _SURE * noise[:, None, None]) & ~off_full
     sides = {"upper": lit[0], "lower": lit[-1], "left": lit[:, 0], "right": lit[:, -1]}
     edges = [name for name, side in sides.items() if side.mean() > 0.1]
+    is_black = off_full[0].mean() <= 0.01
+    is_over = share > 0.01 or not is_black
     facts = {
         "lit_share": float(lit.mean()),
         "edges_left": len(edges),
         "edges": ", ".join(edges),
-        **_exposed(brightest, brighter, white_level - level, exposures, share > 0.01),
+        **_exposed(brightest, brighter, room, white_level - level, exposures, is_over),
         "stripes_pixels": period,
         "focus_contrast": float(np.nanmedian(focus)) if np.isfinite(focus).any() else None,
         "black_level": float(level),
         "saturated_share": share,
         "black_saturated_share": float(off_full[0].mean()),
     }
-    is_black = facts["black_saturated_share"] <= 0.01
+    if is_few or not is_black:
+        facts |= dict.fromkeys(("brighter_level", "noise_times", "room_noise_times"))
     facts |= {
         "overexposed_share": share if is_black else None,
-        "brighter_level": facts["brighter_level"] if is_black and not is_few else None,
         "is_stripeless": int(is_black and is_few),
     }
     arrays = {
@@ -148,24 +152,45 @@ def sight_picture(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -
 
 
 def _exposed(
-    brightest: float, brighter: float, span: float, exposures: Sequence[float], is_over: bool
+    brightest: float,
+    brighter: float,
+    room: float,
+    span: float,
+    exposures: Sequence[float],
+    is_over: bool,
 ) -> dict[str, Any]:
     """Return how bright the lit pixels are (counts a second), and a bracket that suits them.
 
     It has as many exposures, as far apart, the brightest pixels just below saturation; none longer
-    than a minute.
+    than a minute, or than the light of a room bears, the two shortest that far apart all the same.
     """
-    proposed = list(exposures)
+    longer, bearable = 1.0, min(60.0, bearable_seconds(span, room))
     if brightest > 0:
-        first = exposures[0] / _DARKER if is_over else _AIM * span / brightest
-        scaled = [float(f"{one * first / exposures[0]:.2g}") for one in exposures]
-        proposed = list(dict.fromkeys(min(one, 60.0) for one in scaled))
+        longer = (1 / _DARKER) if is_over else _AIM * span / brightest / exposures[0]
+    level, at_most = float(brighter * exposures[-1] / span), bearable / exposures[:2][-1]
+    # of photons, where it is bright
+    noise, is_room = float(np.sqrt(min(longer, 1 / max(level, 1e-9)))), longer > at_most
+    longer = float(min(longer, at_most))
+    scaled = [float(f"{min(longer * one, bearable):.2g}") for one in exposures]
     return {
         "shortest_s": exposures[0],
         "longest_s": exposures[-1],
-        "brighter_level": float(brighter * exposures[-1] / span),
-        "proposed_exposures_s": proposed,
+        "brighter_level": level,
+        "proposed_exposures_s": list(dict.fromkeys(scaled)),
+        "longer": longer,
+        "noise_times": None if is_room else noise,
+        "room_noise_times": noise if is_room else None,
+        "filled_share": float(room * exposures[-1] / span),
+        "bearable_s": bearable,
     }
+
+
+def _room(black: Double, noise: Double, full: Mask, exposures: Sequence[float]) -> float:
+    """Return light and dark current of the all-off picture, (E, H, W), in counts a second."""
+    last = max(k for k, one in enumerate(full) if k == 0 or one.mean() <= 0.5)
+    # beyond the noise of both means
+    rise = (black[last] - black[0]).mean() - 2 * _SURE * noise[last] / np.sqrt(black[0].size)
+    return float(max(rise, 0) / (exposures[last] - exposures[0])) if last else 0.0
 
 
 def _filled(lit: Mask) -> Mask:

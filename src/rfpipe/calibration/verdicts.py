@@ -83,11 +83,18 @@ scene poor overexposed_share > 0.01: {saturated_share:.1%} of the pixels that th
     are saturated even at the shortest exposure, {shortest_s:.3g} s. Take shorter exposures, as
     sensor.exposures: {proposed_exposures_s}, close the aperture, or dim the projector.
 scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.3g} s, white reaches
-    {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted. Take
-    longer exposures, as sensor.exposures: {proposed_exposures_s}, or open the aperture.
+    {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted.
 scene poor is_stripeless > 0: No stripes of the projector are seen, at {longest_s:.3g} s at most. Is
     the lamp on, the lens cap off, does the camera see what the projector lights, are both in focus?
     Then take much longer exposures, or open the aperture.
+scene note noise_times > 1.4: Noise is {noise_times:.1f} times what exposures {longer:.3g} times as
+    long leave where it is bright, more where it is dark, which costs patterns, or error. Take
+    sensor.exposures: {proposed_exposures_s}, or open the aperture.
+scene note filled_share > 0.05: The all-off picture takes {filled_share:.0%} of the range at
+    {longest_s:.3g} s: darken the room, or take no exposure above {bearable_s:.2g} s, as
+    sensor.exposures: {proposed_exposures_s}.
+scene note room_noise_times > 1.4: Noise is {room_noise_times:.1f} times what longer exposures
+    leave, but the room's light bears none above {bearable_s:.2g} s: darken it.
 scene note edges_left > 0: It leaves the camera's view at the {edges} edge.
 dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites
     ({hot_share:.3%}), which are left out.
@@ -110,7 +117,8 @@ linearity poor deviation > tolerance: Not linear: exposures of the same light di
 light good: {usable_codes} steps of light; half the light is code {code_of_half_light:.0f}; the lamp
     drifted by {drift:+.2%}.
 light poor over_noise < 30: Too dark: full light is {over_noise:.0f} times a pixel's noise where it
-    shows at all; {limit:.0f} times or more are wanted. Take longer exposures, or open the aperture.
+    shows at all; {limit:.0f} times or more are wanted. Take the exposures that the step
+    scene proposes, or open the aperture.
 light poor drift_beyond_noise > tolerance: The light changed by {drift:+.2%} while the codes were
     shown, more than {tolerance:.1%}: let the lamp warm up, and calibrate again.
 light poor falls_at_code > 0: Light falls at code {falls_at_code}: switch off the projector's
