@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from rfpipe.calibration.folder import (
     calibrate_rig,
     finish,
 )
-from rfpipe.calibration.verdicts import Verdict
 from rfpipe.config import CalibrationConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.report.calibration import build_calibration_report
@@ -141,15 +139,6 @@ def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) ->
     before = folder.manifest("dark").stat().st_mtime_ns
     run()
     assert folder.manifest("dark").stat().st_mtime_ns > before
-
-
-def test_what_builds_on_a_step_that_is_not_good_says_so(tmp_path: Path) -> None:
-    _, folder, run = begun(tmp_path, sensor=brighter(CAMERA, 0.0005))
-    run(["dark", "linearity"])
-    bent = replace(folder.read("linearity"), verdict=Verdict("poor", "Not linear."))
-    folder.write("linearity", bent, "by hand")
-    run(["light"])
-    assert folder.read("light").verdict.text.startswith("Mend linearity first")
 
 
 @pytest.mark.parametrize(

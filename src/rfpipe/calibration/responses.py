@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,22 +112,20 @@ def _exponent(
 ) -> dict[str, Any]:
     """Judge sums of counts by the exponent that makes exposures of each pair `ratio` apart."""
 
-    def beyond(deviation: Double) -> float:
-        """Return the largest deviation beyond its error."""
-        return float(np.maximum(np.abs(deviation) - _SURE * error, 0).max())
+    def beyond(gamma: float) -> float:
+        """Return the largest deviation beyond its error, an exponent undone."""
+        deviation = np.abs((short / long) ** gamma * ratio - 1)
+        return float(np.maximum(deviation - _SURE * error, 0).max())
 
-    worst = beyond(short * ratio / long - 1)
+    worst = beyond(1.0)
     facts: dict[str, Any] = {"worst_deviation": worst, "deviation": worst}
-    if worst <= tolerance:
-        return facts
     # one exponent for pairs of all ratios
     apart, steps = (np.average(np.log(x), weights=error**-2) for x in (ratio, long / short))
     gamma = float(apart / steps) if steps > 0 else np.inf
-    if 0.2 <= gamma <= 5 and abs(gamma - 1) > _STRAIGHT:
-        misfit = beyond(short**gamma * ratio / long**gamma - 1)
-        if misfit <= tolerance:
-            kind = f"Undone as a power law of exponent {gamma:.3g}"
-            facts |= {"response_gamma": gamma, "deviation": misfit, "kind": kind}
+    is_bent = worst > tolerance and 0.2 <= gamma <= 5 and abs(gamma - 1) > _STRAIGHT
+    if is_bent and (misfit := beyond(gamma)) <= tolerance:
+        kind = f"Undone as a power law of exponent {gamma:.3g}"
+        facts |= {"response_gamma": gamma, "deviation": misfit, "kind": kind}
     return facts
 
 
@@ -184,26 +182,6 @@ def measure_light(bench: Bench) -> Findings:
     }
     arrays = {"codes": codes, "measured": measured, "error": error, "light": light}
     return Findings.of("light", facts, arrays)
-
-
-class NoiseFit(NamedTuple):
-    """Noise of a camera.
-
-    Attributes
-    ----------
-    gain, gain_error : float
-        Electrons a count.
-    read, read_error : float
-        Variance of the read noise in counts squared.
-    misfit : float
-        RMS of the relative difference between measured and fitted variances, beyond the noise.
-    """
-
-    gain: float
-    gain_error: float
-    read: float
-    read_error: float
-    misfit: float
 
 
 def measure_transfer(bench: Bench) -> Findings:
@@ -272,49 +250,47 @@ def measure_transfer(bench: Bench) -> Findings:
         weight = np.full(len(current), float((dark["frames"] - 1) * good.sum()))
         added = current, dark_variance, weight, np.ones(len(current))
         bins = [np.append(old, new[bare]) for old, new in zip(bins, added, strict=True)]
-    fit = fit_noise(*bins)
+    gain, gain_error, read, read_error, misfit = _fit_noise(*bins)
+    electrons = gain * np.sqrt(read)
+    electrons_error = gain * read_error / (2 * np.sqrt(max(read, read_error)))
+    # what counts is the noise of darkness, to which the converter's steps belong
+    of_darkness = read_error / (2 * (read + 1 / 12))
     facts = {
-        **_noise_facts(fit, dark),
-        "full_well_electrons": fit.gain * span,
+        "electrons_per_count": gain,
+        "electrons_per_count_error": gain_error,
+        "read_noise_electrons": electrons,
+        "read_noise_error": electrons_error,
+        "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * gain),
+        "dark_current_error": dark["current_error"] * gain,
+        "full_well_electrons": gain * span,
+        "misfit": misfit,
+        "known_within": 2 * max(gain_error / gain, of_darkness),
+        "numbers": f"{gain:.3g} +- {gain_error:.2g} electrons a count, read noise "
+        f"{electrons:.3g} +- {electrons_error:.2g} electrons",
     }
-    curve = fit.read + signal / fit.gain + step**2 / 12
+    curve = read + signal / gain + step**2 / 12
     arrays = {
         "signal": signal, "variance": variance, "error": error, "model": curve, "used": used
     }  # fmt: skip
     return Findings.of("transfer", facts, arrays)
 
 
-def _noise_facts(fit: NoiseFit, dark: Findings) -> dict[str, Any]:
-    """Return what the camera model and the verdict need of a fit."""
-    read = fit.gain * np.sqrt(fit.read)
-    read_error = fit.gain * fit.read_error / (2 * np.sqrt(max(fit.read, fit.read_error)))
-    # what counts is the noise of darkness, to which the converter's steps belong
-    of_darkness = fit.read_error / (2 * (fit.read + 1 / 12))
-    return {
-        "electrons_per_count": fit.gain,
-        "electrons_per_count_error": fit.gain_error,
-        "read_noise_electrons": read,
-        "read_noise_error": read_error,
-        "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * fit.gain),
-        "dark_current_error": dark["current_error"] * fit.gain,
-        "misfit": fit.misfit,
-        "known_within": 2 * max(fit.gain_error / fit.gain, of_darkness),
-        "numbers": f"{fit.gain:.3g} +- {fit.gain_error:.2g} electrons a count, read noise "
-        f"{read:.3g} +- {read_error:.2g} electrons",
-    }
+def _fit_noise(
+    signal: Double, variance: Double, pairs: Double, step: Double
+) -> tuple[float, float, float, float, float]:
+    """Fit gain and read noise to bins (n,): variance = read noise^2 + signal / gain + step^2 / 12.
 
+    `pairs` are the differences that each variance is of, and `step` that of the converter: 1, or
+    more or less where a response was linearised.
 
-def fit_noise(signal: Double, variance: Double, pairs: Double, step: Double) -> NoiseFit:
-    """Fit gain and read noise: variance = read noise^2 + signal / gain + step^2 / 12.
-
-    Parameters
-    ----------
-    signal, variance : ndarray of float64, shape (n,)
-        Of bins, n at least 2, in counts.
-    pairs : ndarray of float64, shape (n,)
-        Differences that each variance is of.
-    step : ndarray of float64, shape (n,)
-        The converter's step: 1, or more or less where a response was linearised.
+    Returns
+    -------
+    gain, gain_error : float
+        Electrons a count.
+    read, read_error : float
+        Variance of the read noise in counts squared.
+    misfit : float
+        RMS of the relative difference between measured and fitted variances, beyond the noise.
 
     Notes
     -----
@@ -336,7 +312,7 @@ def fit_noise(signal: Double, variance: Double, pairs: Double, step: Double) -> 
     relative = np.square(variance / model - 1) - 2 / pairs
     misfit = np.sqrt(max(0.0, np.average(relative, weights=pairs)))
     slope_error, read_error = np.sqrt(np.diag(covariance))
-    return NoiseFit(1 / slope, slope_error / slope**2, read, read_error, float(misfit))
+    return 1 / slope, slope_error / slope**2, read, read_error, float(misfit)
 
 
 def _linear(counts: Double, span: float, gamma: float) -> Double:

@@ -100,7 +100,7 @@ def measure_sight(
     # the brightest half per cent are glints
     is_few = bool(lit.sum() < _FEW)
     of_lit = rates.ravel() if is_few else rates[lit]
-    brightest, brighter = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
+    light = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
     room = _room(black, noise, off_full, exposures)
     level = min(max(float(np.median(black[0])) - room * exposures[0], 0.0), white_level / 2)
     share = float(saturated.sum() / max(lit.sum(), 1))
@@ -113,7 +113,7 @@ def measure_sight(
         "lit_share": float(lit.mean()),
         "edges_left": len(edges),
         "edges": ", ".join(edges),
-        **_exposed(brightest, brighter, room, white_level - level, exposures, is_over),
+        **_exposed(light, room, white_level - level, exposures, is_over),
         "stripes_pixels": period,
         "focus_contrast": float(np.nanmedian(focus)) if np.isfinite(focus).any() else None,
         "black_level": float(level),
@@ -152,19 +152,16 @@ def sight_picture(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -
 
 
 def _exposed(
-    brightest: float,
-    brighter: float,
-    room: float,
-    span: float,
-    exposures: Sequence[float],
-    is_over: bool,
+    light: Double, room: float, span: float, exposures: Sequence[float], is_over: bool
 ) -> dict[str, Any]:
-    """Return how bright the lit pixels are (counts a second), and a bracket that suits them.
+    """Return how bright the lit pixels are, and a bracket that suits them.
+
+    `light` is that of the brightest pixels and of bright ones, in counts a second.
 
     It has as many exposures, as far apart, the brightest pixels just below saturation; none longer
     than a minute, or than the light of a room bears, the two shortest that far apart all the same.
     """
-    longer, bearable = 1.0, min(60.0, bearable_seconds(span, room))
+    (brightest, brighter), longer, bearable = light, 1.0, min(60.0, bearable_seconds(span, room))
     if brightest > 0:
         longer = (1 / _DARKER) if is_over else _AIM * span / brightest / exposures[0]
     level, at_most = float(brighter * exposures[-1] / span), bearable / exposures[:2][-1]
