@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 INSTALLED := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip
-# the settings of a rig, for calibrate and serve
+# the settings of a rig, for aim, calibrate and serve
 RIG ?= config/bench.yaml
 # the settings of the thesis' figures, in config/ and figures/; at full size figures_full
 FIGURES ?= figures
@@ -23,7 +23,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis figures calibrate serve unlock test test-all validators lint \
+.PHONY: help install run thesis figures aim calibrate serve unlock test test-all validators lint \
   format bench benchmark measured config lock clean
 
 help: ## list the targets
@@ -48,7 +48,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
 	@rfpipe run $(ARGS) || { status=$$?; \
-	  echo "make: the run stopped. 'make run' goes on where it stopped;" \
+	  echo "make: the run ended early. Where a signal ended it, 'make run' goes on there;" \
 	    "after a kill -9 it is 'make unlock run', with the same ARGS." >&2; exit $$status; }
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
@@ -60,6 +60,9 @@ figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in 
 	@rfpipe run --directory figures --configfile config/$(FIGURES).yaml $(ARGS)
 	@snakemake --snakefile figures/Snakefile --directory figures \
 	  --configfile figures/$(FIGURES).yaml $(ARGS)
+
+aim: $(INSTALLED) ## see live what a rig's camera sees, until Ctrl-C: make aim RIG=config/rig.yaml
+	@rfpipe aim $(RIG)
 
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
 	@rfpipe calibrate $(RIG)

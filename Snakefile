@@ -91,8 +91,8 @@ onsuccess:
 onerror:
     print(
         "rfpipe: the run ended early. If a stage failed, its message stands above and, with more "
-        "detail, in the .log file beside its results. What was captured is kept: the next run goes "
-        "on from there."
+        "detail, in the .log file beside its results. What was captured is kept; if a signal ended "
+        "the run, or that message says so, the next one goes on from there."
     )
     notify(SETTINGS.notify, "failed", log[0])
     list_collection()

@@ -37,7 +37,7 @@ _ABOUT = """# The open benchmark
 
 Every method on every physically based scene and on matt wedges, through one camera, as
 `make benchmark` runs it. `benchmark/acquisitions.csv` has a row an acquisition,
-`benchmark/regret.csv` one each of `auto`; what wasn't run isn't there.
+`benchmark/regret.csv` one each of `auto`; what was run on less than half of the scenes isn't shown.
 
 - **Light**: the brightest pixel of the floodlit scene has a radiance of 1.9, of 2 that the default
   camera takes; or a sixteenth of that.
@@ -187,7 +187,8 @@ def _run(rows: pd.DataFrame, table: Path, asked: Sequence[Case]) -> str:
 def _regret(regret: pd.DataFrame, name: str) -> str:
     """Return a table of scenes by light and target, and the means over scenes."""
     regret = regret.dropna(subset=[name])
-    there = set(zip(regret["light"], regret["target"], strict=True))
+    counts = regret.groupby(["light", "target"])["scene"].nunique()
+    there = set(counts[2 * counts >= counts.max()].index)  # what was begun alone is in the table
     targets = sorted({target for _, target in there}, reverse=True)
     places = [place for place in product(CAMERAS, targets) if place in there]
     grouped = regret.assign(log=np.log(regret[name])).groupby(

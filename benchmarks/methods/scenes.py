@@ -31,7 +31,7 @@ _BRIGHTEST = 1.9
 _LEAST_SIDE = 8  # of each view of a stack
 _PICTURES = 96
 _PICTURES_SEED = 1000  # of seed 0's pictures: not the camera's
-_ASIDE = ((1.72, 0.0, 0.54), (0.0, 0.0, 3.0))  # where a projector stands, and what it looks at
+ASIDE = ((1.72, 0.0, 0.54), (0.0, 0.0, 3.0))  # where a projector stands, and what it looks at
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def shape_of(side: str) -> tuple[int, int]:
 
 def _wedge(name: str) -> Kind:
     geometry, surfaces = _WEDGES[name]
-    aside = _ASIDE if name == "wedge_aside" else None
+    aside = ASIDE if name == "wedge_aside" else None
 
     def settings(side: str, channels: int, _samples: int, seed: int) -> dict[str, Any]:
         return {"geometry": geometry, "surfaces": surfaces, "side": side, "channels": channels,

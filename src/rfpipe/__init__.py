@@ -2,10 +2,11 @@
 
 ``open_transport`` opens what a run stored, ``open_collection`` that of all its scenes, ``coarser``
 lowers a transport's resolution, ``crop`` takes a view or a part of one, ``picture_weights`` makes a
-pattern of a picture; ``acquire`` runs a whole acquisition in this process; ``OperatorRig`` is a rig
-made from a matrix or linear operator, which ``read_matrix`` finds in files of other programs, and
-``CameraModel`` the camera that it may be given; ``errors`` are all that rfpipe raises on purpose.
-All but these are imported when they are first used, so that ``import rfpipe`` stays quick.
+pattern of a picture, ``environment_weights`` of a panorama the weights of lights, whose directions
+``read_lights`` reads; ``acquire`` runs a whole acquisition in this process; ``OperatorRig`` is a
+rig made from a matrix or linear operator, which ``read_matrix`` finds in files of other programs,
+and ``CameraModel`` the camera that it may be given; ``errors`` are all that rfpipe raises on
+purpose. All but these are imported when they are first used, so that ``import rfpipe`` stays quick.
 """
 
 from importlib import import_module
@@ -14,33 +15,21 @@ from typing import TYPE_CHECKING
 from rfpipe import errors
 
 if TYPE_CHECKING:
-    from rfpipe.photometry import CameraModel
-    from rfpipe.relighting import picture_errors, relighting_pictures
-    from rfpipe.rigs import OperatorRig
-    from rfpipe.stages.acquire import acquire
-    from rfpipe.transport import coarser, open_transport
-    from rfpipe.transport.collection import Collection, open_collection
-    from rfpipe.transport.matrix_in import read_matrix
-    from rfpipe.transport.rays import crop
-    from rfpipe.version import __version__
-    from rfpipe.weights import picture_weights
-
-__all__ = [
-    "CameraModel",
-    "Collection",
-    "OperatorRig",
-    "__version__",
-    "acquire",
-    "coarser",
-    "crop",
-    "errors",
-    "open_collection",
-    "open_transport",
-    "picture_errors",
-    "picture_weights",
-    "read_matrix",
-    "relighting_pictures",
-]
+    from rfpipe.environment import environment_weights as environment_weights
+    from rfpipe.environment import read_lights as read_lights
+    from rfpipe.photometry import CameraModel as CameraModel
+    from rfpipe.relighting import picture_errors as picture_errors
+    from rfpipe.relighting import relighting_pictures as relighting_pictures
+    from rfpipe.rigs import OperatorRig as OperatorRig
+    from rfpipe.stages.acquire import acquire as acquire
+    from rfpipe.transport import coarser as coarser
+    from rfpipe.transport import open_transport as open_transport
+    from rfpipe.transport.collection import Collection as Collection
+    from rfpipe.transport.collection import open_collection as open_collection
+    from rfpipe.transport.matrix_in import read_matrix as read_matrix
+    from rfpipe.transport.rays import crop as crop
+    from rfpipe.version import __version__ as __version__
+    from rfpipe.weights import picture_weights as picture_weights
 
 _HOMES = {
     "CameraModel": "rfpipe.photometry",
@@ -50,13 +39,17 @@ _HOMES = {
     "acquire": "rfpipe.stages.acquire",
     "coarser": "rfpipe.transport",
     "crop": "rfpipe.transport.rays",
+    "environment_weights": "rfpipe.environment",
     "open_collection": "rfpipe.transport.collection",
     "open_transport": "rfpipe.transport",
     "picture_errors": "rfpipe.relighting",
     "picture_weights": "rfpipe.weights",
+    "read_lights": "rfpipe.environment",
     "read_matrix": "rfpipe.transport.matrix_in",
     "relighting_pictures": "rfpipe.relighting",
 }
+
+__all__ = ["errors", *_HOMES]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> object:

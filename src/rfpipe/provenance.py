@@ -27,6 +27,12 @@ _SHAPES_NOTHING = (
 )  # fmt: skip
 
 
+def workflow_folder() -> Path:
+    """Return the folder of the Snakefile: of the clone that rfpipe runs from, or in the package."""
+    installed = _PACKAGE / "_workflow"
+    return installed if installed.is_dir() else _PACKAGE.parents[1]
+
+
 def fingerprint(value: object) -> str:
     """Return the digest of a value, the same on every machine and in every process.
 

@@ -13,7 +13,6 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.files import remove_tree
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
+from rfpipe_mitsuba.variant import variant_versions
 from rfpipe_mitsuba.views import Side
 from rfpipe_mitsuba.world import Light
 
@@ -51,12 +51,15 @@ class Recording:
         over the `whole` and where no direct light falls (`unlit`).
     scale : float
         What entries are multiplied by.
+    versions : dict of str to str
+        Of all that it was made with.
     """
 
     folder: Path
     pieces: tuple[tuple[int, int], ...]
     noise: dict[str, dict[str, float]]
     scale: float
+    versions: dict[str, str]
 
     def piece(self, index: int) -> Channels:
         """Read a run of rows, one matrix a channel, without the scale."""
@@ -95,7 +98,7 @@ def record(
                 _record(scene(), camera, projector, light, folder, coaxial)
     facts = read_manifest(manifest)
     pieces = tuple((first, last) for first, last in facts["pieces"])
-    return Recording(folder, pieces, facts["noise"], facts["scale"])
+    return Recording(folder, pieces, facts["noise"], facts["scale"], facts["versions"])
 
 
 def _record(
@@ -147,7 +150,7 @@ def _record(
             },
             "scale": brightness(scene, projector),
             "light": light.describe(),
-            "versions": {**versions(), "mitsuba": metadata.version("mitsuba")},
+            "versions": {**versions(), **variant_versions()},
         },
     )
     for path in (*rows.values(), *columns.values()):

@@ -174,6 +174,11 @@ class MitsubaScene(Scene):
             self._loaded, self.camera, self.projector, self.light, folder, coaxial=self.coaxial
         )
 
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """The recording's grain and versions, see `Scene.recorded`."""
+        return {"grain": self.recording.noise["half_lit"], "versions": self.recording.versions}
+
     def _loaded(self) -> Any:
         need_llvm(f"scene {self.world.name}")
         return load_scene(self.world)

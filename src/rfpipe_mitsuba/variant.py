@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,13 @@ def usable_llvm() -> Path | None:
     versions = {path: _version(path) for path in ([Path(named)] if named else places)}
     usable = sorted((version, path) for path, version in versions.items() if version >= _LEAST_LLVM)
     return usable[-1][1] if usable else None
+
+
+def variant_versions() -> dict[str, str]:
+    """Return the versions of Mitsuba, Dr.Jit and LLVM that trace here."""
+    library = usable_llvm()
+    packages = {name: metadata.version(name) for name in ("drjit", "mitsuba")}
+    return packages | ({} if library is None else {"llvm": str(_version(library))})
 
 
 def _version(library: Path) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import write_image
+from rfpipe.provenance import workflow_folder
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.transport.storage import MANIFEST, STORE_NAME
@@ -112,10 +113,8 @@ def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
     calibration = run.folder / "calibration"
     if (run.settings or {}).get("capture", {}).get("rig", "remote") == "remote":
         yield from files_below(calibration, "calibration")
-    source = Path(__file__).parents[2]  # where rfpipe runs from its sources
-    if (source / "Snakefile").is_file() and (source / "workflow").is_dir():
-        yield _WORKFLOW, source / "Snakefile"
-        yield from files_below(source / "workflow", "source/workflow")
+    yield _WORKFLOW, workflow_folder() / "Snakefile"
+    yield from files_below(workflow_folder() / "workflow", "source/workflow")
 
 
 def _floodlit(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:

@@ -64,22 +64,6 @@ def test_a_healthy_bench_is_good(tmp_path: Path) -> None:
     assert (tmp_path / "figures" / "scene.png").stat().st_size > 5000
 
 
-@pytest.mark.parametrize(("shortest", "standing"), [(2e-5, "poor"), (1e-3, "good")])
-def test_a_dim_picture_is_said_to_cost_and_longer_exposures_mend_it(
-    tmp_path: Path, shortest: float, standing: str
-) -> None:
-    exposures = [shortest, 4 * shortest]
-    verdicts, facts, _ = calibrated(tmp_path, ["scene"], sensor={"exposures": exposures})
-    proposed, said = facts["scene"]["proposed_exposures_s"], verdicts["scene"]["verdict"]
-    assert verdicts["scene"]["standing"] == standing
-    assert f"sensor.exposures: {proposed}" in said
-    assert f"{facts['scene']['longer']:.3g} times as long" in said
-    assert facts["scene"]["longer"] == pytest.approx(proposed[0] / shortest, rel=0.05)
-    mended = calibrated(tmp_path, ["scene"], sensor={"exposures": proposed})[0]["scene"]
-    assert mended["standing"] == "good"
-    assert "times as long" not in mended["verdict"]
-
-
 @pytest.mark.parametrize("light", [{"ambient": 0.3}, {"projector_black": 0.05}])
 def test_light_that_fills_the_dark_leads_no_step_astray(
     tmp_path: Path, light: dict[str, float]
@@ -107,7 +91,7 @@ def test_a_calibration_that_is_not_good_is_not_served(
     rig.write_text(json.dumps(plain))
     done = CliRunner().invoke(app, ["calibrate", str(rig), "--output", str(folder)])
     assert done.exit_code == 1
-    assert "not good: rays of camera and projector" in done.output
+    assert "Rays of camera and projector: NOT GOOD" in done.output
     found = CalibrationFolder(folder)
     count, total = found.read("rays").facts["unseen_rays"], RAYS**2
     assert 0.3 * total < count < 0.7 * total

@@ -40,6 +40,11 @@ class TestDeskCamera(CameraContract):
     def make_camera(self):
         return find(CAMERAS, f"{EXAMPLE}:DeskCamera")(CameraModel())
 
+    def set_light(self, camera, is_on):
+        projector = find(PROJECTORS, f"{EXAMPLE}:DeskProjector")()
+        projector.show(np.full(projector.shape, is_on, np.float32))
+        return True
+
 
 class TestRigOfSettings(RigContract):
     repeatable = False

@@ -37,9 +37,11 @@ class Broken(OperatorRig):
     """A rig with one thing wrong with it."""
 
     def __init__(self, fault: str) -> None:
-        super().__init__(transport(30, 30), (5, 6), (5, 6), noise=CAMERA)
+        light = 3 if fault == "three times the light" else 1
+        super().__init__(np.full((30, 30), light / 40), (5, 6), (5, 6), noise=CAMERA)
         self._fault = fault
         self._captured = 0
+        self._shown = np.zeros((1, 5, 6), np.float32)
 
     def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
         self._captured += 1
@@ -51,14 +53,20 @@ class Broken(OperatorRig):
             keys = [(0, 0)] * len(keys)
         if self._fault == "ambient light":
             patterns = np.maximum(patterns, 0.1 * (patterns.sum() > 0)).astype(np.float32)
+        if self._fault == "one picture late" and len(patterns):
+            shown, self._shown = self._shown, patterns[-1:]
+            patterns = np.concatenate([shown, patterns[:-1]])
+        if self._fault in ("in the dark", "one column is dark"):
+            patterns = patterns * np.float32(np.arange(6) < 5 * (self._fault != "in the dark"))
         frames = super().capture(patterns, keys)
         if self._fault == "flickering black level":
-            frames[[key[1] == 4 for key in keys]] += np.uint16(40)
+            frames[[key[1] == 7 for key in keys]] += np.uint16(40)
         return frames[:, :2] if self._fault == "loses a frame" else frames
 
     def describe(self) -> dict[str, Any]:
         made = {"made": next(SERIAL)} if self._fault == "unstable description" else {}
-        return super().describe() | made
+        used = {"captured": self._captured} if self._fault == "describes its use" else {}
+        return super().describe() | made | used
 
 
 @pytest.mark.parametrize(
@@ -70,11 +78,18 @@ class Broken(OperatorRig):
         ("ambient light", "light_adds_up"),
         ("flickering black level", "light_adds_up"),
         ("loses a frame", "frames"),
+        ("one picture late", "light_adds_up"),
+        ("in the dark", "light_adds_up"),
+        ("one column is dark", "light_adds_up"),
+        ("three times the light", "light_adds_up"),
         ("unstable description", "describes_itself"),
+        ("describes its use", "describes_itself"),
     ],
 )
 def test_the_contract_finds_what_is_wrong(fault: str, test: str) -> None:
     suite: Any = RigContract()
+    suite.make_rig = lambda: Broken("none")
+    getattr(suite, f"test_{test}")()
     suite.make_rig = lambda: Broken(fault)
     with pytest.raises(AssertionError):
         getattr(suite, f"test_{test}")()

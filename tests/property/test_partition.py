@@ -18,12 +18,11 @@ from rfpipe.transport.hierarchical.apply import predict
     n_patterns=st.integers(1, 5),
     tile=st.integers(1, 20),
     seed=st.integers(0, 2**32 - 1),
-    signed=st.booleans(),
 )
 def test_it_is_the_dense_product_whichever_patterns_stand_together(
-    shape, channels, n_patterns, tile, seed, signed
+    shape, channels, n_patterns, tile, seed
 ):
-    transport, matrices = random_transport(shape, channels, seed, signed)
+    transport, matrices = random_transport(shape, channels, seed)
     tree, rng = transport.tree, np.random.default_rng(seed)
     level = int(rng.integers(tree.n_levels))
     pattern_of_block = rng.integers(-1, n_patterns, tree.n_blocks(level)).astype(np.int32)

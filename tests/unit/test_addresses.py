@@ -65,7 +65,7 @@ def test_no_error_shows_the_password_of_an_address() -> None:
     ("info", "{run}/transport.zarr"), ("info", "{run}/nothing.zarr"), ("info", "{run}/no.zip"),
     ("relight", "{run}/transport.zarr", "--pattern", "white", "--output", "{out}/a.png"),
     ("view", "{run}/transport.zarr", "--output", "{out}/v.html"), ("verify", "{run}"),
-    ("export", "{run}/transport.zarr", "{out}/m.npz"),
+    ("export", "{run}/transport.zarr", "-o", "{out}/m.npz"),
 ])  # fmt: skip
 def test_no_command_shows_the_password_of_an_address(
     tmp_path: Path, arguments: tuple[str, ...], caplog: pytest.LogCaptureFixture

@@ -1,7 +1,9 @@
 """A whole calibration on simulated devices: its steps, its folder, its report and its command."""
 
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +141,31 @@ def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) ->
     before = folder.manifest("dark").stat().st_mtime_ns
     run()
     assert folder.manifest("dark").stat().st_mtime_ns > before
+
+
+def test_what_builds_on_a_step_that_is_not_good_says_so(tmp_path: Path) -> None:
+    bench, folder, run = begun(tmp_path)
+    expose, full = bench.camera.expose, CAMERA.white_level
+    bench.camera.expose = lambda: (expose() * (0.3 + expose() / full) / 1.3).astype(np.uint16)  # type: ignore[method-assign]
+    run(["dark", "linearity", "light"])
+    assert folder.read("linearity")["response_gamma"] == 1
+    assert "NOT GOOD. Mend linearity first" in str(folder.read("light").verdict)
+
+
+@pytest.mark.parametrize(
+    ("first", "ambient", "longest", "said"),
+    [(1e-3, 0.0, 0.05, "good. .*less noise"), (1e-3, 0.3, 0.004, "good. .*darken the room"),
+     (2e-5, 0.0, 0.05, "NOT GOOD. Too dark.* times as long")],
+)  # fmt: skip
+def test_a_bracket_is_proposed_that_suits_a_dim_projector_and_the_room(
+    tmp_path: Path, first: float, ambient: float, longest: float, said: str
+) -> None:
+    bench, folder, run = begun(tmp_path, sensor=replace(CAMERA, exposures=(first, 4 * first)))
+    bench.path._ambient = np.float32(ambient)
+    run(["scene", "dark"])
+    scene, dark = (folder.read(name) for name in ("scene", "dark"))
+    assert longest < scene["proposed_exposures_s"][-1] < min(2 * longest, 1.02 * dark["bearable_s"])
+    assert re.match(said, str(scene.verdict))
 
 
 @pytest.mark.parametrize(

@@ -180,36 +180,28 @@ def test_pictures_without_light_are_refused() -> None:
         transfer_of(CAMERA, np.zeros((32, 32)))
 
 
-TWO_TONES = np.where(np.arange(64 * 64).reshape(64, 64) % 64 < 32, 0.3, 1.0)
+# so little noise that nothing evens rounding out
+QUIET = CameraModel(read_noise_electrons=0, full_well_electrons=1e9, electrons_per_radiance=3e10)
+TONES = [(1.0,), (0.3, 1.0), (0.2, 0.7), (0.2, 0.5), (0.2, 0.5, 0.8)]
+SCENES = [SCENE, *(np.resize(np.repeat(of, 22), SCENE.shape) for of in TONES)]
 
 
-# what its counts are rounded by, no noise evens out
-NOISELESS = {"bits": 8, "full_well_electrons": 2e10, "electrons_per_radiance": 6.4e11}
-OFFSETS = np.rint(np.random.default_rng(0).normal(0, 4, (64, 64, 1)))
+@pytest.mark.parametrize(("camera", "bits"), [(CAMERA, 8), (CAMERA, 12), (QUIET, 10)])
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_linear_camera_is_linear(camera: CameraModel, bits: int, scene: np.ndarray) -> None:
+    for scale in (1.0, 0.83, 0.61):
+        found = linearity_of(replace(camera, bits=bits), scale * scene)
+        assert found.verdict.standing in ("good", *["unknown"] * (bits < 12))
+        assert found["response_gamma"] == 1
 
 
-@pytest.mark.parametrize("changes", [{"bits": 8}, {"bits": 12}, NOISELESS])
-@pytest.mark.parametrize("offsets", [0 * OFFSETS, OFFSETS])
-@pytest.mark.parametrize("scale", [1.0, 0.83, 0.5])
-@pytest.mark.parametrize("scene", [SCENE, TWO_TONES, np.ones((64, 64))])
-def test_a_linear_camera_is_linear(
-    changes: dict, offsets: np.ndarray, scale: float, scene: np.ndarray
-) -> None:
-    def bend(frames: np.ndarray) -> np.ndarray:
-        return (frames + offsets).clip(0, 2 ** changes["bits"] - 1).astype(np.uint16)
-
-    found = linearity_of(replace(CAMERA, **changes), scale * scene, bend=bend)
-    is_known = scene is SCENE and scale == 1 and changes is not NOISELESS
-    assert found.verdict.standing in ("good", *["unknown"] * (not is_known))
-    assert found["response_gamma"] == 1
-
-
-@pytest.mark.parametrize("gamma", [1.05, 2.2])
+@pytest.mark.parametrize("gamma", [0.8, 1.05, 1.1, 1.25, 2.2])
 def test_a_power_law_is_found_and_its_noise_still_measured(gamma: float) -> None:
     camera = replace(CAMERA, response_gamma=gamma)
-    found = linearity_of(camera)
-    assert found["response_gamma"] == pytest.approx(gamma, rel=0.03)
-    assert found.verdict.standing == "good"
+    for scene in SCENES:
+        found = linearity_of(camera, scene)
+        assert found["response_gamma"] == pytest.approx(gamma, rel=0.03)
+        assert found.verdict.standing == "good"
     full_well = transfer_of(camera)["full_well_electrons"]
     assert full_well == pytest.approx(camera.full_well_electrons, rel=0.1)
 
@@ -221,7 +213,7 @@ def test_a_response_that_is_no_power_law_is_said() -> None:
 
     found = linearity_of(CAMERA, bend=bend)
     assert found.verdict.standing == "poor"
-    assert "no power law describes them" in found.verdict.text
+    assert "no power law" in found.verdict.text
     assert found["response_gamma"] == 1
 
 

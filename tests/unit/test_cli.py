@@ -73,7 +73,9 @@ def failure(
 
 
 def test_validate_names_the_acquisitions() -> None:
-    assert "valid. 6 acquisitions\n" in run("plan", CONFIG)
+    planned = run("plan", CONFIG)
+    assert "valid. 6 acquisitions\n" in planned
+    assert "up to 657" in planned
 
 
 def test_schema_is_the_model_s() -> None:
@@ -171,9 +173,12 @@ def test_scenes_are_listed_with_their_options() -> None:
     assert "Undefined" not in text
 
 
-@pytest.mark.parametrize("name", ["rig.yaml", "bench.yaml"])
-def test_validate_recognises_a_rig(name: str) -> None:
-    assert "rfpipe calibrate and serve" in run("plan", CONFIG.with_name(name))
+RIGS = [CONFIG.with_name(name) for name in ("rig.yaml", "bench.yaml")]
+
+
+@pytest.mark.parametrize("rig", [*RIGS, *sorted(CONFIG.parent.glob("rigs/*"))])
+def test_validate_recognises_a_rig(rig: Path) -> None:
+    assert "rfpipe calibrate and serve" in run("plan", rig)
 
 
 def test_a_transport_of_another_run_is_not_relit(
@@ -187,32 +192,18 @@ def test_a_transport_of_another_run_is_not_relit(
     assert f"remove {transport.with_suffix('.json')} and run again" in text
 
 
-def test_run_checks_settings_and_names_the_report_of_its_folder(
+def test_run_checks_settings_in_the_folder_that_it_is_given_and_names_its_report(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     failure: Callable[..., str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "Snakefile: isn't here" in failure("run")
     report = Path("elsewhere/results/report/index.html")
     report.parent.mkdir(parents=True)
     report.touch()
     Path("Snakefile").write_text("rule all:\n    output: 'done.txt'\n    shell: 'touch {output}'\n")
-    monkeypatch.setattr(sys, "argv", ["rfpipe", "run", "--directory=elsewhere", "--cores", "1"])
-    with pytest.raises(SystemExit, match=r"^0$"):
-        main()
-    assert capsys.readouterr().out.endswith(f"report: {report}\n")
-    assert Path("elsewhere/done.txt").exists()
-
-
-def test_run_looks_for_the_settings_files_in_the_folder_that_it_is_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Callable[..., str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("Snakefile").write_text("rule all:\n    output: 'done.txt'\n    shell: 'touch {output}'\n")
     Path("settings.yaml").write_text("scenes: {glass: {kind: 'glass.py:Glass'}}\n")
-    Path("elsewhere").mkdir()
     options = ("--configfile", "settings.yaml", "--cores", "1")
     said = failure("run", *options, "--directory", "elsewhere")
     assert f"no file glass.py in {tmp_path / 'elsewhere'}" in said
@@ -225,6 +216,7 @@ def test_run_looks_for_the_settings_files_in_the_folder_that_it_is_given(
     with pytest.raises(SystemExit, match=r"^0$"):
         main()
     assert Path("elsewhere/done.txt").exists()
+    assert capsys.readouterr().out.endswith(f"report: {report}\n")
 
 
 def test_make_unlock_frees_the_folder_that_the_run_was_given() -> None:

@@ -141,7 +141,7 @@ def test_a_scene_overrides_options_of_the_run() -> None:
         ("other", "symmetric"),
     ]
     found = settings.methods_of("other")["symmetric"].options()
-    assert found == {"noise_significance": 2, "target_error": None, "tolerance": 0.02}
+    assert found == {"noise_significance": 2, "tolerance": 0.02}
     assert settings.methods_of("one")["symmetric"].options()["tolerance"] == 1e-3
     assert parse_config(settings.model_dump(mode="json"), "again") == settings
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 import yaml
+from benchmarks.measured import FOLDER, PAGES, written
 from tests.helpers import settings_of_a_plane
 
 from rfpipe import plugins
@@ -58,22 +59,11 @@ def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyP
         parse_rig_config(data, "the document")
 
 
-def test_the_readme_s_default_run_is_the_measured_one() -> None:
-    measured = (ROOT / "docs" / "measured.md").read_text("utf-8")
-    rows = re.findall(r"^\| IV \| (\w+) \| (\d+) \| [\d.]+ \| ([\d.]+) \|", measured, re.M)
-    assert {method for method, *_ in rows} == {"near_far", "symmetric", "dual"}
-    readme = (ROOT / "README.md").read_text("utf-8")
-    for method, patterns, error in rows:
-        (row,) = re.findall(rf"^\| `{method}` \|.*$", readme, re.M)
-        assert f"| {patterns} for {error} %" in row
-
-
-def test_the_readme_s_tables_are_the_measured_ones() -> None:
-    measured = (ROOT / "docs" / "measured.md").read_text("utf-8").splitlines()
-    readme = (ROOT / "README.md").read_text("utf-8")
-    rows = re.findall(r"^\|(?: I| II| III| IV|)(?:,[^|]*)? \| .*$", readme, re.M)
-    assert len(rows) >= 4
-    assert set(rows) <= set(measured)
+@pytest.mark.parametrize("page", PAGES)
+def test_tables_are_made_of_the_measured_files(page: Path) -> None:
+    text = (ROOT / page).read_text("utf-8")
+    assert len(re.findall(r"^<!-- /", text, re.M)) >= 2
+    assert written(text, ROOT / FOLDER) == text
 
 
 def test_all_that_is_registered_stands_beside_its_tests() -> None:

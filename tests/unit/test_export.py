@@ -183,12 +183,12 @@ def test_movies_that_can_t_be_written(tmp_path: Path, monkeypatch) -> None:
 
 def test_export_matrix(stored: Path, tmp_path: Path) -> None:
     path = tmp_path / "part.npz"
-    text = run("export", stored, path, "--rows", "2,:", "--rows", "2,3", "--columns", "0,0")
+    text = run("export", stored, "-o", path, "--rows", "2,:", "--rows", "2,3", "--columns", "0,0")
     assert "part.npz: T" in text
     found = np.load(path)
     assert found["rows"].tolist() == list(range(16, 24))  # each once
     np.testing.assert_allclose(found["T"], transport_of().toarray(range(16, 24), [0]), rtol=1e-6)
-    run("export", stored, path, "--coarser", "2", "--dual")
+    run("export", stored, "-o", path, "--coarser", "2", "--dual")
     np.testing.assert_allclose(
         np.load(path)["T"], coarser(transport_of(), 2).T.toarray(), rtol=1e-6
     )
@@ -203,7 +203,7 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
     ],
 )
 def test_export_refuses(stored: Path, tmp_path: Path, name: str, options, message: str) -> None:
-    assert message in refused("export", stored, tmp_path / name, *options)
+    assert message in refused("export", stored, "-o", tmp_path / name, *options)
     assert not (tmp_path / name).exists()
 
 
@@ -212,9 +212,11 @@ def test_export_relit_takes_names_pictures_and_stacks(stored: Path, tmp_path: Pa
     write_image(tmp_path / "ramp.exr", weights)
     np.save(tmp_path / "stack.npy", RANDOM.random((2, *PROJECTOR, 3)))
     folder = tmp_path / "relit"
-    text = relit(stored, folder, "noise", tmp_path / "ramp.exr", tmp_path / "stack.npy")
-    names = ["noise", "ramp", "stack_0000", "stack_0001"]
-    assert "4 pictures" in text
+    np.save(tmp_path / "one.npy", weights[..., 0])
+    lights = ("noise", tmp_path / "ramp.exr", tmp_path / "stack.npy", tmp_path / "one.npy")
+    text = relit(stored, folder, *lights)
+    names = ["noise", "one", "ramp", "stack_0000", "stack_0001"]
+    assert "5 pictures" in text
     assert sorted(path.stem for path in folder.iterdir()) == names
     transport = transport_of()
     for name, pattern in {
@@ -224,6 +226,8 @@ def test_export_relit_takes_names_pictures_and_stacks(stored: Path, tmp_path: Pa
     }.items():
         found = read_image(folder / f"{name}.exr")
         np.testing.assert_allclose(found, transport.relight(pattern), rtol=1e-5)
+    relit(stored, tmp_path / "all.npy", *lights)
+    assert (np.load(tmp_path / "all.npy")[4] == read_image(folder / "one.exr")).all()
 
 
 def test_export_relit_as_png_has_one_white(stored: Path, tmp_path: Path) -> None:
@@ -247,6 +251,6 @@ def test_export_relit_refuses(stored: Path, tmp_path: Path) -> None:
 def test_export_movie(stored: Path, tmp_path: Path) -> None:
     path = tmp_path / "movie.mp4"
     options = ("--path", "circle", "--seconds", "0.2", "--white", "4")
-    assert "5 pictures, white is 4" in run("movie", stored, path, *options)
+    assert "5 pictures, white is 4" in run("movie", stored, "-o", path, *options)
     assert frames_of(path).shape == (5, 360, 480, 3)
-    assert "0 pictures" in refused("movie", stored, path, "--seconds", "0")
+    assert "0 pictures" in refused("movie", stored, "-o", path, "--seconds", "0")

@@ -62,11 +62,33 @@ def test_few_pictures_of_a_coaxial_rig_take_near_far_s_model() -> None:
     few = series(np.concatenate([np.ones((1, RAYS)), random]), noise=0.003)
     found = fit_transport(few, coaxial=True)
     assert (found.model, found.held_out) == ("near/far", 5)
-    assert fit_transport(few).error > 20 * found.error
+    assert fit_transport(few, anyway=True).error > 20 * found.error
     error = error_of(found.transport)
     assert 0.3 * error < found.error < 3 * error < 0.06
     with pytest.raises(InputError, match="white light"):
         fit_transport(few.some(np.arange(1, 41)), coaxial=True)
+
+
+@pytest.mark.parametrize(
+    ("count", "takes", "message"),
+    [
+        (240, [3, 1, 2, 0], "worst first: (0.exr, 3|3.exr, 0).exr"),
+        (40, [0, 1, 2, 3], r"40 independent patterns tell too little of 168 rays. Take 128 more"),
+    ],
+)
+def test_fit_writes_nothing_that_is_worth_nothing(
+    tmp_path: Path, count: int, takes: list[int], message: str
+) -> None:
+    patterns = np.random.default_rng(5).random((count, *SHAPE)) < 0.5
+    np.save(tmp_path / "patterns.npy", patterns)
+    seen = series(patterns.reshape(count, RAYS)).radiance
+    for index, taken in enumerate([*takes, *range(4, count)]):
+        write(tmp_path / f"{index}.exr", np.moveaxis(seen[taken], 0, -1).reshape(*SHAPE, 3))
+    arguments = ["fit", str(tmp_path), "-o", str(tmp_path / "t.zarr")]
+    with pytest.raises(InputError, match=message):
+        CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert not (tmp_path / "t.zarr").exists()
+    assert CliRunner().invoke(app, [*arguments, "--anyway"]).exit_code == 0
 
 
 def write(path: Path, pixels: np.ndarray, seconds: float | None = None) -> None:

@@ -200,6 +200,3 @@ def test_small_and_stacked_domains_end(shapes: Any) -> None:
     matrix = random.random((1, int(np.prod(camera)), int(np.prod(projector)))) ** 8
     done = run_method(Footprints(), matrix, camera, projector, sigma=1e-3)
     assert np.isfinite(dense(done.transport)).all()
-    assert sum(done.patterns) <= Footprints().most_patterns(
-        RayDomain(camera), RayDomain(projector), options_of(Footprints())
-    )

@@ -26,26 +26,14 @@ def only(**changes: Any) -> Any:
 
 
 def test_it_counts_patterns_references_and_the_warm_up() -> None:
-    capture = {
-        "seconds_per_pattern": 3.0,
-        "black_frames": 2,
-        "floodlit_frames": 5,
-        "warm_up_minutes": 4,
-    }
+    capture = {"seconds_per_pattern": 3.0, "black_frames": 2, "floodlit_frames": 5}
+    capture["warm_up_minutes"] = 4
     row = only(methods={"brute_force": {}}, capture=capture)
     assert (row.scene, row.method, row.rays) == ("wall", "brute_force", 35)
-    assert row.patterns == row.most == 35
+    assert row.patterns == 35
     assert row.seconds == 240 + 3 * (35 + 7)
     dropped = only(methods={"brute_force": {}}, capture={**capture, "keep_raw": False})
     assert row.disk - dropped.disk == 35 * (4 * 35 * 3 * 2 + 4096)  # their brackets
-
-
-def test_a_method_that_descends_shows_at_most_every_block() -> None:
-    row = only(methods={"symmetric": {}}, camera=None)
-    assert row.levels == 4
-    assert row.most == 1 + 4 + 16 + 35
-    assert row.patterns == 35  # the thesis' scenes took 434 for four levels
-    assert row.most_seconds == 2.0 * (56 + 2 + 6)  # random patterns tell whether it is coaxial
 
 
 def test_the_command_says_what_does_not_fit(

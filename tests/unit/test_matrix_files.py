@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import dask.array
 import h5py
 import numpy as np
 import pytest
@@ -17,6 +20,7 @@ from rfpipe.errors import InputError
 from rfpipe.scenes import scene_from_config
 from rfpipe.testing import SceneContract
 from rfpipe.transport import save_transport
+from rfpipe.transport.arrays import DenseTransport
 
 CAMERA, PROJECTOR = (4, 5), (3, 6)
 T = np.random.default_rng(0).random((3, 20, 18))
@@ -74,6 +78,38 @@ def test_a_transport_of_rfpipe(tmp_path: Path) -> None:
     settings = {"file": str(tmp_path / "t.zarr"), "shape": PROJECTOR, "camera_shape": CAMERA}
     scene = scene_from_config(SceneSettings.of("matrix", **settings))
     np.testing.assert_allclose(scene.dense(1), T[1], rtol=1e-6)
+    for name in ("t.npz", "t.h5", "t.mat", "t.zarr"):
+        found.save(tmp_path / name)
+        rig = OperatorRig(read_matrix(tmp_path / name), CAMERA, PROJECTOR)
+        image = rig.capture(np.ones((1, *PROJECTOR), np.float32), [(0, 0)])[0, 0]
+        np.testing.assert_allclose(image.reshape(20, 3).T, T.sum(axis=2), rtol=1e-6)
+    np.savez(tmp_path / "other.npz", T=T)
+    with pytest.raises(InputError, match=r"there is no camera_shape.*give camera_shape"):
+        read_matrix(tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize("kind", [zarr.array, dask.array.from_array])
+def test_arrays_of_other_libraries_are_matrices_and_pictures(kind) -> None:
+    matrices = (kind(T), [kind(channel) for channel in T])
+    light = np.random.default_rng(1).random(PROJECTOR)
+    for rig in (OperatorRig(matrix, CAMERA, PROJECTOR) for matrix in matrices):
+        found = acquire(rig, "brute_force", progress=False).transport
+        np.testing.assert_allclose(found.toarray(), T, rtol=1e-6)
+        assert (found.relight(kind(light)) == found.relight(light)).all()
+        assert (found @ kind(light.ravel()) == found @ light.ravel()).all()
+
+
+def test_a_labelled_matrix_for_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
+    transport = DenseTransport(CAMERA, PROJECTOR, 3, [], {"matrix": T.astype(np.float32)})
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(InputError, match=r"pip install '\.\[xarray\]'"):
+        transport.to_xarray()
+    made = lambda *given: SimpleNamespace(values=given[0], coords=given[1], dims=given[2])  # noqa: E731
+    monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(DataArray=made))
+    found = transport.to_xarray(rows=[3, 5])
+    assert found.dims == ("channel", "camera", "projector")
+    assert found.coords["camera"].tolist() == [3, 5]
+    assert (found.values == transport.toarray(rows=[3, 5])).all()
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,9 @@
 """What every acquisition method has in common: the public contract, run on rfpipe's own."""
 
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
@@ -69,20 +73,29 @@ class TestNearFar(MethodContract):
         return NearFar()
 
 
-class TestDualToATarget(MethodContract):
-    options = {"target_error": 1e-4}  # noqa: RUF012
-    error = 0.1
+class Broken(BruteForce):
+    """Brute force whose matrix comes out changed."""
 
-    def make_method(self) -> Method:
-        return Dual().with_options(options_of(Dual(), **self.options))
+    def __init__(self, change: Any) -> None:
+        self.change = change
+
+    def transport(self, state: Any) -> Any:
+        return super().transport(replace(state, matrix=self.change(state.matrix)))
 
 
-class TestSymmetricToATarget(MethodContract):
-    options = {"target_error": 1e-4}  # noqa: RUF012
-    error = floodlit_error = 1e-3
-
-    def make_method(self) -> Method:
-        return Symmetric().with_options(options_of(Symmetric(), **self.options))
+@pytest.mark.parametrize(
+    ("change", "test", "message"),
+    [
+        (lambda matrix: matrix[::-1], "a_small_matrix_is_found", "channel 0"),
+        (lambda matrix: matrix * (np.arange(30) % 6 < 5), "a_small_matrix_is_found", "column 5"),
+        (lambda matrix: 3 * matrix, "light_is_finite_and_not_invented", "of light became"),
+    ],
+)
+def test_the_contract_finds_what_is_wrong(change: Any, test: str, message: str) -> None:
+    suite: Any = MethodContract()
+    suite.floodlit_error, suite.make_method = 1.0, lambda: Broken(change)
+    with pytest.raises(AssertionError, match=message):
+        getattr(suite, f"test_{test}")()
 
 
 def test_every_method_that_is_installed_is_tested_here() -> None:

@@ -65,7 +65,7 @@ def inputs(results):
 
 def test_every_figure_is_embedded_and_lies_beside_the_page_and_so_do_tables(results, page):
     assert stems(results) == {
-        "scene_flat", "scene_corner", "fig_5_10", "speed_error",
+        "scene_flat", "scene_corner", "leaves", "speed_error",
     }  # fmt: skip
     figures = results / "report" / "figures"
     assert sorted(page.images) == sorted(path.read_bytes() for path in figures.glob("*.png"))
@@ -88,6 +88,20 @@ def test_the_page_needs_nothing_from_elsewhere_and_names_rows_and_columns(page):
     assert all(re.findall(r'<img [^>]*alt="([^"]+)"', page.source))
 
 
+@pytest.mark.parametrize("width", [1280, 1920])
+def test_it_fits_a_screen_and_begins_with_what_came_out(chromium, results, width):
+    screen = chromium.new_page(viewport={"width": width, "height": 1000})
+    screen.goto(f"file://{results}/report/index.html")
+    assert screen.evaluate("document.documentElement.scrollWidth") <= width
+    assert screen.evaluate(
+        "[...document.querySelectorAll('.scroll')].every(it => it.scrollWidth <= it.clientWidth)"
+    )
+    table, picture = (screen.locator(it).first.bounding_box() for it in ("table", "img"))
+    assert table["y"] + table["height"] < picture["y"] < 700
+    assert picture["width"] > 800
+    screen.close()
+
+
 def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     config = GREY.model_copy(update={"verification": VerificationConfig(pictures=3)})
     acquired(tmp_path, config)
@@ -103,11 +117,12 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     write_bundle(folder / "verification.json", "it", arrays, {**found.facts(), **rig})
     page = built(tmp_path, config)
     assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in page.words
+    assert "3 pictures" in page.words
     about = json.loads((tmp_path / "report/results.json").read_text())
     (entry,) = about["provenance"]["acquisitions"]
     assert entry["verification"]["mean_error"] == pytest.approx(found.mean_error)
-    assert "verified_grey_brute_force_spots_1" in stems(tmp_path)
-    (row,) = pd.read_csv(tmp_path / "report/tables/verification_rig.csv").to_dict("records")
+    assert "verified_grey_brute_force_spots_1_relit" in stems(tmp_path, "figures/*.exr")
+    (row,) = pd.read_csv(tmp_path / "report/tables/verification.csv").to_dict("records")
     assert (row["drift"], row["moved"]) == (0.004, 0.3)
 
 
@@ -157,7 +172,7 @@ def test_pictures_of_light_lie_beside_the_page_as_they_are(results, page):
         kept = read_image(results / f"report/figures/scene_corner_{name}.exr")
         index = list(RELIGHTING_PATTERNS).index("horizontal_bar")
         np.testing.assert_array_equal(kept, images.read(name)[index])
-    assert "white is radiance" in page.words
+    assert "White is radiance" in page.words
 
 
 def image_of_one_colour(path: Path) -> None:
@@ -167,7 +182,7 @@ def image_of_one_colour(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "damage", "said"),
     [
-        ("figures/fig_5_10.png", image_of_one_colour, "fig_5_10.png: blank"),
+        ("figures/leaves.png", image_of_one_colour, "leaves.png: blank"),
         ("tables/errors.csv", Path.unlink, "links tables/errors.csv, which is missing"),
         ("index.html", lambda it: it.write_text(""), "shows no picture"),
     ],
@@ -200,8 +215,8 @@ def test_one_channel_one_method_and_no_camera(tmp_path):
 def test_a_light_field_shows_its_middle_view(tmp_path):
     acquired(tmp_path, FIELD)
     page = built(tmp_path, FIELD)
-    assert stems(tmp_path) == {"scene_corner", "scene_field", "fig_5_10", "speed_error"}
-    assert f"{size(8, 10)} and {size(2, 3, 6, 9)} rays" in page.words
+    assert stems(tmp_path) == {"scene_corner", "scene_field", "leaves", "speed_error"}
+    assert f"corner, {size(8, 10)} rays; field, {size(2, 3, 6, 9)} rays" in page.words
     inputs = load_inputs(FIELD, tmp_path, *tables_of(tmp_path))
     (field,) = inputs.of_scene("field")
     assert field.rays == 2 * 3 * 6 * 9
@@ -211,7 +226,7 @@ def test_a_light_field_shows_its_middle_view(tmp_path):
 def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
     first, second = make_sections(inputs)[:2]
     assert (first.anchor, second.anchor) == ("glance", "speed")
-    gallery, table = first.blocks
+    table, gallery = first.blocks
     assert [figure.name for figure in gallery.figures] == ["flat", "corner"]
     for figure in gallery.figures:
         assert list(figure.light) == ["floodlit", "relit", "truth"]
@@ -226,7 +241,8 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
         assert row["mean_indirect"] == 0 if row["scene"] == "flat" else row["mean_indirect"] > 0
         assert row["minutes"] == pytest.approx((2 * row["patterns"] + 9) / 60, rel=1e-4)
         assert shown[2] == number(row["patterns"])
-        assert shown[6] == percent(row["mean_error"])
+        assert "Of indirect light" in table.caption
+        assert shown[3:5] == [percent(row["mean_error"]), "exact truth"]
 
 
 class Aside:
@@ -249,7 +265,8 @@ def captured(folder, arrays, found=None):
              "subdivided": 0}  # fmt: skip
     facts = {"scene": "desk", "method": "dual", "names": list(RELIGHTING_PATTERNS), "row": 2,
              "coaxial": False, "options": {}, "patterns": 12, "bytes": 4000,
-             "levels": [level], **(found or {})}  # fmt: skip
+             "levels": [level, {**level, "level": 1, "patterns": 0, "nodes": 0}],
+             **(found or {})}  # fmt: skip
     write_manifest(folder / "desk/dual/relight.json", facts)
     evaluate.run([folder / "desk/dual/relight.json"], *tables_of(folder), 2.0)
 
@@ -262,6 +279,10 @@ ASIDE = Config.model_validate(
         "capture": {"rig": "remote"},
     }
 )  # fmt: skip
+
+
+def glance_of(folder):
+    return make_sections(load_inputs(ASIDE, folder, *tables_of(folder)))[0].blocks
 
 
 def aside_transport():
@@ -277,6 +298,8 @@ def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_pat
     truth = arrays["floodlit_truth"]
     found = relight.mean_errors(aside_transport(), Aside(), truth, is_coaxial=False)
     assert "mean_indirect" not in found
+    grain = {"whole": 0.003, "unlit": 0.052}
+    found["recorded"] = {"grain": grain, "versions": {"drjit": "1.5.0"}}
     captured(tmp_path, arrays, found)
     errors = pd.read_csv(tables_of(tmp_path)[0])
     # of a picture that sends back little for the pixels that it lights, less
@@ -285,19 +308,24 @@ def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_pat
     assert errors["indirect_error"].isna().all()
     page = built(tmp_path, ASIDE)
     assert "times brighter" not in page.words
-    assert "no pixel is known to be unlit" in page.words
+    assert "Of indirect light" not in page.words  # no pixel is known to be unlit
     assert "scene_desk" in stems(tmp_path)
+    (row,) = glance_of(tmp_path)[0].rows
+    assert {"recording", "0.30", "5.20"} < set(row)
+    assert "drjit 1.5.0" in page.words.replace("  ", " ")
 
 
 def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     floodlit = Aside.matrix.sum(1).reshape(5, 6, 1)
     captured(tmp_path, relight.relit_of_captured(aside_transport(), floodlit))
     page = built(tmp_path, ASIDE)
-    (gallery, table) = make_sections(load_inputs(ASIDE, tmp_path, *tables_of(tmp_path)))[0].blocks
-    assert list(gallery.figures[0].light) == ["floodlit", "relit"]
-    assert table.columns[-1] == "stored, MB"
-    assert "captured_desk_dual" in stems(tmp_path)
-    assert "The truth of a real scene is not known" in page.words
+    (table, gallery) = glance_of(tmp_path)
+    assert list(gallery.figures[0].light) == ["floodlit", *RELIGHTING_PATTERNS]
+    assert table.rows[0][2:4] == ["12", "not verified"]
+    assert "error, %" not in table.columns
+    assert "the truth of a real scene is not known" in page.words
+    # levels that asked for nothing are left out
+    assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
 
 
 def test_without_anything_relit_there_is_no_report(tmp_path):

@@ -30,75 +30,53 @@ class TestRoom(SceneContract):
         return of_kind("room", surfaces=("texture",) * 3, shape=(4, 5), views=(1, 2))
 
 
-class Dim(CoaxialScene):
-    """Half of everything; what is wrong with it stands in the classes below."""
+class Own(CoaxialScene):
+    """A scene of a function of the weights, which counts how often it is used and made."""
 
-    def __init__(self):
+    made = itertools.count()
+
+    def __init__(self, light, described=()):
         super().__init__((4, 5), 1)
+        self.light, self.described = light, described
+        self.facts = {"used": 0, "made": next(self.made)}
 
     def apply(self, patterns):
-        return apply_in_batches(self.radiance, patterns, self.shape, 1)
+        self.facts["used"] += 1
+        together = np.float32(1 + 1e-7 * len(patterns) * (self.described == "together"))
+        return apply_in_batches(self.radiance, patterns, self.shape, 1) * together
 
     def radiance(self, weights):
-        return 0.5 * weights[..., None]
+        return self.light(weights)[..., None]
 
     def describe(self):
-        return {"scene": "dim"}
+        return {name: it for name, it in self.facts.items() if name in self.described}
 
 
-class Negative(Dim):
-    def radiance(self, weights):
-        return -weights[..., None]
-
-
-class Black(Dim):
-    def radiance(self, weights):
-        return 0 * weights[..., None]
-
-
-class Curved(Dim):
-    def radiance(self, weights):
-        return weights[..., None] ** 1.1
-
-
-class Leaking(Dim):
-    def radiance(self, weights):
-        return weights[..., None] + 1e-3
-
-
-class Shifted(Dim):
-    def radiance(self, weights):
-        return np.roll(weights, 1, axis=0)[..., None]
-
-
-class Together(Dim):
-    def apply(self, patterns):
-        return super().apply(patterns) * np.float32(1 + 1e-7 * len(patterns))
-
-
-class Changing(Dim):
-    numbers = itertools.count()
-
-    def describe(self):
-        return {"number": next(self.numbers)}
+def dim(weights):
+    return 0.5 * weights
 
 
 @pytest.mark.parametrize(
     ("scene", "test", "message"),
     [
-        (Negative, "light", "negative"),
-        (Black, "light", "no light"),
-        (Curved, "linearity", "picture of a sum"),
-        (Leaking, "linearity", "light in darkness"),
-        (Shifted, "dense", "T from its transpose"),
-        (Together, "same_bytes_beside_any_patterns", "by themselves"),
-        (Changing, "description", "made again"),
+        ((lambda weights: -weights,), "light", "negative"),
+        ((lambda weights: 0 * weights,), "light", "no light"),
+        ((lambda weights: 3 * weights,), "light", "default camera"),
+        ((lambda weights: weights**1.1,), "linearity", "picture of a sum"),
+        ((lambda weights: weights + 1e-3,), "linearity", "light in darkness"),
+        ((lambda weights: np.roll(weights, 1, axis=0),), "dense", "T from its transpose"),
+        ((lambda weights: weights * (np.arange(20) % 5 < 4)[:, None],), "dense", "nothing"),
+        ((dim, "together"), "same_bytes_beside_any_patterns", "by themselves"),
+        ((dim, ["made"]), "description", "made again"),
+        ((dim, ["used"]), "description", "after use"),
     ],
 )
 def test_what_is_wrong_is_found(scene, test, message):
-    class Suite(SceneContract):
-        def make_scene(self):
-            return scene()
+    def run(*settings):
+        suite = SceneContract()
+        suite.make_scene = lambda: Own(*settings)
+        getattr(suite, f"test_{test}")()
 
+    run(dim)
     with pytest.raises(AssertionError, match=message):
-        getattr(Suite(), f"test_{test}")()
+        run(*scene)

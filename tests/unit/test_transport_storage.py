@@ -68,6 +68,14 @@ def test_an_unknown_format_is_refused(transport: Transport, tmp_path: Path) -> N
         open_transport(tmp_path / "later")
 
 
+def test_leaves_with_signs_are_refused(transport: Transport, tmp_path: Path) -> None:
+    arrays, attributes = transport.pack()
+    signs = np.ones((3, 1), np.int8)
+    write_arrays(tmp_path / "old", {**arrays, "level_00_0000_signs": signs}, attributes)
+    with pytest.raises(StoreError, match=f"{tmp_path / 'old'}: leaves with signs are no longer"):
+        open_transport(tmp_path / "old")
+
+
 @pytest.mark.parametrize("number_format", ["float32", "uint8"])
 @pytest.mark.parametrize("method", ["symmetric", "dual"])
 def test_beyond_the_memory_budget_it_streams_with_the_same_results(

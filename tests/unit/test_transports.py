@@ -38,7 +38,7 @@ def scan() -> Made:
 
 
 def leaves(shape: tuple[int, ...] = COAXIAL) -> Made:
-    transport, matrices = random_transport(shape, 3, seed=5, signed=True)
+    transport, matrices = random_transport(shape, 3, seed=5)
     transport.level_rows = ROWS
     return transport, matrices
 
@@ -102,7 +102,7 @@ def multiscale(shape: tuple[int, ...] = COAXIAL) -> Made:
     cores = np.zeros((3, len(basis), len(basis)))
     cores[:, first, second] = cores[:, second, first] = held["cores"]
     weighted = held["factor"][:, :, None] * basis.weights.toarray()
-    transport = MultiscaleTransport(shape, 3, ROWS, held)
+    transport = MultiscaleTransport(shape, shape, 3, ROWS, held)
     return transport, weighted @ cores @ weighted.swapaxes(1, 2)
 
 
@@ -116,7 +116,9 @@ def wavelets() -> Made:
     cores[:, pairs[0], pairs[1]] = cores[:, pairs[1], pairs[0]] = held["cores"]
     back = cells.haar.inverse(np.eye(cells.haar.size, dtype=np.float32))
     weighted = held["factor"][:, :, None] * back[cells.of_ray]
-    return WaveletTransport(COAXIAL, 3, ROWS, held), weighted @ cores @ weighted.swapaxes(1, 2)
+    return WaveletTransport(COAXIAL, COAXIAL, 3, ROWS, held), weighted @ cores @ weighted.swapaxes(
+        1, 2
+    )
 
 
 def total() -> Made:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from rfpipe.errors import ConfigError
+from rfpipe.report.text import rig_standing
 from rfpipe.report.verification import verdicts_section
 from rfpipe.rigs.calibrated import VERDICTS_KEY, check_verdicts, warn_of
 from rfpipe.store import write_manifest
@@ -38,7 +39,9 @@ def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
 def test_a_report_shows_the_verdicts_on_its_rig(
     tmp_path: Path, verdicts: dict[str, Any], said: str, rows: list[list[str]]
 ) -> None:
-    section = verdicts_section(inputs_of(tmp_path, {"kind": "devices", VERDICTS_KEY: verdicts}))
+    rig = {"kind": "devices", VERDICTS_KEY: verdicts}
+    section = verdicts_section(inputs_of(tmp_path, rig))
+    assert rig_standing(rig) == ("NOT GOOD" if verdicts else "no calibration")
     assert section.text == [said]
     assert section.blocks[0].rows == rows
     assert not verdicts_section(inputs_of(tmp_path / "other", {"kind": "simulated"})).blocks

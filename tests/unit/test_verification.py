@@ -48,9 +48,10 @@ def test_noise_alone_is_no_error() -> None:
     truth = random.random((200, 6, 7, 1)).astype(np.float32)
     variance = (0.001 + 0.01 * truth).astype(np.float32)
     seen = (truth + np.sqrt(variance) * random.standard_normal(truth.shape)).astype(np.float32)
-    variance[:, 0] = np.inf
-    seen[:, 0] = 1e6  # what isn't known doesn't count
+    variance[:, 0, :3] = np.inf
+    seen[:, 0, :3], seen[:, 0, 3:] = 1e6, np.nan  # what isn't known doesn't count
     floodlit = np.zeros((2, 6, 7, 1), np.float32)
+    floodlit[0, 0, 3:] = np.nan
     found = compare(truth[..., 0], (seen, variance), truth, np.ones(1), floodlit)
     errors, spread = found.table["error"], found.table["standard_error"]
     assert (errors == 0).mean() == pytest.approx(0.5, abs=0.15)

@@ -70,13 +70,18 @@ def alike(page: Any, transport: Any) -> None:
     np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
 
 
-def drag(page: Any, canvas: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
-    """From one place to another, in parts of the canvas."""
+def place(page: Any, canvas: str, x: float, y: float) -> tuple[float, float]:
+    """Where a part of the picture is, which fills the canvas' height."""
     box = page.locator(canvas).bounding_box()
-    places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in (begin, end)]
-    page.mouse.move(*places[0])
+    width = min(box["width"], box["height"] * SHAPE[1] / SHAPE[0])
+    return box["x"] + (box["width"] - width) / 2 + x * width, box["y"] + y * box["height"]
+
+
+def drag(page: Any, canvas: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
+    """From one place to another, in parts of the picture."""
+    page.mouse.move(*place(page, canvas, *begin))
     page.mouse.down()
-    page.mouse.move(*places[1], steps=3)
+    page.mouse.move(*place(page, canvas, *end), steps=3)
     page.mouse.up()
     settled(page)
 
@@ -119,8 +124,7 @@ def test_a_picture_is_light(page: Any, tmp_path: Path) -> None:
 
 def test_a_pixel_s_row_shows_where_its_light_comes_from(page: Any) -> None:
     page.locator("[data-tool=pixel]").click()
-    box = page.locator("#seen").bounding_box()
-    page.mouse.click(box["x"] + box["width"] * 5.5 / 24, box["y"] + box["height"] * 7.5 / 20)
+    page.mouse.click(*place(page, "#seen", 5.5 / 24, 7.5 / 20))
     settled(page)
     page.wait_for_timeout(200)
     pixels = "[...$('light').getContext('2d').getImageData(0, 0, 24, 20).data]"
@@ -217,13 +221,15 @@ def test_the_picture_is_saved(page: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("width", [1280, 400])
 def test_axe_finds_nothing(chromium: Any, symmetric: Path, colours: str, width: int) -> None:
     page = opened(chromium, symmetric, color_scheme=colours)
-    page.set_viewport_size({"width": width, "height": 800})
+    page.set_viewport_size({"width": width, "height": 900})
     page.locator("summary").click()
     page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
     for tool in ("spot", "bar", "brush", "picture", "pixel"):
         page.locator(f"[data-tool={tool}]").click()
         found = page.evaluate("axe.run()")["violations"]
         assert [(each["id"], each["nodes"][0]["html"]) for each in found] == []
+        controls = page.locator(".controls").bounding_box()
+        assert width == 400 or controls["y"] + controls["height"] <= 900  # not below the fold
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.context.close()
 

@@ -1,4 +1,4 @@
-"""`snakemake calibrate` on the bench in software: one job a step, none of them twice."""
+"""`rfpipe run calibrate` on the bench in software: one job a step, none of them twice."""
 
 import re
 from pathlib import Path

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -142,9 +143,9 @@ def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
     np.testing.assert_array_equal(white > 0, lit)
 
 
-def swapped(pictures: Path) -> None:
-    """The opposite of the marker after black."""
-    for one, other in ((2, 4), (3, 5)):
+def swapped(pictures: Path, *pairs: tuple[int, int]) -> None:
+    """Exchange files; by default, the opposite of the marker comes after black."""
+    for one, other in pairs or ((2, 4), (3, 5)):
         first, second = (pictures / f"IMG_{index}.tif" for index in (one, other))
         first.rename(pictures / "aside.tif")
         second.rename(first)
@@ -164,7 +165,8 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda folder: (folder / "IMG_3.tif").unlink(), "holds 27 pictures; 14 patterns of 2"),
+        (lambda folder: (folder / "IMG_3.tif").unlink(), "IMG_4.*A picture may be missing before"),
+        (lambda folder: (folder / "IMG_27.tif").unlink(), "holds 27 pictures; 14 patterns of 2"),
         (rewritten("IMG_5.tif", lambda pixels: pixels, 1.0), r"IMG_5.*exposed for 1 s.*0\.5, 2 s"),
         (rewritten("IMG_6.tif", lambda pixels: pixels[:3]), r"3 x 5 pixels.*expected 4 x 5"),
         (rewritten("IMG_7.tif", lambda pixels: pixels.repeat(3, axis=2)), "has 3 channels"),
@@ -178,6 +180,21 @@ def test_pictures_are_refused_before_any_is_kept(level_0: Path, spoil: Any, mess
     spoil(level_0 / "pictures")
     assert re.search(message, command("import", level_0, fails=True))
     assert not list(level_0.parents[1].glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+
+
+def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path) -> None:
+    photographer.photograph(level_0, (np.eye(20) + 0.02)[None], photographer.counts)
+    exchange = partial(swapped, level_0 / "pictures", (12, 14), (13, 15))
+    kept = level_0.parents[1] / "r" / "desk" / "symmetric" / "L00"
+    exchange()
+    assert "IMG_12.tif shows the pattern of IMG_14.tif" in command("import", level_0, fails=True)
+    assert not list(kept.glob("reference.zarr/c.*"))
+    assert "None of these pictures" in command("import", level_0, "--anyway", fails=True)
+    assert not kept.exists()
+    exchange()
+    command("import", level_0)
+    assert f"{kept}: removed" in command("import", level_0, "--take-back").replace("\n", "")
+    assert not kept.exists()
 
 
 def test_counts_beyond_the_camera_s_bits(level_0: Path) -> None:

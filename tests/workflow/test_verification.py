@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import re
+import shutil
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 from tests.knocked import SHAPE, Knocked, beside, wedge
 from tests.workflow.harness import Workflow
-from tests.workflow.stagewise import CODE, stages
+from tests.workflow.stagewise import CODE, FaultyRig, stages
 from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.errors import CaptureError
@@ -39,7 +41,8 @@ def settings(mode: str = "warn", looks: int = LOOKS, code: str = CODE) -> Any:
 def acquire(
     path: Path, rig: Any, method: str = "dual", mode: str = "warn", looks: int = LOOKS
 ) -> AcquisitionFolder:
-    plan = Plan(method, method, SHAPE, SHAPE, 1, {"tolerance": 1e-2})
+    options = {"tolerance": 1e-2} if method == "dual" else {}
+    plan = Plan(method, method, SHAPE, SHAPE, 1, options)
     return acquire_matrix(path, rig, plan, settings(mode, looks))
 
 
@@ -109,20 +112,40 @@ def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
     assert {"capture.zarr", "verification.json"} <= places
 
 
-@pytest.mark.parametrize("at", [3, 12])
-def test_a_knock_is_noticed_within_ten_patterns_by_any_method(
-    tmp_path: Path, at: int, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("at", "method"), [(3, "dual"), (12, "dual")])
+def test_a_knock_ends_the_capture_within_ten_patterns(
+    tmp_path: Path, at: int, method: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
-    with caplog.at_level(logging.WARNING), pytest.raises(CaptureError, match=r"moved.*begin anew"):
-        acquire(tmp_path / "refused", rig, mode="refuse")
-    assert at < len(rig.keys) <= at + 10
+    folder = tmp_path / "refused"
+    for _ in range(2):  # the next run takes no pattern more
+        with pytest.raises(CaptureError, match=r"moved.*begin anew") as caught:
+            acquire(folder, rig, method, mode="refuse")
+        assert at < len(rig.keys) <= at + 10
+    rig.at = 10**6  # put back
+    shutil.rmtree(re.search(r"Or put back .*, remove (\S+)", str(caught.value))[1])
+    facts = verified(acquire(folder, rig, method, mode="refuse"), rig)
+    assert facts["alarms"] == []
+    assert facts["mean_error"] < 0.01
     rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
-    facts = verified(acquire(tmp_path / "warned", rig), rig)
+    with caplog.at_level(logging.WARNING):
+        facts = verified(acquire(tmp_path / "warned", rig, method), rig)
     assert facts["moved"] > 0.1
     assert any("moved" in alarm for alarm in facts["alarms"])
     assert facts["mean_error"] > 0.05
     assert "the rig or the scene moved" in caplog.text
+
+
+def test_what_passes_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    looks = count()  # the first that is compared is the third
+
+    def passing(key: tuple[int, ...], frames: np.ndarray) -> np.ndarray:
+        return frames[:, ::-1] if key[0] == LOOK_KEY and next(looks) == 2 else frames
+
+    rig = FaultyRig(OperatorRig(list(wedge()), SHAPE, SHAPE, CameraModel()), passing)
+    with caplog.at_level(logging.WARNING):
+        acquire(tmp_path, rig, mode="refuse")
+    assert "not once more" in caplog.text
 
 
 def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:

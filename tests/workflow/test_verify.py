@@ -116,7 +116,7 @@ def test_damage_is_found_and_mended_to_the_same_bytes(
     assert all(finding.path.is_relative_to(run) for finding in findings)
     for finding in findings:
         remove, _, again = command_for(finding).partition(" && ")
-        assert Path(again.split()[0]).name in ("snakemake", "make")
+        assert Path(again.split()[0]).name == "rfpipe"
         assert str(run / "transport.json") in remove
         subprocess.run(remove, shell=True, check=True)
     shown = acquire(run)
@@ -251,7 +251,7 @@ def test_a_run_damaged_in_many_ways_at_once_is_mended_by_the_commands_named(
     for removal, _, _ in commands:
         subprocess.run(removal, shell=True, check=True)
     (again,) = {again for _, _, again in commands}
-    again = again.replace("snakemake", f"snakemake {TINY}", 1)  # and not the whole report
+    again = again.replace(" run ", f" run {TINY} ", 1)  # and not the whole report
     subprocess.run(again, shell=True, check=True, capture_output=True)
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
     assert check(run).findings == []

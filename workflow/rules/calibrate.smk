@@ -1,4 +1,4 @@
-# `snakemake calibrate`: the rig of the setting rig_file, one job a step; no part of a run.
+# `rfpipe run calibrate`: the rig of the setting rig_file, one job a step; no part of a run.
 
 if SETTINGS.rig_file is not None:
 

@@ -29,7 +29,7 @@ rule evaluate:
 
 
 rule report:
-    """The thesis' figures and tables for the acquired scenes, on one page."""
+    """Figures and tables of the acquired scenes, on one page."""
     input:
         relit=every_acquisition("relight.json"),
         errors="results/report/tables/errors.csv",

@@ -51,8 +51,8 @@ def camera_model(camera: Camera) -> CameraModel:
 def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
     """Return the parameters of `CameraModel` that were measured."""
     names = {field.name for field in fields(CameraModel)}
-    facts = [one.facts for one in found.values()]
-    numbers = {name: one[name] for one in facts for name in one if name in names}
+    facts = (fact for one in found.values() for fact in one.facts.items())
+    numbers = {name: value for name, value in facts if name in names}
     if "black_level_counts" in numbers:
         numbers["black_level_counts"] = max(0, round(numbers["black_level_counts"]))
     return numbers

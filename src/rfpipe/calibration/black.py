@@ -14,6 +14,9 @@ from rfpipe.units import SATURATION_FRACTION
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+LONGEST_SECONDS = 60.0
+"""Longest exposure that a bracket may have."""
+
 
 def measure_dark(bench: Bench) -> Findings:
     """Measure brackets of the all-off picture.
@@ -78,17 +81,17 @@ def measure_dark(bench: Bench) -> Findings:
         "noise_counts": float(noise[np.argmin(headroom)]),
         "headroom_deviations": float(headroom.min()) if np.isfinite(headroom).any() else None,
         "filled_share": float(filled),
-        "bearable_s": bearable_seconds(span, current) if current > 0 else None,
+        "bearable_s": bearable_seconds(span, current),
     }
     return Findings.of("dark", facts, {"black": black.astype(np.float32), "hot": hot})
 
 
-def bearable_seconds(span: float, current: float) -> float:
-    """Return the longest exposure whose darkness is good, with room for noise.
+def bearable_seconds(span: float, rate: float) -> float:
+    """Return the longest exposure, a minute at most, that light of so many counts a second leaves.
 
-    `current` is in counts a second, of `span` counts.
+    It then takes a twentieth of the range, `span` counts.
     """
-    return float(0.04 * span / current) if current > 0 else np.inf
+    return min(0.05 * span / max(rate, 1e-9), LONGEST_SECONDS)
 
 
 def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:

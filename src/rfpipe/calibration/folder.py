@@ -83,8 +83,7 @@ STEPS: dict[str, Step] = {
 
 def steps_of(settings: CalibrationConfig) -> dict[str, Step]:
     """Return the steps of a rig by name."""
-    every = STEPS.items()
-    return {name: step for name, step in every if settings.coaxial or not step.is_coaxial}
+    return {name: step for name, step in STEPS.items() if settings.coaxial or not step.is_coaxial}
 
 
 @dataclass(frozen=True)
@@ -242,12 +241,10 @@ def calibrate(
                 _log.info("%s: done before", step.title)
                 continue
             count = partial(progress, step.title) if progress else lambda _: nullcontext()
-            bench = Bench(projector, camera, settings, rays, needs, count)
-            findings = _measured(step, bench)
+            findings = _measured(step, Bench(projector, camera, settings, rays, needs, count))
             folder.write(step.name, findings, made_for)
             level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
-            standing, text = findings.verdict
-            _log.log(level, "%s: %s. %s", step.title, STANDINGS[standing], text)
+            _log.log(level, "%s: %s", step.title, findings.verdict)
         if only is None:
             finish(folder, settings)
 
@@ -274,23 +271,16 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
 
 
 def _measured(step: Step, bench: Bench) -> Findings:
-    """Measure a step; where that can't be done though the devices work, that is the finding.
-
-    One that isn't good names the first of those it builds on that has to be mended before it.
-    """
+    """Measure a step; where that can't be done though the devices work, that is the finding."""
     standings = {name: one.verdict.standing for name, one in bench.found.items()}
-    for name, standing in standings.items():
-        if standing == "failed":
-            text = f"Builds on what was not measured: {STEPS[name].title.lower()}."
-            return Findings(Verdict("failed", text))
+    bad = [name for name, standing in standings.items() if standing in ("poor", "failed")]
+    mend = f"Mend {bad[0]} first. " if bad else ""
+    if "failed" in standings.values():
+        return Findings(Verdict("failed", f"{mend}There is nothing that this can build on."))
     try:
         found = step.measure(bench)
     except DeviceError as failure:
         raise failure.args[0] from None
     except RfpipeError as error:
         found = Findings(Verdict("failed", f"Could not be measured: {error}."))
-    poor = [name for name, standing in standings.items() if standing == "poor"]
-    if not poor or found.verdict.standing == "good":
-        return found
-    text = f"Mend {poor[0]} first, which this builds on. {found.verdict.text}"
-    return replace(found, verdict=found.verdict._replace(text=text))
+    return replace(found, verdict=found.verdict._replace(text=mend + found.verdict.text))

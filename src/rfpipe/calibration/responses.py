@@ -63,26 +63,26 @@ def measure_linearity(bench: Bench) -> Findings:
             inside = (at >= 0) & (at < _BINS)
             less, more = signal[k : k + 2, inside]
             rest = less * ratio - more  # fixed differences between photosites cancel
-            noise = (less - again[k, inside]) ** 2 / 2
-            sums[:, k] += _binned(at[inside], _BINS, less, more, rest**2, noise)
-    ratio = np.broadcast_to(ratios[:, None], sums.shape[1:])
+            sums[:, k] += _binned(at[inside], bins, less, more, rest**2)
     there = (sums[0] >= _LEAST_PIXELS) & (sums[1] > 0)
-    count, short, long, squares, noise = sums[:, there]
-    ratio = ratio[there]
+    ratio = np.broadcast_to(ratios[:, None], there.shape)[there]
+    count, short, long, squares = sums[:, there]
     scatter = np.maximum(squares - (short * ratio - long) ** 2 / count, 0)
-    # counts that are rounded, or cut, to whole ones by the converter: of both exposures, of black
-    off = (ratio + 1) * _rounding(noise / count)
-    off += (ratio - 1) * _rounding(np.min(dark["variance_counts2"]))
-    error = np.sqrt(scatter) / long + off * count / long / _SURE
-    error += dark["black_level_error"] * (ratio - 1) * count / long
-    deviation = short * ratio / long - 1
-    arrays = {"level": long / span / count, "deviation": deviation, "error": error}
-    # a large difference is one however coarse the comparison, which agreement is not
-    known = (error < max(tolerance, 1e-3)) | (np.abs(deviation) > tolerance + _SURE * error)
-    facts = _exponent(short, long, ratio, error, tolerance) if known.any() else {}
-    facts |= {"tolerance": tolerance, "compared_levels": int(known.sum())}
-    linear = {"kind": "Linear", "response_gamma": 1.0}
-    return Findings.of("linearity", {**linear, **facts}, arrays)
+    # rounding is no chance: without noise, of which it may feign a quarter, means and black level
+    # are up to half a step off, all the same way
+    dither, dark_dither = (
+        np.exp(-2 * np.pi**2 * np.maximum(noise - 1 / 4, 0)) / 2
+        for noise in (scatter / count / ratio**2, dark["variance_counts2"][0])
+    )
+    of_black = dark["black_level_error"] + dark_dither / _SURE
+    offset = dither / _SURE * (ratio + 1) + of_black * (ratio - 1)
+    error = (np.sqrt(scatter) + offset * count) / long
+    arrays = {"level": long / span / count, "deviation": short * ratio / long - 1, "error": error}
+    # that exposures agree is told by levels that are well known, that they don't by any
+    known = int((error < max(tolerance, 1e-3)).sum())
+    facts = _exponent(short, long, ratio, error, tolerance) if there.any() else {}
+    linear = {"kind": "Linear", "response_gamma": 1.0, "compared_levels": known}
+    return Findings.of("linearity", {**linear, **facts, "tolerance": tolerance}, arrays)
 
 
 def _edges(level: Double) -> Double:
@@ -114,18 +114,18 @@ def _exponent(
 
     def beyond(gamma: float) -> float:
         """Return the largest deviation beyond its error, an exponent undone."""
-        deviation = np.abs((short / long) ** gamma * ratio - 1)
-        return float(np.maximum(deviation - _SURE * error, 0).max())
+        deviation = short**gamma * ratio / long**gamma - 1
+        return float(np.maximum(np.abs(deviation) - _SURE * error, 0).max())
 
-    worst = beyond(1.0)
-    facts: dict[str, Any] = {"worst_deviation": worst, "deviation": worst}
     # one exponent for pairs of all ratios
     apart, steps = (np.average(np.log(x), weights=error**-2) for x in (ratio, long / short))
-    gamma = float(apart / steps) if steps > 0 else np.inf
-    is_bent = worst > tolerance and 0.2 <= gamma <= 5 and abs(gamma - 1) > _STRAIGHT
-    if is_bent and (misfit := beyond(gamma)) <= tolerance:
+    gamma, worst = float(apart / max(steps, 1e-9)), beyond(1.0)
+    facts: dict[str, Any] = {"worst_deviation": worst, "deviation": worst}
+    is_known = np.average(error, weights=error**-2) / apart < _STRAIGHT < abs(gamma - 1)
+    if worst > tolerance and is_known and 0.2 <= gamma <= 5 and beyond(gamma) <= tolerance:
         kind = f"Undone as a power law of exponent {gamma:.3g}"
-        facts |= {"response_gamma": gamma, "deviation": misfit, "kind": kind}
+        facts |= {"response_gamma": gamma, "deviation": beyond(gamma), "kind": kind}
+        facts["compared_levels"] = len(error)
     return facts
 
 
@@ -250,35 +250,32 @@ def measure_transfer(bench: Bench) -> Findings:
         weight = np.full(len(current), float((dark["frames"] - 1) * good.sum()))
         added = current, dark_variance, weight, np.ones(len(current))
         bins = [np.append(old, new[bare]) for old, new in zip(bins, added, strict=True)]
-    gain, gain_error, read, read_error, misfit = _fit_noise(*bins)
-    electrons = gain * np.sqrt(read)
-    electrons_error = gain * read_error / (2 * np.sqrt(max(read, read_error)))
-    # what counts is the noise of darkness, to which the converter's steps belong
-    of_darkness = read_error / (2 * (read + 1 / 12))
-    facts = {
-        "electrons_per_count": gain,
-        "electrons_per_count_error": gain_error,
-        "read_noise_electrons": electrons,
-        "read_noise_error": electrons_error,
-        "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * gain),
-        "dark_current_error": dark["current_error"] * gain,
-        "full_well_electrons": gain * span,
-        "misfit": misfit,
-        "known_within": 2 * max(gain_error / gain, of_darkness),
-        "numbers": f"{gain:.3g} +- {gain_error:.2g} electrons a count, read noise "
-        f"{electrons:.3g} +- {electrons_error:.2g} electrons",
-    }
-    curve = read + signal / gain + step**2 / 12
+    fit = fit_noise(*bins)
+    curve = fit.read + signal / fit.gain + step**2 / 12
     arrays = {
         "signal": signal, "variance": variance, "error": error, "model": curve, "used": used
     }  # fmt: skip
-    return Findings.of("transfer", facts, arrays)
+    return Findings.of("transfer", _noise_facts(fit, dark, span), arrays)
 
 
-def _fit_noise(
-    signal: Double, variance: Double, pairs: Double, step: Double
-) -> tuple[float, float, float, float, float]:
-    """Fit gain and read noise to bins (n,): variance = read noise^2 + signal / gain + step^2 / 12.
+def _noise_facts(fit: NoiseFit, dark: Findings, span: float) -> dict[str, Any]:
+    """Return what the camera model and the verdict need of a fit."""
+    read = fit.gain * np.sqrt(fit.read)
+    read_error = fit.gain * fit.read_error / (2 * np.sqrt(max(fit.read, fit.read_error)))
+    # what counts is the noise of darkness, to which the converter's steps belong
+    of_darkness = fit.read_error / (2 * (fit.read + 1 / 12))
+    return {
+        "electrons_per_count": fit.gain,
+        "electrons_per_count_error": fit.gain_error,
+        "full_well_electrons": fit.gain * span,
+        "read_noise_electrons": read,
+        "read_noise_error": read_error,
+        "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * fit.gain),
+        "misfit": fit.misfit,
+        "known_within": 2 * max(fit.gain_error / fit.gain, of_darkness),
+        "numbers": f"{fit.gain:.3g} +- {fit.gain_error:.2g} electrons a count, read noise "
+        f"{read:.3g} +- {read_error:.2g} electrons",
+    }
 
     `pairs` are the differences that each variance is of, and `step` that of the converter: 1, or
     more or less where a response was linearised.

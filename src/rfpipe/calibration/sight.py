@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.black import bearable_seconds
+from rfpipe.calibration.black import LONGEST_SECONDS, bearable_seconds
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.pictures.images import srgb
 from rfpipe.units import SATURATION_FRACTION
@@ -100,30 +100,43 @@ def measure_sight(
     # the brightest half per cent are glints
     is_few = bool(lit.sum() < _FEW)
     of_lit = rates.ravel() if is_few else rates[lit]
-    light = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
-    room = _room(black, noise, off_full, exposures)
-    level = min(max(float(np.median(black[0])) - room * exposures[0], 0.0), white_level / 2)
+    brightest, brighter = np.maximum(np.percentile(of_lit, (99.5, 90)), 0)
+    # a saturated frame is of the least light that it may be
+    last = max(
+        (k for k in range(1, len(off_full)) if k == 1 or off_full[k].mean() < 0.5), default=0
+    )
+    low, high = black[0].mean(), black[last].mean()
+    rate = max(float(high - low), 0.0) / max(exposures[last] - exposures[0], 1e-9)
+    level = min(float(low) - rate * exposures[0], white_level / 2)
+    bearable = bearable_seconds(white_level - level, rate)
     share = float(saturated.sum() / max(lit.sum(), 1))
+    # as many exposures, as far apart, the brightest pixels just below saturation in the shortest
+    fitting = _AIM * (white_level - level) / brightest if brightest > 0 else exposures[0]
+    wanted = exposures[-1] * (1 / _DARKER if share > 0.01 else fitting / exposures[0])
+    longer = min(wanted, bearable) / exposures[-1]
+    reached = float(brighter * exposures[-1] / (white_level - level))
     seen = (signal > _SURE * noise[:, None, None]) & ~off_full
     sides = {"upper": lit[0], "lower": lit[-1], "left": lit[:, 0], "right": lit[:, -1]}
     edges = [name for name, side in sides.items() if side.mean() > 0.1]
     is_black = off_full[0].mean() <= 0.01
-    is_over = share > 0.01 or not is_black
     facts = {
         "lit_share": float(lit.mean()),
         "edges_left": len(edges),
         "edges": ", ".join(edges),
-        **_exposed(light, room, white_level - level, exposures, is_over),
+        "bearable_s": bearable,
+        "wanted_s": min(wanted, LONGEST_SECONDS),
+        "shortest_s": exposures[0],
+        "longest_s": exposures[-1],
+        "longer_times": longer,
+        "less_noise": float(np.sqrt(longer)),
+        "proposed_exposures_s": [float(f"{one * longer:.2g}") for one in exposures],
         "stripes_pixels": period,
         "focus_contrast": float(np.nanmedian(focus)) if np.isfinite(focus).any() else None,
-        "black_level": float(level),
+        "black_level": level,
         "saturated_share": share,
         "black_saturated_share": float(off_full[0].mean()),
-    }
-    if is_few or not is_black:
-        facts |= dict.fromkeys(("brighter_level", "noise_times", "room_noise_times"))
-    facts |= {
         "overexposed_share": share if is_black else None,
+        "brighter_level": reached if is_black and not is_few else None,
         "is_stripeless": int(is_black and is_few),
     }
     arrays = {
@@ -149,45 +162,6 @@ def sight_picture(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -
     picture[saturated], picture[dark] = RED, BLUE
     picture[binary_dilation(lit, np.ones((3, 3), bool)) & ~lit] = YELLOW
     return picture
-
-
-def _exposed(
-    light: Double, room: float, span: float, exposures: Sequence[float], is_over: bool
-) -> dict[str, Any]:
-    """Return how bright the lit pixels are, and a bracket that suits them.
-
-    `light` is that of the brightest pixels and of bright ones, in counts a second.
-
-    It has as many exposures, as far apart, the brightest pixels just below saturation; none longer
-    than a minute, or than the light of a room bears, the two shortest that far apart all the same.
-    """
-    (brightest, brighter), longer, bearable = light, 1.0, min(60.0, bearable_seconds(span, room))
-    if brightest > 0:
-        longer = (1 / _DARKER) if is_over else _AIM * span / brightest / exposures[0]
-    level, at_most = float(brighter * exposures[-1] / span), bearable / exposures[:2][-1]
-    # of photons, where it is bright
-    noise, is_room = float(np.sqrt(min(longer, 1 / max(level, 1e-9)))), longer > at_most
-    longer = float(min(longer, at_most))
-    scaled = [float(f"{min(longer * one, bearable):.2g}") for one in exposures]
-    return {
-        "shortest_s": exposures[0],
-        "longest_s": exposures[-1],
-        "brighter_level": level,
-        "proposed_exposures_s": list(dict.fromkeys(scaled)),
-        "longer": longer,
-        "noise_times": None if is_room else noise,
-        "room_noise_times": noise if is_room else None,
-        "filled_share": float(room * exposures[-1] / span),
-        "bearable_s": bearable,
-    }
-
-
-def _room(black: Double, noise: Double, full: Mask, exposures: Sequence[float]) -> float:
-    """Return light and dark current of the all-off picture, (E, H, W), in counts a second."""
-    last = max(k for k, one in enumerate(full) if k == 0 or one.mean() <= 0.5)
-    # beyond the noise of both means
-    rise = (black[last] - black[0]).mean() - 2 * _SURE * noise[last] / np.sqrt(black[0].size)
-    return float(max(rise, 0) / (exposures[last] - exposures[0])) if last else 0.0
 
 
 def _filled(lit: Mask) -> Mask:

@@ -18,14 +18,12 @@ from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs.layout import ProjectorLayout
 
-Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
 CONFIDENCE = 2.0
 """Standard errors that a verdict leaves to chance."""
 
 _LEAST = float(np.finfo(np.float64).tiny)  # where there is no light at all
-_UNKNOWN = 0.5  # squared error that unknown pixels may seem to make, for their share
 
 
 class Pictures(NamedTuple):
@@ -100,17 +98,14 @@ def merged_pictures(
     remaining = iter(brackets)
     black = np.mean([next(remaining) for _ in range(references)], axis=0).astype(np.float32)
     merge = sensor.merging(black, references)
-
-    def merged(count: int) -> tuple[Double, Double]:
-        found = [merge(next(remaining)[None]) for _ in range(count)]
-        images = ([one.radiance[0] for one in found], [one.variance[0] for one in found])
-        channels = found[0].radiance.shape[-1]
-        radiance, variance = (np.stack(part).astype(np.float64) for part in images)
-        return radiance.reshape(count, -1, channels), variance.reshape(count, -1, channels)
-
-    lit, noise = merged(references)
-    pictures = Pictures(signs.reshape(len(signs), -1), *merged(len(signs)))
-    return lit.mean(axis=0), noise.mean(axis=0) / references, pictures
+    merged = [merge(frames[None]) for frames in remaining]
+    radiance, variance = (
+        np.concatenate(images).astype(np.float64).reshape(len(merged), -1, images[0].shape[-1])
+        for images in ([one.radiance for one in merged], [one.variance for one in merged])
+    )
+    floodlit = radiance[:references].mean(axis=0)
+    pictures = signs.reshape(len(signs), -1), radiance[references:], variance[references:]
+    return floodlit, variance[:references].mean(axis=0) / references, Pictures(*pictures)
 
 
 def measure_rig(bench: Bench) -> Findings:

@@ -10,6 +10,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.rigs.calibrated import STANDINGS
+
 Standing = Literal["good", "poor", "unknown", "failed"]
 Facts = Mapping[str, Any]
 
@@ -27,6 +29,10 @@ class Verdict(NamedTuple):
 
     standing: Standing
     text: str
+
+    def __str__(self) -> str:
+        """Return both as a person reads them."""
+        return f"{STANDINGS[self.standing]}. {self.text}"
 
 
 @dataclass(frozen=True)
@@ -83,21 +89,18 @@ scene poor overexposed_share > 0.01: {saturated_share:.1%} of the pixels that th
     are saturated even at the shortest exposure, {shortest_s:.3g} s. Take shorter exposures, as
     sensor.exposures: {proposed_exposures_s}, close the aperture, or dim the projector.
 scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.3g} s, white reaches
-    {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted.
+    {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted. Take
+    longer exposures, or open the aperture.
 scene poor is_stripeless > 0: No stripes of the projector are seen, at {longest_s:.3g} s at most. Is
     the lamp on, the lens cap off, does the camera see what the projector lights, are both in focus?
     Then take much longer exposures, or open the aperture.
-scene note noise_times > 1.4: Noise is {noise_times:.1f} times what exposures {longer:.3g} times as
-    long leave where it is bright, more where it is dark, which costs patterns, or error. Take
-    sensor.exposures: {proposed_exposures_s}, or open the aperture.
-scene note filled_share > 0.05: The all-off picture takes {filled_share:.0%} of the range at
-    {longest_s:.3g} s: darken the room, or take no exposure above {bearable_s:.2g} s, as
-    sensor.exposures: {proposed_exposures_s}.
-scene note room_noise_times > 1.4: Noise is {room_noise_times:.1f} times what longer exposures
-    leave, but the room's light bears none above {bearable_s:.2g} s: darken it.
+scene note longer_times > 4: Dim: with sensor.exposures: {proposed_exposures_s},
+    {longer_times:,.0f} times as long, dark parts have {less_noise:.1f} times less noise, and
+    methods take fewer patterns or end at a smaller error.
+scene note bearable_s < wanted_s: The all-off picture's light bears exposures up to {bearable_s:.2g}
+    s; darken the room for longer ones.
 scene note edges_left > 0: It leaves the camera's view at the {edges} edge.
-dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites
-    ({hot_share:.3%}), which are left out.
+dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites left out.
 dark poor headroom_deviations < 4: The black level, {black_level_counts:.1f} counts, is less than
     four times the noise ({noise_counts:.2f}) above zero: darkness is cut off and biased. Raise the
     camera's black level.
@@ -112,19 +115,18 @@ linearity good: {kind}: exposures agree within {deviation:.2%} beyond noise, {to
 linearity unknown compared_levels < 1: Exposures could not be compared: it takes two or more, a few
     times apart, of light between black and saturated, in more bits where counts are coarse.
 linearity poor deviation > tolerance: Not linear: exposures of the same light differ by up to
-    {worst_deviation:.1%}, and no power law describes them. Switch the camera's gamma off. Is the
-    light steady, are gain and exposure not automatic, and are the exposure times true?
+    {worst_deviation:.1%}, and no power law surely describes them. Switch the camera's gamma off.
+    Is the light steady, are gain and exposure not automatic, and are the exposure times true?
 light good: {usable_codes} steps of light; half the light is code {code_of_half_light:.0f}; the lamp
     drifted by {drift:+.2%}.
 light poor over_noise < 30: Too dark: full light is {over_noise:.0f} times a pixel's noise where it
-    shows at all; {limit:.0f} times or more are wanted. Take the exposures that the step
-    scene proposes, or open the aperture.
+    shows at all; {limit:.0f} times or more are wanted. Take the exposures that the step scene
+    proposes, or open the aperture.
 light poor drift_beyond_noise > tolerance: The light changed by {drift:+.2%} while the codes were
     shown, more than {tolerance:.1%}: let the lamp warm up, and calibrate again.
 light poor falls_at_code > 0: Light falls at code {falls_at_code}: switch off the projector's
     dynamic contrast and colour modes.
-light poor usable_codes < 64: Only {usable_codes} of 256 codes differ in light: reset brightness,
-    contrast.
+light poor usable_codes < 64: Only {usable_codes} codes differ: reset brightness and contrast.
 transfer good: Known well enough for the merge: {numbers}.
 transfer poor misfit > 0.1: The variance misses that of photons by {misfit:.0%}; {numbers}. Is the
     camera linear, its gamma and noise reduction off, the light steady?

@@ -44,14 +44,18 @@ def fit(
     coaxial: Annotated[
         bool, typer.Option("--coaxial", help="Camera and projector share their rays.")
     ] = False,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Write a transport that is worth nothing, too.")
+    ] = False,
 ) -> None:
     """Find the light transport behind pictures of patterns that were chosen elsewhere.
 
     Patterns may be one light at a time, Hadamard, random or any others, as weights of light.
     Where they tell of each projector ray by itself, the transport follows directly; where they are
     few, from what is most probable, on a coaxial rig by the model of near_far. How far it is off is
-    estimated from pictures that are left out. The transport opens in Python by
-    rfpipe.open_transport, and relights by 'rfpipe relight'.
+    estimated from pictures that are left out. Nothing is written where pictures contradict the
+    others, or the patterns are too few to tell much more than their mean. The transport opens in
+    Python by rfpipe.open_transport, and relights by 'rfpipe relight'.
     """
     from rfpipe.config import load_config
     from rfpipe.errors import InputError
@@ -66,7 +70,7 @@ def fit(
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor
     series = read_series(folder, lights=lights, camera=camera, black=black, transfer=transfer)
-    result = fit_transport(series, coaxial=coaxial)
+    result = fit_transport(series, coaxial=coaxial, anyway=anyway)
     save_transport(result.transport, output, scene=folder.name, method="fit")
     count, rays = series.patterns.shape
     typer.echo(

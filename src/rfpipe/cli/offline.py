@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,31 +52,50 @@ def import_(
         typer.Option(help="Folder of the pictures; 'pictures' in the sheet's folder by default."),
     ] = None,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Take pictures that are too bright or dark, too.")
+        bool, typer.Option("--anyway", help="Take pictures that seem wrong.")
+    ] = False,
+    take_back: Annotated[
+        bool, typer.Option("--take-back", help="Remove what was imported from here on, instead.")
     ] = False,
 ) -> None:
     """Read the pictures that were taken of a sheet's patterns, go on, and write the next sheet.
 
     Pictures are TIFF, PNG, EXR or raw files, which sort by the numbers in their names as they were
     taken, a bracket's exposures together. All are checked before any is kept: number, size,
-    channels, bits, exposure times where the files say them, saturation and, by the marker frames,
-    order.
+    channels, bits, exposure times where the files say them, saturation, order by the marker frames,
+    and whether each picture shows its pattern. A sheet that was imported can be taken back, with
+    all that followed from it; its pictures stay.
     """
     from rfpipe.config import load_config
-    from rfpipe.rigs.offline import read_sheet
-    from rfpipe.stages.offline import PICTURES, OfflineAcquisition
+    from rfpipe.errors import CaptureError
+    from rfpipe.pictures import picture_files
+    from rfpipe.rigs.offline import PICTURES, read_sheet
+    from rfpipe.stages.offline import OfflineAcquisition
 
     sheet = read_sheet(folder)
     about = sheet.about
     config, results = Path(about["settings"]), Path(about["results"])
     scene, name = about["scene"], about["method"]
     acquisition = OfflineAcquisition(load_config(config), scene, name, results / scene / name)
+    if take_back:
+        picture_files(pictures or folder / PICTURES)  # nothing else is left of them
+        for path in acquisition.take_back(about["level"]):
+            typer.echo(f"{path}: removed")
+        typer.echo(f"{folder}: taken back. Import its pictures again when they are right")
+        return
     checked = acquisition.read(sheet, pictures or folder / PICTURES, anyway=anyway)
     for note in checked.notes:
         typer.echo(f"{folder}: {note}", err=True)
-    rig = acquisition.rig(checked)
-    level = acquisition.advance(rig)
-    typer.echo(f"{folder}: {len(checked.files)} brackets imported")
+    rig, is_new = checked.rig, not acquisition.files.exists(about["level"], "capture")
+    try:
+        level = acquisition.advance(rig)
+    except CaptureError as error:
+        if not is_new:
+            raise
+        acquisition.take_back(about["level"])
+        raise CaptureError(f"{error}. None of these pictures is kept") from error
+    before = "imported before and left as they are; others come after --take-back"
+    typer.echo(f"{folder}: {len(checked.files)} brackets {'imported' if is_new else before}")
     further = None if level is None else acquisition.write(rig, folder.parent, config, results)
     _tell(f"{scene} by {name}", further, results / scene / name, config)
 
@@ -82,16 +103,18 @@ def import_(
 def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
     """Say what is to be done next."""
     if sheet is None:
+        home, settings = str(folder.absolute().parents[2]), str(config.absolute())
+        run = [sys.argv[0], "run", "--directory", home, "--configfile", settings]
         typer.echo(
             f"{acquisition}: nothing more is asked for; the transport is "
-            f'{folder / "transport.zarr"}. For the report: make run ARGS="--configfile {config}"'
+            f"{folder / 'transport.zarr'}. For the report: {shlex.join(run)}"
         )
         return
     about: dict[str, Any] = sheet.about
     times = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
-        f"{acquisition}: level {about['level']} asks for {len(sheet.patterns)} patterns "
+        f"{acquisition}: level {about['level']} asks for {len(sheet.shown) - 3} patterns "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
-        f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: rfpipe import "
-        f"{sheet.folder}"
+        f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "
+        f"{shlex.join([sys.argv[0], 'import', str(sheet.folder)])}"
     )

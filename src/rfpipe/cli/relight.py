@@ -43,7 +43,7 @@ def relight(
             help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; a picture "
             "of the projector's size, one channel (white light) or RGB, its values taken as linear "
             "weights, whole numbers as fractions of their largest; or a .npy file of weights, "
-            "(count, *rays) or (count, *rays, channels). May be repeated.",
+            "(*rays) or (*rays, channels), or of many such. May be repeated.",
         ),
     ],
     output: Annotated[
@@ -51,8 +51,9 @@ def relight(
         typer.Option(
             "--output",
             "-o",
-            help="Picture to write, .exr (radiance, float32) or .png (8 bits, sRGB); of several "
-            "patterns the folder of their pictures.",
+            help="Picture to write, .exr (radiance, float32) or .png (8 bits, sRGB); .npy for all "
+            "pictures as one array of radiance, (count, H, W, channels); else, of several "
+            "patterns, the folder of their pictures.",
         ),
     ],
     form: Form = "exr",
@@ -69,6 +70,7 @@ def relight(
     import numpy as np
 
     from rfpipe.export import relit_pictures
+    from rfpipe.store.files import whole_file
 
     light = opened(path, dual, level, view)
     patterns = list(_patterns(pattern, light))
@@ -76,6 +78,12 @@ def relight(
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
+    if output.suffix == ".npy":
+        stack = np.stack(list(relit_pictures(light, (weights() for _, weights in patterns))))
+        with whole_file(output) as partial_file:
+            np.save(partial_file, stack)
+        typer.echo(f"{output}: {times(stack.shape)}, radiance up to {stack.max():.4g}")
+        return
     is_picture = len(patterns) == 1 and output.suffix in (".exr", ".png")
     if not is_picture:
         output.mkdir(parents=True, exist_ok=True)
@@ -106,6 +114,9 @@ def _patterns(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Calla
                 stack = np.load(file, mmap_mode="r", allow_pickle=False)
             except (OSError, ValueError) as error:
                 raise InputError(f"{file}: can't be read as .npy: {error}") from error
+            if light.projector_shape in (stack.shape, stack.shape[:-1]):
+                yield file.stem, partial(np.asarray, stack)
+                continue
             for index in range(len(stack)):
                 yield f"{file.stem}_{index:04d}", partial(stack.__getitem__, index)
         else:

@@ -21,7 +21,8 @@ def aim(
     Open the address that is printed, on this machine; from another one through an SSH tunnel
     (ssh -L 8751:127.0.0.1:8751 RIG). The page shows the scene with what is saturated in red, what
     is too dark in blue and the projector's outline; how sharp stripes are; and a bracket of
-    exposures to paste into the rig's settings. Ctrl-C ends it, and gives the devices back.
+    exposures to paste into the rig's settings. Ctrl-C ends it, and gives the devices back: end it
+    before 'rfpipe calibrate' or 'serve', which need them.
     """
     import logging
 
@@ -33,9 +34,10 @@ def aim(
     config = load_rig_config(rig).model_copy(update={"calibration": None})
 
     def say(address: str) -> None:
-        typer.echo(f"open {address}")
+        typer.echo(f"open {address}; Ctrl-C here ends it")
 
     run(lambda: devices_from_config(config), config.calibrate.period_pixels, port, say)
+    typer.echo("stopped; the devices are free for rfpipe calibrate")
 
 
 def calibrate(
@@ -64,7 +66,7 @@ def calibrate(
     from rfpipe.config import load_rig_config
     from rfpipe.errors import StoreError
     from rfpipe.report.calibration import build_calibration_report
-    from rfpipe.rigs.calibrated import faults_of
+    from rfpipe.rigs.calibrated import STANDINGS
     from rfpipe.stages.jobs.job import Progress
 
     logging.basicConfig(format="%(message)s")
@@ -76,11 +78,10 @@ def calibrate(
     finally:
         with suppress(StoreError):  # nothing is done yet
             typer.echo(f"report: {build_calibration_report(folder)}")
-    verdicts = folder.verdicts()
-    if faults_of(verdicts):
-        bad = [one for one in verdicts.values() if one["standing"] in ("poor", "failed")]
-        names = ", ".join(one["title"].lower() for one in bad)
-        typer.echo(f"not good: {names}. rfpipe serve refuses such a rig", err=True)
+    bad = [one for one in folder.verdicts().values() if one["standing"] in ("poor", "failed")]
+    if bad:
+        names = "; ".join(f"{one['title']}: {STANDINGS[one['standing']]}" for one in bad)
+        typer.echo(f"{names}. rfpipe serve refuses such a rig", err=True)
         raise typer.Exit(1)
 
 

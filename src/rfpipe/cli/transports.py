@@ -47,7 +47,10 @@ _SMALLEST_MOVIE = 360  # pixels of its shorter side
 
 
 def info(path: TransportPath) -> None:
-    """Show a transport's shape, channels, bytes and levels; of a folder of several, their names."""
+    """Show a transport's shape, channels, bytes and levels that showed or found something.
+
+    Of a folder of several transports, show their names.
+    """
     transport = open_checked(path)
     rows, columns = map(math.prod, (transport.camera_shape, transport.projector_shape))
     dense = rows * columns * transport.channels * 4  # float32
@@ -57,7 +60,9 @@ def info(path: TransportPath) -> None:
         f"channels   {transport.channels}\n"
         f"bytes      {transport.nbytes:,} ({transport.nbytes / dense:.2%} of a dense matrix)\n"
     )
-    typer.echo(transport.levels.to_string(index=False))
+    levels = transport.levels
+    told = levels.drop(columns="level", errors="ignore").fillna(0).any(axis=1)
+    typer.echo(levels[told].to_string(index=False))
 
 
 def open_checked(path: Path | Place) -> Transport:
@@ -88,7 +93,9 @@ def export(
     path: TransportPath,
     output: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="To write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3)."),
+        typer.Option(
+            "--output", "-o", help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3)."
+        ),
     ],
     rows: Annotated[
         list[str] | None,
@@ -136,7 +143,7 @@ def export(
 
 def movie(
     path: TransportPath,
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="To write: .mp4.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .mp4.")],
     along: Annotated[
         str,
         typer.Option(

@@ -54,8 +54,7 @@ def verify(
         for path in removals:
             remove_tree(path)
         again = dict.fromkeys(command.rpartition(" && ")[2] for command in commands if command)
-        message = f"removed {len(removals)} files and folders; now run: {' && '.join(again)}"
-        typer.echo(message)
+        typer.echo(f"removed what has to go ({len(removals)}); now run: {' && '.join(again)}")
         return
     pages = [
         place / "index.html" for place in (folder, folder / "report", folder / "results/report")
@@ -85,4 +84,5 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
     if not checked.findings:
         typer.echo(f"{named}: whole. {amount}")
         return
-    typer.echo(f"\n{named}: {len(checked.findings)} findings in {amount}")
+    count = len(checked.findings)
+    typer.echo(f"\n{named}: {count} {'finding' if count == 1 else 'findings'} in {amount}")

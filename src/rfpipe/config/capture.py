@@ -56,7 +56,7 @@ class CaptureConfig(Settings):
         0.05, "Relative error in relit pictures above which a rig isn't taken for a coaxial one."
     )
     watch: Literal["off", "warn", "refuse"] = setting(
-        "warn", "Where looks tell that the rig moved: refuse ends the capture; off: no looks."
+        "refuse", "Where looks tell that the rig moved: refuse ends the capture; off: no looks."
     )
     batch_patterns: Batch = setting(16, "Patterns captured and stored at a time, 1 to 1024.")
     keep_raw: bool = setting(

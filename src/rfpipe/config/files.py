@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from rfpipe.config.base import Location, Settings, located, shown
 from rfpipe.config.devices import RigConfig
 from rfpipe.config.model import DEFAULT_METHODS, Config
-from rfpipe.config.reading import Collection, check_files, read_collection, read_yaml
+from rfpipe.config.reading import Collection, read_collection, read_yaml
 from rfpipe.errors import ConfigError
 
 _MOST_LINES = 30
@@ -48,9 +48,7 @@ def parse_config(data: object, source: str, folders: Sequence[Path] = ()) -> Con
         return _parsed(Config, data, source)
     assert isinstance(data, Mapping)
     scenes = {**(data.get("scenes") or {}), **collection.scenes}
-    settings = _parsed(Config, {**data, "scenes": scenes}, source, collection)
-    check_files(settings, collection)
-    return settings
+    return _parsed(Config, {**data, "scenes": scenes}, source, collection)
 
 
 def _collection(data: Mapping[str, Any], folders: Sequence[Path]) -> Collection | None:
@@ -67,9 +65,8 @@ def _collection(data: Mapping[str, Any], folders: Sequence[Path]) -> Collection 
     known = methods if isinstance(methods, Mapping) else dict.fromkeys(DEFAULT_METHODS)
     collection = read_collection(file, known)
     for scene in set(data.get("scenes") or {}) & set(collection.scenes):
-        raise ConfigError(
-            f"{file}: {collection.places[scene]}: the settings have a scene {scene}, too"
-        )
+        place = f"{file}: {collection.places[scene]}"
+        collection.problems.append(f"{place}: the settings have a scene {scene}, too")
     return collection
 
 
@@ -98,24 +95,31 @@ def _parsed(kind: type[_S], data: object, source: str, collection: Collection | 
             f"{source}: holds {shown(data)}; expected 'key: value' lines with the keys "
             f"{', '.join(kind.model_fields)}"
         )
+    lines = [] if collection is None else collection.problems
     try:
-        return kind.model_validate(dict(data))
+        settings = kind.model_validate(dict(data))
+        if not lines:
+            return settings
     except ValidationError as error:
-        lines = [
-            f"{_place(location, line, collection) or source}: {line}"
-            for location, line in located(error)
-        ]
-        if len(lines) > _MOST_LINES:
-            lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more mistakes"]
-        raise ConfigError("\n".join(lines)) from None
+        found = [(_scene_of(*each, collection), each[1]) for each in located(error)]
+        for scene, line in found:
+            place = (
+                f"{collection.file}: {collection.places[scene]}" if collection and scene else source
+            )
+            lines.append(f"{place}: {line}")
+        # what is looked for after this, in the table's other scenes
+        scenes = data.get("scenes", {})
+        others = {name: scenes[name] for name in scenes if name not in dict(found)}
+        if collection and 0 < len(others) < len(scenes) and len(lines) < _MOST_LINES:
+            _parsed(kind, {**data, "scenes": others}, source, collection)
+    if len(lines) > _MOST_LINES:
+        lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more mistakes"]
+    raise ConfigError("\n".join(dict.fromkeys(lines)))
 
 
-def _place(location: Location, line: str, collection: Collection | None) -> str | None:
-    """Return where in a collection a mistake is, or None."""
-    if collection is None:
-        return None
+def _scene_of(location: Location, line: str, collection: Collection | None) -> str:
+    """Return the scene of a table that a mistake is about; empty for none."""
     scene = str(location[1]) if location[:1] == ("scenes",) and len(location) > 1 else ""
     if not location and (named := re.search(r"scenes\.(\w+)", line)):
         scene = named[1]
-    row = collection.places.get(scene)
-    return row and f"{collection.file}: {row}"
+    return scene if collection is not None and scene in collection.places else ""

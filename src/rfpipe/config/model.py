@@ -91,7 +91,7 @@ class Config(Settings):
     verification: VerificationConfig = group_of(VerificationConfig)
     offline: OfflineConfig = group_of(OfflineConfig)
     rig_file: Text | None = setting(
-        None, "Settings of the rig that 'snakemake calibrate' calibrates, or null."
+        None, "Settings of the rig that 'rfpipe run calibrate' calibrates, or null."
     )
     storage: StorageConfig = group_of(StorageConfig)
     resources: ResourcesConfig = group_of(ResourcesConfig)

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
@@ -14,8 +15,9 @@ from typing import Any
 import yaml
 
 from rfpipe.config.base import merged
-from rfpipe.config.model import OWN_TO_SCENES, Config
-from rfpipe.errors import ConfigError
+from rfpipe.config.model import OWN_TO_SCENES
+from rfpipe.config.scenes import SceneSettings
+from rfpipe.errors import ConfigError, InputError
 
 _FOLDER = re.compile(r"(?!(con|prn|aux|nul|(com|lpt)[0-9])$)[a-z][a-z0-9_]{0,99}")
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
@@ -88,54 +90,60 @@ def _wrong(what: str, mark: yaml.Mark | None) -> yaml.constructor.ConstructorErr
 
 @dataclass(frozen=True)
 class Collection:
-    """The scenes of a table, each with its settings and its place in the file (``line 3``)."""
+    """The scenes of a table, each with its settings and its place in the file (``line 3``).
+
+    `problems` are what is wrong with the table itself, each with its place.
+    """
 
     file: Path
     scenes: dict[str, dict[str, Any]] = field(default_factory=dict)
     places: dict[str, str] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
 
 
 def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
     """Read the scenes of a CSV file.
 
     It has commas, semicolons or tabs, in UTF-8 or UTF-16, and a header that names settings. A scene
-    that sets options of some methods and chooses none has the run's.
-
-    Raises
-    ------
-    ConfigError
-        When the file can't be read; for every row whose name is missing, stands twice or fits no
-        folder, and every cell that isn't YAML though it begins with a bracket.
+    that sets options of some methods and chooses none has the run's. Problems are every row whose
+    name is missing, stands twice or fits no folder, which goes on as ``line_3`` so that its other
+    mistakes are found; cells without a column, those that aren't YAML though they begin with a
+    bracket, and names of files that aren't there. ConfigError when the file can't be read.
     """
-    collection, problems = Collection(file), []
+    collection = Collection(file)
     for place, row in _csv_rows(file):
+        wrong = []
         name = row.pop("name", "")
-        if wrong := _unfit(name, collection.places):
-            problems.append(f"{place}: {wrong}")
-            continue
+        if unfit := _unfit(name, collection.places):
+            wrong.append(unfit)
+            name = place.replace(" ", "_")
         collection.places[name] = place
-        try:
-            values = {key: _value(row[key], key) for key in row}
-            collection.scenes[name] = _scene(values, methods)
-        except yaml.YAMLError as error:
-            problems.append(f"{place}: {' '.join(str(error).split())}")
-    if not collection.places and not problems:
-        problems.append("has no scenes; expected a row for each")
-    if problems:
-        raise ConfigError("\n".join(f"{file}: {problem}" for problem in problems))
+        if astray := row.pop("", None):
+            wrong.append(f"{astray!r} stands in a column without name")
+        values = {}
+        for column, cell in row.items():
+            try:
+                values[column] = _value(cell, column)
+            except yaml.YAMLError as error:
+                wrong.append(f"{column}: {' '.join(str(error).split())}")
+        collection.scenes[name] = _scene(values, methods)
+        wrong += _missing_files(values)
+        collection.problems.extend(f"{file}: {place}: {each}" for each in wrong)
+    if not collection.places:
+        raise ConfigError(f"{file}: has no scenes; expected a row for each")
     return collection
 
 
-def check_files(settings: Config, collection: Collection) -> None:
-    """Raise ConfigError for every file that a scene of the table names and that isn't there."""
-    missing = [
-        f"{collection.file}: {place}: {option} is {str(file)!r}, which isn't there"
-        for name, place in collection.places.items()
-        for option in type(settings.scenes[name]).files
-        if not (file := Path(getattr(settings.scenes[name], option))).exists()
+def _missing_files(row: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with the files that a scene's settings name."""
+    options: tuple[str, ...] = ()
+    with suppress(InputError):  # no such kind, which the model says
+        options = SceneSettings.model_of(str(row.get("kind"))).files
+    return [
+        f"{option} is {row[option]!r}, which isn't there"
+        for option in options
+        if isinstance(row.get(option), str) and not Path(row[option]).exists()
     ]
-    if missing:
-        raise ConfigError("\n".join(missing))
 
 
 def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, str]]]:
@@ -163,8 +171,7 @@ def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, str]]]:
         raise ConfigError(f"{file}: line {line}: the header {expected}; it is {header}")
     for line, cells in filled[1:]:
         named = dict(zip(header, cells, strict=False))
-        if astray := [*filter(None, cells[len(header) :]), *filter(None, [named.get("")])]:
-            raise ConfigError(f"{file}: line {line}: {astray[0]!r} stands in a column without name")
+        named[""] = next(filter(None, cells[len(header) :]), named.get("", ""))
         row = {column: cell for column, cell in named.items() if cell}
         if delimiter == ";":
             row |= {

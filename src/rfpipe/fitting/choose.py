@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.fitting.folder import Series
-from rfpipe.fitting.linear import solve_linear
+from rfpipe.fitting.linear import solve_linear, strange_pictures
 from rfpipe.methods.adaptive.estimate import relit
 from rfpipe.methods.adaptive.residual import Canvas, residual_of
 from rfpipe.methods.adaptive.smooth import as_transport, fit
@@ -47,7 +47,7 @@ class Fit:
     held_out: int
 
 
-def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
+def fit_transport(series: Series, *, coaxial: bool = False, anyway: bool = False) -> Fit:
     """Find the light transport behind pictures.
 
     Parameters
@@ -56,11 +56,14 @@ def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
     coaxial : bool
         Whether camera and projector share their rays. Near/far's model is fitted, too, and taken
         where it predicts pictures better that are left out of the fits.
+    anyway : bool
+        Whether to return a transport that is worth little, too.
 
     Raises
     ------
     InputError
-        When the pictures of a coaxial rig don't allow near/far's model.
+        When the pictures of a coaxial rig don't allow near/far's model; when pictures contradict
+        the others, or the patterns tell of little more than the mean picture.
     """
     models = {"least squares": solve_linear}
     if coaxial:
@@ -68,18 +71,42 @@ def fit_transport(series: Series, *, coaxial: bool = False) -> Fit:
         models["near/far"] = _solve_near_far
     complete, held = series.is_complete, _held_out(series)
     rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
+    left_out = series.some(held)
     errors: dict[str, float] = {}
     # of patterns that are just complete, one that is left out isn't told of by the others
     if held.size and not (complete and not rest.is_complete):
         errors = {
-            name: _error(solve(rest, []), series.some(held)) for name, solve in models.items()
+            name: _error(relit(solve(rest, []), left_out.patterns), left_out)
+            for name, solve in models.items()
         }
     best = min(errors, key=lambda name: errors[name]) if errors else "least squares"
     row = level_row(0, len(series.patterns))
     if errors:
         row["estimated_error"] = errors[best]
+        doubts = _doubts(series, rest, left_out, errors[best])
+        if doubts and not anyway:
+            raise InputError(f"{doubts} To take them all the same: --anyway")
     transport = models[best](series, [row])
     return Fit(transport, best, complete, errors.get(best), len(held) if errors else 0)
+
+
+def _doubts(series: Series, rest: Series, held: Series, error: float) -> str:
+    """Say which pictures contradict the others, or that the fit is hardly better than a mean."""
+    if (strange := strange_pictures(series)).size:
+        names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
+        worst = ", ".join(names[index] for index in strange[:4])
+        return f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"
+    mean = rest.radiance.mean(axis=0, dtype=np.float64) / rest.patterns.mean(dtype=np.float64)
+    by_mean = _error(held.patterns.mean(axis=1)[:, None, None] * mean, held)
+    if error <= 0.5 * by_mean:
+        return ""
+    rank, rays = series.rank, series.patterns.shape[1]
+    return (
+        f"left-out pictures are off by {error:.0%}, by {by_mean:.0%} where each is taken for the "
+        f"mean one: {rank} independent patterns tell too little of {rays} rays. Take "
+        f"{max(rays - rank, 0)} more and in less noise, see that none are exchanged, or give "
+        "--coaxial where camera and projector share their rays."
+    )
 
 
 def _check_coaxial(series: Series) -> None:
@@ -122,9 +149,9 @@ def _held_out(series: Series) -> NDArray[np.int64]:
     return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
 
 
-def _error(found: Transport, held: Series) -> float:
-    """Return the mean error of pictures that aren't black, less their own noise."""
-    residual = relit(found, held.patterns) - held.radiance
+def _error(guess: NDArray[Any], held: Series) -> float:
+    """Return the mean error of a guess at pictures that aren't black, less their own noise."""
+    residual = guess - held.radiance
     wrong = np.square(residual, dtype=np.float64).sum(axis=(1, 2))
     wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
     light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))

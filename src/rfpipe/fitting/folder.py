@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,8 @@ class Series:
         Linear, without the light of anything else; finite.
     variance : ndarray of float32, shape (K, C, M)
         Of `radiance`, at least 0; 0 where nothing is known of it.
+    names : sequence of K str
+        Of the pictures; empty where they have none.
 
     Raises
     ------
@@ -46,9 +49,10 @@ class Series:
 
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, ...]
-    patterns: Float
-    radiance: Float
-    variance: Float
+    patterns: Float = field(repr=False)
+    radiance: Float = field(repr=False)
+    variance: Float = field(repr=False)
+    names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         rays = prod(ray_shape(self.camera_shape, "camera_shape"))
@@ -58,7 +62,8 @@ class Series:
         for name, shape in (
             ("patterns", (count, lights)), ("radiance", pictures), ("variance", pictures)
         ):  # fmt: skip
-            values = getattr(self, name)
+            values = np.asarray(getattr(self, name))  # of other libraries, too
+            object.__setattr__(self, name, values)
             if values.shape != shape:
                 raise InputError(f"{name} has the shape {values.shape}; expected {shape}")
             if not np.isfinite(values).all() or (name != "radiance" and (values < 0).any()):
@@ -89,7 +94,7 @@ class Series:
     def some(self, chosen: NDArray[np.int64]) -> Series:
         """Return some of the pictures."""
         parts = {name: getattr(self, name)[chosen] for name in ("patterns", "radiance", "variance")}
-        return replace(self, **parts)
+        return replace(self, **parts, names=())
 
 
 def read_series(
@@ -153,7 +158,8 @@ def read_series(
             darkness = [_light(path, transfer, differ) for [path] in dark]
             radiance -= np.mean(darkness, axis=0, dtype=np.float64).astype(np.float32)
         variance = np.zeros_like(radiance)
-    return Series(headers[0].size, weights.shape[1:], patterns[lit], radiance, variance)
+    names, shapes = [files[0].name for files in brackets], (headers[0].size, weights.shape[1:])
+    return Series(*shapes, patterns[lit], radiance, variance, names)
 
 
 def _brackets(place: Path, step: int) -> list[list[Path]]:

@@ -74,17 +74,6 @@ class ErrorOptions(PatternOptions):
     )
 
 
-class TargetOptions(Options):
-    """The options of methods that have a tolerance, and may be told an error to end at."""
-
-    target_error: Fraction | None = Field(
-        None,
-        description="Mean error of relit pictures at which to end, a fraction of their norm "
-        "between 0 and 1, estimated from six more pictures; null: by the "
-        "tolerance.",
-    )
-
-
 class LevelImages(Protocol):
     """The radiance images of one level, read a few patterns at a time."""
 
@@ -161,10 +150,6 @@ class Method(ABC, Generic[State]):
     trades: str | None = None
     trials: tuple[float, ...] = ()
 
-    def with_options(self, options: Any) -> Method[Any]:
-        """Return the method that these options ask for: this one, or another made of it."""
-        return self
-
     def check(self, camera: RayDomain, projector: RayDomain) -> None:
         """Raise InputError if the method does not fit a rig of these rays."""
         if self.needs_coaxial_rig and camera.shape != projector.shape:
@@ -190,10 +175,6 @@ class Method(ABC, Generic[State]):
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Guess the patterns of a whole acquisition, for forecasts; one a ray if not said."""
         return projector.size
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return the patterns that a scene without any structure may take."""
-        return max(projector.size, self.expected_patterns(camera, projector, options))
 
     def memory_bytes(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any

@@ -13,8 +13,8 @@ from pydantic import Field
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour_seen
-from rfpipe.methods.adaptive.descent import Descent
-from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, Float, LevelImages, TargetOptions
+from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, Float, LevelImages, Options
+from rfpipe.methods.descent import Descent
 from rfpipe.methods.images import batches
 from rfpipe.methods.states import MethodState, grown, kept, level_row
 from rfpipe.patterns import Schedule
@@ -33,7 +33,7 @@ _TOGETHER = 28.0
 _DROPPED, _STORED, _OPEN = 0, 1, 2
 
 
-class DualOptions(TargetOptions):
+class DualOptions(Options):
     """The options of dual photography."""
 
     tolerance: Fraction = Field(

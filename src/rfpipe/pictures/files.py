@@ -84,7 +84,7 @@ def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
             f"{folder}: holds no pictures; expected files that end in "
             f"{', '.join([*_PLAIN, *more])} or, raw, in {', '.join(RAW)}"
         )
-    return sorted(files, key=_natural)
+    return sorted(files, key=lambda file: natural(file.name))
 
 
 def read_header(path: Path) -> Header:
@@ -133,7 +133,7 @@ def _header(path: Path, spec: Any) -> Header:
     return Header((spec.height, spec.width), channels, kind, exposure or None)
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Sort IMG_9 before IMG_10."""
-    parts = _DIGITS.split(path.name.lower())
+def natural(name: str) -> list[tuple[int, int, str]]:
+    """Return by what names sort as people count them: IMG_9 before IMG_10."""
+    parts = _DIGITS.split(name.lower())
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts]

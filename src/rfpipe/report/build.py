@@ -8,7 +8,7 @@ from pathlib import Path
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
 from rfpipe.report import errors as errors_
-from rfpipe.report import glance, leaves, pictures, setup, verification
+from rfpipe.report import glance, leaves, setup, verification
 from rfpipe.report.inputs import Inputs, load_inputs
 from rfpipe.report.page import Section, write_page
 from rfpipe.report.text import STANDING_COLOURS, ray_size
@@ -60,10 +60,8 @@ def make_sections(inputs: Inputs) -> list[Section]:
     candidates = [
         glance.glance_section(inputs),
         verification.verification_section(inputs),
-        errors_.speed_section(inputs),
-        errors_.errors_section(inputs) if inputs.has_truth else pictures.captured_section(inputs),
         verification.verdicts_section(inputs),
-        errors_.estimates_section(inputs),
+        errors_.speed_section(inputs),
         leaves.leaves_section(inputs),
         setup.setup_section(inputs),
     ]
@@ -82,11 +80,5 @@ def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
 
 def _lead(inputs: Inputs) -> str:
     """Say in a sentence what the report is about."""
-    settings = [inputs.config.scenes[scene] for scene in inputs.scenes]
-    sizes = " and ".join(dict.fromkeys(ray_size(scene) for scene in settings))
-    compared = ", and compared with ground truth" if inputs.has_truth else ""
-    count = "one scene" if len(settings) == 1 else f"{len(settings)} scenes"
-    return (
-        f"The light transport between a projector and a camera, {count} of {sizes} rays, acquired "
-        f"with {inputs.listed(inputs.methods)}{compared}."
-    )
+    of = [f"{scene}, {ray_size(inputs.config.scenes[scene])} rays" for scene in inputs.scenes]
+    return f"The light transport between a projector and a camera: {'; '.join(of)}."

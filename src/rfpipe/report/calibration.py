@@ -13,7 +13,7 @@ from rfpipe.calibration.folder import STEPS, CalibrationFolder
 from rfpipe.calibration.sight import sight_picture
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import StoreError
-from rfpipe.report.drawing import Map, draw, new_figure
+from rfpipe.report.drawing import Map, draw, new_figure, plain_numbers
 from rfpipe.report.page import Block, Illustration, Section, Table, table_of, write_page
 from rfpipe.report.text import STANDING_COLOURS
 from rfpipe.rigs.calibrated import STANDINGS
@@ -53,7 +53,7 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     lead = "; ".join(f"{STEPS[name].title}: {read[name]}" for name in faults)
     rows = [[STEPS[name].title, standing] for name, standing in read.items()]
     table = Table("Verdicts", "", ["step", "verdict"], rows, 2, is_folded=False)
-    reasons = [f"{STEPS[name].title}: {_verdict(done[name])}" for name in faults]
+    reasons = [f"{STEPS[name].title}: {done[name].verdict}" for name in faults]
     sections = [_section(name, done[name]) for name in sorted(done, key="scene".__ne__)]
     sections.insert(0, Section("verdicts", "Verdicts", [table], reasons))
     page, lead = folder.path / "report.html", lead or "No step found a fault."
@@ -61,13 +61,9 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     return page
 
 
-def _verdict(findings: Findings) -> str:
-    return f"{STANDINGS[findings.verdict.standing]}. {findings.verdict.text}"
-
-
 def _section(name: str, findings: Findings) -> Section:
     title = STEPS[name].title
-    verdict = f"Verdict: {_verdict(findings)}"
+    verdict = f"Verdict: {findings.verdict}"
     if findings.verdict.standing == "failed":
         return Section(name, title, [], [verdict])
     numbers = [
@@ -133,6 +129,7 @@ def _linearity(one: Findings) -> Figure:
     axis.axhline(0, color=_GREY, linewidth=0.8)
     _errors(axis, one["level"], 100 * one["deviation"], 100 * one["error"])
     axis.set_xscale("log")
+    plain_numbers(axis.xaxis, (1, 3))
     return figure
 
 

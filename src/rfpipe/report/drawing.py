@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ UNLIT_GAIN = 4
 ABREAST = 4
 """Panels beside one another."""
 
-_ERROR = "relit \N{MINUS SIGN} truth,\n% of white"
+_ERROR = "difference,\n% of white"
 _WIDTH, _TEXT = 2.2, 0.4  # inches of a panel, and of what stands above and below it
 _RATIOS = (0.25, 1.4)
 _LEAST_LIMIT = 1e-3  # per cent of white, of pictures without any error
@@ -99,39 +100,59 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
         What stands at the left of each row.
     """
     columns = max(map(len, rows))
-    maps = [[panel.drawn if isinstance(panel, Panel) else panel for panel in row] for row in rows]
-    heights = [width * panel_ratio(filter(None, row)) + _TEXT for row in maps]
+    heights = [width * _ratio(filter(None, row)) + _TEXT for row in rows]
     size = (width * columns + 0.9, sum(heights))
     figure, axes = new_figure(len(rows), columns, size, "compressed", height_ratios=heights)
-    errors = [panel.values for row in maps for panel in row if panel and panel.scale == _ERROR]
-    limit, scales = _round_limit(errors), {}
-    # from blue, too dark, to red
-    bounds: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
-    for axis in axes.flat:
-        axis.set_axis_off()
-    for row_axes, row in zip(axes, maps, strict=True):
-        for axis, picture in zip(row_axes, row, strict=False):
-            if picture is not None:
-                is_error = picture.scale == _ERROR
-                axis.set_axis_on()
-                axis.set(xticks=[], yticks=[], xlabel=picture.below, facecolor="#d3e3f3")
-                axis.set_title(picture.title, fontsize=8.5, pad=3)
-                options = bounds if is_error else picture.options
-                image = axis.imshow(picture.values, interpolation="nearest", **options)
-                scales[picture.scale] = image, row_axes[-1] if is_error else axis
+    _fill(figure, axes, rows)
     for axis, name in zip(axes[:, 0], left, strict=False):
         axis.set_ylabel(name)
+    return figure
+
+
+def draw_large(large: Sequence[Drawn], small: Sequence[Drawn]) -> Figure:
+    """Draw two panels large, and beside them, one above the other, two of half their size."""
+    ratio = _ratio(filter(None, large))
+    size = (4.1 * _WIDTH + 0.9, 1.64 * _WIDTH * ratio + _TEXT)
+    figure, axes = new_figure(2, 5, size, "compressed")
+    for axis in (*axes[0, 1:4:2], *axes[1, :4]):
+        axis.remove()
+    for column in (0, 2):
+        axis = axes[0, column]
+        axis.set_subplotspec(axis.get_gridspec()[:, column : column + 2])
+    _fill(figure, [axes[0, :4:2], axes[:, 4]], [large, small])
+    return figure
+
+
+def _fill(figure: Figure, axes: Iterable[Any], rows: Rows) -> None:
+    """Draw panels into axes, row by row; all errors have one scale, each other map its own."""
+    maps = [[panel.drawn if isinstance(panel, Panel) else panel for panel in row] for row in rows]
+    errors = [panel.values for row in maps for panel in row if panel and panel.scale == _ERROR]
+    limit = _round_limit(errors)
+    # from blue, too dark, to red
+    bounds: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+    scales: dict[str, tuple[Any, Axes]] = {}
+    for row_axes, row in zip(axes, maps, strict=True):
+        for axis, picture in zip_longest(row_axes, row):
+            if picture is None:
+                axis.set_axis_off()
+                continue
+            is_error = picture.scale == _ERROR
+            axis.set(xticks=[], yticks=[], xlabel=picture.below, facecolor="#d3e3f3")
+            axis.set_title(picture.title, fontsize=8.5, pad=3)
+            options = bounds if is_error else picture.options
+            image = axis.imshow(picture.values, interpolation="nearest", **options)
+            scales[picture.scale] = image, row_axes[-1] if is_error else axis
     scales.pop("", None)
     for label, (image, axis) in scales.items():
         bar = figure.colorbar(image, ax=axis, fraction=0.06, pad=0.03)
         bar.set_label(label, fontsize=8)
         bar.ax.tick_params(labelsize=7.5)
-    return figure
 
 
-def panel_ratio(maps: Iterable[Map]) -> float:
-    """Return height over width of maps, as the tallest of them needs, within reason."""
-    ratios = (it.values.shape[0] / it.values.shape[1] for it in maps)
+def _ratio(panels: Iterable[Panel | Map]) -> float:
+    """Return height over width of panels, as the tallest of them needs, within reason."""
+    maps = (panel.image if isinstance(panel, Panel) else panel.values for panel in panels)
+    ratios = (it.shape[0] / it.shape[1] for it in maps)
     return float(np.clip(max(ratios, default=1), *_RATIOS))
 
 
@@ -175,14 +196,15 @@ def scene_curves(scenes: Sequence[str], draw_scene: Callable[[Axes, str], None])
         axis.set(xscale="log", yscale="log", xlabel="patterns", ylabel="error, %")
         axis.grid(True, linewidth=0.4, color="#dddddd")
         for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 3))):
-            _plain_numbers(direction, marks)
+            plain_numbers(direction, marks)
         draw_scene(axis, scene)
         axis.label_outer()
     shared_legend(figure)
     return figure
 
 
-def _plain_numbers(axis: Any, marks: tuple[int, ...]) -> None:
+def plain_numbers(axis: Any, marks: tuple[int, ...]) -> None:
+    """Mark a logarithmic axis at these multiples of powers of ten, by plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(10, marks))

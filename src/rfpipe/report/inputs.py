@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -121,11 +121,6 @@ class Inputs:
     results: Path
 
     @property
-    def has_truth(self) -> bool:
-        """Whether the scenes' light transport is known; a captured scene is a run's only one."""
-        return all(run.has_truth for run in self.runs)
-
-    @property
     def scenes(self) -> list[str]:
         """The scenes of the runs."""
         return list(dict.fromkeys(run.scene for run in self.runs))
@@ -156,12 +151,6 @@ class Inputs:
         drawn = {"color": of.colour, "marker": of.marker, "linestyle": of.line}
         size = {"linewidth": 1.4, "markersize": 4.5, "markerfacecolor": "white"}
         return {"label": self.title(method), **drawn, **size}
-
-    def listed(self, methods: Iterable[str]) -> str:
-        """Return the names of methods as part of a sentence."""
-        names = (self.title(method) for method in methods)
-        *first, last = [name[0].lower() + name[1:] for name in names]
-        return f"{', '.join(first)} and {last}" if first else last
 
     @property
     def labels(self) -> list[Column]:

@@ -1,4 +1,4 @@
-"""What becomes of each level's nodes [Fig. 5.10]."""
+"""What becomes of each level's nodes, as in Fig. 5.10."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ def leaves_section(inputs: Inputs) -> Section | None:
             {"scene": run.scene, "method": run.method, **row}
             for run in inputs.runs
             for row in run.facts["levels"]
+            if row["patterns"] or row["nodes"]
         ]
     )
     kinds = {"rank1": "rank-1 or stored"}
@@ -55,8 +56,8 @@ def leaves_section(inputs: Inputs) -> Section | None:
             "dual photography a block as seen by one camera pixel."
         )
         figure = _figure(inputs, drawn, levels)
-        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", figure))
-    return Section("leaves", "Leaves at each level (Fig. 5.10)", blocks)
+        blocks.insert(0, Illustration("Leaves", caption, "leaves", figure))
+    return Section("leaves", "Leaves at each level", blocks)
 
 
 def _is_hierarchy(levels: pd.DataFrame) -> bool:

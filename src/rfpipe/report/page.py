@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from rfpipe.pictures.images import write_image
+from rfpipe.report.text import DASH
 from rfpipe.stages.evaluate import write_table
 from rfpipe.store.files import write_atomically
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+_SHARPER = 1.5  # pixels of a figure for each at which it is shown, for larger and finer screens
 _LINK = re.compile(r'(?:href|src)="(?!#|data:|https?:)([^"]+)"')
 
 
@@ -117,6 +119,8 @@ def table_of(
 
     fields, numbers = [*labels, *columns], pd.DataFrame(records)
     entries = records.to_dict("records") if isinstance(records, pd.DataFrame) else records
+    # a column without any number tells nothing
+    fields = [one for one in fields if any(one[2](it.get(one[1])) != DASH for it in entries)]
     rows = [[text(record.get(key)) for _, key, text in fields] for record in entries]
     options = {"text_columns": len(labels), "numbers": numbers, **options}
     return Table(name, caption, [heading for heading, *_ in fields], rows, **options)
@@ -171,19 +175,21 @@ def _placed(folder: Path, block: Block) -> dict[str, Any]:
         if block.numbers is not None and block.csv:
             write_table(folder / "tables" / block.csv, block.numbers)
         return {"table": block}
-    image, names = _png(block.figure), [f"figures/{block.slug}.png"]
-    write_atomically(folder / names[0], image)
-    for name, radiance in block.light.items():
-        names.append(f"figures/{block.slug}_{name}.exr")
-        write_image(folder / names[-1], radiance, about={"DateTime": ""})  # of writing otherwise
+    image, name = _png(block.figure), f"figures/{block.slug}.png"
+    write_atomically(folder / name, image)
+    files = {name: name}
+    for of, radiance in block.light.items():
+        name = f"figures/{block.slug}_{of}.exr"
+        write_image(folder / name, radiance, about={"DateTime": ""})  # of writing otherwise
+        files[name] = f"{of}.exr"
     box = block.figure.bbox
     size = {"width": int(box.width), "height": int(box.height)}
-    return {"figure": block, "files": names, "image": b64encode(image).decode(), **size}
+    return {"figure": block, "files": files, "image": b64encode(image).decode(), **size}
 
 
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=_SHARPER * figure.dpi, metadata={"Software": None})
     return buffer.getvalue()
 
 

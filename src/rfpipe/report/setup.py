@@ -1,7 +1,8 @@
-"""What a report was made from: camera, scenes, settings, versions, digests, time and cost."""
+"""What a report was made from: settings, versions and digests."""
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -9,23 +10,23 @@ from rfpipe.provenance import fingerprint, versions
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import Section, Table
 
-_SOURCE = (
-    "Figures and tables are numbered as in the thesis that they follow: G. Garg, Efficiently "
-    "Acquiring Reflectance Fields Using Patterned Illumination, PhD thesis, Stanford University, "
-    "2006."
-)
-
 
 def setup_section(inputs: Inputs) -> Section:
-    """Camera, settings and versions."""
+    """Settings and versions."""
     names = ["setting", "value"]
     settings = [[name, str(value)] for name, value in _flat(inputs.config.shaping())]
-    packages = [[name, str(value)] for name, value in versions().items()]
+    packages = [[name, version] for name, version in _versions(inputs).items()]
     tables = [
         Table("Settings", "As config/all.yaml describes them.", names, settings, 2),
         Table("Versions", "", ["package", "version"], packages, 2),
     ]
-    return Section("setup", "Camera, scenes and versions", tables, [_SOURCE])
+    return Section("setup", "Settings and versions", tables)
+
+
+def _versions(inputs: Inputs) -> dict[str, str]:
+    """Return the versions of what made the report, and of what recorded its scenes."""
+    recorded = [run.facts.get("recorded", {}).get("versions", {}) for run in inputs.runs]
+    return dict(ChainMap(versions(), *recorded))
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -41,7 +42,7 @@ def provenance_of(inputs: Inputs) -> dict[str, Any]:
     """Return plain data that tells a report's origin."""
     shaping = inputs.config.shaping()
     return {
-        "versions": versions(),
+        "versions": _versions(inputs),
         "seed": inputs.config.seed,
         "configuration": shaping,
         "configuration_fingerprint": fingerprint(shaping),

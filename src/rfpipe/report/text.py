@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 from rfpipe.config import SceneSettings
+from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY
 
 ERROR = "Error: norm of the difference, relative to the picture's, at least to half a typical one's"
 """Of a relit picture, as captions say it."""
@@ -39,6 +40,14 @@ def percent(value: Any) -> str:
 def fixed(digits: int) -> Callable[[Any], str]:
     """Return `number` with so many digits behind the point."""
     return partial(number, form=f",.{digits}f")
+
+
+def rig_standing(rig: Mapping[str, Any]) -> str:
+    """Return, of a rig's description, what its calibration found at worst, or what else it is."""
+    if rig.get("kind") != "devices":
+        return str(rig.get("kind", DASH))
+    found = {one["standing"] for one in (rig.get(VERDICTS_KEY) or {}).values()}
+    return next((STANDINGS[it] for it in reversed(STANDINGS) if it in found), "no calibration")
 
 
 def words(name: Any) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from rfpipe.report.drawing import draw
+from rfpipe.report.drawing import Drawn, draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
-from rfpipe.report.page import Block, Gallery, Illustration, Section, Table, table_of
+from rfpipe.report.page import Block, Illustration, Section, Table, table_of
 from rfpipe.report.text import ERROR, number, percent
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
@@ -17,14 +17,25 @@ def verification_section(inputs: Inputs) -> Section | None:
     runs = [run for run in inputs.runs if run.verified]
     if not runs:
         return None
-    about = [{"scene": run.scene, "method": run.method, **run.verified} for run in runs]
+    shown = ("mean_error", "worst_error", "worst_picture", "noise", "drift", "moved", "saturated")
+    about = [
+        {
+            "scene": run.scene,
+            "method": run.method,
+            "pictures": len(run.verified["pictures"]),
+            **{name: run.verified[name] for name in (*shown, "samples")},
+        }
+        for run in runs
+    ]
     blocks: list[Block] = [
         table_of(
             "Verification",
             "Pictures captured after the acquisition, beside what the transport makes of their "
-            f"patterns, on the rays that the camera knows, brightness brought to that at the "
-            f"beginning, the captured pictures' noise taken off. {ERROR}.",
-            [{**row, "pictures": len(row["pictures"])} for row in about],
+            "patterns, on the rays that the camera knows, brightness brought to that at the "
+            f"beginning, the captured pictures' noise taken off. {ERROR}. Changes, during the "
+            "capture: the largest of a repeated random pattern, of its brightness, and beyond that "
+            "and noise.",
+            about,
             inputs.labels,
             [
                 ("pictures", "pictures", number),
@@ -32,33 +43,21 @@ def verification_section(inputs: Inputs) -> Section | None:
                 ("largest error, %", "worst_error", percent),
                 ("under", "worst_picture", str),
                 ("noise floor, %", "noise", percent),
-            ],
-            is_folded=False,
-        ),
-        *(Gallery(_pictures(inputs, run)) for run in runs),
-        table_of(
-            "The rig during the capture",
-            "Largest change of a repeated random pattern: of its brightness, and beyond that and "
-            "noise. A dash: not measured.",
-            [_of_the_rig(run) for run in runs],
-            inputs.labels,
-            [
                 ("change of the lamp, %", "drift", percent),
                 ("of the picture, %", "moved", percent),
                 ("saturated samples", "saturated", number),
-                ("saturated, %", "saturated_share", percent),
             ],
-            csv="verification_rig.csv",
+            csv="verification.csv",
             is_folded=False,
         ),
+        *(_pictures(inputs, run) for run in runs),
     ]
     title = "Verified by pictures that no method saw"
-    text = [sentence for run in runs for sentence in _text(inputs, run)]
-    return Section("verification", title, blocks, text)
+    return Section("verification", title, blocks)
 
 
-def _text(inputs: Inputs, run: Run) -> list[str]:
-    """Sum a verification up, with all that was wrong."""
+def summaries(inputs: Inputs, run: Run) -> list[str]:
+    """Sum a run's verification up, with all that was wrong."""
     bound, facts = inputs.config.verification.fail_above, run.verified
     text = (
         f"{run.scene}, {inputs.title(run.method).lower()}: {len(facts['pictures'])} pictures are "
@@ -68,41 +67,27 @@ def _text(inputs: Inputs, run: Run) -> list[str]:
     )
     if bound is not None:
         is_above = facts["mean_error"] is None or facts["mean_error"] > bound
-        text += " THIS IS ABOVE the " if is_above else " It is not above the "
-        text += f"{percent(bound)} % that was accepted."
+        text += f" This is {'ABOVE' if is_above else 'within'} the {percent(bound)} % accepted."
     return [text, *(f"NOTICED DURING THE CAPTURE, {alarm}." for alarm in facts["alarms"])]
 
 
-def _of_the_rig(run: Run) -> dict[str, Any]:
-    facts = run.verified
-    return {
-        "scene": run.scene,
-        "method": run.method,
-        **{name: facts[name] for name in ("drift", "moved", "saturated")},
-        "saturated_share": facts["saturated"] / max(facts["samples"], 1),
-    }
-
-
-def _pictures(inputs: Inputs, run: Run) -> list[Illustration]:
-    """Show each picture as relit and as captured, and their difference."""
+def _pictures(inputs: Inputs, run: Run) -> Illustration:
+    """Show each picture as captured and as relit, and their difference, two in a row."""
     assert run.verified_images is not None
     relit, captured = (run.verified_images.read(name) for name in ("relit", "captured"))
-    illustrations = []
+    radiance: dict[str, Any] = {}
+    panels: list[Drawn] = []
     for index, picture in enumerate(run.verified["pictures"]):
-        light = [
-            run.panel(run.middle(images[index]), title)
-            for images, title in ((relit, "relit"), (captured, "captured"))
-        ]
-        caption = (
-            f"{inputs.title(run.method)}: error {percent(picture['error'])} % (noise floor "
-            f"{percent(picture['noise'])} %)."
-        )
-        slug = f"verified_{run.scene}_{run.method}_{picture['name'].replace(' ', '_')}"
-        figure = draw([[*light, light[0].less(light[1])]])
-        radiance = {panel.title: panel.image for panel in light}
-        name = f"{run.scene}, {picture['name']}"
-        illustrations.append(Illustration(name, caption, slug, figure, radiance))
-    return illustrations
+        name, error = picture["name"], f"error {percent(picture['error'])} %"
+        seen = run.panel(run.middle(captured[index]), name)
+        made = run.panel(run.middle(relit[index]), "relit", error)
+        slug = name.replace(" ", "_")
+        radiance |= {f"{slug}_captured": seen.image, f"{slug}_relit": made.image}
+        panels += [seen, made, made.less(seen)]
+    figure = draw([panels[at : at + 6] for at in range(0, len(panels), 6)], 1.6)
+    caption = "Each picture as captured, as relit, and the difference."
+    slug = f"verified_{run.scene}_{run.method}"
+    return Illustration(f"{run.scene}, {inputs.title(run.method)}", caption, slug, figure, radiance)
 
 
 def verdicts_section(inputs: Inputs) -> Section:

@@ -29,11 +29,11 @@ VERDICTS_KEY = "calibration"
 
 STANDINGS = {
     "good": "good",
-    "poor": "NOT GOOD",
     "unknown": "can't tell",
+    "poor": "NOT GOOD",
     "failed": "NOT MEASURED",
 }
-"""How verdicts read, by their standing."""
+"""How verdicts read, by their standing, from the best to the worst."""
 
 _log = logging.getLogger(__name__)
 

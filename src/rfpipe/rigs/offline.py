@@ -32,6 +32,9 @@ Float = NDArray[np.float32]
 MANIFEST = "patterns.json"
 """Beside the pictures that it names."""
 
+PICTURES = "pictures"
+"""Folder beside a sheet's patterns for what is taken of them."""
+
 _NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random"}
 
 
@@ -100,6 +103,15 @@ class OfflineRig:
         if self.layout is not None:
             return self.layout.picture(pattern)
         return np.reshape(pattern, RayDomain(self.projector_shape).picture_shape)
+
+    def weights(self, picture: NDArray[Any]) -> Float:
+        """Return the rays' share of full code, 0 to 1, in a `picture` that was written."""
+        codes = np.asarray(picture[..., 0] / 255, np.float32)
+        if self.layout is None:
+            return codes
+        found = np.zeros(prod(self.projector_shape) + 1, np.float32)
+        found[self.layout.ray_of_pixel] = codes  # DARK is the last index
+        return found[:-1].reshape(RayDomain(self.projector_shape).picture_shape)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
@@ -191,11 +203,6 @@ class Sheet(BaseModel):
     picture_size: tuple[int, int]
     shown: tuple[Shown, ...]
 
-    @property
-    def patterns(self) -> list[Shown]:
-        """What is to be shown, markers left out."""
-        return [each for each in self.shown if each.key is not None]
-
 
 def write_sheet(
     rig: OfflineRig,
@@ -206,39 +213,49 @@ def write_sheet(
 ) -> Sheet:
     """Write the pictures of patterns that are asked for, and last the manifest.
 
-    The folder is made where it isn't there, and an older sheet in it replaced; `gamma` is the
-    projector's. StoreError where the folder can't be written.
+    The folder is made where it isn't there, and an older sheet in it replaced, unless it is the
+    same; `gamma` is the projector's. InputError where the folder holds pictures of other patterns
+    already, StoreError where it can't be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / MANIFEST).unlink(missing_ok=True)
-        for old in folder.glob("[0-9]*_*.png"):
-            old.unlink()
-    except OSError as error:
-        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
-    shown: list[Shown] = []
-
-    def show(name: str, key: Key | None, pattern: NDArray[np.float32]) -> None:
-        file = f"{len(shown):04d}_{name}.png"
-        write_code_picture(folder / file, rig.picture(pattern), gamma)
-        shown.append(Shown(file=file, key=key, pattern=fingerprint(pattern)))
-
     # two by two fields of light and dark
     height, width = rig.projector_shape[-2:]
     row, column = np.indices(rig.projector_shape)[-2:]
     marker = ((2 * row // height + 2 * column // width) % 2 == 0).astype(np.float32)
-    show("marker", None, marker)
-    show("marker", None, 1 - marker)
-    for key, pattern in asked:
-        show(_NAMES.get(key[0], "pattern"), key, np.asarray(pattern, np.float32))
-    show("marker", None, 1 - marker)
+    opposite = ("marker", None, 1 - marker)
+    patterns: list[tuple[str, Key | None, Float]] = [("marker", None, marker), opposite]
+    patterns += [
+        (_NAMES.get(key[0], "pattern"), key, np.asarray(each, np.float32)) for key, each in asked
+    ]
+    patterns.append(opposite)
     sheet = Sheet(
         folder=folder,
         about=about,
         exposures_s=rig.camera_sensor.exposures,
         picture_size=rig.picture_shape,
-        shown=tuple(shown),
+        shown=tuple(
+            Shown(file=f"{index:04d}_{name}.png", key=key, pattern=fingerprint(pattern))
+            for index, (name, key, pattern) in enumerate(patterns)
+        ),
     )
+    pictures = folder / PICTURES
+    if (folder / MANIFEST).exists():
+        is_whole = all((folder / each.file).is_file() for each in sheet.shown)
+        if is_whole and read_sheet(folder) == sheet:
+            return sheet
+        if pictures.is_dir() and any(pictures.iterdir()):
+            raise InputError(
+                f"{pictures}: holds pictures of patterns that aren't asked for any more, since "
+                "settings or code changed; move them away, then write the patterns again"
+            )
+    try:
+        pictures.mkdir(parents=True, exist_ok=True)
+        (folder / MANIFEST).unlink(missing_ok=True)
+        for old in folder.glob("[0-9]*_*.png"):
+            old.unlink()
+    except OSError as error:
+        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
+    for each, (_, _, pattern) in zip(sheet.shown, patterns, strict=True):
+        write_code_picture(folder / each.file, rig.picture(pattern), gamma)
     write_manifest(folder / MANIFEST, sheet.model_dump(mode="json", exclude={"folder"}))
     return sheet
 

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures import Header, picture_files, read_header, read_picture
+from rfpipe.pictures.order import misplaced
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
 from rfpipe.rigs.offline import OfflineRig, Sheet
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION
 
 Picture = tuple[Header, Path]
+Float = NDArray[np.float32]
 
 EXPOSURE_ERROR = 0.1
 """Share by which an exposure time may differ from the one set: cameras round 1/64 s to 1/60."""
@@ -38,6 +41,7 @@ class Checked:
     Attributes
     ----------
     rig : OfflineRig
+        With these pictures as its brackets.
     files, patterns : dict
         Files of each pattern's bracket, by exposure, ascending; fingerprints of the patterns; by
         key.
@@ -63,22 +67,19 @@ class Checked:
         return np.stack([_pixels(self.rig, path) for path in self.files[key]])
 
 
-def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool = False) -> Checked:
+def check_pictures(
+    rig: OfflineRig, sheet: Sheet, folder: Path, *, coaxial: bool, anyway: bool = False
+) -> Checked:
     """Check pictures against what was to be shown, and put them in order.
 
-    Their names sort in the order of taking, a bracket's together. With `anyway` pictures that are
-    too bright or too dark are taken, too. InputError where one can't be read; CaptureError names a
+    Their names sort in the order of taking, a bracket's together. On a `coaxial` rig they are also
+    compared with their patterns. With `anyway` pictures are taken that are too bright or dark, or
+    don't seem to show their patterns. InputError where one can't be read; CaptureError names a
     wrong one, and says what to do.
     """
     files = picture_files(folder)
     step = len(sheet.exposures_s)
     expected = step * len(sheet.shown)
-    if len(files) != expected:
-        raise CaptureError(
-            f"{folder}: holds {len(files)} pictures; {len(sheet.shown)} patterns of {step} "
-            f"exposures each make {expected}, as {sheet.folder} says. Check that the first and "
-            "the last are there, none twice, and none of another series"
-        )
     pictures = [(_checked_header(rig, path), path) for path in files]
     is_timed = all(header.exposure_s is not None for header, _ in pictures)
     notes = []
@@ -87,28 +88,49 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
             "not all pictures say their exposure time: each bracket is taken to go from the "
             "shortest to the longest"
         )
-    of_key: dict[Key, tuple[Path, ...]] = {}
+    brackets: list[tuple[Path, ...]] = []
     for index, shown in enumerate(sheet.shown):
         bracket = pictures[step * index : step * (index + 1)]
         if is_timed and isinstance(rig.camera_sensor, CameraModel):
             bracket = _by_exposure(bracket, sheet.exposures_s, shown.file)
-        if shown.key is not None:
-            of_key[shown.key] = tuple(path for _, path in bracket)
-    marker, opposite, last = (
-        np.sum([_small(_pixels(rig, path)) for _, path in pictures[first : first + step]], axis=0)
-        for first in (0, step, expected - step)
-    )
+        brackets.append(tuple(path for _, path in bracket))
+    if len(files) != expected:
+        raise CaptureError(
+            f"{folder}: holds {len(files)} pictures; {len(sheet.shown)} patterns of {step} "
+            f"exposures each make {expected}, as {sheet.folder} says. Check that the first and "
+            "the last are there, none twice, and none of another series"
+        )
+    light = _light(rig, brackets)
+    marker, opposite, last = light[[0, 1, -1]]
     if np.linalg.norm(opposite - last) >= SAME * np.linalg.norm(marker - last):
         raise CaptureError(
             f"{folder}: the series doesn't begin with the marker and its opposite and end with the "
             "opposite, as it was to be shown: a picture is out of order, or these are of another "
             "series. Names are sorted by the numbers in them"
         )
+    taken = [*zip(sheet.shown, brackets, strict=True)]
+    of_key = {shown.key: bracket for shown, bracket in taken if shown.key is not None}
     patterns = {shown.key: shown.pattern for shown in sheet.shown if shown.key is not None}
     wrong = _wrong_light(rig, of_key)
+    if coaxial:
+        codes = [read_picture(sheet.folder / shown.file).pixels for shown in sheet.shown]
+        weights, names = np.stack([*map(rig.weights, codes)]), [path.name for path, *_ in brackets]
+        wrong += misplaced(weights, names, light)
     if wrong and not anyway:
         raise CaptureError(f"{folder}: {'; '.join(wrong)}. To take them all the same: --anyway")
-    return Checked(rig, of_key, patterns, notes + wrong)
+    checked = Checked(rig, of_key, patterns, notes + wrong)
+    rig.bracket = checked.bracket
+    return checked
+
+
+def _light(rig: OfflineRig, brackets: list[tuple[Path, ...]]) -> Float:
+    """Return the pictures' light on the rays, (K, H, W)."""
+    shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
+    level = getattr(rig.camera_sensor, "black_level_counts", 0)
+    merge = rig.sensor.merging(np.full(shape, level, np.float32))
+    frames = (np.stack([_pixels(rig, path) for path in bracket]) for bracket in brackets)
+    light = [merge(each.reshape(1, *shape)).radiance.sum(axis=-1) for each in frames]
+    return np.reshape(light, (len(light), *RayDomain(rig.camera_shape).picture_shape))
 
 
 def _checked_header(rig: OfflineRig, path: Path) -> Header:
@@ -137,19 +159,10 @@ def _checked_header(rig: OfflineRig, path: Path) -> Header:
     return header
 
 
-def _small(frame: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the means of about 64 x 64 fields, which tell a marker."""
-    rows, columns = frame.shape[:2]
-    down, across = max(1, rows // 64), max(1, columns // 64)
-    cut = frame[: rows // down * down, : columns // across * across].astype(np.float32)
-    fields = cut.reshape(rows // down, down, columns // across, across, -1)
-    return np.asarray(fields.mean(axis=(1, 3, 4)))
-
-
 def _by_exposure(bracket: list[Picture], exposures: tuple[float, ...], name: str) -> list[Picture]:
     """Sort a bracket by its exposure times, which have to be those that were set."""
     ordered = sorted(bracket, key=lambda each: each[0].exposure_s or 0)
-    for (header, path), expected in zip(ordered, exposures, strict=True):
+    for (header, path), expected in zip(ordered, exposures, strict=False):
         seconds = header.exposure_s or 0
         if abs(seconds - expected) > EXPOSURE_ERROR * expected:
             times = ", ".join(f"{each.exposure_s:g}" for each, _ in ordered)
@@ -167,6 +180,14 @@ def _wrong_light(rig: OfflineRig, files: dict[Key, tuple[Path, ...]]) -> list[st
     if not isinstance(sensor, CameraModel):
         return []
     wrong, top = [], SATURATION_FRACTION * sensor.white_level
+    if sensor.bits > 8:
+        counts = reduce(np.union1d, (_pixels(rig, bracket[-1]) for bracket in files.values()))
+        step = np.gcd.reduce(np.diff(counts)) if len(counts) > 16 else 0  # few tell nothing
+        if counts[-1] <= 255 <= sensor.white_level >> 6 or step > sensor.white_level >> 8:
+            wrong.append(
+                f"these are counts of 8 bits; camera.bits says {sensor.bits}. Save pictures of 16 "
+                "bits, linear and not developed, or set camera.bits and black_level_counts"
+            )
     shortest = [bracket[0] for bracket in files.values()]
     saturated = [
         path.name for path in shortest if (_pixels(rig, path) >= top).mean() > MOST_SATURATED

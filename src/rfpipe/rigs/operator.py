@@ -26,7 +26,7 @@ class OperatorRig:
 
     Parameters
     ----------
-    matrix : ndarray, sparse matrix, LinearOperator, list of those, or PatternOperator
+    matrix : array, sparse matrix, LinearOperator, list of those, or PatternOperator
         Shape (M, N), M camera rays and N projector rays in row-major order; (C, M, N) or a list
         for C channels; or an object with ``apply(patterns (B, N)) -> (B, M, C)`` and
         ``channels``. Entries are finite and not negative. Matrices are kept as float64.
@@ -73,6 +73,10 @@ class OperatorRig:
         self.seconds_per_pattern = float(seconds_per_pattern)
         self._threads = threads
         self._frame_shape = self.sensor.frame_shape(self.camera_shape, self.channels)
+
+    def __repr__(self) -> str:
+        shapes = f"camera {self.camera_shape}, projector {self.projector_shape}"
+        return f"{type(self).__name__}({shapes}, channels {self.channels})"
 
     def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""

@@ -68,6 +68,15 @@ class Scene(ABC):
         return self.camera_shape
 
     @property
+    def recorded(self) -> dict[str, Any]:
+        """What is known of a truth that was recorded by chance, as plain data; empty: it is exact.
+
+        ``grain``: standard error of a half-lit picture, relative to its norm, over the ``whole``
+        and where no direct light falls (``unlit``). ``versions`` of what recorded it.
+        """
+        return {}
+
+    @property
     def albedo(self) -> NDArray[np.float32]:
         """Albedo float32 (*camera_shape, C), for pictures; here the floodlit image, 1 at most."""
         image = self.apply(np.ones((1, math.prod(self.projector_shape))))

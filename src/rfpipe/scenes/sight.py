@@ -75,6 +75,14 @@ class Pinhole:
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(ahead, right), ahead])
 
+    @property
+    def matrix(self) -> Double:
+        """Projection of homogeneous points to (column, row, 1), times depth: float64 (3, 4)."""
+        height, width = self.shape
+        inner = np.diag([1 / self.pitch, 1 / self.pitch, 1])
+        inner[:2, 2] = width / 2, height / 2
+        return inner @ np.column_stack([self.axes, -self.axes @ self.origin])
+
     def rays(self, parts: int = 1) -> Double:
         """Directions of the pixels' parts, `parts` x `parts` each, float64 (H W parts^2, 3).
 

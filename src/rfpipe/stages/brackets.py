@@ -95,7 +95,7 @@ class Brackets:
                     for first, last in pairwise([start, *looks, stop]):
                         if watch:
                             watch.before(first)
-                        self.take(frames, first, last)
+                        frames.write(first, self.take(first, last))
                         bar.advance(last - first)
             if done < self.count:
                 text = "%s: %d patterns in %.1f s"
@@ -104,11 +104,9 @@ class Brackets:
                 watch.before(self.count)
             return self.entry(frames)
 
-    def take(self, frames: Any, first: int, last: int) -> NDArray[Any]:
-        """Capture items ``first:last`` into the opened store; return their brackets."""
-        block = capture_batch(self.rig, *self.patterns(first, last))
-        frames.write(first, self._checked(block, first))
-        return block
+    def take(self, first: int, last: int) -> NDArray[Any]:
+        """Capture items ``first:last``; return their brackets, which the caller stores."""
+        return self._checked(capture_batch(self.rig, *self.patterns(first, last)), first)
 
     def entry(self, frames: Any) -> dict[str, Any]:
         """Return what a manifest says of the store."""

@@ -87,12 +87,12 @@ def run(
     """
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):
-        _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
+        if of_level.count:
+            _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
         return
     parts = (*before.values(), of_level)
     for part in parts:
         part.settle(when_patterns_change)
-    off, on = _counts(rig, references)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture and folder.is_kept:
         merged = folder.store(level, "merge")  # of a capture before: replaced
@@ -106,16 +106,13 @@ def run(
     in_sequences = sequence_patterns(rig)
     in_hand = _bytes_in_hand(rig) * (2 if in_sequences else 1)
     batch = (resources or Resources()).fitting(in_hand, in_sequences or batch_patterns)
-    facts: dict[str, dict[str, Any]] = {
-        REFERENCE: {"black_frames": off, "floodlit_frames": on},
-        SYMMETRY: {"frames": symmetry_frames},
-    }
     beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
     for name, part in before.items():
-        beside[name] = {**part.capture(batch, progress=progress), **facts[name]}
+        counts = {name: it for name, it in part.shown.items() if name != "rig"}
+        beside[name] = {**part.capture(batch, progress=progress), **counts}
     with watching_level(of_level, level, **(watching or {})) as watch:
         captured = of_level.capture(batch, watch, progress=progress)
-        beside |= watch.entries()
+        beside |= watch.entries() if watch else {}
     manifest = {
         "stage": "capture",
         "level": level,

@@ -70,8 +70,8 @@ def forecast(settings: Config) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``scene``, ``method``; ``rays`` of the projector, ``levels``; ``patterns`` that the method
-        expects, ``seconds`` on the rig, ``disk`` and ``memory`` in bytes, before compression; and
-        ``most`` patterns, of a scene without any structure, with their ``most_seconds``.
+        expects, at most where it ``ends_itself`` by its estimate of the error; ``seconds`` on the
+        rig, ``disk`` and ``memory`` in bytes, before compression.
 
     Raises
     ------
@@ -95,7 +95,6 @@ def forecast(settings: Config) -> pd.DataFrame:
         references += pictures + 2 if pictures else 0
         rays = plan.camera, plan.projector
         expected = plan.method.expected_patterns(*rays, plan.options)
-        most = plan.method.most_patterns(*rays, plan.options)
         warm_up, each = 60 * capture.warm_up_minutes, capture.seconds_per_pattern
         brackets = references + capture.keep_raw * expected
         camera = plan.camera.shape, plan.channels
@@ -103,11 +102,11 @@ def forecast(settings: Config) -> pd.DataFrame:
             {
                 "scene": scene, "method": name,
                 "rays": plan.projector.size, "levels": plan.n_levels,
-                "patterns": expected, "seconds": warm_up + each * (expected + references),
+                "patterns": expected, "ends_itself": plan.method.estimates_error,
+                "seconds": warm_up + each * (expected + references),
                 "disk": disk_bytes(sensor, *camera, brackets, expected),
                 "memory": plan.method.memory_bytes(*rays, plan.channels, plan.options)
                 + settings.scenes[scene].simulation_bytes,
-                "most": most, "most_seconds": warm_up + each * (most + references),
             }
         )  # fmt: skip
     return pd.DataFrame(rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, PicturesNeeded
-from rfpipe.rigs.offline import (
-    MANIFEST,
-    OfflineRig,
-    Sheet,
-    offline_rig,
-    read_sheet,
-    write_sheet,
-)
+from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, write_sheet
 from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
@@ -28,9 +22,6 @@ from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-
-PICTURES = "pictures"
-"""Folder beside a sheet's patterns for what is taken of them."""
 
 Asked = Iterator[tuple[tuple[int, ...], NDArray[np.float32]]]
 
@@ -70,18 +61,16 @@ class OfflineAcquisition:
         resources = Resources(self.settings.resources.memory_gib)
         try:
             with StoreLock(self.folder):
-                acquisition.run(plan, self._files, captured, stages, resources)
+                acquisition.run(plan, self.files, captured, stages, resources)
         except PicturesNeeded:
             return self._level
         return None
 
-    def rig(self, checked: Checked | None = None) -> OfflineRig:
-        """Return the rig of the settings, with the pictures that were checked if there are any."""
+    def rig(self) -> OfflineRig:
+        """Return the rig of the settings, without pictures."""
         settings, about = self.settings, self.settings.scenes[self.scene]
         rays = about.camera_ray_shape, about.ray_shape, about.channels
-        rig = offline_rig(settings.offline, settings.camera, *rays)
-        rig.bracket = None if checked is None else checked.bracket
-        return rig
+        return offline_rig(settings.offline, settings.camera, *rays)
 
     def write(self, rig: OfflineRig, folder: Path, settings_file: Path, results: Path) -> Sheet:
         """Write what is to be shown at the level that `advance` came to, as a sheet in a folder.
@@ -97,50 +86,35 @@ class OfflineAcquisition:
             "method": self.name,
             "level": self._level,
         }
-        asked = list(self._asked(rig))
-        pictures = own / PICTURES
-        if (own / MANIFEST).exists():
-            old = read_sheet(own)
-            if old.about == about and _same(old, rig, asked):
-                return old
-            if pictures.is_dir() and any(pictures.iterdir()):
-                raise InputError(
-                    f"{pictures}: holds pictures of patterns that aren't asked for any more, since "
-                    "settings or code changed; move them away, then write the patterns again"
-                )
-        sheet = write_sheet(rig, own, asked, about, self.settings.offline.projector_gamma)
-        pictures.mkdir(exist_ok=True)
-        return sheet
+        gamma = self.settings.offline.projector_gamma
+        return write_sheet(rig, own, self._asked(rig), about, gamma)
 
     def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> Checked:
         """Check the pictures of a sheet; see `rfpipe.rigs.offline_pictures.check_pictures`."""
-        return check_pictures(self.rig(), sheet, pictures, anyway=anyway)
+        coaxial = self.settings.scenes[self.scene].is_coaxial
+        return check_pictures(self.rig(), sheet, pictures, coaxial=coaxial, anyway=anyway)
+
+    def take_back(self, level: int) -> list[Path]:
+        """Remove what was made of the pictures of a level and of the later ones; return what."""
+        gone = [path for path in sorted(self.folder.glob("L[0-9]*")) if int(path.name[1:]) >= level]
+        gone += list(self.folder.glob("transport.*")) if gone else []
+        with StoreLock(self.folder):
+            for path in reversed(gone):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        return gone
 
     @property
-    def _files(self) -> AcquisitionFolder:
+    def files(self) -> AcquisitionFolder:
+        """What its stages leave."""
         return AcquisitionFolder(self.folder)
 
     def _asked(self, rig: OfflineRig) -> Asked:
         """Yield key and pattern of all that the level lacks."""
         options = self._options
         of_level, before = capture.brackets_of(
-            rig, self._files, self._level, options["references"], options["symmetry_frames"]
+            rig, self.files, self._level, options["references"], options["symmetry_frames"]
         )
         for part in (*before.values(), of_level):
             for first, last in part.missing(self.settings.capture.batch_patterns):
                 patterns, keys = part.patterns(first, last)
                 yield from zip(map(tuple, keys), patterns, strict=True)
-
-
-def _same(old: Sheet, rig: OfflineRig, asked: list[Any]) -> bool:
-    """Tell whether a sheet asks for the same, in the same way."""
-    from rfpipe.provenance import fingerprint
-
-    wanted = [(key, fingerprint(np.asarray(pattern, np.float32))) for key, pattern in asked]
-    held = [(each.key, each.pattern) for each in old.patterns]
-    return (
-        held == wanted
-        and old.exposures_s == tuple(rig.camera_sensor.exposures)
-        and old.picture_size == rig.picture_shape
-        and all((old.folder / each.file).is_file() for each in old.shown)
-    )

@@ -52,8 +52,8 @@ class Plan:
         self.channels = channels
         self.options = options_of(named, **(options or {}))
         self.asymmetry = asymmetry
-        self.named: Method[Any] = named.with_options(self.options)
-        self.method: Method[Any] = self.named
+        self.named: Method[Any] = named
+        self.method: Method[Any] = named
         self._carried: tuple[int | None, Any] | None = None
         self._restored: tuple[list[str], Any] | None = None
 
@@ -78,10 +78,9 @@ class Plan:
         else:
             is_coaxial = self.camera.shape == self.projector.shape
             named = self.named if is_coaxial else self.named.on_rig(coaxial=False)
-        settled = named.with_options(self.options)
-        if type(settled) is not type(self.method):
+        if type(named) is not type(self.method):
             self._carried = self._restored = None
-        self.method = settled
+        self.method = named
 
     def carry(self, level: int | None, state: Any) -> None:
         """Keep the method's state before a level for `state_before`; None: after the last one."""
@@ -89,10 +88,9 @@ class Plan:
 
     def end_early(self) -> bool:
         """Take the state that is carried for the last one; tell whether there is any."""
-        if self._carried is None:
-            return False
-        self.carry(None, self._carried[1])
-        return True
+        if self._carried:
+            self.carry(None, self._carried[1])
+        return self._carried is not None
 
     def state_before(self, folder: AcquisitionFolder, level: int | None) -> Any:
         """Return the method's state before a level; None for that after the last one.

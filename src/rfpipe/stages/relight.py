@@ -262,11 +262,13 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     check_transport(folder / "transport.zarr")
     transport = open_transport(folder / "transport.zarr")
     errors: dict[str, Any] = {}
+    recorded: dict[str, Any] = {}
     if scene.has_truth:
         simulated = scene_from_config(scene)
         arrays = relit_arrays(transport, simulated)
         truth = arrays["floodlit_truth"]
         errors = mean_errors(transport, simulated, truth, is_coaxial=scene.is_coaxial)
+        recorded = simulated.recorded
     else:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
@@ -281,6 +283,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "bytes": transport.nbytes,
         "levels": transport.level_rows,
         "units": RADIANCE_UNIT,
+        "recorded": recorded,
         **errors,
     }
     write_bundle(folder / "relight.json", made_from, arrays, facts)

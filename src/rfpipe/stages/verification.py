@@ -109,9 +109,11 @@ def compare(
     """
     import pandas as pd
 
-    known = np.isfinite(captured[1])
+    known = np.isfinite(captured[0]) & np.isfinite(captured[1])
     observed, relit = np.where(known, captured[0], 0), np.where(known, relit, 0)
-    seen = np.where(np.isfinite(floodlit[1]), floodlit, 0).astype(np.float64)
+    seen = np.where(np.isfinite(floodlit[0]) & np.isfinite(floodlit[1]), floodlit, 0).astype(
+        np.float64
+    )
     full = float((np.square(seen[0]) - seen[1]).sum())
     rows = []
     for index, pattern in enumerate(patterns):
@@ -224,12 +226,19 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     acquired = read_manifest(folder.path / "transport.json")
     merged = folder.read_manifest(VERIFICATION, "merge")
     result = compared(folder, open_transport(folder.path / "transport.zarr"))
-    _log.info(
-        "%s: %d pictures that no method saw are relit to %.2f %% on average, '%s' to %.2f %% "
-        "(noise floor of the pictures %.2f %%)",
-        folder.path, len(result.table), 100 * result.mean_error, result.worst.name,
-        100 * result.worst.error, 100 * result.table["noise"].mean(),
-    )  # fmt: skip
+    count, worst = len(result.table), result.worst
+    if np.isnan(result.mean_error):
+        text = (
+            "%s: not verified: none of %d pictures has light above its noise on rays that are seen"
+        )
+        _log.warning(text, folder.path, count)
+    else:
+        _log.info(
+            "%s: %d pictures that no method saw are relit to %.2f %% on average, '%s' to %.2f %% "
+            "(noise floor of the pictures %.2f %%)",
+            folder.path, count, 100 * result.mean_error, worst.name, 100 * worst.error,
+            100 * result.table["noise"].mean(),
+        )  # fmt: skip
     made_from = fingerprint([acquired["digest"], merged["digest"], code])
     arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}
     about = {name: acquired[name] for name in ("scene", "method")}
@@ -248,11 +257,8 @@ def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
         "drift": max(drift, default=None),
         "moved": max((max(look["change"]) for look in looks.values()), default=None),
         "alarms": [
-            f"{name_of(level)}: the rig or the scene moved"
-            for level, look in looks.items()
-            if look["moved"]
+            f"{name_of(at)}: the rig or the scene moved" for at in looks if looks[at]["moved"]
         ],
-        **{
-            name: sum(facts[name] for facts in merged.values()) for name in ("saturated", "samples")
-        },
+        "saturated": sum(facts["saturated"] for facts in merged.values()),
+        "samples": sum(facts["samples"] for facts in merged.values()),
     }

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,19 +132,11 @@ def measure_looks(
     return gains, {MOVES: facts}
 
 
-class _Looks(NamedTuple):
-    """Brackets of one pattern, taken again and again between those of a level."""
-
-    brackets: Brackets
-    frames: Any
-    every: int
-
-
 @contextmanager
 def watching_level(
     of_level: Brackets, level: int, mode: str = "off", looks: int = 0
-) -> Iterator[Watcher]:
-    """Provide what watches the capture of a level.
+) -> Iterator[Watcher | None]:
+    """Provide what watches the capture of a level, or None.
 
     A level that was begun with looks goes on with them, as they were; one that was begun without
     has none, since looks at its first part can't be taken afterwards.
@@ -157,25 +150,11 @@ def watching_level(
     looks : int
         Patterns from one look to the next, 0 for none.
     """
-    folder, merger = of_level.folder, None
-    if folder.exists(0, "merge"):
-        merger = read_merger(of_level.rig.sensor, folder)
-    with ExitStack() as stack:
-        begun = _begin(stack, of_level, level, looks if mode != "off" else 0)
-        yield Watcher(of_level, level, merger, begun, mode == "refuse")
-
-
-def _begin(stack: ExitStack, of_level: Brackets, level: int, every: int) -> _Looks | None:
-    path, patterns = of_level.folder.store(level, MOVES), of_level.count
-    if of_level.count_missing() < patterns:  # it was begun, with looks or without
-        every = 0
-        if path.exists():
-            restore_header(path)
-            with FrameStore.open(path) as old:
-                if old.attributes.get("made_beside") == of_level.made_for:
-                    every = int(old.attributes["every"])
-    if not every or not patterns:
-        return None
+    path = of_level.folder.store(level, MOVES)
+    every = _interval(of_level, path, looks if mode != "off" else 0)
+    if not every:
+        yield None
+        return
     lit = random_signs(of_level.rig.projector_shape, 1, seed=15)[0] > 0
     pattern = np.asarray(lit if lit.any() else ~lit, np.float32)
 
@@ -186,56 +165,88 @@ def _begin(stack: ExitStack, of_level: Brackets, level: int, every: int) -> _Loo
     about = {"every": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
     brackets = Brackets(
         of_level.rig, of_level.folder, path, f"{name_of(level)}, looks at the rig",
-        look_count(patterns, every), about, repeated,
+        look_count(of_level.count, every), about, repeated,
     )  # fmt: skip
     brackets.settle()
-    return _Looks(brackets, stack.enter_context(brackets.recording()), every)
+    with brackets.recording() as frames:
+        folder = of_level.folder
+        known = folder.exists(0, "merge")
+        merger = read_merger(of_level.rig.sensor, folder) if known else None
+        yield Watcher(of_level, level, merger, brackets, frames, every, mode == "refuse")
+
+
+def _interval(of_level: Brackets, path: Path, every: int) -> int:
+    """Return the patterns between looks, whose store is `path`; those of a level that was begun."""
+    if of_level.count_missing() == of_level.count:
+        return every if of_level.count else 0
+    if path.exists():
+        restore_header(path)
+        with FrameStore.open(path) as begun:
+            if begun.attributes.get("made_beside") == of_level.made_for:
+                return int(begun.attributes["every"])
+    return 0
 
 
 @dataclass(frozen=True)
 class Watcher:
-    """Takes the looks of a level."""
+    """Takes the looks of a level: brackets of one pattern, again and again between its own."""
 
     of_level: Brackets
     level: int
     merger: Merger | None
-    looks: _Looks | None
+    looks: Brackets
+    frames: Any
+    every: int
     refuse: bool
 
     def due(self, first: int, last: int) -> Sequence[int]:
         """Return the positions between two patterns at which a look is due."""
-        every = self.looks.every if self.looks else last
-        return range((first // every + 1) * every, last, every)
+        return range((first // self.every + 1) * self.every, last, self.every)
 
     def before(self, position: int) -> None:
         """Take the look that is due before the pattern at `position`, or after the last one.
 
-        Raises CaptureError where it shows that the rig moved, and that is to end the capture.
+        Raises CaptureError where it shows, and once more, that the rig moved, and that is to end
+        the capture. That look isn't stored: the next run begins by taking it again.
         """
-        if not self.looks:
+        is_last = position == self.of_level.count
+        index = self.looks.count - 1 if is_last else position // self.every
+        if self.frames.done[index]:
             return
-        brackets, frames, every = self.looks
-        index = brackets.count - 1 if position == self.of_level.count else position // every
-        if frames.done[index]:
-            return
-        bracket = brackets.take(frames, index, index + 1)
-        known = _first_look(self.of_level.folder, self.merger) if self.merger else None
-        rest = change(self.merger, known, bracket).rest if self.merger and known else 0.0
+        bracket = self.looks.take(index, index + 1)
+        rest = self._change(bracket)
         if rest > _MOVED:
-            text = (
-                f"{name_of(self.level)}, before pattern {position}: the rig or the scene moved: "
-                f"the same pattern looks different by {rest:.1%} from how it looked first, "
-                "whatever the lamp does. Pictures from before and after don't fit together"
+            again = self._change(self.looks.take(index, index + 1))
+            self._say(position, rest, again > _MOVED)
+        self.frames.write(index, bracket)
+
+    def _say(self, position: int, rest: float, is_lasting: bool) -> None:
+        """Log what a look shows, or raise CaptureError."""
+        text = (
+            f"{name_of(self.level)}, before pattern {position}: the same pattern looks different "
+            f"by {rest:.1%} from how it looked first, whatever the lamp does"
+        )
+        if not is_lasting:
+            text += ", but not once more: patterns before may show what passed"
+        else:
+            text += (
+                ": the rig or the scene moved. Pictures from before and after don't fit together"
             )
-            if self.refuse:
-                raise CaptureError(
-                    f"{text}. What is captured is kept: put things back, or remove the "
-                    "acquisition's folder and begin anew; capture.watch: warn goes on regardless"
-                )
-            _log.warning("%s; capture.watch: refuse would stop here", text)
+        if is_lasting and self.refuse:
+            of_level = self.looks.path.parent.absolute()
+            raise CaptureError(
+                f"{text}, so the capture ends here; all that is captured is kept. To begin anew, "
+                f"remove {of_level.parent} and run again. Or put back what moved, remove "
+                f"{of_level} and run again: that level alone is captured anew, if the pattern "
+                "looks as it did first. capture.watch: warn goes on all the same"
+            )
+        _log.warning("%s", text)
+
+    def _change(self, bracket: NDArray[Any]) -> float:
+        """Return by what a look differs from the first one, 0 where none is known."""
+        known = _first_look(self.of_level.folder, self.merger) if self.merger else None
+        return change(self.merger, known, bracket).rest if self.merger and known else 0.0
 
     def entries(self) -> dict[str, Any]:
         """Return what the level's manifest says of the looks."""
-        if not self.looks:
-            return {}
-        return {MOVES: {**self.looks.brackets.entry(self.looks.frames), "every": self.looks.every}}
+        return {MOVES: {**self.looks.entry(self.frames), "every": self.every}}

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.errors import CaptureError
 from rfpipe.provenance import generator
 
 if TYPE_CHECKING:
@@ -40,13 +41,27 @@ def require_raises(kind: type[Exception], call: Callable[..., Any], *arguments: 
     raise AssertionError(f"{call} took {arguments} without raising {kind.__name__}")
 
 
-def require_equal_descriptions(make: Callable[[], Any]) -> None:
-    """Raise AssertionError unless what is made twice describes itself alike, in plain data."""
+def require_equal_descriptions(make: Callable[[], Any], use: Callable[[Any], object]) -> None:
+    """Raise AssertionError unless what is made twice describes itself alike, before use and after.
+
+    In plain data, that JSON keeps.
+    """
     described = []
     for _ in range(2):
         with opened(make()) as subject:
             described.append(json.dumps(subject.describe(), sort_keys=True))
-    require(described[0] == described[1], f"describe() differs for what is made again: {described}")
+            use(subject)
+            described.append(json.dumps(subject.describe(), sort_keys=True))
+    message = f"describe() differs after use, or for what is made again: {described}"
+    require(len(set(described)) == 1, message)
+
+
+def require_closing(make: Callable[[], Any], use: Callable[[Any], object]) -> None:
+    """Raise AssertionError unless what is closed raises CaptureError in use, and as above."""
+    require_equal_descriptions(make, use)
+    with opened(make()) as subject:
+        subject.close()
+        require_raises(CaptureError, use, subject)
 
 
 def opened(made: Any) -> AbstractContextManager[Any]:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.testing import assert_array_equal, assert_equal
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import Camera, Projector
-from rfpipe.testing.checks import opened, require, require_equal_descriptions, require_raises
+from rfpipe.testing.checks import opened, require, require_closing, require_raises
 
 Float = NDArray[np.float32]
 
@@ -77,11 +77,7 @@ class ProjectorContract:
 
     def test_describes_itself_and_closes(self) -> None:
         """`describe` is the same for equal projectors; a closed one raises CaptureError."""
-        require_equal_descriptions(self.make_projector)
-        with opened(self.make_projector()) as projector:
-            picture = _pictures(projector.shape)["noise"]
-            projector.close()
-            require_raises(CaptureError, projector.show, picture)
+        require_closing(self.make_projector, lambda it: it.show(_pictures(it.shape)["noise"]))
 
     def _require_shown(self, projector: Projector, picture: Float, name: str) -> None:
         light = self.read_back(projector)
@@ -92,12 +88,14 @@ class ProjectorContract:
 class CameraContract:
     """Tests that any camera must pass; subclass it as ``Test...`` and define `make_camera`.
 
-    What is before the camera should not change, nor be brighter than the shortest exposure takes.
+    What is before the camera is lit, should not change, nor be brighter than the shortest exposure
+    takes.
 
     Attributes
     ----------
     steadiness : float
-        Fraction of the mean counts by which two pictures of one thing may differ.
+        Fraction of the mean counts by which two pictures of one thing may differ, and of full scale
+        that light has at the longest exposure.
     """
 
     steadiness: float = 0.02
@@ -105,6 +103,11 @@ class CameraContract:
     def make_camera(self) -> Camera:
         """Return a camera, each time anew and each time the same; small, to be quick."""
         raise NotImplementedError(f"{type(self).__name__} must define make_camera()")
+
+    def set_light(self, camera: Camera, is_on: bool) -> bool:
+        """Light what is before the camera, or darken it, and return True; False: nobody can."""
+        del camera, is_on
+        return False
 
     def test_brackets(self) -> None:
         """Brackets have the sensor's shape, dtype and range, from any thread, keep them, merge."""
@@ -128,18 +131,34 @@ class CameraContract:
     def test_exposures(self) -> None:
         """Longer ones are not darker; two brackets of one thing are alike: no frame is old."""
         with opened(self.make_camera()) as camera:
+            self.set_light(camera, True)
             first, second = _means(camera), _means(camera)
+            self._require_seen(first[-1], camera, True)
             steps = np.diff(first) >= -self.steadiness * first[:-1]
             require(steps.all(), f"mean counts of ascending exposures: {first}")
             alike = np.abs(first - second) <= self.steadiness * np.maximum(first, second) + 1
             require(alike.all(), f"mean counts are {first}, then {second}")
 
+    def test_sees_what_is_lit_now(self) -> None:
+        """The first bracket after the light went is dark, the next one lit: no frame is old."""
+        with opened(self.make_camera()) as camera:
+            if not self.set_light(camera, True):
+                return
+            for is_on in (True, False, True, False):
+                self.set_light(camera, is_on)
+                self._require_seen(_means(camera)[-1], camera, is_on)
+
     def test_describes_itself_and_closes(self) -> None:
         """`describe` is the same for equal cameras; a closed one raises CaptureError."""
-        require_equal_descriptions(self.make_camera)
-        with opened(self.make_camera()) as camera:
-            camera.close()
-            require_raises(CaptureError, camera.expose)
+        require_closing(self.make_camera, lambda camera: camera.expose())
+
+    def _require_seen(self, counts: float, camera: Camera, is_on: bool) -> None:
+        dark, sensor = 0.0, camera.sensor
+        if isinstance(sensor, CameraModel):
+            black = sensor.black_level_counts
+            dark = black + self.steadiness * (sensor.white_level - black)
+        seen = f"{counts:.4g} of at least {dark:.4g} counts"
+        require((counts > dark) == is_on, f"{seen} where light is {'on' if is_on else 'off'}")
 
 
 def _means(camera: Camera) -> NDArray[np.float64]:

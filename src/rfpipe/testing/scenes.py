@@ -8,6 +8,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
+from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.scenes.base import Scene
 from rfpipe.testing.checks import require, require_close, require_equal_descriptions
@@ -34,7 +35,7 @@ class SceneContract:
         raise NotImplementedError(f"{type(self).__name__} must define make_scene()")
 
     def test_light(self) -> None:
-        """Pictures are float32 (B, M, C) of patterns in any form; some light, none negative."""
+        """Pictures are float32 (B, M, C) of patterns in any form; light as a camera takes it."""
         scene = self.make_scene()
         for shape in (scene.camera_shape, scene.projector_shape):
             require(len(shape) >= 2 and min(shape) > 0, f"a ray domain is {shape}")
@@ -45,7 +46,12 @@ class SceneContract:
             _require_light(images, (count, prod(scene.camera_shape), scene.channels), "radiance")
             flat = scene.apply(patterns.reshape(count, -1))
             assert_array_equal(flat, images, "apply() of patterns (B, N)")
-        require(images.max() > 0, "no light comes back")
+        white = scene.apply(np.ones((1, *scene.projector_shape), np.float32))
+        require(white.max() > 0, "no light comes back")
+        camera = CameraModel()
+        most = camera.full_well_electrons / camera.electrons_per_radiance / min(camera.exposures)
+        brightest = np.quantile(white, 0.99)
+        require(brightest <= most, f"radiance is {brightest:.3g}; the default camera takes {most}")
         _require_light(scene.albedo, (*scene.camera_shape, scene.channels), "albedo")
 
     def test_linearity(self) -> None:
@@ -69,8 +75,12 @@ class SceneContract:
             assert_array_equal(part, images[first:last], "patterns lit by themselves")
 
     def test_dense(self) -> None:
-        """Every channel's matrix is what `apply` does, and symmetric where coaxial."""
+        """Every channel's matrix is what `apply` does.
+
+        Where coaxial it is symmetric, and each row and column of the projector lights something.
+        """
         scene = self.make_scene()
+        light = np.zeros(scene.projector_shape)
         patterns = _patterns(scene, 2)
         images = scene.apply(patterns)
         for channel in range(scene.channels):
@@ -79,10 +89,13 @@ class SceneContract:
             require_close(images[..., channel], predicted, self.tolerance, f"dense({channel})")
             if self.coaxial:
                 require_close(matrix, matrix.T, self.tolerance, "T from its transpose")
+            light += matrix.sum(axis=0).reshape(light.shape)
+        is_lit = light.any(axis=-1).all() and light.any(axis=-2).all()
+        require(is_lit or not self.coaxial, "a row or column of the projector lights nothing")
 
     def test_description(self) -> None:
         """`describe` is plain data that JSON keeps, and the same each time."""
-        require_equal_descriptions(self.make_scene)
+        require_equal_descriptions(self.make_scene, lambda scene: scene.apply(_patterns(scene, 1)))
 
 
 def _require_light(found: NDArray[np.floating], shape: tuple[int, ...], name: str) -> None:

@@ -50,9 +50,14 @@ class MatrixAlgebra(ABC):
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, camera rays)``, K = ``len(channels)``."""
 
+    dtype = np.dtype(np.float32)
+    """That of `toarray`."""
+    ndim = 3
+    """Of `toarray`: channels, camera rays, projector rays."""
+
     @property
-    def matrix_shape(self) -> tuple[int, int, int]:
-        """Shape of ``toarray()``: channels, camera rays, projector rays."""
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of `toarray`: channels, camera rays, projector rays."""
         return self.channels, prod(self.camera_shape), prod(self.projector_shape)
 
     def __matmul__(self, x: ArrayLike) -> Float:
@@ -133,7 +138,7 @@ class MatrixAlgebra(ABC):
             by_rows = len(rows) <= len(columns)
         lit, seen = (rows, columns) if by_rows else (columns, rows)
         chosen = range(self.channels) if channels is None else channels
-        _, cameras, projectors = self.matrix_shape
+        _, cameras, projectors = self.shape
         size_lit, size_seen = (cameras, projectors) if by_rows else (projectors, cameras)
         apply = self.adjoint if by_rows else self.forward
         bytes_of_one = _FLOAT * (size_lit + 2 * len(chosen) * size_seen)

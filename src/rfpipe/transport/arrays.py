@@ -25,24 +25,7 @@ _FLOAT32_BITS = 24
 
 
 class CoaxialTransport(Transport):
-    """A symmetric transport over the ray domain, `shape`, that camera and projector share."""
-
-    stored_names = ("shape",)
-
-    def __init__(
-        self,
-        shape: tuple[int, ...],
-        channels: int,
-        level_rows: list[dict[str, Any]],
-        held: Any,
-        nbytes: int | None = None,
-    ) -> None:
-        super().__init__(shape, shape, channels, level_rows, held, nbytes)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The ray domain."""
-        return self.camera_shape
+    """A symmetric transport over the ray domain that camera and projector share."""
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c = T c`` for planar images ``(P, K, N)``."""
@@ -117,7 +100,7 @@ class LevelTransport(Transport):
     """A transport made of sets of arrays, each about the blocks of one level.
 
     The sets stay in memory where all of them fit; else they are read each time. The acquisition's
-    levels are those of the blocks, unless its rows say otherwise by a ``block_level``.
+    levels are those of the blocks.
     """
 
     _held: Sequence[Any]
@@ -130,7 +113,7 @@ class LevelTransport(Transport):
     @property
     def last_level(self) -> int:
         """The last of `known_levels`: that of single rays."""
-        return max(self._block_levels, default=self.finest)
+        return self.finest
 
     @property
     def known_levels(self) -> range:
@@ -142,18 +125,12 @@ class LevelTransport(Transport):
         """Level of the block tree that has single rays."""
         return self.tree.n_levels - 1
 
-    @property
-    def _block_levels(self) -> dict[int, int]:
-        """Level of the blocks by that of the acquisition, where the two differ."""
-        rows = self.level_rows
-        return {row["level"]: row["block_level"] for row in rows if "block_level" in row}
-
     def truncate(self, level: int) -> Transport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7)."""
         super().truncate(level)  # refuses a level that there isn't
         if level == self.last_level:
             return self
-        content = self._truncated(self._block_levels.get(level, level))
+        content = self._truncated(level)
         return self.holding([row for row in self.level_rows if row["level"] <= level], content)
 
     @abstractmethod

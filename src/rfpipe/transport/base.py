@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
+from rfpipe.errors import InputError, installing
 from rfpipe.store.arrays import ArrayBundle, write_arrays
-from rfpipe.transport.algebra import MatrixAlgebra, Rays
+from rfpipe.transport.algebra import MatrixAlgebra, Rays, chosen_rays
 from rfpipe.units import NumberFormat
 from rfpipe.weights import as_weights
 
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     import pandas as pd
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator
+    from xarray import DataArray
+
+    from rfpipe.transport.compensation import Compensation
+    from rfpipe.transport.correspondence import Correspondence
 
 Float = NDArray[np.float32]
 
@@ -68,6 +72,45 @@ class Light(MatrixAlgebra):
         shape = (len(images), *self.camera_shape, self.channels)
         return np.moveaxis(images, 1, -1).reshape(shape)
 
+    def correspondence(self) -> Correspondence:
+        """Return which place of the projector lights each camera pixel directly.
+
+        Places to a fraction of a pixel, their confidence and a mask; InputError for a projector of
+        several views. See `rfpipe.transport.correspondence`.
+        """
+        from rfpipe.transport.correspondence import correspondence_of
+
+        return correspondence_of(self)
+
+    def relight_environment(
+        self, environment: NDArray[Any], lights: NDArray[Any], turned: float = 0.0
+    ) -> Float:
+        """Relight with a panorama of the light around; the projector's rays are single lights.
+
+        Parameters are those of `rfpipe.environment.environment_weights`; `lights` has a direction
+        for each ray. Returns the image (*camera_shape, channels), in colour if either is.
+
+        Raises InputError as there, or if there are more or fewer directions than lights.
+        """
+        from rfpipe.environment import environment_weights
+
+        weights = environment_weights(environment, lights, turned)
+        if len(weights) != self.shape[2]:
+            raise InputError(f"{len(weights)} directions of lights for {self.shape[2]} lights")
+        planes = weights.T.reshape(-1, *self.projector_shape)
+        if self.channels == 1 or len(planes) == 1:
+            return np.concatenate([self.relight(plane) for plane in planes], axis=-1)
+        return self.relight(np.moveaxis(planes, 0, -1))
+
+    def pattern_for(self, picture: NDArray[Any]) -> Compensation:
+        """Return the pattern, of weights between 0 and 1, that makes the scene look like a picture.
+
+        See `rfpipe.transport.compensation.compensation_for`.
+        """
+        from rfpipe.transport.compensation import compensation_for
+
+        return compensation_for(self, picture)
+
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
 
@@ -94,13 +137,38 @@ class Light(MatrixAlgebra):
 
         forward, adjoint = applied(self.forward), applied(self.adjoint)
         return LinearOperator(
-            shape=self.matrix_shape[1:],
+            shape=self.shape[1:],
             matvec=forward,
             rmatvec=adjoint,
             matmat=forward,
             rmatmat=adjoint,
             dtype=np.dtype(np.float32),
         )
+
+    def to_xarray(self, rows: Rays = None, columns: Rays = None) -> DataArray:
+        """Return the matrix, or some rows and columns of it as `toarray`, labelled by its rays.
+
+        Returns
+        -------
+        xarray.DataArray of float32, dims (channel, camera, projector)
+            Ray numbers are the coordinates; ``camera_shape`` and ``projector_shape`` attributes.
+
+        Raises
+        ------
+        InputError
+            As `toarray`, and where xarray isn't installed.
+        """
+        try:
+            from xarray import DataArray
+        except ImportError as error:
+            raise InputError(f"to_xarray needs xarray; {installing('xarray')}") from error
+        rays = {
+            "camera": chosen_rays(rows, self.camera_shape, "rows"),
+            "projector": chosen_rays(columns, self.projector_shape, "columns"),
+        }
+        about = {"camera_shape": self.camera_shape, "projector_shape": self.projector_shape}
+        matrix = self.toarray(*rays.values())
+        return DataArray(matrix, rays, ("channel", *rays), "radiance per weight", about)
 
     def save(
         self, path: str | Path, *, rows: Rays = None, columns: Rays = None, limit_bytes: int = LIMIT
@@ -197,6 +265,8 @@ class Transport(Light):
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; what fits into `memory_budget` bytes stays in memory."""
         about = bundle.attributes
+        if "shape" in about:  # of both sides, in stores of older versions
+            about = {**about, "camera_shape": about["shape"], "projector_shape": about["shape"]}
         return cls(
             channels=about["channels"],
             level_rows=about["levels"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError, StoreError
+from rfpipe.pictures.files import natural
 from rfpipe.store.places import Place, locate
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
@@ -86,11 +86,5 @@ def open_collection(
         what = f"has no transports{f' by {method}' if method else ''}"
         advice = f"there are some by {methods}" if stores else "give the results of a run"
         raise StoreError(f"{place}: {what}; {advice}")
-    scenes = sorted(chosen, key=_by_numbers)
+    scenes = sorted(chosen, key=natural)
     return Collection({scene: place / chosen[scene] for scene in scenes}, memory_budget)
-
-
-def _by_numbers(name: str) -> list[tuple[int, str]]:
-    """Return by what names are sorted as people count them."""
-    parts = re.split(r"(\d+)", name)
-    return [(int(part), part) if part.isdigit() else (-1, part) for part in parts]

@@ -24,8 +24,8 @@ _SIGNATURE, _BLOCK = b"\x89HDF\r\n\x1a\n", 512
 
 def read_matrix(
     path: str | Path,
-    camera_shape: Shape,
-    projector_shape: Shape,
+    camera_shape: Shape | None = None,
+    projector_shape: Shape | None = None,
     dataset: str | None = None,
     order: RayOrder = "rows",
 ) -> list[Any]:
@@ -36,11 +36,11 @@ def read_matrix(
     path : path
         ``.npy``; ``.npz`` of arrays, or of a matrix that `scipy.sparse.save_npz` wrote; ``.mat`` of
         any version, sparse up to v7; ``.h5`` or ``.hdf5``; or a zarr folder.
-    camera_shape, projector_shape : tuple of int
-        The ray domains, of M and of N rays.
+    camera_shape, projector_shape : tuple of int, optional
+        The ray domains, of M and of N rays; by default those in a file that rfpipe wrote.
     dataset : str, optional
-        Name in a file that holds several; for channels in datasets of their own, their names with
-        commas between them.
+        Name in a file that holds several, of rfpipe's own T; for channels in datasets of their own,
+        their names with commas between them.
     order : {"rows", "columns"}
         How camera and projector rays are numbered.
 
@@ -58,8 +58,21 @@ def read_matrix(
     """
     path = Path(path)
     names = [None] if dataset is None else [name.strip() for name in dataset.split(",")]
-    shapes = tuple(camera_shape), tuple(projector_shape)
-    return [m for name in names for m in _channels(_read(path, name), *shapes, f"{path}", order)]
+    given = {"camera_shape": camera_shape, "projector_shape": projector_shape}
+    camera, projector = (
+        tuple(_own(path, side) if shape is None else shape) for side, shape in given.items()
+    )
+    read = (_channels(_read(path, name), camera, projector, f"{path}", order) for name in names)
+    return [matrix for matrices in read for matrix in matrices]
+
+
+def _own(path: Path, name: str) -> NDArray[np.int64]:
+    """Return a ray domain that stands in a file of rfpipe's."""
+    try:
+        held = _read(path, name)
+    except InputError as error:
+        raise InputError(f"{error}. Files of rfpipe have shapes of rays; give {name}") from error
+    return np.ravel(getattr(held, name, held)).astype(np.int64)
 
 
 def _read(path: Path, name: str | None) -> Any:
@@ -145,6 +158,8 @@ def _of_group(path: Path, group: Any, name: str | None) -> Any:
 def _chosen(path: Path, names: Iterable[str], name: str | None) -> str:
     """Return the dataset to read: the one that is named, or the only one there is."""
     datasets = sorted(names)
+    if name is None and {"T", "camera_shape"} <= {*datasets}:
+        return "T"  # rfpipe's own
     if name is None and len(datasets) == 1:
         return datasets[0]
     if name not in datasets:

@@ -216,8 +216,8 @@ class MultiscaleTransport(CoaxialTransport, ArrayTransport):
 
     Parameters
     ----------
-    shape, channels, level_rows, nbytes
-        See `rfpipe.transport.arrays.CoaxialTransport`.
+    camera_shape, projector_shape, channels, level_rows, nbytes
+        See `rfpipe.transport.Transport`; one shape twice.
     held : mapping of str to ndarray
         ``factor``, float32 (channels, N): F, radiance of the floodlit image. ``functions``, int32
         (n, 4): those of B, see `MultiscaleBasis`. ``cores``, float32 (channels, pairs): S, one

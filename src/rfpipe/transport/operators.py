@@ -20,8 +20,8 @@ __all__ = ["PatternOperator", "Transportish", "as_pattern_operator"]
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 Transportish: TypeAlias = Any
-"""ndarray (M, N) or (C, M, N), scipy sparse, LinearOperator, a list of those, one a channel, or a
-`PatternOperator`."""
+"""ndarray (M, N) or (C, M, N), or what numpy makes one of, as dask, zarr or xarray; scipy sparse,
+LinearOperator; a list of those, one a channel; or a `PatternOperator`."""
 
 PATTERNS_AT_ONCE = 16
 """Columns of every matrix product; a shorter batch is filled up with zeros."""
@@ -58,12 +58,20 @@ def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> Patter
     if callable(getattr(matrix, "apply", None)) and hasattr(matrix, "channels"):
         operator: PatternOperator = matrix
         return operator
+    matrix = _loaded(matrix)
     if isinstance(matrix, np.ndarray) and matrix.ndim == 3:
         matrix = list(matrix)
     matrices = list(matrix) if isinstance(matrix, list | tuple) else [matrix]
     if not matrices:
         raise InputError("the transport has no channels: an empty list")
-    return _Channels([_channel(item, rows, columns, i) for i, item in enumerate(matrices)], rows)
+    return _Channels(
+        [_channel(_loaded(item), rows, columns, i) for i, item in enumerate(matrices)], rows
+    )
+
+
+def _loaded(matrix: Any) -> Any:
+    """Return an array of another library in memory, all else as it is."""
+    return np.asarray(matrix) if hasattr(matrix, "__array__") else matrix
 
 
 class _Channels:

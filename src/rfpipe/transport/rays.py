@@ -64,7 +64,7 @@ class RegroupedTransport(Light):
         self, planar: Float, spread: Any, apply: Callable[[Float], Float], gather: Any
     ) -> Float:
         """Apply the whole to some light at a time, white light in the memory of one plane."""
-        rays = sum(self._whole.matrix_shape[1:])
+        rays = sum(self._whole.shape[1:])
         at_a_time = max(1, _AT_ONCE_BYTES // (4 * planar.shape[1] * rays))
         images = []
         for first in range(0, max(len(planar), 1), at_a_time):

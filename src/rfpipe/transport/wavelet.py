@@ -193,8 +193,8 @@ class WaveletTransport(CoaxialTransport, ArrayTransport):
 
     Parameters
     ----------
-    shape, channels, level_rows, nbytes
-        See `rfpipe.transport.arrays.CoaxialTransport`.
+    camera_shape, projector_shape, channels, level_rows, nbytes
+        See `rfpipe.transport.Transport`; one shape twice.
     held : mapping of str to ndarray
         ``side``, int32 (1,): pixels along the side of a cell. ``factor``, float32 (channels, N): F.
         ``pairs``, int32 (2, pairs): which wavelets exchange light, of those of the cells' `Haar`,
@@ -207,7 +207,7 @@ class WaveletTransport(CoaxialTransport, ArrayTransport):
     @cached_property
     def cells(self) -> Cells:
         """The grid of the wavelets."""
-        return Cells(self.shape, int(self._held["side"][0]))
+        return Cells(self.camera_shape, int(self._held["side"][0]))
 
     def _lit(self, light: Float, channel: int) -> Any:
         from rfpipe.transport.pair_kernels import couple

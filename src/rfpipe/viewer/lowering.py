@@ -20,7 +20,6 @@ from rfpipe.transport.hierarchical.leaves import (
     leaf_offsets,
     pack_leaves,
     runs,
-    signed_apart,
 )
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
@@ -199,12 +198,10 @@ def _add_leaves(
         builder.add("pairs", light, received, arrays, shared=True)
         return
     # factors that a store hasn't rounded take 16 bits here: 1e-5 of their values
-    held = leaves.scales is not None
-    alike = [leaves] if held else signed_apart(tree, leaves, "uint16")
+    number_format = "uint16" if leaves.scales is None else leaves.values.dtype.name
+    packed = pack_leaves(tree, leaves, number_format)  # type: ignore[arg-type]
     sizes = np.diff(tree.starts[leaves.level]).astype(np.int32)
-    for one in alike:
-        packed = pack_leaves(tree, one, one.values.dtype.name if held else "uint16")  # type: ignore[arg-type]
-        builder.add("leaves", light, received, {"sizes": sizes, **packed}, shared=True)
+    builder.add("leaves", light, received, {"sizes": sizes, **packed}, shared=True)
 
 
 def _lower_multilevel(builder: Builder, transport: MultilevelTransport) -> None:
@@ -262,7 +259,7 @@ def _lower_low_rank(builder: Builder, transport: LowRankTransport) -> None:
 def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
     """``F B S B^T F``, with B by the pyramid of its scales."""
     arrays, basis = transport.pack()[0], transport.basis
-    rays = math.prod(transport.shape)
+    rays = math.prod(transport.camera_shape)
     # near and far range go by the same functions, of which each worker needs one pyramid
     same = digest_of(arrays["functions"], arrays["factor"])
     builder.begin_chain(f"functions {same}", is_common=True)
@@ -300,7 +297,7 @@ def _lower_wavelet(builder: Builder, transport: WaveletTransport) -> None:
     from scipy.sparse import csr_array
 
     arrays, cells = transport.pack()[0], transport.cells
-    rays = math.prod(transport.shape)
+    rays = math.prod(transport.camera_shape)
     ones = np.ones(rays, np.float32)
     spread = csr_array((ones, cells.of_ray, np.arange(rays + 1)), shape=(rays, cells.count))
     wavelets = csr_array(cells.haar.forward(np.eye(cells.count, dtype=np.float32)))

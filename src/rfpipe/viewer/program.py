@@ -30,7 +30,7 @@ longer."""
 # What a leaf, and an entry that is looked up, take beside a product in a long run of numbers.
 _A_LEAF, _AN_ENTRY = 100, 5
 
-_TYPES = {"int32": "i4", "float32": "f4", "uint8": "u1", "uint16": "u2", "int8": "i1"}
+_TYPES = {"int32": "i4", "float32": "f4", "uint8": "u1", "uint16": "u2"}
 _PLAIN = (
     "kind", "source", "target", "source_at", "target_at", "transposed", "shared", "chain", "levels",
 )  # fmt: skip
@@ -56,8 +56,7 @@ class Operation:
           factors there, and its transpose. The factors stand one leaf after the other, that over
           a, then that over b unless it is the same: ``values`` float32 (C, m); or ``codes`` uint8
           or uint16 (C, m), all channels but the first folded differences to it, and ``scales``
-          float32 (C, n): a factor is its code squared times its leaf's scale. ``signs`` int8
-          (C, n) of the products, if any is -1.
+          float32 (C, n): a factor is its code squared times its leaf's scale.
     source, target : int
         Buffers.
     arrays : dict of str to ndarray

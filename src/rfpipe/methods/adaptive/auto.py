@@ -55,11 +55,6 @@ class Auto(Method[Any]):
         """Guess the patterns, as the method that the shapes allow does."""
         return self._likely(camera, projector).expected_patterns(camera, projector, options)
 
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
-        """Return the most that any method may take that the shapes allow."""
-        methods = (self._likely(camera, projector), Footprints())
-        return max(method.most_patterns(camera, projector, options) for method in methods)
-
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
     ) -> Any:

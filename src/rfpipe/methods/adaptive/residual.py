@@ -159,7 +159,7 @@ class Residual:
                 "pairs": self.pairs,
                 "cores": self.cores,
             }
-            return WaveletTransport(cells.shape, channels, [], arrays)
+            return WaveletTransport(cells.shape, cells.shape, channels, [], arrays)
         from scipy.sparse import csr_array
 
         lamp, pixels = cells_of(shape), canvas.known.size

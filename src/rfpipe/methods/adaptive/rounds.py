@@ -74,16 +74,9 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Return the patterns of all rounds before the hierarchy, which don't grow with size."""
-        return min(projector.size, options.patterns or self._most(projector))
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return those of a scene in which the hierarchy asks for each block, after all rounds."""
-        inner = self.hierarchy.most_patterns(camera, projector, options)
-        return self._most(projector) + inner
-
-    def _most(self, projector: RayDomain) -> int:
         rounds = takewhile(lambda each: each[0] != "hierarchy", self.levels(projector))
-        return 1 + len(HELD_OUT) + sum(count for _, count in rounds)
+        total = 1 + len(HELD_OUT) + sum(count for _, count in rounds)
+        return min(projector.size, options.patterns or total)
 
     def below(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return the levels of the hierarchy below its floodlit one, and of what that leaves."""
@@ -151,7 +144,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
             _log.info("%s; going on with %s", why, self.hierarchy.title.lower())
             return self._hand_over(state, self.way.tolerance * target_of(state))
         if following == "done" and not state.reached:
-            log_end(state, why)
+            times = SURE * state.excess[-1]
+            _log.warning("ended at an estimated %.2f times the error asked for: %s", times, why)
         elif why:
             _log.info("%s; going on with random blocks", why)
         return state.changed(following=following)
@@ -208,7 +202,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if due == "hierarchy":
             after = self._descend(state, images, memory_bytes)
             return after.changed(following="done") if count and after.reached else after
-        after = state.after(self._row(state, count))
+        after = state.after(level_row(state.level, count))
         if not count:
             return after if due == "done" else after.changed(following="done")
         first, _ = self._asked(state)
@@ -222,30 +216,23 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image."""
         floodlit = Pictures.read(images, state.channels, state.camera.size, 0, 1)
-        return state.after(self._row(state, 1, scalar=state.camera.size), taken=floodlit)
-
-    def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
-        """Return the next level's row of the table."""
-        return level_row(state.level, patterns, **counts)
+        return state.after(level_row(state.level, 1, scalar=state.camera.size), taken=floodlit)
 
     def _descend(
-        self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
+        self, state: AdaptiveState, images: LevelImages, memory_bytes: int
     ) -> AdaptiveState:
-        """Let the hierarchy refine a level of its own; `new` are other fields that change.
-
-        Its pictures tell of what models leave, too.
-        """
+        """Let the hierarchy refine a level of its own; its pictures tell of what models leave."""
         pictures = ImagesAs(replace(images.schedule, level=state.inner.level), images.read)
         inner = self.hierarchy.refine(state.inner, pictures, memory_bytes)
         levels = (*state.descended, state.level)
         state = replace(state, descended=levels)
-        rows = [*state.rows, self._row(state, images.schedule.count)]
+        rows = [*state.rows, level_row(state.level, images.schedule.count)]
         # a level may have changed the row of the one before it
         for back in range(1, min(len(levels), 2) + 1):
             level = levels[-back]
             rows[level] = {**rows[level], **inner.rows[-back], "level": level}
         state = replace(state, rows=tuple(rows[:-1]))
-        state = state.after(rows[-1], inner=inner, descended=levels, **new)
+        state = state.after(rows[-1], inner=inner, descended=levels)
         if not (images.schedule.count and state.held):
             return state
         return self._judged(self._seen(state, images))
@@ -324,22 +311,11 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def restore(self, start: AdaptiveState, packs: Sequence[Pack]) -> AdaptiveState:
         """Return the state after the last of `packs`, one a level from level 0 on."""
         state: AdaptiveState = super().restore(start, packs)
-        inner = inner_packs(packs)
+        inner = [
+            Pack(unprefixed("inner_", pack.arrays), pack.attributes["hierarchy"])
+            for pack in packs
+            if "hierarchy" in pack.attributes
+        ]
         if not inner:
             return state
         return replace(state, inner=self.hierarchy.restore(self._inner_start(state), inner))
-
-
-def log_end(state: AdaptiveState, why: str) -> None:
-    """Say how far from the target an acquisition ends, and why."""
-    times = SURE * state.excess[-1]
-    _log.warning("ended at an estimated %.2f times the error asked for: %s", times, why)
-
-
-def inner_packs(packs: Sequence[Pack]) -> list[Pack]:
-    """Return the hierarchy's packs, of those levels that have any."""
-    return [
-        Pack(unprefixed("inner_", pack.arrays), pack.attributes["hierarchy"])
-        for pack in packs
-        if "hierarchy" in pack.attributes
-    ]

@@ -231,4 +231,4 @@ def _parts(shape: tuple[int, ...], model: Smooth, pictures: Pictures) -> Iterato
             "pairs": np.stack([basis.first[mask], basis.second[mask]]),
             "cores": np.ascontiguousarray(model.cores[:, mask]),
         }
-        yield MultiscaleTransport(shape, pictures.channels, [], arrays)
+        yield MultiscaleTransport(shape, shape, pictures.channels, [], arrays)

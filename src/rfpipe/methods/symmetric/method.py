@@ -12,8 +12,8 @@ from pydantic import Field
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour_apart, conflict_graph
-from rfpipe.methods.adaptive.descent import Descent
-from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, TargetOptions
+from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, Options
+from rfpipe.methods.descent import Descent
 from rfpipe.methods.states import MethodState, grown, joined, kept, level_row
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
@@ -45,7 +45,7 @@ from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 _TOGETHER = 3.5
 
 
-class SymmetricOptions(TargetOptions):
+class SymmetricOptions(Options):
     """The options of symmetric photography."""
 
     tolerance: Fraction = Field(

@@ -21,10 +21,10 @@ RUN = "run.json"
 _PATIENCE_SECONDS = 60
 
 
-def snakemake_program() -> str:
-    """Return the path of the Snakemake that is installed beside rfpipe, or its name."""
-    beside = Path(sys.executable).with_name("snakemake")
-    return str(beside) if beside.exists() else shutil.which("snakemake") or "snakemake"
+def program(name: str) -> str:
+    """Return the path of a program that is installed beside this Python, or its name."""
+    beside = Path(sys.executable).with_name(name)
+    return str(beside) if beside.exists() else shutil.which(name) or name
 
 
 def write_run(
@@ -47,7 +47,7 @@ def run_again(results: Path) -> str:
     except (StoreError, KeyError):
         options = ["--configfile", "SETTINGS_OF_THAT_RUN"]
     home = str(results.resolve().parent)
-    return shlex.join([snakemake_program(), "--directory", home, *options])
+    return shlex.join([program("rfpipe"), "run", "--directory", home, *options])
 
 
 def notify(command: str | None, status: Literal["done", "failed"], log: str) -> None:

@@ -73,19 +73,16 @@ def _add_up(
             )  # fmt: skip
         else:
             kernels.apply_leaves(
-                tree.starts[leaves.level], *blocks, leaves.values, _signed_scales(leaves),
+                tree.starts[leaves.level], *blocks, leaves.values, _scales(leaves),
                 channels, bounds, offsets, _GROUP, patterns, lit[leaves.level], sums,
             )  # fmt: skip
 
 
-def _signed_scales(leaves: LeafSet) -> Float:
-    """Return the scales by which the kernels multiply, with the leaves' signs."""
-    one = np.float32(1)
-    if leaves.signs is not None:
-        return np.multiply(leaves.signs, one if leaves.scales is None else leaves.scales)
+def _scales(leaves: LeafSet) -> Float:
+    """Return the scales by which the kernels multiply factors, 1 where none are rounded."""
     if leaves.scales is not None:
         return leaves.scales
-    return np.broadcast_to(one, (len(leaves.values), len(leaves)))
+    return np.broadcast_to(np.float32(1), (len(leaves.values), len(leaves)))
 
 
 def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.bool_]]:
@@ -147,8 +144,8 @@ def predict(
         first_lit = np.searchsorted(lit_parts, _met(starts, part_starts))
         kernels.apply_to_partition(
             starts, leaves.block_a, leaves.block_b, offset_a, offset_b, leaves.values,
-            leaves.signs_if_any, *_sides(leaves, tree), _tiles(starts), lit_parts, first_lit,
-            part_starts, pattern_of_part, images,
+            *_sides(leaves, tree), _tiles(starts), lit_parts, first_lit, part_starts,
+            pattern_of_part, images,
         )  # fmt: skip
     return images
 

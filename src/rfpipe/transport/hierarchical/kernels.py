@@ -1,9 +1,8 @@
 """Compiled kernels of the hierarchical tensor: what its leaves make of patterns.
 
 All images and factors are planar and in tree order: channels first, rays contiguous. Factors are
-float32, or unsigned codes of rounded ones (see ``codes.py``), which are squared as they are
-read: it takes less time than fetching four times the bytes. A leaf's sign is that of its scale,
-which stands for one of its two factors by its size alone.
+float32, or unsigned codes of rounded ones (see ``leaves.py``), which are squared as they are
+read: it takes less time than fetching four times the bytes.
 
 The sums of a task don't depend on the number of threads, nor on the other tasks.
 """
@@ -67,7 +66,7 @@ def _apply_short_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # typ
     from_a, from_b = np.float32(0.0), np.float32(0.0)
     for k in range(a0, a1):
         from_a += _number(values[of_a + k]) * source[k]
-    from_a = from_a * scale * abs(scale)
+    from_a = from_a * scale * scale
     if a0 == b0:
         for k in range(a0, a1):
             target[k] += _number(values[of_a + k]) * from_a
@@ -76,7 +75,7 @@ def _apply_short_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # typ
     for k in range(b0, b1):
         from_b += _number(values[of_b + k]) * source[k]
         target[k] += _number(values[of_b + k]) * from_a
-    from_b = from_b * scale * abs(scale)
+    from_b = from_b * scale * scale
     for k in range(a0, a1):
         target[k] += _number(values[of_a + k]) * from_b
 
@@ -86,15 +85,15 @@ def _apply_leaf(a0, a1, b0, b1, lit_a, lit_b, values, at, scale, source, target)
     """Apply a leaf, its values from `at` on; they come from memory once, then from the cache."""
     factor_a = values[at : at + a1 - a0]
     if a0 == b0:
-        from_a = _dot(factor_a, source[a0:a1]) * scale * abs(scale)
+        from_a = _dot(factor_a, source[a0:a1]) * scale * scale
         _add_scaled(target[a0:a1], factor_a, from_a)
         return
     factor_b = values[at + a1 - a0 : at + a1 - a0 + b1 - b0]
     if lit_a:
-        from_a = _dot(factor_a, source[a0:a1]) * scale * abs(scale)
+        from_a = _dot(factor_a, source[a0:a1]) * scale * scale
         _add_scaled(target[b0:b1], factor_b, from_a)
     if lit_b:
-        from_b = _dot(factor_b, source[b0:b1]) * scale * abs(scale)
+        from_b = _dot(factor_b, source[b0:b1]) * scale * scale
         _add_scaled(target[a0:a1], factor_a, from_b)
 
 
@@ -138,7 +137,7 @@ def apply_leaves(  # type: ignore[no-untyped-def]
     values : float32 or unsigned (C, n_values)
         Factors, or codes of them.
     scales : float32 (C, n)
-        By which both factors of a leaf are multiplied, one of them by its absolute value.
+        By which both factors of a leaf are multiplied.
     channels : int64 (K,)
         The channel of each plane of `out`.
     bounds, offsets : int64 (shares, runs + 1)
@@ -222,8 +221,8 @@ def _add_exactly(target, factor, scale):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, parallel=True)
 def apply_to_partition(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, offset_a, offset_b, values, signs, first_side, sides, tiles,
-    lit_parts, first_lit, part_starts, pattern_of_part, images,
+    starts, block_a, block_b, offset_a, offset_b, values, first_side, sides, tiles, lit_parts,
+    first_lit, part_starts, pattern_of_part, images,
 ):  # fmt: skip
     """Add ``T p`` of one level's leaves for patterns that share out the blocks of a level.
 
@@ -237,8 +236,6 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
         As in `apply_leaves`.
     offset_a, offset_b : int64 (n,)
         Where the leaves' two factors begin; the same on the diagonal.
-    signs : int8 (C, n) or (C, 0)
-        Of the leaves; none if all are positive.
     first_side, sides
         The leaves of each block, see `rfpipe.transport.hierarchical.apply`.
     tiles : int64 (n_tiles, 3)
@@ -272,10 +269,7 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
                     p0 = of_source + max(starts[source], part_starts[part])
                     p1 = of_source + min(starts[source + 1], part_starts[part + 1])
                     for c in range(channels):
-                        light = summed(values[c, p0:p1])
-                        if signs.shape[1] and signs[c, n] < 0:
-                            light = -light
-                        scales[c, pattern_of_part[part]] += light
+                        scales[c, pattern_of_part[part]] += summed(values[c, p0:p1])
                 for c in range(channels):
                     factor = values[c, begin : begin + end - ray]
                     for pattern in range(patterns):

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
-from rfpipe.transport.arrays import rounded
 from rfpipe.transport.base import Float
 from rfpipe.units import NumberFormat
 
@@ -30,8 +29,7 @@ CODED_PARTS = ("block_a", "block_b", "codes", "scales")
 class LeafSet:
     """Rank-1 leaves of one level: ``T_ab = factor_a x factor_b`` and, by symmetry, ``T_ba``.
 
-    Leaves of the same pair add up. Factors may be negative; on the diagonal, where both factors
-    are the same, a leaf has a sign of its own: ``T_aa = sum_r s_r u_r x u_r``.
+    Factors and scalars are light, none of them negative; on the diagonal both factors are the same.
 
     Attributes
     ----------
@@ -43,9 +41,6 @@ class LeafSet:
         same; one value a scalar. With `scales`, codes of them: uint8 or uint16.
     scales : ndarray of float32, shape (channels, n), optional
         Of rounded leaves: a value is its code squared times its leaf's scale.
-    signs : ndarray of int8, shape (channels, n), optional
-        1 or -1, by which the product of a leaf's two factors is multiplied; all 1 if there are
-        none. A scalar has its sign in its value.
     kept : dict
         Preparations that `rfpipe.transport.hierarchical.apply` makes once, by name.
     """
@@ -55,7 +50,6 @@ class LeafSet:
     block_b: NDArray[np.int32]
     values: NDArray[Any]
     scales: Float | None = None
-    signs: NDArray[np.int8] | None = None
     kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -64,13 +58,8 @@ class LeafSet:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays."""
-        optional = sum(array.nbytes for array in (self.scales, self.signs) if array is not None)
-        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes + optional
-
-    @property
-    def signs_if_any(self) -> NDArray[np.int8]:
-        """The signs as compiled kernels take them: ``(channels, 0)`` where there are none."""
-        return np.empty((len(self.values), 0), np.int8) if self.signs is None else self.signs
+        scales = 0 if self.scales is None else self.scales.nbytes
+        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes + scales
 
     def subset(self, tree: BlockTree, chosen: NDArray[np.bool_]) -> LeafSet:
         """Return some of the leaves."""
@@ -79,9 +68,7 @@ class LeafSet:
         # numpy would leave channels side by side
         values = np.ascontiguousarray(self.values[:, index])
         scales = None if self.scales is None else np.ascontiguousarray(self.scales[:, chosen])
-        signs = None if self.signs is None else np.ascontiguousarray(self.signs[:, chosen])
-        blocks = self.block_a[chosen], self.block_b[chosen]
-        return LeafSet(self.level, *blocks, values, scales, signs)
+        return LeafSet(self.level, self.block_a[chosen], self.block_b[chosen], values, scales)
 
 
 def factor_offsets(
@@ -151,8 +138,7 @@ def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafS
     """Return the leaves by level and block, from sets found one after the other.
 
     A level is one set, or several where it has many values. Leaves of a light field are in the
-    order of their pairs of views first, so that those of a view lie in few runs. The terms of a
-    leaf of rank k stand side by side in the order of the sets.
+    order of their pairs of views first, so that those of a view lie in few runs.
     """
     merged: list[LeafSet] = []
     for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):
@@ -169,7 +155,6 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
     offsets = [leaf_offsets(tree, leaves) for leaves in parts]
     begin = np.concatenate([ends[:-1] for ends in offsets])
     length = np.concatenate([np.diff(ends) for ends in offsets])
-    signs = _joined_signs(parts)
     order = np.lexsort((block_b, block_a, pair_of_views(tree, parts[0].level, block_a, block_b)))
     for run in runs(length[order], _SET_VALUES):
         chosen = order[run]
@@ -181,20 +166,7 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
             of_leaf = length[chosen[mask]]
             factors = leaves.values[:, ragged_ranges(begin[chosen[mask]], of_leaf)]
             values[:, ragged_ranges(target[mask], of_leaf)] = factors
-        of_chosen = None if signs is None else np.ascontiguousarray(signs[:, chosen])
-        yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values, signs=of_chosen)
-
-
-def _joined_signs(parts: Sequence[LeafSet]) -> NDArray[np.int8] | None:
-    """Return the signs of sets of leaves one after the other; None if no set has any."""
-    if all(leaves.signs is None for leaves in parts):
-        return None
-    shapes = [(len(leaves.values), len(leaves)) for leaves in parts]
-    signs = [
-        np.ones(shape, np.int8) if leaves.signs is None else leaves.signs
-        for leaves, shape in zip(parts, shapes, strict=True)
-    ]
-    return np.concatenate(signs, axis=1)
+        yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values)
 
 
 def pack_leaves(
@@ -207,17 +179,15 @@ def pack_leaves(
     square root: as with shot noise, dim values are rounded less than bright ones, so that a glint
     doesn't drown its surroundings. A maximum is kept to float32, and what is 0 stays 0.
 
-    Scalars stay as they are, for direct light is among them; so do factors that are not finite
-    somewhere, and sets of which the scales would take more than the rounding saves. Terms that
-    subtract from each other need more bits than light does: sets with signs or negative factors
-    are rounded as `rounded` does. `signed_apart` keeps others out of such sets.
+    Scalars stay as they are, for direct light is among them; so do sets with factors that are
+    negative or not finite somewhere, and those of which the scales would take more than the
+    rounding saves.
 
     Returns
     -------
     dict
-        By `LEAF_PARTS`, and ``signs`` if there are any; or by `CODED_PARTS`: ``codes``, unsigned
-        (channels, n_values), from the second channel on as differences to the first; ``scales``,
-        float32 (channels, n).
+        By `LEAF_PARTS`; or by `CODED_PARTS`: ``codes``, unsigned (channels, n_values), from the
+        second channel on as differences to the first; ``scales``, float32 (channels, n).
     """
     blocks = {"block_a": leaves.block_a, "block_b": leaves.block_b}
     if leaves.scales is not None:
@@ -225,14 +195,10 @@ def pack_leaves(
             return {**blocks, "codes": _differences(leaves.values), "scales": leaves.scales}
         leaves = decoded(tree, leaves)
     exact = {**blocks, "values": leaves.values}
-    if leaves.signs is not None:
-        exact["signs"] = leaves.signs
     if number_format == "float32" or leaves.level == tree.n_levels - 1:
         return exact
-    if not np.isfinite(leaves.values).all():
+    if not ((leaves.values >= 0) & (leaves.values < np.inf)).all():
         return exact
-    if leaves.signs is not None or (leaves.values < 0).any():
-        return {**exact, "values": rounded(leaves.values, number_format)}
     dtype = np.dtype(number_format)
     if leaves.values.size * (4 - dtype.itemsize) <= 4 * len(leaves.values) * len(leaves):
         return exact
@@ -254,7 +220,7 @@ def unpack_leaves(level: int, arrays: Mapping[str, NDArray[Any]]) -> LeafSet:
     """Return the leaves of which a store has kept these arrays, rounded ones as codes."""
     blocks = arrays["block_a"], arrays["block_b"]
     if "values" in arrays:
-        return LeafSet(level, *blocks, arrays["values"], signs=arrays.get("signs"))
+        return LeafSet(level, *blocks, arrays["values"])
     return LeafSet(level, *blocks, _from_differences(arrays["codes"]), arrays["scales"])
 
 
@@ -265,25 +231,6 @@ def decoded(tree: BlockTree, leaves: LeafSet) -> LeafSet:
     values = np.square(leaves.values, dtype=np.float32)
     values *= np.repeat(leaves.scales, np.diff(leaf_offsets(tree, leaves)), axis=1)
     return replace(leaves, values=values, scales=None)
-
-
-def signed_apart(tree: BlockTree, leaves: LeafSet, number_format: NumberFormat) -> list[LeafSet]:
-    """Return leaves in sets that `pack_leaves` rounds alike.
-
-    Pairs that have a sign or negative factors in any of their terms come second, if a format
-    rounds them otherwise.
-    """
-    coded = leaves.scales is not None or leaves.level == tree.n_levels - 1
-    if number_format == "float32" or coded or not len(leaves):
-        return [leaves]
-    least = np.minimum.reduceat(leaves.values, leaf_offsets(tree, leaves)[:-1], axis=1)
-    signed: NDArray[np.bool_] = np.any(least < 0, axis=0)
-    if leaves.signs is not None:
-        signed |= np.any(leaves.signs < 0, axis=0)
-    pair = leaves.block_a * np.int64(tree.n_blocks(leaves.level)) + leaves.block_b
-    signed = np.isin(pair, pair[signed])
-    light, others = (leaves.subset(tree, chosen) for chosen in (~signed, signed))
-    return [part for part in (replace(light, signs=None), others) if len(part)]
 
 
 def _differences(codes: NDArray[Any]) -> NDArray[Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
+from rfpipe.errors import StoreError
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.store.places import Place
 from rfpipe.transport.arrays import SetsOnDemand, by_prefix
@@ -55,7 +56,9 @@ class StoredLeaves(SetsOnDemand[str, LeafSet]):
 
     def __init__(self, bundle: ArrayBundle, *, keep: bool) -> None:
         self._bundle = bundle
-        self._sets = by_prefix(bundle, (*LEAF_PARTS, "signs", *CODED_PARTS))
+        if any(name.endswith("_signs") for name in bundle.names):
+            raise StoreError(f"{bundle.path}: leaves with signs are no longer read; acquire anew")
+        self._sets = by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
         super().__init__(list(self._sets), self._whole, keep=keep)
 
     def between(self, rays: Rays) -> Sequence[LeafSet]:

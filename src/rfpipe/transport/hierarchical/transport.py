@@ -18,10 +18,9 @@ from rfpipe.transport.hierarchical.leaves import (
     decoded,
     merge_leaf_sets,
     pack_leaves,
-    signed_apart,
 )
 from rfpipe.transport.hierarchical.some import Rays, StoredLeaves
-from rfpipe.transport.hierarchical.truncation import collapse, found_later
+from rfpipe.transport.hierarchical.truncation import collapse
 from rfpipe.units import NumberFormat
 
 
@@ -30,8 +29,8 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
 
     Parameters
     ----------
-    shape, channels, level_rows, nbytes
-        See `rfpipe.transport.arrays.CoaxialTransport`.
+    camera_shape, projector_shape, channels, level_rows, nbytes
+        See `rfpipe.transport.Transport`; one shape twice.
     held : sequence of LeafSet
         By level, the coarsest first; may be rounded, and may be read when used.
     """
@@ -48,7 +47,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     ) -> HierarchicalTransport:
         """Build a transport from leaf sets in any order."""
         merged = merge_leaf_sets(leaf_sets, tree)
-        return cls(tree.domain.shape, channels, level_rows, merged)
+        return cls(tree.domain.shape, tree.domain.shape, channels, level_rows, merged)
 
     @property
     def leaf_sets(self) -> Sequence[LeafSet]:
@@ -66,10 +65,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
 
     def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
-        alike = (
-            part for leaves in self._held for part in signed_apart(self.tree, leaves, number_format)
-        )
-        for index, leaves in enumerate(alike):
+        for index, leaves in enumerate(self._held):
             packed = pack_leaves(self.tree, leaves, number_format)
             prefix = f"level_{leaves.level:02d}_{index:04d}"
             arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
@@ -90,12 +86,6 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     def _truncated(self, level: int) -> Sequence[LeafSet]:
         """Make leaves of what was subdivided at `level` of the blocks."""
         held: list[LeafSet] = [*self._held]
-        of_level = [leaves for leaves in held if leaves.level == level]
-        kept = [leaves for leaves in held if leaves.level < level]
-        below: list[LeafSet] = []
-        for leaves, terms in zip(of_level, found_later(self.tree, of_level), strict=True):
-            kept.append(leaves.subset(self.tree, ~terms) if terms.any() else leaves)
-            if terms.any():
-                below.append(leaves.subset(self.tree, terms))
-        below += (leaves for leaves in held if leaves.level > level)
+        kept = [leaves for leaves in held if leaves.level <= level]
+        below = [leaves for leaves in held if leaves.level > level]
         return [*kept, *collapse(self.tree, below, level, self.channels)]

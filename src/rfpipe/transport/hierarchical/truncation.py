@@ -19,38 +19,16 @@ from rfpipe.transport.hierarchical.leaves import (
 
 # Values a channel that are added up at a time, in float64: some 100 MB of RGB.
 _SUMMED_VALUES = 2**22
-# What the light of a node counts for at least, as a part of its row or column sums without their
-# signs: where signed leaves all but cancel, a quotient of their sums would be of any size.
-_LEAST_LIGHT = 0.25
 
 Index = NDArray[np.int64]
-
-
-def found_later(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> list[NDArray[np.bool_]]:
-    """Tell for sets of one level which leaves are terms of rank k, off the diagonal.
-
-    A level's patterns measure one picture for each side of a pair: the other terms come from the
-    images of the level after.
-    """
-    if not leaf_sets:
-        return []
-    pairs = [
-        leaves.block_a * np.int64(tree.n_blocks(leaves.level)) + leaves.block_b
-        for leaves in leaf_sets
-    ]
-    _, index, count = np.unique(np.concatenate(pairs), return_inverse=True, return_counts=True)
-    off_diagonal = np.concatenate([leaves.block_a != leaves.block_b for leaves in leaf_sets])
-    ends = np.cumsum([len(leaves) for leaves in leaf_sets])
-    return np.split((count[index] > 1) & off_diagonal, ends[:-1])
 
 
 def collapse(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int
 ) -> Iterator[LeafSet]:
-    """Sum leaves into rank-1 leaves of `level`, made of their row and column sums.
+    """Sum leaves below `level` into rank-1 leaves of it, which keep their row and column sums.
 
-    The leaves are of `level` or below; one set is in use at a time. Row and column sums are kept,
-    unless the leaves have signs and all but cancel: then they are reduced.
+    One set is in use at a time.
     """
     keys = [_node_keys(tree, leaves, level) for leaves in leaf_sets]
     if not keys:
@@ -94,21 +72,15 @@ def _collapse_run(
             leaves = decoded(tree, leaf_sets[index].subset(tree, inside))
             _add_marginals(tree, leaves, np.searchsorted(nodes, key[inside]), offsets, marginals)
     sizes = np.diff(starts)
-    sides = [
-        (ragged_ranges(offset, sizes[block]), np.cumsum(sizes[block]) - sizes[block])
-        for offset, block in ((offset_a, block_a), (offset_b, block_b))
-    ]
+    rows = ragged_ranges(offset_a, sizes[block_a])
+    begin = np.cumsum(sizes[block_a]) - sizes[block_a]
     lengths = np.diff(np.append(offset_a, n_values))
     values = np.empty(marginals.shape, np.float32)
-    signs = np.empty((channels, len(nodes)), np.int8)
-    for sums, factors, sign in zip(marginals, values, signs, strict=True):
-        total = np.add.reduceat(sums[sides[0][0]], sides[0][1])
-        absolute = [np.add.reduceat(np.abs(sums[of_side]), begin) for of_side, begin in sides]
-        light = np.maximum(np.abs(total), _LEAST_LIGHT * np.maximum(*absolute))
+    for sums, factors in zip(marginals, values, strict=True):
+        light = np.add.reduceat(sums[rows], begin)
         scale = np.where(light > 0, 1 / np.sqrt(np.where(light > 0, light, 1)), 0.0)
         np.multiply(sums, np.repeat(scale, lengths), out=factors, casting="same_kind")
-        sign[:] = np.where(total < 0, -1, 1)
-    return LeafSet(level, block_a, block_b, values, signs=signs if (signs < 0).any() else None)
+    return LeafSet(level, block_a, block_b, values)
 
 
 def _add_marginals(
@@ -132,8 +104,6 @@ def _add_marginals(
         lengths = sizes[block]
         factors = values[:, ragged_ranges(offset, lengths)].astype(np.float64)
         sums = np.add.reduceat(factors, np.cumsum(lengths) - lengths, axis=1)
-        if leaves.signs is not None:
-            sums *= leaves.signs
         sides.append((ragged_ranges(first[node] + starts[block], lengths), lengths, factors, sums))
     a, b = sides
     for (place, lengths, factors, _), sums in ((a, b[-1]), (b, a[-1] * is_apart)):

@@ -100,8 +100,8 @@
       (br $next))))
 
   ;; leaves of rank 1: for each, in `table`, where its two runs begin and how long they are (the
-  ;; second of length 0 where both are the same); a scale for the product; its factors' values
-  (func (export "leaves") (param $n i32) (param $table i32) (param $values i32) (param $scales i32)
+  ;; second of length 0 where both are the same); its factors' values
+  (func (export "leaves") (param $n i32) (param $table i32) (param $values i32)
       (param $x i32) (param $y i32) (param $counts i32)
     (local $end i32) (local $a i32) (local $na i32) (local $b i32) (local $nb i32) (local $vb i32)
     (local.set $end (i32.add (local.get $table) (i32.shl (local.get $n) (i32.const 4))))
@@ -117,22 +117,21 @@
           (then (call $axpy
             (i32.add (local.get $y) (i32.shl (local.get $b) (i32.const 2)))
             (local.get $vb) (local.get $nb)
-            (f32.mul (f32.load (local.get $scales)) (call $dot (local.get $values)
-              (i32.add (local.get $x) (i32.shl (local.get $a) (i32.const 2))) (local.get $na)))))
+            (call $dot (local.get $values)
+              (i32.add (local.get $x) (i32.shl (local.get $a) (i32.const 2))) (local.get $na))))
           (else (call $axpy
             (i32.add (local.get $y) (i32.shl (local.get $a) (i32.const 2)))
             (local.get $values) (local.get $na)
-            (f32.mul (f32.load (local.get $scales)) (call $dot (local.get $values)
-              (i32.add (local.get $x) (i32.shl (local.get $a) (i32.const 2))) (local.get $na))))))))
+            (call $dot (local.get $values)
+              (i32.add (local.get $x) (i32.shl (local.get $a) (i32.const 2))) (local.get $na)))))))
       (if (local.get $nb) (then
         (if (call $lit (local.get $counts) (local.get $b) (local.get $nb)) (then
           (call $axpy
             (i32.add (local.get $y) (i32.shl (local.get $a) (i32.const 2)))
             (local.get $values) (local.get $na)
-            (f32.mul (f32.load (local.get $scales)) (call $dot (local.get $vb)
-              (i32.add (local.get $x) (i32.shl (local.get $b) (i32.const 2))) (local.get $nb))))))))
+            (call $dot (local.get $vb)
+              (i32.add (local.get $x) (i32.shl (local.get $b) (i32.const 2))) (local.get $nb)))))))
       (local.set $values (i32.add (local.get $vb) (i32.shl (local.get $nb) (i32.const 2))))
-      (local.set $scales (i32.add (local.get $scales) (i32.const 4)))
       (local.set $table (i32.add (local.get $table) (i32.const 16)))
       (br $next))))
 

@@ -25,16 +25,14 @@ function plainKernels(buffer) {
         I[counts + i + 1] = found;
       }
     },
-    leaves(n, table, values, scales, x, y, counts) {
-      table >>= 2; values >>= 2; scales >>= 2; x >>= 2; y >>= 2; counts >>= 2;
-      for (const end = table + 4 * n; table < end; table += 4, scales++) {
+    leaves(n, table, values, x, y, counts) {
+      table >>= 2; values >>= 2; x >>= 2; y >>= 2; counts >>= 2;
+      for (const end = table + 4 * n; table < end; table += 4) {
         const a = I[table], na = I[table + 1], b = I[table + 2], nb = I[table + 3];
         const vb = values + na;
         const to = nb ? [y + b, vb, nb] : [y + a, values, na];
-        if (I[counts + a] !== I[counts + a + na]) axpy(...to, F[scales] * dot(values, x + a, na));
-        if (nb && I[counts + b] !== I[counts + b + nb]) {
-          axpy(y + a, values, na, F[scales] * dot(vb, x + b, nb));
-        }
+        if (I[counts + a] !== I[counts + a + na]) axpy(...to, dot(values, x + a, na));
+        if (nb && I[counts + b] !== I[counts + b + nb]) axpy(y + a, values, na, dot(vb, x + b, nb));
         values = vb + nb;
       }
     },

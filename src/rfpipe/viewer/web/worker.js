@@ -1,6 +1,6 @@
 // A worker: holds its share of a program's operations in one memory, and runs them on light.
 // Messages: {start}, {array, data}, {run}; answers: {loaded}, {picture}, {failed}.
-const TYPES = { i4: Int32Array, f4: Float32Array, u1: Uint8Array, u2: Uint16Array, i1: Int8Array };
+const TYPES = { i4: Int32Array, f4: Float32Array, u1: Uint8Array, u2: Uint16Array };
 const aligned = (bytes) => (bytes + 15) & ~15;
 let about, own, kernels, memory, F, I, top = 0;
 let buffers, counts;
@@ -32,8 +32,8 @@ function needed() {
     }
     if (op.kind === "leaves") {
       const n = length(about.arrays[op.arrays.block_a]);
-      bytes += aligned(16 * n) + aligned(4 * n * about.channels);
-      bytes += 2 * aligned(4 * op.entries) + aligned(4 * op.entries * about.channels);
+      bytes += aligned(16 * n) + 2 * aligned(4 * op.entries);
+      bytes += aligned(4 * op.entries * about.channels);
     }
   }
   let largest = 0;
@@ -122,7 +122,7 @@ function prepareLeaves(op) {
   for (let i = 0; i < count; i++) {
     ends[i + 1] = ends[i] + sizes[a[i]] + (a[i] === b[i] ? 0 : sizes[b[i]]);
   }
-  const total = ends[count], codes = get("codes"), signs = get("signs");
+  const total = ends[count], codes = get("codes");
   const factors = codes ? decodedFactors(codes, get("scales"), ends) : get("values");
   const isShort = (i) => {
     const na = sizes[a[i]], nb = sizes[b[i]];
@@ -132,25 +132,24 @@ function prepareLeaves(op) {
   for (let i = 0; i < count; i++) (isShort(i) ? short : long).push(i);
   const numbers = long.reduce((sum, i) => sum + ends[i + 1] - ends[i], 0);
   Object.assign(op, { n: long.length, stride: numbers, table: allocate(16 * long.length),
-    signs: allocate(4 * long.length * channels), values: allocate(4 * numbers * channels) });
+    values: allocate(4 * numbers * channels) });
   long.forEach((i, k) => {
     const nb = a[i] === b[i] ? 0 : sizes[b[i]];
     I.set([starts[a[i]], sizes[a[i]], starts[b[i]], nb], (op.table >> 2) + 4 * k);
   });
   for (let channel = 0; channel < channels; channel++) {
     let to = (op.values >> 2) + channel * numbers;
-    long.forEach((i, k) => {
-      F[(op.signs >> 2) + channel * long.length + k] = signs ? signs[channel * count + i] : 1;
+    long.forEach((i) => {
       F.set(factors.subarray(channel * total + ends[i], channel * total + ends[i + 1]), to);
       to += ends[i + 1] - ends[i];
     });
   }
-  prepareEntries(op, short, { a, b, sizes, starts, ends, factors, signs });
+  prepareEntries(op, short, { a, b, sizes, starts, ends, factors });
 }
 
 // Leaves over few rays as pairs of rays.
-function prepareEntries(op, short, { a, b, sizes, starts, ends, factors, signs }) {
-  const { channels } = about, n = op.entries, total = ends[ends.length - 1], count = a.length;
+function prepareEntries(op, short, { a, b, sizes, starts, ends, factors }) {
+  const { channels } = about, n = op.entries, total = ends[ends.length - 1];
   op.pairs = { first: allocate(4 * n), second: allocate(4 * n), values: allocate(4 * n * channels) };
   let to = 0;
   for (const i of short) {
@@ -161,9 +160,8 @@ function prepareEntries(op, short, { a, b, sizes, starts, ends, factors, signs }
         I[(op.pairs.first >> 2) + to] = starts[a[i]] + row;
         I[(op.pairs.second >> 2) + to] = starts[b[i]] + column;
         for (let channel = 0; channel < channels; channel++) {
-          const sign = signs ? signs[channel * count + i] : 1;
           F[(op.pairs.values >> 2) + channel * n + to] =
-            sign * factors[channel * total + at + row] * factors[channel * total + other + column];
+            factors[channel * total + at + row] * factors[channel * total + other + column];
         }
       }
     }
@@ -225,9 +223,8 @@ function run({ light, colour, dual, level, parts }) {
 
 function apply(op, channel, transposed, x, y) {
   if (op.kind === "leaves") {
-    const values = op.values + 4 * channel * op.stride, signs = op.signs + 4 * channel * op.n;
     const { first, second, values: entries } = op.pairs;
-    kernels.leaves(op.n, op.table, values, signs, x, y, counts);
+    kernels.leaves(op.n, op.table, op.values + 4 * channel * op.stride, x, y, counts);
     kernels.pairs(op.entries, first, second, entries + 4 * channel * op.entries, x, y);
     return;
   }

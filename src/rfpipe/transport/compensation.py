@@ -1,0 +1,103 @@
+"""The pattern that makes a scene look as wished, with all its inter-reflections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.transport.algebra import MatrixAlgebra
+
+Float = NDArray[np.float32]
+
+_TINY = float(np.finfo(np.float32).tiny)
+_ITERATIONS = 200
+_OUT_OF_REACH = 0.02  # of the wished picture's root mean square
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """A pattern, and what the scene looks like under it.
+
+    Attributes
+    ----------
+    pattern : ndarray of float32, shape (*projector_shape, channels)
+        Weights between 0 and 1.
+    picture : ndarray of float32, shape (*camera_shape, channels)
+        The scene under the pattern.
+    residual : float
+        Norm of what differs from the wished picture, relative to its norm.
+    out_of_reach : ndarray of bool, shape (*camera_shape)
+        Pixels that differ by more than 2 % of the wished picture's root mean square.
+    """
+
+    pattern: Float
+    picture: Float
+    residual: float
+    out_of_reach: NDArray[np.bool_]
+
+
+def compensation_for(transport: MatrixAlgebra, picture: NDArray[Any]) -> Compensation:
+    """Find weights between 0 and 1 under which the scene looks most like a picture.
+
+    That is ``min |T p - picture|`` for ``0 <= p <= 1`` in each channel, by limited-memory BFGS with
+    bounds [Byrd et al. 1995], from the weights that direct light alone would take.
+
+    Parameters
+    ----------
+    transport : Light
+    picture : array, shape (*camera_shape) or (*camera_shape, channels)
+        Radiance, 0 or more, in the unit of the transport's pictures.
+
+    Raises
+    ------
+    InputError
+        If the picture has another shape, or values that aren't finite or are negative.
+    """
+    camera, channels = transport.camera_shape, transport.channels
+    wished = np.asarray(picture, np.float64)
+    if wished.shape == camera:
+        wished = np.repeat(wished[..., None], channels, axis=-1)
+    if wished.shape != (*camera, channels):
+        raise InputError(
+            f"a wished picture has the shape {camera} or {(*camera, channels)}, got {wished.shape}"
+        )
+    if not np.isfinite(wished).all() or (wished < 0).any():
+        raise InputError("a wished picture holds NaN, infinite or negative values")
+    planes = wished.reshape(-1, channels).T.astype(np.float32)
+    weights = np.stack([_weights(transport, index, plane) for index, plane in enumerate(planes)])
+    reached = transport.forward(weights[None], range(channels))[0].T.reshape(wished.shape)
+    wrong = np.sqrt(np.square(reached - wished).mean(axis=-1))
+    level = float(np.sqrt(np.square(wished).mean()))
+    residual = float(np.sqrt(np.square(wrong).mean()) / max(level, _TINY))
+    pattern = weights.T.reshape(*transport.projector_shape, channels)
+    return Compensation(pattern, reached, residual, wrong > _OUT_OF_REACH * level)
+
+
+def _weights(transport: MatrixAlgebra, channel: int, wished: Float) -> Float:
+    """Return the weights of one channel, (projector rays,), for a picture (camera rays,)."""
+    from scipy.optimize import minimize
+
+    def back(image: Float) -> Float:
+        sent: Float = transport.adjoint(image[None, None], [channel])[0, 0]
+        return sent
+
+    def cost(pattern: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        image = transport.forward(pattern.astype(np.float32)[None, None], [channel])[0, 0]
+        left = image - wished
+        return float(left @ left) / scale, 2 / scale * back(left).astype(np.float64)
+
+    scale = max(float(wished @ wished), _TINY)
+    brightest = max(float(wished.max(initial=0)), _TINY)
+    # the mean of what is wished where a ray's light falls
+    light = back(np.ones_like(wished))
+    start = np.clip(back(wished / brightest) / np.maximum(light, _TINY), 0, 1)
+    found = minimize(
+        cost, start, jac=True, bounds=[(0, 1)] * len(start), method="L-BFGS-B",
+        options={"maxiter": _ITERATIONS},
+    )  # fmt: skip
+    weights: Float = found.x.astype(np.float32)
+    return weights
