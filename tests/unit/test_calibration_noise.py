@@ -69,7 +69,7 @@ def measured(
 ) -> Findings:
     seen = more.pop("seen", lambda _, weight: weight * light)
     bench = FlatBench(camera, seen, **more)
-    bench.found["dark"] = dark_of(camera, shape=light.shape, seed=bench.seed, bend=bench.bend)
+    bench.found["dark"] = dark_of(camera, shape=light.shape, seed=bench.seed)
     return measure(bench)
 
 

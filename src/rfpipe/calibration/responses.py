@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ Double = NDArray[np.float64]
 
 _LEVELS = (1.0, 0.25, 1 / 16)  # weights of the flat pictures whose exposures are compared
 _SURE = 4.0  # standard errors beyond which exposures differ in one of many bins
-_BINS = 12
 _LEAST_PIXELS = 100  # photosites in a bin that is compared
 _STRAIGHT = 0.03  # by how much noise bends the exponent of a linear camera
 
@@ -48,19 +47,18 @@ def measure_linearity(bench: Bench) -> Findings:
     """
     model, dark, tolerance = bench.model, bench.found["dark"], bench.settings.tolerance / 2
     black, good = dark["black_level_counts"], ~dark["hot"]
-    span, times = model.white_level - black, model.exposures[:2]
-    # of each photosite at no exposure
-    offset = np.polyfit(times, dark["black"][: len(times), good], len(times) - 1)[-1]
-    offset -= offset.mean()
+    span = model.white_level - black
+    # below, noise and black level rule; above, saturation
+    edges = np.geomspace(0.02, 0.9, 13)
+    bins = len(edges) - 1
     ratios = np.divide(model.exposures[1:], model.exposures[:-1])
-    sums = np.zeros((5, len(ratios), _BINS))
+    sums = np.zeros((4, len(ratios), bins))
     frames = bench.take([bench.flat(level) for level in _LEVELS for _ in range(2)])
     for first, other in zip(frames, frames, strict=False):
-        level = other[:, good] - black
-        signal, again = first[:, good] - black - offset, level - offset
+        signal, level = (taken[:, good] - black for taken in (first, other))
         for k, ratio in enumerate(ratios):
-            at = np.searchsorted(_edges(level[k + 1] / span), level[k + 1] / span) - 1
-            inside = (at >= 0) & (at < _BINS)
+            at = np.searchsorted(edges, level[k + 1] / span) - 1
+            inside = (at >= 0) & (at < bins)
             less, more = signal[k : k + 2, inside]
             rest = less * ratio - more  # fixed differences between photosites cancel
             sums[:, k] += _binned(at[inside], bins, less, more, rest**2)
@@ -83,28 +81,6 @@ def measure_linearity(bench: Bench) -> Findings:
     facts = _exponent(short, long, ratio, error, tolerance) if there.any() else {}
     linear = {"kind": "Linear", "response_gamma": 1.0, "compared_levels": known}
     return Findings.of("linearity", {**linear, **facts, "tolerance": tolerance}, arrays)
-
-
-def _edges(level: Double) -> Double:
-    """Return bins' edges, (_BINS + 1,) fractions of full scale, between tones where there are few.
-
-    Of a tone that an edge parts, noise that pictures share, as that of photosites' offsets, would
-    lie above in the one part and below in the other.
-    """
-    # below, noise and black level rule; above, saturation
-    fine = np.geomspace(0.02, 0.9, 16 * (_BINS + 1) + 2)
-    count = np.histogram(level, fine)[0]
-    beside = (count[1:] + count[:-1]).reshape(_BINS + 1, 16)[:, 2:14]
-    return np.asarray(fine[1:-1].reshape(_BINS + 1, 16)[range(_BINS + 1), beside.argmin(1) + 2])
-
-
-def _rounding(variance: Any) -> Any:
-    """Return how far rounding may move a mean of counts of some variance, itself included.
-
-    Rounding alone may feign a quarter. What noise leaves of the half step falls off as the
-    characteristic function of noise does.
-    """
-    return np.exp(-2 * np.pi**2 * np.maximum(variance - 1 / 4, 0)) / 2
 
 
 def _exponent(
@@ -182,6 +158,26 @@ def measure_light(bench: Bench) -> Findings:
     }
     arrays = {"codes": codes, "measured": measured, "error": error, "light": light}
     return Findings.of("light", facts, arrays)
+
+
+class NoiseFit(NamedTuple):
+    """Noise of a camera.
+
+    Attributes
+    ----------
+    gain, gain_error : float
+        Electrons a count.
+    read, read_error : float
+        Variance of the read noise in counts squared.
+    misfit : float
+        RMS of the relative difference between measured and fitted variances, beyond the noise.
+    """
+
+    gain: float
+    gain_error: float
+    read: float
+    read_error: float
+    misfit: float
 
 
 def measure_transfer(bench: Bench) -> Findings:
@@ -277,17 +273,18 @@ def _noise_facts(fit: NoiseFit, dark: Findings, span: float) -> dict[str, Any]:
         f"{read:.3g} +- {read_error:.2g} electrons",
     }
 
-    `pairs` are the differences that each variance is of, and `step` that of the converter: 1, or
-    more or less where a response was linearised.
 
-    Returns
-    -------
-    gain, gain_error : float
-        Electrons a count.
-    read, read_error : float
-        Variance of the read noise in counts squared.
-    misfit : float
-        RMS of the relative difference between measured and fitted variances, beyond the noise.
+def fit_noise(signal: Double, variance: Double, pairs: Double, step: Double) -> NoiseFit:
+    """Fit gain and read noise: variance = read noise^2 + signal / gain + step^2 / 12.
+
+    Parameters
+    ----------
+    signal, variance : ndarray of float64, shape (n,)
+        Of bins, n at least 2, in counts.
+    pairs : ndarray of float64, shape (n,)
+        Differences that each variance is of.
+    step : ndarray of float64, shape (n,)
+        The converter's step: 1, or more or less where a response was linearised.
 
     Notes
     -----
@@ -309,7 +306,7 @@ def _noise_facts(fit: NoiseFit, dark: Findings, span: float) -> dict[str, Any]:
     relative = np.square(variance / model - 1) - 2 / pairs
     misfit = np.sqrt(max(0.0, np.average(relative, weights=pairs)))
     slope_error, read_error = np.sqrt(np.diag(covariance))
-    return 1 / slope, slope_error / slope**2, read, read_error, float(misfit)
+    return NoiseFit(1 / slope, slope_error / slope**2, read, read_error, float(misfit))
 
 
 def _linear(counts: Double, span: float, gamma: float) -> Double:

@@ -113,7 +113,7 @@ dark poor filled_share > 0.05: The all-off picture isn't dark: at {longest_s:.3g
 linearity good: {kind}: exposures agree within {deviation:.2%} beyond noise, {tolerance:.1%}
     allowed.
 linearity unknown compared_levels < 1: Exposures could not be compared: it takes two or more, a few
-    times apart, of light between black and saturated, in more bits where counts are coarse.
+    times apart, of light between black and saturated.
 linearity poor deviation > tolerance: Not linear: exposures of the same light differ by up to
     {worst_deviation:.1%}, and no power law surely describes them. Switch the camera's gamma off.
     Is the light steady, are gain and exposure not automatic, and are the exposure times true?
