@@ -3,8 +3,9 @@
 Usage: ``python -m benchmarks.bench_linearity [--seeds 20]`` (two minutes). Cameras of known
 exponents look at scenes of one, two, three and many albedos, without any texture: all pixels of a
 tone have the same light, wherever that lies between the edges of the bins that are compared. For
-each: of how many seeds the camera was found linear, bent, or neither, and the worst exponent.
-Writes results/bench/linearity.csv.
+each: of how many seeds the camera was found linear, bent, or neither, and the worst exponent. Also
+cameras whose photosites have offsets, and whose noise is the same in all pictures. Writes
+results/bench/linearity.csv.
 """
 
 from __future__ import annotations
@@ -36,6 +37,10 @@ CAMERAS = {
         bits=10, read_noise_electrons=0, full_well_electrons=1e9, electrons_per_radiance=2.3e10
     ),
 }
+OWN: dict[str, dict[str, Any]] = {
+    "offsets of 2 counts": {"offsets": 2.0},
+    "the same noise": {"is_repeating": True},
+}
 SCENES = {
     "0.5": (0.5,),
     "0.2, 0.7": (0.2, 0.7),
@@ -53,10 +58,19 @@ class Wall:
 
     shape, channels = (SIDE, SIDE), 1
 
-    def __init__(self, albedos: tuple[float, ...], sensor: CameraModel, seed: int) -> None:
+    def __init__(
+        self,
+        albedos: tuple[float, ...],
+        sensor: CameraModel,
+        seed: int,
+        offsets: float = 0,
+        is_repeating: bool = False,
+    ) -> None:
         tones = np.array(albedos)[np.arange(SIDE) * len(albedos) // SIDE]
         self.sensor, self.seed, self.frames, self.light = sensor, seed, 0, 0.0
         self.albedo = np.broadcast_to(tones, self.shape)[..., None]
+        self.offsets = np.random.default_rng(seed).normal(0, offsets, self.albedo.shape).round()
+        self.is_repeating = is_repeating
 
     def show(self, picture: NDArray[Any]) -> None:
         """Show a flat picture."""
@@ -64,8 +78,9 @@ class Wall:
 
     def expose(self) -> NDArray[np.uint16]:
         """Take a bracket."""
-        self.frames += 1
-        return self.sensor.expose(self.light * self.albedo, self.seed, (self.frames,))
+        self.frames += not self.is_repeating
+        frames = self.sensor.expose(self.light * self.albedo, self.seed, (self.frames,))
+        return (frames + self.offsets).clip(0, self.sensor.white_level).astype(np.uint16)
 
     def describe(self) -> dict[str, Any]:
         """Nothing keeps what is measured here."""
@@ -83,11 +98,12 @@ def linearity(wall: Wall) -> Findings:
 
 def rows(seeds: int) -> Iterator[dict[str, Any]]:
     """Yield a row a camera, exponent and scene."""
-    for name, camera in CAMERAS.items():
+    for name in (*CAMERAS, *OWN):
+        camera, own = CAMERAS.get(name, CameraModel()), OWN.get(name, {})
         for exponent in EXPONENTS:
             bent = replace(camera, response_gamma=exponent)
             for scene, albedos in SCENES.items():
-                found = [linearity(Wall(albedos, bent, seed)) for seed in range(seeds)]
+                found = [linearity(Wall(albedos, bent, seed, **own)) for seed in range(seeds)]
                 good = [one for one in found if one.verdict.standing == "good"]
                 gammas = np.array([one["response_gamma"] for one in good])
                 yield {

@@ -115,8 +115,9 @@ def test_what_a_change_concerns_is_done_anew_and_damage_is_found(tmp_path: Path)
     run(only, tolerance=0.05)
     assert folder.made_for("dark") == first["dark"]
     assert folder.made_for("linearity") != first["linearity"]
-    run(only, wedge_bench(RAYS, seed=1), tolerance=0.05)
-    assert folder.made_for("dark") != first["dark"]
+    for changed in ({"sensor": brighter(CAMERA, 2.0)}, {"seed": 1}):
+        run(only, wedge_bench(RAYS, **changed), tolerance=0.05)
+        assert folder.made_for("dark") != first["dark"]
     write_arrays(folder.store("dark"), {"black": np.zeros(3)}, {})
     with pytest.raises(IntegrityError, match="remove both"):
         folder.read("dark")

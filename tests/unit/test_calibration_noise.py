@@ -69,7 +69,7 @@ def measured(
 ) -> Findings:
     seen = more.pop("seen", lambda _, weight: weight * light)
     bench = FlatBench(camera, seen, **more)
-    bench.found["dark"] = dark_of(camera, shape=light.shape, seed=bench.seed)
+    bench.found["dark"] = dark_of(camera, shape=light.shape, seed=bench.seed, bend=bench.bend)
     return measure(bench)
 
 
@@ -186,12 +186,13 @@ TONES = [(1.0,), (0.3, 1.0), (0.2, 0.7), (0.2, 0.5), (0.2, 0.5, 0.8)]
 SCENES = [SCENE, *(np.resize(np.repeat(of, 22), SCENE.shape) for of in TONES)]
 
 
-@pytest.mark.parametrize(("camera", "bits"), [(CAMERA, 8), (CAMERA, 12), (QUIET, 10)])
+@pytest.mark.parametrize("camera", [replace(CAMERA, bits=8), CAMERA, replace(QUIET, bits=10)])
 @pytest.mark.parametrize("scene", SCENES)
-def test_a_linear_camera_is_linear(camera: CameraModel, bits: int, scene: np.ndarray) -> None:
-    for scale in (1.0, 0.83, 0.61):
-        found = linearity_of(replace(camera, bits=bits), scale * scene)
-        assert found.verdict.standing in ("good", *["unknown"] * (bits < 12))
+def test_a_linear_camera_is_linear(camera: CameraModel, scene: np.ndarray) -> None:
+    offsets = np.random.default_rng(0).poisson(2**camera.bits / 800, (64, 64, 1)).astype(np.uint16)
+    for scale, more in ((1.0, 0), (0.83, 0), (0.61, 0), (1.0, offsets), (0.5, offsets)):
+        found = linearity_of(camera, scale * scene, bend=lambda one, more=more: one + more)
+        assert found.verdict.standing in ("good", *["unknown"] * (camera.bits < 12))
         assert found["response_gamma"] == 1
 
 
@@ -202,8 +203,7 @@ def test_a_power_law_is_found_and_its_noise_still_measured(gamma: float) -> None
         found = linearity_of(camera, scene)
         assert found["response_gamma"] == pytest.approx(gamma, rel=0.03)
         assert found.verdict.standing == "good"
-    full_well = transfer_of(camera)["full_well_electrons"]
-    assert full_well == pytest.approx(camera.full_well_electrons, rel=0.1)
+    assert transfer_of(camera)["full_well_electrons"] == pytest.approx(20_000, rel=0.1)
 
 
 def test_a_response_that_is_no_power_law_is_said() -> None:

@@ -89,9 +89,9 @@ def measure_dark(bench: Bench) -> Findings:
 def bearable_seconds(span: float, rate: float) -> float:
     """Return the longest exposure, a minute at most, that light of so many counts a second leaves.
 
-    It then takes a twentieth of the range, `span` counts.
+    It then takes a 25th of the range, `span` counts: what is good, less a margin.
     """
-    return min(0.05 * span / max(rate, 1e-9), LONGEST_SECONDS)
+    return min(0.04 * span / max(rate, 1e-9), LONGEST_SECONDS)
 
 
 def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:

@@ -20,14 +20,14 @@ from rfpipe.calibration.sight import measure_sight, sight_pictures
 from rfpipe.calibration.symmetry import measure_rig
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig, RigConfig
-from rfpipe.errors import InputError, IntegrityError, RfpipeError, StoreError
+from rfpipe.errors import InputError, RfpipeError, StoreError
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.build import devices_from_config
-from rfpipe.rigs.calibrated import Calibration, write_calibration
+from rfpipe.rigs.calibrated import Calibration, read_parts, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.store import StoreLock, open_arrays, read_manifest, write_arrays, write_manifest
+from rfpipe.store import StoreLock, read_manifest, write_arrays, write_manifest
 
 _log = logging.getLogger(__name__)
 
@@ -119,14 +119,9 @@ class CalibrationFolder:
                 f"{self.manifest(step)}: the step {step} isn't done; run `rfpipe calibrate` or "
                 f"that step first"
             )
-        manifest, bundle = read_manifest(self.manifest(step)), open_arrays(self.store(step))
-        if bundle.digest != manifest["arrays"]:
-            raise IntegrityError(
-                f"{self.store(step)}: is not the store that {step}.json tells of; remove both and "
-                "run the step again"
-            )
+        manifest, arrays = read_parts(self.manifest(step), self.store(step))
         verdict = Verdict(manifest["standing"], manifest["verdict"])
-        return Findings(verdict, manifest["facts"], bundle.read_all())
+        return Findings(verdict, manifest["facts"], arrays)
 
     def verdicts(self) -> dict[str, dict[str, str]]:
         """Return title, standing and verdict of the steps that are done."""
@@ -224,6 +219,7 @@ def calibrate(
             raise InputError(f"calibration step {name!r} is none of this rig's: {', '.join(steps)}")
     folder.path.mkdir(parents=True, exist_ok=True)
     devices = {"projector": projector.describe(), "camera": camera.describe()}
+    devices["sensor"] = camera.sensor.describe()  # with the exposures
     with StoreLock(folder.path / "steps"):
         if only is None and all(map(folder.is_done, steps)):
             standings = {folder.read(name).verdict.standing for name in steps}

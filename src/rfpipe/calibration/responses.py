@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ Double = NDArray[np.float64]
 
 _LEVELS = (1.0, 0.25, 1 / 16)  # weights of the flat pictures whose exposures are compared
 _SURE = 4.0  # standard errors beyond which exposures differ in one of many bins
+_BINS = 12
 _LEAST_PIXELS = 100  # photosites in a bin that is compared
 _STRAIGHT = 0.03  # by how much noise bends the exponent of a linear camera
 
@@ -47,21 +48,21 @@ def measure_linearity(bench: Bench) -> Findings:
     """
     model, dark, tolerance = bench.model, bench.found["dark"], bench.settings.tolerance / 2
     black, good = dark["black_level_counts"], ~dark["hot"]
-    span = model.white_level - black
-    # below, noise and black level rule; above, saturation
-    edges = np.geomspace(0.02, 0.9, 13)
-    bins = len(edges) - 1
+    span, times = model.white_level - black, model.exposures[:2]
+    # of each photosite at no exposure
+    fixed = np.polyfit(times, dark["black"][: len(times), good], len(times) - 1)[-1]
+    fixed -= fixed.mean()
     ratios = np.divide(model.exposures[1:], model.exposures[:-1])
-    sums = np.zeros((4, len(ratios), bins))
+    sums = np.zeros((4, len(ratios), _BINS))
     frames = bench.take([bench.flat(level) for level in _LEVELS for _ in range(2)])
     for first, other in zip(frames, frames, strict=False):
-        signal, level = (taken[:, good] - black for taken in (first, other))
+        signal, level = first[:, good] - black - fixed, (other[:, good] - black) / span
         for k, ratio in enumerate(ratios):
-            at = np.searchsorted(edges, level[k + 1] / span) - 1
-            inside = (at >= 0) & (at < bins)
+            at = np.searchsorted(_edges(level[k + 1]), level[k + 1]) - 1
+            inside = (at >= 0) & (at < _BINS)
             less, more = signal[k : k + 2, inside]
             rest = less * ratio - more  # fixed differences between photosites cancel
-            sums[:, k] += _binned(at[inside], bins, less, more, rest**2)
+            sums[:, k] += _binned(at[inside], _BINS, less, more, rest**2)
     there = (sums[0] >= _LEAST_PIXELS) & (sums[1] > 0)
     ratio = np.broadcast_to(ratios[:, None], there.shape)[there]
     count, short, long, squares = sums[:, there]
@@ -81,6 +82,19 @@ def measure_linearity(bench: Bench) -> Findings:
     facts = _exponent(short, long, ratio, error, tolerance) if there.any() else {}
     linear = {"kind": "Linear", "response_gamma": 1.0, "compared_levels": known}
     return Findings.of("linearity", {**linear, **facts, "tolerance": tolerance}, arrays)
+
+
+def _edges(level: Double) -> Double:
+    """Return bins' edges, (_BINS + 1,) fractions of full scale, between tones where there are few.
+
+    Noise that pictures share lies above in the one part of a tone that an edge parts, and below in
+    the other.
+    """
+    # below, noise and black level rule; above, saturation
+    fine = np.geomspace(0.02, 0.9, 16 * (_BINS + 1) + 2)
+    count = np.histogram(level, fine)[0]
+    beside = (count[1:] + count[:-1]).reshape(_BINS + 1, 16)[:, 2:14]
+    return np.asarray(fine[1:-1].reshape(_BINS + 1, 16)[range(_BINS + 1), beside.argmin(1) + 2])
 
 
 def _exponent(
@@ -160,26 +174,6 @@ def measure_light(bench: Bench) -> Findings:
     return Findings.of("light", facts, arrays)
 
 
-class NoiseFit(NamedTuple):
-    """Noise of a camera.
-
-    Attributes
-    ----------
-    gain, gain_error : float
-        Electrons a count.
-    read, read_error : float
-        Variance of the read noise in counts squared.
-    misfit : float
-        RMS of the relative difference between measured and fitted variances, beyond the noise.
-    """
-
-    gain: float
-    gain_error: float
-    read: float
-    read_error: float
-    misfit: float
-
-
 def measure_transfer(bench: Bench) -> Findings:
     """Measure the photon-transfer curve: gain, read noise and full well, from pairs of pictures.
 
@@ -246,45 +240,46 @@ def measure_transfer(bench: Bench) -> Findings:
         weight = np.full(len(current), float((dark["frames"] - 1) * good.sum()))
         added = current, dark_variance, weight, np.ones(len(current))
         bins = [np.append(old, new[bare]) for old, new in zip(bins, added, strict=True)]
-    fit = fit_noise(*bins)
-    curve = fit.read + signal / fit.gain + step**2 / 12
+    gain, gain_error, read, read_error, misfit = _fit_noise(*bins)
+    electrons = gain * np.sqrt(read)
+    electrons_error = gain * read_error / (2 * np.sqrt(max(read, read_error)))
+    # what counts is the noise of darkness, to which the converter's steps belong
+    of_darkness = read_error / (2 * (read + 1 / 12))
+    facts = {
+        "electrons_per_count": gain,
+        "electrons_per_count_error": gain_error,
+        "full_well_electrons": gain * span,
+        "read_noise_electrons": electrons,
+        "read_noise_error": electrons_error,
+        "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * gain),
+        "misfit": misfit,
+        "known_within": 2 * max(gain_error / gain, of_darkness),
+        "numbers": f"{gain:.3g} +- {gain_error:.2g} electrons a count, read noise "
+        f"{electrons:.3g} +- {electrons_error:.2g} electrons",
+    }
+    curve = read + signal / gain + step**2 / 12
     arrays = {
         "signal": signal, "variance": variance, "error": error, "model": curve, "used": used
     }  # fmt: skip
-    return Findings.of("transfer", _noise_facts(fit, dark, span), arrays)
+    return Findings.of("transfer", facts, arrays)
 
 
-def _noise_facts(fit: NoiseFit, dark: Findings, span: float) -> dict[str, Any]:
-    """Return what the camera model and the verdict need of a fit."""
-    read = fit.gain * np.sqrt(fit.read)
-    read_error = fit.gain * fit.read_error / (2 * np.sqrt(max(fit.read, fit.read_error)))
-    # what counts is the noise of darkness, to which the converter's steps belong
-    of_darkness = fit.read_error / (2 * (fit.read + 1 / 12))
-    return {
-        "electrons_per_count": fit.gain,
-        "electrons_per_count_error": fit.gain_error,
-        "full_well_electrons": fit.gain * span,
-        "read_noise_electrons": read,
-        "read_noise_error": read_error,
-        "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * fit.gain),
-        "misfit": fit.misfit,
-        "known_within": 2 * max(fit.gain_error / fit.gain, of_darkness),
-        "numbers": f"{fit.gain:.3g} +- {fit.gain_error:.2g} electrons a count, read noise "
-        f"{read:.3g} +- {read_error:.2g} electrons",
-    }
+def _fit_noise(
+    signal: Double, variance: Double, pairs: Double, step: Double
+) -> tuple[float, float, float, float, float]:
+    """Fit gain and read noise to bins (n,): variance = read noise^2 + signal / gain + step^2 / 12.
 
+    `pairs` are the differences that each variance is of, and `step` that of the converter: 1, or
+    more or less where a response was linearised.
 
-def fit_noise(signal: Double, variance: Double, pairs: Double, step: Double) -> NoiseFit:
-    """Fit gain and read noise: variance = read noise^2 + signal / gain + step^2 / 12.
-
-    Parameters
-    ----------
-    signal, variance : ndarray of float64, shape (n,)
-        Of bins, n at least 2, in counts.
-    pairs : ndarray of float64, shape (n,)
-        Differences that each variance is of.
-    step : ndarray of float64, shape (n,)
-        The converter's step: 1, or more or less where a response was linearised.
+    Returns
+    -------
+    gain, gain_error : float
+        Electrons a count.
+    read, read_error : float
+        Variance of the read noise in counts squared.
+    misfit : float
+        RMS of the relative difference between measured and fitted variances, beyond the noise.
 
     Notes
     -----
@@ -306,7 +301,7 @@ def fit_noise(signal: Double, variance: Double, pairs: Double, step: Double) -> 
     relative = np.square(variance / model - 1) - 2 / pairs
     misfit = np.sqrt(max(0.0, np.average(relative, weights=pairs)))
     slope_error, read_error = np.sqrt(np.diag(covariance))
-    return NoiseFit(1 / slope, slope_error / slope**2, read, read_error, float(misfit))
+    return 1 / slope, slope_error / slope**2, read, read_error, float(misfit)
 
 
 def _linear(counts: Double, span: float, gamma: float) -> Double:

@@ -89,13 +89,7 @@ def load_calibration(folder: str | Path) -> Calibration:
             f"{folder}: holds no complete calibration ({FACTS} is missing); make one with "
             f"`rfpipe calibrate RIG.yaml --output {folder}`, or set the rig's calibration to null"
         )
-    manifest = read_manifest(folder / FACTS)
-    bundle = open_arrays(folder / ARRAYS)
-    if bundle.digest != manifest["arrays"]:
-        raise IntegrityError(
-            f"{folder / ARRAYS}: is not the one that {FACTS} tells of; calibrate again"
-        )
-    arrays = {name: bundle.read(name) for name in bundle.names}
+    manifest, arrays = read_parts(folder / FACTS, folder / ARRAYS)
     return Calibration(
         ProjectorLayout.from_arrays(arrays) if "ray_of_pixel" in arrays else None,
         Resampling.from_arrays(arrays) if "resampling_shape" in arrays else None,
@@ -103,6 +97,16 @@ def load_calibration(folder: str | Path) -> Calibration:
         arrays.get("projector_response"),
         manifest["facts"],
     )
+
+
+def read_parts(manifest: Path, store: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read a manifest and the arrays that it tells of; IntegrityError where they don't belong."""
+    told, bundle = read_manifest(manifest), open_arrays(store)
+    if bundle.digest != told["arrays"]:
+        raise IntegrityError(
+            f"{store}: is not what {manifest.name} tells of; remove both and calibrate again"
+        )
+    return told, bundle.read_all()
 
 
 def calibration_of(config: RigConfig) -> Calibration:
