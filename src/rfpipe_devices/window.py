@@ -218,6 +218,7 @@ class _WindowProcess:
             [sys.executable, "-P", str(program), str(theirs.fileno()), json.dumps(settings)],
             pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=self._errors,
             stderr=self._errors, env=environment,
+            process_group=0,  # Ctrl-C is ours; then the connection ends
         )  # fmt: skip
         theirs.close()
         try:

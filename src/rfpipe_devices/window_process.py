@@ -8,7 +8,6 @@ a pair: the window's shape at first, then a bool; and None, or an error's text a
 """
 
 import json
-import signal
 import sys
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -130,7 +129,6 @@ def serve(window: Window, connection: Any) -> None:
 
 def main() -> None:
     """Open the window that the settings ask for, and serve it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; then the connection ends
     connection: Any = Connection(int(sys.argv[1]))
     with suppress(EOFError, OSError):  # the parent is gone
         try:
