@@ -7,14 +7,12 @@ from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-Counter = Callable[[str, int], AbstractContextManager[Any]]
-
-_counter: ContextVar[Counter | None] = ContextVar("counter", default=None)
+_counter: ContextVar[Any] = ContextVar("counter", default=None)
 _counting: ContextVar[Any] = ContextVar("counting", default=None)
 
 
 @contextmanager
-def counted_by(counter: Counter) -> Iterator[None]:
+def counted_by(counter: Callable[[str, int], AbstractContextManager[Any]]) -> Iterator[None]:
     """Show computations meanwhile: ``counter(name, steps)`` makes what has ``advance(steps)``."""
     before = _counter.set(counter)
     try:

@@ -112,24 +112,24 @@ def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
     assert {"capture.zarr", "verification.json"} <= places
 
 
-@pytest.mark.parametrize(("at", "method"), [(3, "dual"), (12, "dual")])
+@pytest.mark.parametrize("at", [3, 12])
 def test_a_knock_ends_the_capture_within_ten_patterns(
-    tmp_path: Path, at: int, method: str, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, at: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
     folder = tmp_path / "refused"
     for _ in range(2):  # the next run takes no pattern more
         with pytest.raises(CaptureError, match=r"moved.*begin anew") as caught:
-            acquire(folder, rig, method, mode="refuse")
+            acquire(folder, rig, mode="refuse")
         assert at < len(rig.keys) <= at + 10
     rig.at = 10**6  # put back
     shutil.rmtree(re.search(r"Or put back .*, remove (\S+)", str(caught.value))[1])
-    facts = verified(acquire(folder, rig, method, mode="refuse"), rig)
+    facts = verified(acquire(folder, rig, mode="refuse"), rig)
     assert facts["alarms"] == []
     assert facts["mean_error"] < 0.01
     rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
     with caplog.at_level(logging.WARNING):
-        facts = verified(acquire(tmp_path / "warned", rig, method), rig)
+        facts = verified(acquire(tmp_path / "warned", rig), rig)
     assert facts["moved"] > 0.1
     assert any("moved" in alarm for alarm in facts["alarms"])
     assert facts["mean_error"] > 0.05

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from rfpipe.transport.base import Light
+    from rfpipe.transport.light import Light
 
     Float = NDArray[np.float32]
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rfpipe.store.places import Place
     from rfpipe.transport import Transport
-    from rfpipe.transport.base import Light
+    from rfpipe.transport.light import Light
 
 TransportPath = Annotated[
     Path,

@@ -14,7 +14,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, StoreError, installing
 from rfpipe.pictures.images import srgb
 from rfpipe.store.files import storage_errors, whole_file
-from rfpipe.transport.base import Light
+from rfpipe.transport.light import Light
 
 Float = NDArray[np.float32]
 

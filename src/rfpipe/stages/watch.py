@@ -169,9 +169,8 @@ def watching_level(
     )  # fmt: skip
     brackets.settle()
     with brackets.recording() as frames:
-        folder = of_level.folder
-        known = folder.exists(0, "merge")
-        merger = read_merger(of_level.rig.sensor, folder) if known else None
+        is_merged = of_level.folder.exists(0, "merge")
+        merger = read_merger(of_level.rig.sensor, of_level.folder) if is_merged else None
         yield Watcher(of_level, level, merger, brackets, frames, every, mode == "refuse")
 
 

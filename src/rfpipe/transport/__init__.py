@@ -1,6 +1,7 @@
 """Transport operators: dense, multilevel sparse (dual) and the hierarchical tensor."""
 
-from rfpipe.transport.base import Transport, TransposedTransport, save_transport
+from rfpipe.transport.base import Transport, save_transport
+from rfpipe.transport.light import TransposedTransport
 from rfpipe.transport.rays import coarser
 from rfpipe.transport.storage import open_transport
 

@@ -113,17 +113,12 @@ class LevelTransport(Transport):
     @property
     def last_level(self) -> int:
         """The last of `known_levels`: that of single rays."""
-        return self.finest
+        return self.tree.n_levels - 1
 
     @property
     def known_levels(self) -> range:
         """All levels: what is found below a level adds up to what the level had measured."""
         return range(self.last_level + 1)
-
-    @property
-    def finest(self) -> int:
-        """Level of the block tree that has single rays."""
-        return self.tree.n_levels - 1
 
     def truncate(self, level: int) -> Transport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7)."""

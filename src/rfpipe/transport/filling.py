@@ -47,7 +47,7 @@ def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Tran
 
 def _with_pairs(transport: Any, rays: NDArray[np.int64], rows: Float) -> Transport:
     """Add rows (C, n, N) as pairs of a single projector ray and one of `rays`."""
-    tree, last = transport.tree, transport.finest
+    tree, last = transport.tree, transport.last_level
     which, block = np.nonzero(rows[..., tree.order].any(axis=0))
     pixel, values = rays[which].astype(np.int32), rows[:, which, tree.order[block]]
     more = PairSet(last, block.astype(np.int32), pixel, values)

@@ -113,7 +113,7 @@ class MultilevelTransport(LevelTransport):
         if pairs.level not in self._spreads:
             self._spreads[pairs.level] = (
                 spread_by_transpose(self.tree, self.pair_sets, index)
-                if self.symmetric and pairs.level < self.finest
+                if self.symmetric and pairs.level < self.last_level
                 else spread_evenly(self.tree, pairs)
             )
         return self._spreads[pairs.level]

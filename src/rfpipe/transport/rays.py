@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.transport.base import Float, Light
+from rfpipe.transport.algebra import Float
+from rfpipe.transport.light import Light
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

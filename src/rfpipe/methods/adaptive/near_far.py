@@ -98,8 +98,7 @@ class NearFar(Adaptive):
         more = Pictures.read(images, state.channels, state.projector.size, first, count)
         state = state.changed(taken=more)
         # a solution a scale, two of all, one of each channel
-        solutions = round(log2(coarsest_scale(shape))) + 2 + state.channels
-        with steps("smooth light", solutions):
+        with steps("smooth light", round(log2(coarsest_scale(shape))) + 2 + state.channels):
             model = fit(shape, state.pictures)
         state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
         return self._where_it_helps(state) if state.level > 2 else state

@@ -226,8 +226,7 @@ def _refine_nodes(
     leaves = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
     chosen = np.flatnonzero(verdict[node] < CLOSE)
     above = node[chosen]
-    settled = verdict[above] == AGREES
     kernels.reconcile(divided.arrays)
-    outcome = classify(tree, level, pieces, chosen, settled, nodes, above, limits)
+    outcome = classify(tree, level, pieces, chosen, verdict[above] == AGREES, nodes, above, limits)
     counts = {"rank1": len(leaves), "subdivided": len(nodes) - len(leaves)}
     return leaves, outcome, {"nodes": len(chosen), **outcome.counts}, counts

@@ -1,0 +1,236 @@
+"""What can be relit, and its dual: pictures, matrices, what sees what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError, installing
+from rfpipe.transport.algebra import Float, MatrixAlgebra, Rays, chosen_rays
+from rfpipe.weights import as_weights
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
+    from xarray import DataArray
+
+    from rfpipe.transport.compensation import Compensation
+    from rfpipe.transport.correspondence import Correspondence
+
+LIMIT = 8 * 2**30
+"""Bytes that a matrix in a file may take by default, before compression."""
+
+
+class Light(MatrixAlgebra):
+    """What can be relit: a transport, its dual, or either between coarser rays."""
+
+    @property
+    def T(self) -> Light:  # noqa: N802 - as in scipy and numpy
+        """The dual transport: from the camera's rays to the projector's (eq. 2.12)."""
+        return TransposedTransport(self)
+
+    def relight(self, pattern: NDArray[Any]) -> Float:
+        """Return the image under a pattern, ``c = T p`` (eq. 2.11).
+
+        Parameters
+        ----------
+        pattern : array, shape (*projector_shape) or (*projector_shape, channels)
+            Any finite real weights; without a channel axis the light is white.
+
+        Returns
+        -------
+        ndarray of float32, shape (*camera_shape, channels)
+
+        Raises
+        ------
+        InputError
+            If the pattern has another shape or is not finite.
+        """
+        image: Float = self.relight_batch(np.asarray(pattern)[None])[0]
+        return image
+
+    def relight_batch(self, patterns: NDArray[Any]) -> Float:
+        """Relight with several patterns ``(P, *projector_shape[, channels])`` at once."""
+        planar = planar_patterns(patterns, self.projector_shape, self.channels)
+        images = self.forward(planar, range(self.channels))
+        shape = (len(images), *self.camera_shape, self.channels)
+        return np.moveaxis(images, 1, -1).reshape(shape)
+
+    def correspondence(self) -> Correspondence:
+        """Return which place of the projector lights each camera pixel directly.
+
+        Places to a fraction of a pixel, their confidence and a mask; InputError for a projector of
+        several views. See `rfpipe.transport.correspondence`.
+        """
+        from rfpipe.transport.correspondence import correspondence_of
+
+        return correspondence_of(self)
+
+    def relight_environment(
+        self, environment: NDArray[Any], lights: NDArray[Any], turned: float = 0.0
+    ) -> Float:
+        """Relight with a panorama of the light around; the projector's rays are single lights.
+
+        Parameters are those of `rfpipe.environment.environment_weights`; `lights` has a direction
+        for each ray. Returns the image (*camera_shape, channels), in colour if either is.
+
+        Raises InputError as there, or if there are more or fewer directions than lights.
+        """
+        from rfpipe.environment import environment_weights
+
+        weights = environment_weights(environment, lights, turned)
+        if len(weights) != self.shape[2]:
+            raise InputError(f"{len(weights)} directions of lights for {self.shape[2]} lights")
+        planes = weights.T.reshape(-1, *self.projector_shape)
+        if self.channels == 1 or len(planes) == 1:
+            return np.concatenate([self.relight(plane) for plane in planes], axis=-1)
+        return self.relight(np.moveaxis(planes, 0, -1))
+
+    def pattern_for(self, picture: NDArray[Any]) -> Compensation:
+        """Return the pattern, of weights between 0 and 1, that makes the scene look like a picture.
+
+        See `rfpipe.transport.compensation.compensation_for`.
+        """
+        from rfpipe.transport.compensation import compensation_for
+
+        return compensation_for(self, picture)
+
+    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
+        """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
+
+        Light between other rays may be missing. Both are bool (rays,).
+        """
+        return self
+
+    def channel(self, index: int) -> LinearOperator:
+        """Return one channel's matrix, rows x columns, as a scipy ``LinearOperator``."""
+        from scipy.sparse.linalg import LinearOperator
+
+        if not 0 <= index < self.channels:
+            raise InputError(f"channel {index} of a transport with channels 0..{self.channels - 1}")
+
+        def applied(apply: Any) -> Any:
+            def of(x: NDArray[Any]) -> Float:
+                """Apply to a vector or to the columns of a matrix; scipy restores x's shape."""
+                columns = as_weights(x, "the vector").reshape(len(x), -1)
+                planar = np.ascontiguousarray(columns.T[:, None], np.float32)
+                image: Float = apply(planar, [index])[:, 0].T
+                return image
+
+            return of
+
+        forward, adjoint = applied(self.forward), applied(self.adjoint)
+        return LinearOperator(
+            shape=self.shape[1:],
+            matvec=forward,
+            rmatvec=adjoint,
+            matmat=forward,
+            rmatmat=adjoint,
+            dtype=np.dtype(np.float32),
+        )
+
+    def to_xarray(self, rows: Rays = None, columns: Rays = None) -> DataArray:
+        """Return the matrix, or some rows and columns of it as `toarray`, labelled by its rays.
+
+        Returns
+        -------
+        xarray.DataArray of float32, dims (channel, camera, projector)
+            Ray numbers are the coordinates; ``camera_shape`` and ``projector_shape`` attributes.
+
+        Raises
+        ------
+        InputError
+            As `toarray`, and where xarray isn't installed.
+        """
+        try:
+            from xarray import DataArray
+        except ImportError as error:
+            raise InputError(f"to_xarray needs xarray; {installing('xarray')}") from error
+        rays = {
+            "camera": chosen_rays(rows, self.camera_shape, "rows"),
+            "projector": chosen_rays(columns, self.projector_shape, "columns"),
+        }
+        about = {"camera_shape": self.camera_shape, "projector_shape": self.projector_shape}
+        matrix = self.toarray(*rays.values())
+        return DataArray(matrix, rays, ("channel", *rays), "radiance per weight", about)
+
+    def save(
+        self, path: str | Path, *, rows: Rays = None, columns: Rays = None, limit_bytes: int = LIMIT
+    ) -> None:
+        """Write the matrix into a file, part by part, complete or not at all.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``, ``.h5``, ``.hdf5`` or ``.mat`` (v7.3), see docs/export.md. What stands
+            there is replaced.
+        rows, columns
+            As in `toarray`.
+        limit_bytes : int
+            That the matrix may take before compression.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, there is no such ray, or the matrix is larger.
+        StoreError
+            If the file can't be written, or the package that writes it isn't installed.
+        """
+        from rfpipe.transport.matrix_out import write_matrix
+
+        write_matrix(self, Path(path), rows, columns, limit_bytes)
+
+
+class TransposedTransport(Light):
+    """The dual of a transport: light from the camera's rays, seen by the projector."""
+
+    def __init__(self, primal: Light) -> None:
+        self._primal = primal
+        self.camera_shape = primal.projector_shape
+        self.projector_shape = primal.camera_shape
+        self.channels = primal.channels
+
+    def __repr__(self) -> str:
+        return f"{self._primal!r}.T"
+
+    @property
+    def T(self) -> Light:  # noqa: N802
+        """The transport that this is the dual of."""
+        return self._primal
+
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar patterns ``(P, K, camera rays)``."""
+        return self._primal.adjoint(patterns, channels)
+
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar images ``(P, K, projector rays)``."""
+        return self._primal.forward(images, channels)
+
+    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:
+        """Return a dual that is the same between some rays, see `Light.between_some`."""
+        return self._primal.between_some(lit, seen).T
+
+
+def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
+    """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
+
+    White light is the same memory for all channels.
+    """
+    patterns = as_weights(patterns)
+    count = patterns.shape[0]
+    if patterns.shape == (count, *shape):
+        rays = np.ascontiguousarray(patterns, np.float32).reshape(count, 1, -1)
+        planar = np.broadcast_to(rays, (count, channels, rays.shape[-1]))
+    elif patterns.shape == (count, *shape, channels):
+        planes = np.moveaxis(patterns.reshape(count, -1, channels), -1, 1)
+        planar = np.ascontiguousarray(planes, np.float32)
+    else:
+        raise InputError(
+            f"a pattern has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
+        )
+    if not np.isfinite(patterns).all():
+        raise InputError("a pattern holds NaN or infinite weights; all weights must be finite")
+    return planar
