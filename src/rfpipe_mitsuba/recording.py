@@ -1,10 +1,11 @@
 """Recording a scene's transport matrix once, in pieces, on disk.
 
 The matrix is traced twice, with other random numbers; the mean is kept, and what the halves differ
-by tells its noise. Pieces, of so many camera pixels (or, for caustics, projector pixels) that they
-fit into memory, are written as they are done, so that a recording that was stopped goes on. At the
-end they are put together; on a coaxial rig ``(T + T^T) / 2``, since light goes either way alike
-(2.10), is nearer to the truth by a square root of two.
+by tells its noise. Pieces are rows that were traced from the camera and, for caustics, columns that
+were traced from the projector. They are written as they are done, so that a recording that was
+stopped goes on. A product with the matrix goes through them all once. On a coaxial rig it is that
+with ``(T + T^T) / 2``: light goes either way alike (2.10), so this is nearer to the truth by a
+square root of two.
 """
 
 from __future__ import annotations
@@ -14,16 +15,16 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csr_array
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
 from rfpipe.provenance import versions
+from rfpipe.steps import step, steps
 from rfpipe.store import open_arrays, write_arrays
-from rfpipe.store.files import remove_tree
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
 from rfpipe_mitsuba.variant import variant_versions
@@ -31,10 +32,41 @@ from rfpipe_mitsuba.views import Side
 from rfpipe_mitsuba.world import Light
 
 Double = NDArray[np.float64]
-Channels = list[csr_array[np.float32]]
 
-_PIECE_BYTES = 192 * 2**20  # of the sums of one piece
+_DENSE_BYTES = 192 * 2**20  # of sums that are traced at a time
+_PIECE_BYTES = 192 * 2**20  # of entries, before compression
 _WAIT_SECONDS = 1.0
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB (ITU-R BT.709)
+
+
+class Piece(NamedTuple):
+    """Some rows of a recorded matrix, or some columns, in memory.
+
+    Attributes
+    ----------
+    by_row : bool
+        Whether they are rows, of camera pixels, or columns, of projector pixels.
+    first, last : int
+        The first pixel, and the one after the last.
+    entries : tuple of csr_array
+        A matrix a channel, float32, (last - first, pixels of the other side).
+    """
+
+    by_row: bool
+    first: int
+    last: int
+    entries: tuple[Any, ...]
+
+    def add_product(self, weights: Double, share: float, by_row: bool, out: Double) -> None:
+        """Add the share of its product with weights (N, b) to radiance (M, b, C).
+
+        Its entries count as rows, or as columns, of the matrix.
+        """
+        for channel, matrix in enumerate(self.entries):
+            if by_row:
+                out[self.first : self.last, :, channel] += share * (matrix @ weights)
+            else:
+                out[..., channel] += share * (matrix.T @ weights[self.first : self.last])
 
 
 @dataclass(frozen=True)
@@ -44,8 +76,10 @@ class Recording:
     Attributes
     ----------
     folder : Path
-    pieces : tuple of (int, int)
-        First camera pixel of each piece, and the one after its last.
+    pieces : tuple of (str, int, int)
+        Of each piece: ``rows`` or ``columns``, its first pixel, and the one after its last.
+    coaxial : bool
+        Whether the matrix is the mean of what was traced and its transpose.
     noise : dict of str to dict
         Of the picture ``half_lit``: the standard error of radiance, relative to the picture's norm,
         over the `whole` and where no direct light falls (`unlit`).
@@ -56,14 +90,43 @@ class Recording:
     """
 
     folder: Path
-    pieces: tuple[tuple[int, int], ...]
+    pieces: tuple[tuple[str, int, int], ...]
+    coaxial: bool
     noise: dict[str, dict[str, float]]
     scale: float
     versions: dict[str, str]
 
-    def piece(self, index: int) -> Channels:
-        """Read a run of rows, one matrix a channel, without the scale."""
-        return _read(_transport(self.folder, index))
+    def read(self, channels: int) -> list[Piece]:
+        """Read all pieces, with the scale; of one channel, their luminance."""
+        return [self._piece(*piece, channels) for piece in self.pieces]
+
+    def _piece(self, kind: str, first: int, last: int, channels: int) -> Piece:
+        bundle = open_arrays(_place(self.folder, kind, first))
+        values = bundle.read("values")
+        if channels == 1:
+            values = _LUMINANCE @ values.reshape(3, -1)
+        values = values.reshape(channels, -1) * np.float32(self.scale)
+        shared = bundle.read("columns"), bundle.read("starts")
+        shape = last - first, bundle.attributes["others"]
+        return Piece(
+            kind == "rows",
+            first,
+            last,
+            tuple(csr_array((each, *shared), shape=shape) for each in values),
+        )
+
+
+def product(pieces: list[Piece], coaxial: bool, weights: Double, rays: int) -> Double:
+    """Return radiance (rays, b, C) of the recorded matrix under weights (N, b)."""
+    channels = len(pieces[0].entries)
+    out = np.zeros((rays, weights.shape[1], channels))
+    for piece in pieces:
+        if coaxial:
+            piece.add_product(weights, 0.5, True, out)
+            piece.add_product(weights, 0.5, False, out)
+        else:
+            piece.add_product(weights, 1.0, piece.by_row, out)
+    return out
 
 
 def record(
@@ -86,7 +149,7 @@ def record(
     StoreError
         When the disk is full or the folder isn't writable.
     """
-    manifest, lock = folder / "recording.json", StoreLock(folder / "recording")
+    manifest, lock = folder / "matrix.json", StoreLock(folder / "recording")
     while not manifest.exists():
         try:
             lock.acquire()
@@ -95,15 +158,18 @@ def record(
             continue
         with lock:
             if not manifest.exists():
-                _record(scene(), camera, projector, light, folder, coaxial)
+                facts = _record(scene(), camera, projector, light, folder, coaxial)
+                write_manifest(manifest, facts)
     facts = read_manifest(manifest)
-    pieces = tuple((first, last) for first, last in facts["pieces"])
-    return Recording(folder, pieces, facts["noise"], facts["scale"], facts["versions"])
+    pieces = tuple((kind, first, last) for kind, first, last in facts["pieces"])
+    told = (facts[name] for name in ("coaxial", "noise", "scale", "versions"))
+    return Recording(folder, pieces, *told)
 
 
 def _record(
     scene: Any, camera: Side, projector: Side, light: Light, folder: Path, coaxial: bool
-) -> None:
+) -> dict[str, Any]:
+    """Trace the pieces that the folder lacks; return the facts for its manifest."""
     from rfpipe_mitsuba.rendering import brightness
     from rfpipe_mitsuba.tracing import Tracer
 
@@ -115,114 +181,104 @@ def _record(
             "recorded isn't symmetric, which methods for coaxial rigs rely on",
             stacklevel=2,
         )
-    rows = _traced(folder, tracer.rows, camera.rays, projector.rays)
-    columns = _traced(folder, tracer.columns, projector.rays, camera.rays) if light.caustics else {}
     half_lit = np.zeros((len(projector.pinholes), *projector.shape))
     half_lit[..., : projector.shape[1] // 2] = 1
-    pattern, pictures, unlit = half_lit.ravel(), [], []
-    entries = 0
-    for index, (first, last) in enumerate(rows):
-        halves = [_assembled(rows, columns, half, first, last) for half in (0, 1)]
-        if coaxial:
-            back = [_assembled(columns, rows, half, first, last) for half in (0, 1)]
-            halves = [_mean(*pair) for pair in zip(halves, back, strict=True)]
-        mean = _mean(*halves)
-        entries += sum(channel.nnz for channel in mean)
-        pictures.append([[np.asarray(matrix @ pattern) for matrix in half] for half in halves])
-        unlit.append(np.einsum("iok,o->ik", tracer.direct(first, last), pattern) == 0)
-        _write(_transport(folder, index), mean)
+    pattern = half_lit.reshape(-1, 1)
+    pieces = [("rows", *run) for run in _cut(camera.rays, projector.rays, light.samples)]
+    if light.caustics:
+        runs = _cut(projector.rays, camera.rays, light.samples)
+        pieces += [("columns", *run) for run in runs]
+    entries, unlit = 0, []
+    halves = np.zeros((2, camera.rays, 3))
+    with steps("recording light", len(pieces)):
+        for kind, first, last in pieces:
+            path = _place(folder, kind, first)
+            try:
+                bundle = open_arrays(path)
+            except (StoreError, IntegrityError):
+                arrays = _traced(tracer, kind, first, last, pattern, coaxial)
+                write_arrays(path, arrays, {"others": tracer.others(kind)})
+                bundle = open_arrays(path)
+            entries += bundle.shape("columns")[0]
+            halves += bundle.read("half_lit")
+            unlit.append(bundle.read("unlit"))
+            step()
     if not entries:
         raise InputError(
             "no light comes back to the camera: nothing that it sees is lit by the projector; turn "
             "them towards the same part of the scene, and look whether one stands within a body"
         )
-    one, other = np.moveaxis(np.concatenate(pictures, axis=2), 1, 2)  # (2, M, 3)
+    one, other = halves
     dark = np.concatenate(unlit)
-    write_manifest(
-        folder / "recording.json",
-        {
-            "pieces": list(rows),
-            "noise": {
-                "half_lit": {
-                    "whole": _relative(one - other, one + other),
-                    "unlit": _relative((one - other)[dark], (one + other)[dark]),
-                }
-            },
-            "scale": brightness(scene, projector),
-            "light": light.describe(),
-            "versions": {**versions(), **variant_versions()},
-        },
-    )
-    for path in (*rows.values(), *columns.values()):
-        remove_tree(path)
+    noise = {
+        "whole": _relative(one - other, one + other),
+        "unlit": _relative((one - other)[dark], (one + other)[dark]),
+    }
+    return {
+        "pieces": pieces,
+        "coaxial": coaxial,
+        "noise": {"half_lit": noise},
+        "scale": brightness(scene, projector),
+        "light": light.describe(),
+        "versions": {**versions(), **variant_versions()},
+    }
 
 
-def _transport(folder: Path, index: int) -> Path:
-    """Where the rows of a piece are."""
-    return folder / f"transport_{index:04d}.zarr"
+def _place(folder: Path, kind: str, first: int) -> Path:
+    """Where a piece is."""
+    return folder / f"{kind}_{first:08d}.zarr"
+
+
+def _cut(count: int, others: int, samples: int) -> list[tuple[int, int]]:
+    """Cut rows or columns into pieces that fit into memory; a path adds an entry or two.
+
+    Returns the first of each, and the one after its last.
+    """
+    length = max(1, _PIECE_BYTES // (16 * min(others, 2 * samples)))
+    return [(first, min(first + length, count)) for first in range(0, count, length)]
 
 
 def _traced(
-    folder: Path, trace: Callable[[int, int, int], Double], count: int, others: int
-) -> dict[tuple[int, int], Path]:
-    """Trace `count` rows or columns of `others` entries, in runs that fit into memory.
+    tracer: Any, kind: str, first: int, last: int, pattern: Double, coaxial: bool
+) -> dict[str, NDArray[Any]]:
+    """Trace the rows or columns of a piece: its entries, and what the halves make of a pattern.
 
-    Returns the file of each run, three channels of either half, by its first and last + 1 ray.
+    Returns
+    -------
+    dict of ndarray
+        ``values`` (3, entries), ``columns`` (entries,), ``starts`` (rows + 1,), ``half_lit``
+        (2, M, 3) of both halves, ``unlit`` (rows, 3): where no direct light falls; none of columns.
     """
-    length = max(1, min(count, _PIECE_BYTES // (others * 3 * 8)))
-    runs = {}
-    for first in range(0, count, length):
-        last = min(first + length, count)
-        path = runs[first, last] = folder / f"{trace.__name__}_{first:08d}.zarr"
-        try:
-            open_arrays(path)
-        except (StoreError, IntegrityError):
-            halves = [trace(half, first, last).astype(np.float32) for half in (0, 1)]
-            _write(path, [csr_array(half[..., k]) for half in halves for k in range(3)])
-    return runs
-
-
-def _assembled(
-    along: dict[tuple[int, int], Path],
-    across: dict[tuple[int, int], Path],
-    half: int,
-    first: int,
-    last: int,
-) -> Channels:
-    """Rows of one half of the matrix: those traced by row, and those of what goes by column."""
-    parts = [_read(along[first, last], half)] if along else []
-    if across:
-        turned = [[each[:, first:last].T for each in _read(path, half)] for path in across.values()]
-        parts.append([hstack(blocks).tocsr() for blocks in zip(*turned, strict=True)])
-    return [sum(each[1:], each[0]).tocsr() for each in zip(*parts, strict=True)]
-
-
-def _mean(one: Channels, other: Channels) -> Channels:
-    return [((a + b) * np.float32(0.5)).tocsr() for a, b in zip(one, other, strict=True)]
+    trace, others = getattr(tracer, kind), tracer.others(kind)
+    length = max(1, _DENSE_BYTES // (others * 3 * 8))
+    parts, unlit = [], []
+    half_lit = np.zeros((2, tracer.camera_rays, 3), np.float32)
+    for start in range(first, last, length):
+        end = min(start + length, last)
+        traced = [trace(half, start, end) for half in (0, 1)]
+        rows, columns = np.nonzero((traced[0] + traced[1]).any(axis=2))
+        starts = np.searchsorted(rows, np.arange(end - start + 1))
+        values = [np.moveaxis(half[rows, columns], 1, 0) for half in traced]
+        for half, own in enumerate(values):
+            shape = end - start, others
+            entries = tuple(csr_array((each, columns, starts), shape=shape) for each in own)
+            piece = Piece(kind == "rows", start, end, entries)
+            half_lit[half] += product([piece], coaxial, pattern, tracer.camera_rays)[:, 0]
+        parts.append(((values[0] + values[1]) / 2, columns, np.diff(starts)))
+        if kind == "rows":
+            direct = tracer.direct(start, end)
+            unlit.append(np.einsum("iok,o->ik", direct, pattern[:, 0]) == 0)
+    mean, columns, counts = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+    return {
+        "values": mean.astype(np.float32).ravel(),
+        "columns": columns.astype(np.int32),
+        "starts": np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
+        "half_lit": half_lit,
+        "unlit": np.concatenate(unlit) if unlit else np.zeros((0, 3), bool),
+    }
 
 
 def _relative(difference: Double, total: Double) -> float:
     """Length of a difference beside a total; 0 where there is no light."""
     length = float(np.linalg.norm(total))
     return float(np.linalg.norm(difference)) / length if length else 0.0
-
-
-def _write(path: Path, matrices: Channels) -> None:
-    """Write matrices of one shape."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for index, matrix in enumerate(matrices):
-        arrays[f"values_{index}"] = matrix.data.astype(np.float32)
-        arrays[f"columns_{index}"] = matrix.indices.astype(np.int32)
-        arrays[f"starts_{index}"] = matrix.indptr.astype(np.int64)
-    write_arrays(path, arrays, {"others": matrices[0].shape[1]})
-
-
-def _read(path: Path, half: int = 0) -> Channels:
-    """Read the three matrices of a half, one a channel."""
-    bundle = open_arrays(path)
-    matrices = []
-    for index in range(3 * half, 3 * half + 3):
-        starts = bundle.read(f"starts_{index}")
-        parts = bundle.read(f"values_{index}"), bundle.read(f"columns_{index}"), starts
-        matrices.append(csr_array(parts, shape=(len(starts) - 1, bundle.attributes["others"])))
-    return matrices

@@ -17,15 +17,13 @@ from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe_mitsuba.recording import Recording, record
+from rfpipe_mitsuba.recording import Piece, Recording, product, record
 from rfpipe_mitsuba.variant import need_llvm
 from rfpipe_mitsuba.views import Side, View
 from rfpipe_mitsuba.world import Light, World, load_scene, world_of_file
 from rfpipe_mitsuba.worlds import WORLDS
 
 Double = NDArray[np.float64]
-
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB (ITU-R BT.709)
 
 
 class MitsubaOptions(SceneSettings):
@@ -194,23 +192,15 @@ class MitsubaScene(Scene):
 
     def _recorded(self, weights: Double) -> Double:
         """Radiance (M, B, C) of patterns (N, B), by the recorded matrix."""
-        pictures = [
-            np.stack([matrix @ weights for matrix in piece], axis=-1) for piece in self._matrices
-        ]
-        return np.concatenate(pictures) * self.recording.scale
+        return product(self._pieces, self.recording.coaxial, weights, self.camera.rays)
 
     @cached_property
-    def _matrices(self) -> list[list[Any]]:
-        """The recorded matrix in memory, piece by piece, a sparse one a channel, float32."""
-        pieces = [self.recording.piece(index) for index in range(len(self.recording.pieces))]
-        if self.channels == 3:
-            return pieces
-        return [
-            [sum(share * matrix for share, matrix in zip(_LUMINANCE, piece, strict=True))]
-            for piece in pieces
-        ]
+    def _pieces(self) -> list[Piece]:
+        """The recorded matrix in memory."""
+        return self.recording.read(self.channels)
 
     def dense(self, channel: int = 0) -> Double:
         """The whole matrix (M, N) of one channel."""
-        rows = [piece[channel].toarray() for piece in self._matrices]
-        return np.concatenate(rows).astype(np.float64) * self.recording.scale
+        identity = np.eye(self.projector.rays)
+        pieces = [piece._replace(entries=piece.entries[channel:][:1]) for piece in self._pieces]
+        return product(pieces, self.recording.coaxial, identity, self.camera.rays)[..., 0]

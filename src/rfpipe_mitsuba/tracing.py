@@ -48,25 +48,32 @@ class Tracer:
         self.is_whole = light.caustics or not self._bends
         self._ends: dict[int, Ends | None] = {}
 
+    @property
+    def camera_rays(self) -> int:
+        """Number of camera pixels."""
+        return self._rig.camera.side.rays
+
+    def others(self, kind: str) -> int:
+        """Length of ``rows``, or of ``columns``, in pixels."""
+        sides = {"rows": self._rig.projector, "columns": self._rig.camera}
+        return sides[kind].side.rays
+
     def rows(self, half: int, first: int, last: int) -> Double:
         """Trace rows [first, last) of one half: float64 (last - first, N, 3)."""
-        others = self._rig.projector.side.rays
         trace = partial(self._trace_rows, self._rig)
-        return self._traced(trace, self._light.samples, others, 2 * half, first, last)
+        return self._traced(trace, self._light.samples, "rows", 2 * half, first, last)
 
     def columns(self, half: int, first: int, last: int) -> Double:
         """Trace what caustics add to columns [first, last) of one half: (last - first, M, 3)."""
         if half not in self._ends:
             self._ends[half] = self._chain_ends(half) if self._bends else None
-        others = self._rig.camera.side.rays
         trace = partial(trace_particles, self._rig, ends=self._ends[half])
-        return self._traced(trace, self._light.samples, others, 2 * half + 1, first, last)
+        return self._traced(trace, self._light.samples, "columns", 2 * half + 1, first, last)
 
     def direct(self, first: int, last: int) -> Double:
         """Trace rows [first, last) of direct light alone, roughly."""
         trace = partial(self._trace_rows, self._rig._replace(bounces=1))
-        others = self._rig.projector.side.rays
-        return self._traced(trace, 2 * _DIRECT_SAMPLES, others, 4, first, last)
+        return self._traced(trace, 2 * _DIRECT_SAMPLES, "rows", 4, first, last)
 
     def _chain_ends(self, half: int) -> Ends | None:
         """Trace what the camera sees by mirrors and lenses, if anything."""
@@ -79,13 +86,13 @@ class Tracer:
         self,
         trace: Callable[[Sums, int, int], None],
         samples: int,
-        others: int,
+        kind: str,
         stream: int,
         first: int,
         last: int,
     ) -> Double:
         """Trace half of the samples of some pixels: float64 (last - first, others, 3)."""
-        sums = Sums(first, last - first, others)
+        sums = Sums(first, last - first, self.others(kind))
         passed = 4 ** int(np.log2(min(samples // 2, max(1, _LANES // sums.count))) / 2)
         passes = -(-(samples // 2) // passed)
         for index in range(passes):

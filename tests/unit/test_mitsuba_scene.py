@@ -110,7 +110,7 @@ def test_scenes_and_rigs_that_are_wrong(tmp_path: Path, given: dict, said: str) 
 def test_what_was_recorded_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = pictures(options(tmp_path, bounces=2))
     scene = MitsubaScene(options(tmp_path, bounces=2))
-    kept = read_manifest(scene.recording.folder / "recording.json")
+    kept = read_manifest(scene.recording.folder / "matrix.json")
     assert kept["light"]["bounces"] == 2
     assert "mitsuba" in kept["versions"]
     monkeypatch.setattr(recording, "_record", None)
@@ -124,7 +124,7 @@ def test_a_recording_that_was_stopped_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = pictures(options(tmp_path / "whole"))
-    monkeypatch.setattr(recording, "_PIECE_BYTES", 16 * 48 * 24)  # three pieces
+    monkeypatch.setattr(recording, "_PIECE_BYTES", 16 * 48 * 16)  # three pieces
     pieced = pictures(options(tmp_path / "pieced"))
     # Other pieces draw other random numbers.
     assert 0 < np.linalg.norm(pieced - whole) < 0.1 * np.linalg.norm(whole)

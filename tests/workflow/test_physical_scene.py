@@ -38,6 +38,6 @@ def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
         found = relit.relight(pattern.reshape(scene.ray_shape)).reshape(truth.shape)
         assert truth.max() > 0
         np.testing.assert_allclose(found, truth, atol=1e-5 * truth.max())
-    assert len(list((tmp_path / "results" / "recorded").glob("*/recording.json"))) == len(CASES)
+    assert len(list((tmp_path / "results" / "recorded").glob("*/matrix.json"))) == len(CASES)
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
     assert "80\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}4" in page
