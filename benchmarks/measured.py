@@ -28,6 +28,11 @@ THESIS = {  # Table 5.1: patterns and MB
     "wedge_iii": ("III, white and textured", 1081, 334),
     "wedge_iv": ("IV, two textured", 841, 274),
 }
+_OTHERS_OF_THESIS = {
+    "sweets": ("translucent sweets, for Fig. 5.6", 2417, 337),
+    "light_field": ("light field of 3 x 3 views, for Fig. 5.8", 3368, 1470),
+}
+_ALIKE = 1.1  # errors of which the larger is no larger than so many times the other
 _SIDES = ("48", "96", "192")
 _THESIS_SIDE = "310x350"
 
@@ -63,8 +68,8 @@ def all_cases() -> Iterator[Case]:
     for method, values in (("near_far", [0.01, 0.005, 0.003]), ("symmetric", [1e-2, 3e-3, 1e-3])):
         scenes = list(THESIS)[1:]
         yield from cases_of(scenes, [method], ["full"], [0], values=values, side=_THESIS_SIDE)
-    for method, value in (("near_far", 0.005), ("symmetric", 1e-3)):
-        yield from cases_of(list(THESIS), [method], ["full"], [0], values=[value],
+    for method, values in (("near_far", [0.005, 0.002, 0.0015]), ("symmetric", [1e-3])):
+        yield from cases_of(list(THESIS), [method], ["full"], [0], values=values,
                             side=_THESIS_SIDE, channels=3)  # fmt: skip
 
 
@@ -85,6 +90,9 @@ def written(text: str, folder: Path) -> str:
         "sides": lambda: _of_sides(rows),
         "errors": lambda: _of_planes(rows[rows["channels"] == 1]),
         "thesis": lambda: _of_thesis(rows, list(THESIS)),
+        "beaten": lambda: _beaten(rows, folder),
+        "large": lambda: _large(_ends(folder / "large.csv")),
+        "stages": lambda: _stages(pd.read_csv(folder / "large_stages.csv")),
         "thesis, two": lambda: _of_thesis(rows, ["plane_i", "wedge_iv"]),
     }
     for name, make in makers.items():
@@ -160,13 +168,71 @@ def _of_thesis(rows: pd.DataFrame, scenes: Sequence[str]) -> str:
     for row in own.sort_values(["scene", "method"]).itertuples():
         title, patterns, megabytes = THESIS[str(row.scene)]
         lines.append(
-            [title, f"`{row.method}`", f"{row.patterns} ({patterns:,})",
+            [title, f"`{row.method}`, {row.value:g}", f"{row.patterns} ({patterns:,})",
              f"{row.stored_mb:.1f} ({megabytes})",
              *map(_percent, (row.error_mean, row.error_worst, row.indirect_mean))]
         )  # fmt: skip
     head = ["scene, 108,500 rays", "method", "patterns (thesis)", "MB stored (thesis)",
             "mean error, %", "largest, %", "of indirect light, %"]  # fmt: skip
     return markdown(head, lines)
+
+
+def _ends(path: Path) -> pd.DataFrame:
+    """Return what acquisitions came to after their last levels."""
+    rows = pd.read_csv(path)
+    return rows.groupby(["scene", "method"], sort=False).tail(1)
+
+
+def _beaten(rows: pd.DataFrame, folder: Path) -> str:
+    """Return the thesis' Table 5.1, its method here, and the fewest patterns for its error."""
+    planes = rows[(rows["side"] == _THESIS_SIDE) & (rows["channels"] == 3)]
+    planes = planes[planes["status"] == "done"].rename(
+        columns={"stored_mb": "megabytes", "error_mean": "mean_error",
+                 "indirect_mean": "mean_indirect"}
+    )  # fmt: skip
+    run = pd.read_csv(folder / "thesis_run.csv")
+    found = pd.concat([planes, _ends(folder / "large.csv"), run[run["scene"] == "light_field"]])
+    lines = []
+    for scene, (title, patterns, megabytes) in (THESIS | _OTHERS_OF_THESIS).items():
+        own = found[found["scene"] == scene].sort_values("patterns")
+        thesis_s = own[own["method"] == "symmetric"].iloc[0]
+        rest = own[own["method"].isin(["auto", "near_far"])]
+        alike = rest[rest["mean_error"] <= _ALIKE * thesis_s.mean_error]
+        best = alike.iloc[0] if len(alike) else rest.sort_values("mean_error").iloc[0]
+        lines.append(
+            [title, f"{patterns:,}, {megabytes:,} MB",
+             *(f"{each.patterns}, {each.megabytes:.3g} MB: {_percent(each.mean_error)}, "
+               f"{_percent(each.mean_indirect)}" for each in (thesis_s, best)),
+             f"{patterns / best.patterns:.0f}, {megabytes / best.megabytes:.0f}"]
+        )  # fmt: skip
+    head = ["scene", "thesis: patterns, MB", "`symmetric`: error, of indirect light, %",
+            "`near_far` or `auto`", "times fewer than the thesis: patterns, MB"]  # fmt: skip
+    return markdown(head, lines)
+
+
+def _large(rows: pd.DataFrame) -> str:
+    """Return the physically based scenes at the size of a rig."""
+    head = ["scene", "method", "patterns", "MB stored", "estimated, %", "mean error, %",
+            "largest, %", "indirect, %", "verified, %"]  # fmt: skip
+    return markdown(
+        head,
+        (
+            [row.scene, f"`{row.method}`", str(row.patterns), f"{row.megabytes:.3g}",
+             *map(_percent, (row.estimated_error, row.mean_error, row.worst_error,
+                             row.mean_indirect, row.verified))]
+            for row in rows.itertuples()
+        ),
+    )  # fmt: skip
+
+
+def _stages(rows: pd.DataFrame) -> str:
+    """Return processor minutes and peak memory of the stages of these acquisitions."""
+    rows["cell"] = [
+        f"{row.processor_s / 60:.1f} min, {row.memory_gib:.1f} GiB" for row in rows.itertuples()
+    ]
+    told = rows.pivot_table("cell", "stage", ["scene", "method"], "first", sort=False).fillna("")
+    head = ["stage", *(f"{scene}, `{method}`" for scene, method in told.columns)]
+    return markdown(head, ([stage, *cells] for stage, *cells in told.itertuples()))
 
 
 if __name__ == "__main__":

@@ -87,14 +87,15 @@ def write_index(folder: Path) -> None:
 
 
 def _of_run(results: Path) -> Iterator[dict[str, Any]]:
-    """Yield the costs of what the run acquired by symmetric photography, from its table."""
+    """Yield the costs of what the run acquired, but by dual photography, from its table."""
     path = results / "report" / "tables" / "results.csv"
     if not path.exists():
         return
     for row in pd.read_csv(path).to_dict("records"):
-        if row["method"] == "symmetric" and row["scene"] in _ACQUIRED:
-            yield {"table": "5.1", "figure": _ACQUIRED[row["scene"]], "scene": row["scene"],
-                   "camera_rays": row["rays"], "error": row["mean_error"], "positions": 1,
+        if row["method"] != "dual" and row["scene"] in _ACQUIRED:
+            yield {"table": "5.1", "figure": _ACQUIRED[row["scene"]],
+                   "scene": f"{row['scene']}, {row['method']}", "camera_rays": row["rays"],
+                   "error": row["mean_error"], "positions": 1,
                    **{name: row[name] for name in _MEASURED}}  # fmt: skip
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import yaml
 from tests.workflow.harness import Workflow
 
+from benchmarks import large
 from rfpipe import open_transport
 from rfpipe.config import load_config
 from rfpipe.scenes import scene_from_config
@@ -41,3 +44,32 @@ def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
     assert len(list((tmp_path / "results" / "recorded").glob("*/matrix.json"))) == len(CASES)
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
     assert "80\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}4" in page
+
+
+@pytest.mark.slow
+@pytest.mark.needs("llvm")
+def test_the_large_scenes_in_few_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = yaml.safe_load(large.SETTINGS.read_text())
+    for scene in settings["scenes"].values():
+        scene |= {"shape": [12, 17], "samples": 256}
+    settings["capture"]["batch_patterns"] = 16
+    workflow = Workflow(tmp_path)
+    workflow.configure(**settings)
+    workflow.run()
+    for name, value in (
+        ("SETTINGS", workflow.config), ("TABLES", tmp_path), ("PICTURE", tmp_path / "large.png")
+    ):  # fmt: skip
+        monkeypatch.setattr(large, name, value)
+    monkeypatch.chdir(tmp_path)
+    large.main(str(tmp_path))
+    found = pd.read_csv(tmp_path / "large.csv")
+    ends = found.groupby(["scene", "method"]).tail(1)
+    assert len(ends) == 5
+    assert (ends["mean_error"] < 0.1).all()
+    assert (ends["verified"] < 0.1).all()
+    whole = found[(found["method"] == "auto") & (found["estimated_error"] > 0)]
+    ratio = whole["mean_error"] / whole["estimated_error"]
+    assert ratio.between(1 / 3, 3).all()
+    costs = pd.read_csv(tmp_path / "large_stages.csv")
+    assert set(costs["stage"]) >= {"schedule", "capture", "merge", "normalize", "refine"}
+    assert (tmp_path / "large.png").stat().st_size > 10_000
