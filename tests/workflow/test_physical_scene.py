@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from benchmarks import large
 from tests.workflow.harness import Workflow
 
-from benchmarks import large
 from rfpipe import open_transport
 from rfpipe.config import load_config
 from rfpipe.scenes import scene_from_config
