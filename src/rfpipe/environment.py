@@ -12,7 +12,7 @@ from rfpipe.errors import InputError
 
 Float = NDArray[np.float32]
 
-LIGHT_FILES = ("*.lp", "light_directions.txt", "light_pos.npy", "lights.npy")
+LIGHT_FILES = ("[!.]*.lp", "light_directions.txt", "light_pos.npy", "lights.npy")
 """How folders of pictures name the file of their lights."""
 
 
@@ -39,7 +39,7 @@ def read_lights(path: str | Path, pictures: Sequence[str] = ()) -> Float:
         in the ``.lp`` files of RTI, whose first line is the number of lights.
     pictures : sequence of str
         Names of pictures of one light each. Where lines name them, their lights are returned, in
-        the pictures' order.
+        the pictures' order; else all in the file's.
 
     Raises
     ------
@@ -52,7 +52,8 @@ def read_lights(path: str | Path, pictures: Sequence[str] = ()) -> Float:
         if path.suffix.lower() == ".npy":
             lights = np.load(path, allow_pickle=False).astype(np.float32)
         else:
-            lines = [line.split() for line in path.read_text("utf-8").splitlines() if line.strip()]
+            text = path.read_text("utf-8-sig")
+            lines = [line.split() for line in text.splitlines() if line.strip()]
             counted = int(lines.pop(0)[0]) if lines and len(lines[0]) == 1 else len(lines)
             names = [" ".join(line[:-3]) for line in lines]
             lights = np.array([line[-3:] for line in lines], np.float32)

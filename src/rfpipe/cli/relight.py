@@ -108,6 +108,8 @@ def relight(
         typer.echo(f"{output}: {times(stack.shape)}, radiance up to {stack.max():.4g}")
         return
     is_picture = count == 1 and output.suffix in (".exr", ".png")
+    if not is_picture and output.suffix in (".exr", ".png", ".gif"):
+        raise InputError(f"{output}: for {count} pictures, name a folder, .npy or .mp4")
     if not is_picture:
         output.mkdir(parents=True, exist_ok=True)
     files = [output if is_picture else output / f"{name}.{form}" for name in names]
