@@ -23,12 +23,13 @@ facing = np.maximum(normals @ lights.T, 0)
 pictures = inside[..., None] * facing * (0.2 + 2 * np.maximum(normals @ halfway.T, 0) ** 60)
 rig = rfpipe.OperatorRig(pictures.reshape(-1, 60), (side, side), (1, 60))
 transport = rfpipe.acquire(rig, "brute_force", progress=False).transport
+transport.lights = lights  # as `rfpipe fit` keeps them of a folder of pictures
 
 up, right = np.meshgrid(np.linspace(90, -90, 64), np.linspace(-180, 180, 128), indexing="ij")
 sky = np.where(up[..., None] > 0, [0.3, 0.45, 0.8], [0.25, 0.2, 0.15])
 sun = ((up - 35) ** 2 + right**2 < 150)[..., None] * np.array([60, 50, 35])
 panorama = sky + sun
-views = [transport.relight_environment(panorama, lights, angle) for angle in (0, 60, 120)]
+views = [transport.relight_environment(panorama, turned=angle) for angle in (0, 60, 120)]
 figure, axes = pyplot.subplots(1, 4, figsize=(12, 3.2), layout="constrained")
 images = {"panorama": panorama, "as it is": views[0], "turned by 60": views[1], "by 120": views[2]}
 for axis, (title, image) in zip(axes, images.items(), strict=True):

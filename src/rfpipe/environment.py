@@ -2,46 +2,107 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 
 Float = NDArray[np.float32]
 
+LIGHT_FILES = ("[!.]*.lp", "light_directions.txt", "light_pos.npy", "lights.npy")
+"""How folders of pictures name the file of their lights."""
 
-def read_lights(path: str | Path) -> Float:
-    """Read the directions of lights from a file, (lights, 3).
+
+def lights_in(folder: Path, pictures: Sequence[str]) -> Float | None:
+    """Read the one of `LIGHT_FILES` that lies in a folder or beside its pictures; None without it.
+
+    `pictures` and errors as `read_lights`; InputError if there are several.
+    """
+    patterns = [f"{place}{name}" for place in ("", "pictures/") for name in LIGHT_FILES]
+    files = [file for pattern in patterns for file in sorted(folder.glob(pattern))]
+    if len(files) > 1:
+        names = ", ".join(file.name for file in files)
+        raise InputError(f"{folder}: holds several files of lights, {names}; leave one there")
+    return read_lights(files[0], pictures) if files else None
+
+
+def read_lights(path: str | Path, pictures: Sequence[str] = ()) -> Float:
+    """Read the directions of lights from a file, or their positions around the scene, (lights, 3).
 
     Parameters
     ----------
     path : path
-        Text, the last three words of each line being numbers, as in the ``.lp`` files of RTI, whose
-        first line is the number of lights.
+        A ``.npy`` array (lights, 3); or text, the last three words of each line being numbers, as
+        in the ``.lp`` files of RTI, whose first line is the number of lights.
+    pictures : sequence of str
+        Names of pictures of one light each. Where lines name them, their lights are returned, in
+        the pictures' order; else all in the file's.
 
     Raises
     ------
     InputError
-        If the file isn't there, a line has no three numbers, or the number is another one.
+        If the file isn't there, holds something else or another number of lights than it says; if
+        a light has no direction; if some of the pictures are named, but not all.
     """
+    path, names = Path(path), list[str]()
     try:
-        text = Path(path).read_text("utf-8")
-        lines = [line.split() for line in text.splitlines() if line.strip()]
-        counted = [int(line[0]) for line in lines[:1] if len(line) == 1]
-        lights = np.array([line[-3:] for line in lines[len(counted) :]], np.float32).reshape(-1, 3)
-    except (OSError, ValueError) as error:
+        if path.suffix.lower() == ".npy":
+            lights = np.load(path, allow_pickle=False).astype(np.float32)
+        else:
+            text = path.read_text("utf-8-sig")
+            lines = [line.split() for line in text.splitlines() if line.strip()]
+            counted = int(lines.pop(0)[0]) if lines and len(lines[0]) == 1 else len(lines)
+            names = [" ".join(line[:-3]) for line in lines]
+            lights = np.array([line[-3:] for line in lines], np.float32)
+            if counted != len(lines):
+                raise ValueError(f"its first line counts {counted} lights, it has {len(lines)}")
+    except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{path}: no lights, three numbers a line: {error}") from None
-    if counted and counted[0] != len(lights):
-        raise InputError(f"{path}: its first line counts {counted[0]} lights, it has {len(lights)}")
-    return lights
+    lights = as_directions(lights, f"{path}: lights")
+    stems = {PureWindowsPath(name).stem.lower(): index for index, name in enumerate(names)}
+    unnamed = [name for name in pictures if Path(name).stem.lower() not in stems]
+    if len(unnamed) == len(pictures):
+        return lights
+    if unnamed:
+        raise InputError(f"{path}: names lights of pictures, but none of {unnamed[0]}")
+    return lights[[stems[Path(name).stem.lower()] for name in pictures]]
 
 
-def environment_weights(
-    environment: NDArray[Any], lights: NDArray[Any], turned: float = 0.0
-) -> Float:
+def as_directions(lights: ArrayLike, name: str = "lights", count: int | None = None) -> Float:
+    """Return directions of `count` lights, of any length, as (lights, 3).
+
+    InputError, by `name`, for another shape or number, and a light without a direction.
+    """
+    directions = np.asarray(lights, np.float32)
+    if directions.ndim != 2 or directions.shape[1] != 3 or not len(directions):
+        raise InputError(f"{name}: an array {directions.shape}; expected directions, (lights, 3)")
+    if not (np.isfinite(directions).all() and directions.any(axis=1).all()):
+        raise InputError(f"{name}: one has no direction: its numbers are 0, or not finite")
+    if count not in (None, len(directions)):
+        raise InputError(f"{name}: {len(directions)} directions of lights for {count} lights")
+    return directions
+
+
+def as_panorama(environment: ArrayLike, name: str = "the panorama") -> NDArray[np.float64]:
+    """Return radiance by latitude and longitude, (H, 2 H, channels).
+
+    InputError, by `name`, for other shapes, values that aren't finite and negative radiance.
+    """
+    panorama = np.asarray(environment, np.float64)
+    shape = panorama.shape
+    if panorama.ndim not in (2, 3) or not panorama.size or shape[1] != 2 * shape[0]:
+        raise InputError(
+            f"{name}: an array {shape}; by latitude and longitude it is twice as wide as high"
+        )
+    if not np.isfinite(panorama).all() or (panorama < 0).any():
+        raise InputError(f"{name}: holds NaN, infinite or negative radiance")
+    return panorama.reshape(*shape[:2], -1)
+
+
+def environment_weights(environment: ArrayLike, lights: ArrayLike, turned: float = 0.0) -> Float:
     """Return the weights of lights that stand for a panorama, (lights, channels).
 
     Each light takes the panorama's light from all directions to which it is the nearest, so that
@@ -63,27 +124,17 @@ def environment_weights(
     """
     from scipy.spatial import cKDTree
 
-    panorama, lights = np.asarray(environment, np.float64), np.asarray(lights, np.float64)
-    height, width = panorama.shape[:2] if panorama.ndim in (2, 3) else (0, 0)
-    if not height or width != 2 * height:
-        raise InputError(
-            f"a panorama by latitude and longitude is twice as wide as high, got {panorama.shape}"
-        )
-    if lights.ndim != 2 or lights.shape[1] != 3 or not len(lights):
-        raise InputError(f"lights have the shape (lights, 3), got {lights.shape}")
-    length = np.linalg.norm(lights, axis=1, keepdims=True)
-    if not (np.isfinite(lights).all() and (length > 0).all()):
-        raise InputError("a light has no direction: its numbers are 0, or not finite")
-    if not np.isfinite(panorama).all() or (panorama < 0).any():
-        raise InputError("the panorama holds NaN, infinite or negative radiance")
+    panorama, directions = as_panorama(environment), as_directions(lights).astype(np.float64)
+    height, width, channels = panorama.shape
     up = np.pi / 2 - (np.arange(height)[:, None] + 0.5) * np.pi / height
     right = (np.arange(width) + 0.5 - height) * np.pi / height + np.radians(turned)
     way = np.stack(
         [np.cos(up) * np.sin(right), np.sin(up) + 0 * right, np.cos(up) * np.cos(right)], axis=-1
     )
-    nearest = cKDTree(lights / length).query(way.reshape(-1, 3))[1]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    nearest = cKDTree(directions).query(way.reshape(-1, 3))[1]
     edges = np.sin(np.pi / 2 - np.arange(height + 1) * np.pi / height)
     angle = np.repeat(-np.diff(edges) * np.pi / height, width)
-    light = panorama.reshape(height * width, -1) * angle[:, None]
-    weights = [np.bincount(nearest, plane, len(lights)) for plane in light.T]
+    light = panorama.reshape(-1, channels) * angle[:, None]
+    weights = [np.bincount(nearest, plane, len(directions)) for plane in light.T]
     return np.stack(weights, axis=1).astype(np.float32)

@@ -57,34 +57,6 @@ def test_what_is_no_picture_of_the_camera_is_refused(aside, picture) -> None:
         aside[0].pattern_for(picture)
 
 
-def test_lights_share_a_panorama_out(tmp_path: Path) -> None:
-    lights = np.array([[0, 0, 2.0], [1, 0, 0], [0, 0, -1], [-3, 0, 0], [0, 1, 0], [0, -1, 0]])
-    text = "6\n" + "".join(f"a picture.jpg {x} {y} {z}\n" for x, y, z in lights)
-    (tmp_path / "lights.lp").write_text(text)
-    np.testing.assert_array_equal(rfpipe.read_lights(tmp_path / "lights.lp"), lights)
-    flat = np.ones((90, 180, 3))
-    weights = rfpipe.environment_weights(flat, lights)
-    np.testing.assert_allclose(weights, 4 * np.pi / 6, rtol=0.03)
-    np.testing.assert_allclose(weights.sum(axis=0), 4 * np.pi, rtol=1e-6)
-    sun = np.zeros((90, 180))
-    sun[45, 90] = 1  # ahead, then to the right
-    for turned, light in ((0, 0), (90, 1)):
-        assert np.flatnonzero(rfpipe.environment_weights(sun, lights, turned)) == [light]
-    matrix = np.random.default_rng(1).random((12, 6))
-    rig = rfpipe.OperatorRig(matrix, (3, 4), (1, 6))
-    transport = rfpipe.acquire(rig, "brute_force", progress=False).transport
-    relit = transport.relight_environment(flat[..., 0], lights)
-    np.testing.assert_allclose(relit.ravel(), matrix @ weights[:, 0], rtol=1e-5)
-    with pytest.raises(InputError, match="5 directions of lights for 6"):
-        transport.relight_environment(flat, lights[1:])
-    for panorama, some in ((flat[1:], lights), (np.nan * flat, lights), (flat, 0 * lights)):
-        with pytest.raises(InputError):
-            rfpipe.environment_weights(panorama, some)
-    (tmp_path / "lights.lp").write_text(text.replace("6\n", "7\n", 1))
-    with pytest.raises(InputError, match="counts 7 lights, it has 6"):
-        rfpipe.read_lights(tmp_path / "lights.lp")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("script", sorted((Path(__file__).parents[2] / "docs/uses").glob("*.py")))
 def test_the_scripts_of_the_page_make_their_pictures(script: Path, tmp_path: Path) -> None:

@@ -25,7 +25,8 @@ def fit(
         typer.Option(
             metavar="ROWS COLUMNS",
             help="One light at a time instead of patterns, OLAT: how the lights stand; 1 N for a "
-            "light stage.",
+            "light stage. Needless where a file of their directions or positions lies in FOLDER: "
+            "any .lp of RTI, light_directions.txt, light_pos.npy or lights.npy.",
         ),
     ] = None,
     settings: Annotated[
@@ -76,6 +77,7 @@ def fit(
     typer.echo(
         f"{output}: {count} pictures of {rays} projector rays "
         f"({'complete' if result.complete else f'{series.rank} independent'}), by {result.model}"
+        f"{'' if series.lights is None else ', with the directions of lights'}"
     )
     typer.echo(
         "no error is known: each pattern is needed. A few more patterns would tell"

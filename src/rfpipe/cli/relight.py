@@ -1,11 +1,11 @@
-"""``rfpipe relight``: the scene under one pattern or many, as pictures."""
+"""``rfpipe relight``: the scene under patterns or the light around, as pictures or a movie."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,7 @@ from rfpipe.cli.transports import (
     TransportPath,
     View,
     White,
+    enlarged,
     opened,
     picture_of_rays,
     times,
@@ -31,13 +32,21 @@ if TYPE_CHECKING:
 
     Float = NDArray[np.float32]
 
-_WHITE_PERCENTILE = 99.9  # a glint may be cut off
-
 
 def relight(
     path: TransportPath,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Picture to write, .exr (radiance, float32) or .png (8 bits, sRGB); .npy for all "
+            "pictures as one array of radiance, (count, H, W, channels); .mp4 for a movie, which "
+            "needs the extra 'export'; else, of several patterns, the folder of their pictures.",
+        ),
+    ],
     pattern: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
             help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; a picture "
@@ -45,67 +54,95 @@ def relight(
             "weights, whole numbers as fractions of their largest; or a .npy file of weights, "
             "(*rays) or (*rays, channels), or of many such. May be repeated.",
         ),
-    ],
-    output: Annotated[
-        Path,
+    ] = None,
+    environment: Annotated[
+        Path | None,
         typer.Option(
-            "--output",
-            "-o",
-            help="Picture to write, .exr (radiance, float32) or .png (8 bits, sRGB); .npy for all "
-            "pictures as one array of radiance, (count, H, W, channels); else, of several "
-            "patterns, the folder of their pictures.",
+            help="The light instead: a panorama, twice as wide as high, .hdr, .exr or a picture of "
+            "linear values, around a transport of single lights that knows their directions."
         ),
-    ],
+    ] = None,
+    turns: Annotated[
+        int, typer.Option(min=1, help="So many pictures while the panorama turns once, rightward.")
+    ] = 1,
     form: Form = "exr",
     dual: Dual = False,
     view: View = None,
     level: Level = None,
     white: White = None,
 ) -> None:
-    """Render the image under a pattern, or under each of many.
+    """Render the image under a pattern, under each of many, or under the light around.
 
-    Several views stand one above the other in patterns and pictures. All .png of one call have one
-    white, so that they can be compared; without --white it is found by relighting twice.
+    Several views stand one above the other in patterns and pictures. All .png of one call, and a
+    movie, have one white; without --white it is found by relighting twice.
     """
     import numpy as np
+    from tqdm import tqdm
 
-    from rfpipe.export import relit_pictures
+    from rfpipe.blocks import RayDomain
+    from rfpipe.export.movies import movie_of, white_of
     from rfpipe.store.files import whole_file
 
+    if bool(pattern) == bool(environment) or (pattern and turns > 1):
+        raise InputError("give --pattern, or --environment, which alone has --turns")
     light = opened(path, dual, level, view)
-    patterns = list(_patterns(pattern, light))
-    names = [name for name, _ in patterns]
+    lit = list(_turning(environment, turns, light) if environment else _lit(pattern or (), light))
+    names = [name for name, _ in lit]
+    count, shape = len(names), RayDomain(light.camera_shape).picture_shape
+
+    def pictures(what: str = "relit") -> Iterator[Float]:
+        made = (relit().reshape(*shape, -1) for _, relit in lit)
+        return iter(tqdm(made, what, count, unit="picture", disable=None if count > 1 else True))
+
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
+    if output.suffix == ".mp4":
+        white = movie_of(pictures, output, enlarge=enlarged(light), white=white)
+        typer.echo(f"{output}: {count} pictures, white is {white:.4g}")
+        return
     if output.suffix == ".npy":
-        stack = np.stack(list(relit_pictures(light, (weights() for _, weights in patterns))))
+        stack = np.stack(list(pictures()))
         with whole_file(output) as partial_file:
             np.save(partial_file, stack)
         typer.echo(f"{output}: {times(stack.shape)}, radiance up to {stack.max():.4g}")
         return
-    is_picture = len(patterns) == 1 and output.suffix in (".exr", ".png")
+    is_picture = count == 1 and output.suffix in (".exr", ".png")
+    if not is_picture and output.suffix in (".exr", ".png", ".gif"):
+        raise InputError(f"{output}: for {count} pictures, name a folder, .npy or .mp4")
     if not is_picture:
         output.mkdir(parents=True, exist_ok=True)
     files = [output if is_picture else output / f"{name}.{form}" for name in names]
-
-    def pictures() -> Iterator[Float]:
-        return relit_pictures(light, (weights() for _, weights in patterns))
-
-    if white is None and len(patterns) > 1 and form == "png":
-        white = max(float(np.percentile(image, _WHITE_PERCENTILE)) for image in pictures())
+    if white is None and count > 1 and form == "png":
+        white = white_of(pictures("white"))
     for file, name, image in zip(files, names, pictures(), strict=True):
         write_picture(file, image, white or None, {"rfpipe:pattern": name})
     if is_picture:
         typer.echo(f"{output}: {times(image.shape[:2])}, radiance up to {image.max():.4g}")
     else:
         suffix = f", white is {white:.4g}" if white and form == "png" else ""
-        typer.echo(f"{output}: {len(patterns)} pictures{suffix}")
+        typer.echo(f"{output}: {count} pictures{suffix}")
 
 
-def _patterns(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:
-    """Yield all patterns: their names, and what makes or reads their weights."""
+def _turning(
+    environment: Path, turns: int, light: Light
+) -> Iterator[tuple[str, Callable[[], Float]]]:
+    """Yield the pictures under a panorama that turns: their names, and what makes them."""
+    from rfpipe.environment import as_panorama
+    from rfpipe.pictures.images import read_image
+
+    panorama = as_panorama(read_image(environment), str(environment))
+    for turn in range(turns):
+        name = f"{environment.stem}_{turn:04d}" if turns > 1 else environment.stem
+        yield name, partial(light.relight_environment, panorama, turned=360 * turn / turns)
+
+
+def _lit(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:
+    """Yield the pictures under all patterns: their names, and what makes them."""
     import numpy as np
+
+    def under(weights: Callable[..., Float], *of: Any) -> Float:
+        return light.relight(weights(*of))
 
     for source in sources:
         file = Path(source)
@@ -115,13 +152,13 @@ def _patterns(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Calla
             except (OSError, ValueError) as error:
                 raise InputError(f"{file}: can't be read as .npy: {error}") from error
             if light.projector_shape in (stack.shape, stack.shape[:-1]):
-                yield file.stem, partial(np.asarray, stack)
+                yield file.stem, partial(under, np.asarray, stack)
                 continue
             for index in range(len(stack)):
-                yield f"{file.stem}_{index:04d}", partial(stack.__getitem__, index)
+                yield f"{file.stem}_{index:04d}", partial(under, stack.__getitem__, index)
         else:
             shape, channels = light.projector_shape, light.channels
-            yield file.stem, partial(pattern_weights, source, shape, channels)
+            yield file.stem, partial(under, pattern_weights, source, shape, channels)
 
 
 def pattern_weights(name: str, shape: tuple[int, ...], channels: int) -> Float:

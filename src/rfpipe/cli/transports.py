@@ -163,17 +163,22 @@ def movie(
 
     Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
     """
-    from rfpipe.blocks import RayDomain
     from rfpipe.export import relit_movie
 
     light = opened(path, dual, level, view)
-    shorter = min(RayDomain(light.camera_shape).image_shape)
-    enlarge = -(-_SMALLEST_MOVIE // shorter)
+    enlarge = enlarged(light)
     count = round(seconds * fps) if 0 < seconds * fps < 1e6 else 0
     used = relit_movie(
         light, output, along, count, fps=fps, enlarge=enlarge, white=white, progress=True
     )
     typer.echo(f"{output}: {count} pictures, white is {used:.4g}")
+
+
+def enlarged(light: Light) -> int:
+    """Return how many pixels down and across a camera ray has in a movie."""
+    from rfpipe.blocks import RayDomain
+
+    return -(-_SMALLEST_MOVIE // min(RayDomain(light.camera_shape).image_shape))
 
 
 def opened(

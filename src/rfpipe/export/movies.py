@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from math import cos, pi, sin
 from pathlib import Path
@@ -110,10 +110,8 @@ def relit_movie(
     """
     from tqdm import tqdm
 
-    if count < 1 or fps <= 0 or (white is not None and not 0 < white < float("inf")):
-        raise InputError(
-            f"{count} pictures, {fps} a second, white is {white}; expected more than 0"
-        )
+    if count < 1 or fps <= 0:
+        raise InputError(f"{count} pictures, {fps} a second; expected more than 0")
 
     def relit(what: str) -> Iterator[Float]:
         times = np.linspace(0, 1, count).tolist()
@@ -122,12 +120,30 @@ def relit_movie(
         bar = tqdm(pictures, what, count, unit="picture", disable=None if progress else True)
         return iter(bar)
 
+    return movie_of(relit, file, fps=fps, enlarge=enlarge, white=white)
+
+
+def movie_of(
+    pictures: Callable[[str], Iterable[Float]],
+    file: Path,
+    *,
+    fps: float = 25,
+    enlarge: int = 1,
+    white: float | None = None,
+) -> float:
+    """Write a movie of radiance, which is made twice without `white`, see `relit_movie`."""
+    if white is not None and not 0 < white < float("inf"):
+        raise InputError(f"white is {white}; expected more than 0")
     if white is None:
-        brightest = (float(np.percentile(image, _WHITE)) for image in relit("white"))
-        white = max(brightest) or 1.0
-    shown = (np.rint(255 * srgb(image, white)).astype(np.uint8) for image in relit(str(file)))
+        white = white_of(pictures("white"))
+    shown = (np.rint(255 * srgb(image, white)).astype(np.uint8) for image in pictures(str(file)))
     write_movie(file, (each.repeat(enlarge, 0).repeat(enlarge, 1) for each in shown), fps)
     return white
+
+
+def white_of(pictures: Iterable[Float]) -> float:
+    """Return the radiance that is white in all of some pictures: a glint may be cut off."""
+    return max(float(np.percentile(image, _WHITE)) for image in pictures) or 1.0
 
 
 def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:

@@ -87,6 +87,7 @@ def fit_transport(series: Series, *, coaxial: bool = False, anyway: bool = False
         if doubts and not anyway:
             raise InputError(f"{doubts} To take them all the same: --anyway")
     transport = models[best](series, [row])
+    transport.lights = series.lights
     return Fit(transport, best, complete, errors.get(best), len(held) if errors else 0)
 
 

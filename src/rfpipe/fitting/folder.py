@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import ray_shape
+from rfpipe.environment import as_directions, lights_in
 from rfpipe.errors import InputError
 from rfpipe.pictures import Header, Picture, picture_files, read_header, read_picture
 from rfpipe.weights import Curve, picture_weights
@@ -40,6 +41,8 @@ class Series:
         Of `radiance`, at least 0; 0 where nothing is known of it.
     names : sequence of K str
         Of the pictures; empty where they have none.
+    lights : ndarray of float32, shape (N, 3), optional
+        Directions of the projector's rays, where these are single lights.
 
     Raises
     ------
@@ -53,6 +56,7 @@ class Series:
     radiance: Float = field(repr=False)
     variance: Float = field(repr=False)
     names: Sequence[str] = ()
+    lights: Float | None = None
 
     def __post_init__(self) -> None:
         rays = prod(ray_shape(self.camera_shape, "camera_shape"))
@@ -114,7 +118,8 @@ def read_series(
         ``patterns``, or in ``patterns.npy``, (pictures, H, W) of weights. Both are taken in the
         order of the numbers in their names.
     lights : (int, int), optional
-        Pictures of one light at a time, in so many rows and columns, which go before patterns.
+        Pictures of one light at a time, in so many rows and columns, which go before patterns. By
+        default where there are none, but one of `LIGHT_FILES`, as a row.
     camera : CameraModel, optional
         Numbers of the camera, whose brackets are merged, with their variance. None takes pictures
         as light: one exposure of each pattern.
@@ -130,7 +135,10 @@ def read_series(
     """
     subfolder, step = folder / "pictures", len(camera.exposures) if camera else 1
     brackets = _brackets(subfolder if subfolder.is_dir() else folder, step)
-    weights = _weights(folder, lights, transfer)
+    directions = lights_in(folder, [files[0].name for files in brackets])
+    weights = _weights(folder, lights, directions, transfer)
+    if directions is not None:
+        as_directions(directions, f"{folder}: its file of lights", prod(weights.shape[1:]))
     if weights.ndim != 3 or len(weights) != len(brackets):
         raise InputError(
             f"{folder}: holds {len(brackets)} pictures of {len(weights)} patterns, an array "
@@ -159,7 +167,7 @@ def read_series(
             radiance -= np.mean(darkness, axis=0, dtype=np.float64).astype(np.float32)
         variance = np.zeros_like(radiance)
     names, shapes = [files[0].name for files in brackets], (headers[0].size, weights.shape[1:])
-    return Series(*shapes, patterns[lit], radiance, variance, names)
+    return Series(*shapes, patterns[lit], radiance, variance, names, directions)
 
 
 def _brackets(place: Path, step: int) -> list[list[Path]]:
@@ -173,17 +181,21 @@ def _brackets(place: Path, step: int) -> list[list[Path]]:
     return [files[first : first + step] for first in range(0, len(files), step)]
 
 
-def _weights(folder: Path, lights: tuple[int, int] | None, transfer: Curve) -> NDArray[Any]:
+def _weights(
+    folder: Path, lights: tuple[int, int] | None, directions: Float | None, transfer: Curve
+) -> NDArray[Any]:
     """Return patterns as (K, H, W)."""
+    subfolder, array = folder / "patterns", folder / "patterns.npy"
+    if directions is not None and not (lights or array.is_file() or subfolder.is_dir()):
+        lights = (1, len(directions))
     if lights:
         return np.eye(prod(lights), dtype=np.float32).reshape(-1, *lights)
-    subfolder, array = folder / "patterns", folder / "patterns.npy"
     if array.is_file():
         return np.asarray(np.load(array, allow_pickle=False))
     if not subfolder.is_dir():
         raise InputError(
             f"{folder}: has no patterns; expected a folder {subfolder.name} of pictures, or "
-            f"{array.name}, or --lights for one light at a time"
+            f"{array.name}, or, for one light at a time, --lights or a file of their directions"
         )
     pictures = [_linear(read_picture(path), transfer) for path in picture_files(subfolder, _OTHERS)]
     if len({picture.shape[:2] for picture in pictures}) > 1:

@@ -79,7 +79,9 @@ class Transport(Light):
     def holding(self, level_rows: list[dict[str, Any]], held: Any) -> Self:
         """Return a transport between the same rays that is made of something else."""
         stored: dict[str, Any] = {name: getattr(self, name) for name in self.stored_names}
-        return type(self)(channels=self.channels, level_rows=level_rows, held=held, **stored)
+        made = type(self)(channels=self.channels, level_rows=level_rows, held=held, **stored)
+        made.lights = self.lights
+        return made
 
     def pack(
         self, number_format: NumberFormat = "float32"
@@ -241,6 +243,8 @@ def save_transport(
         expected = ", ".join(get_args(NumberFormat))
         raise InputError(f"number format {number_format!r}; expected one of {expected}")
     arrays, packed = transport.pack(number_format)
+    if transport.lights is not None:
+        attributes["lights"] = transport.lights.tolist()
     by_parts = len(transport.camera_shape) > 2
     return write_arrays(Path(path), arrays, {**attributes, **packed}, small=True, by_parts=by_parts)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError, installing
 from rfpipe.transport.algebra import Float, MatrixAlgebra, Rays, chosen_rays
@@ -27,10 +27,26 @@ LIMIT = 8 * 2**30
 class Light(MatrixAlgebra):
     """What can be relit: a transport, its dual, or either between coarser rays."""
 
+    _lights: Float | None = None
+
     @property
     def T(self) -> Light:  # noqa: N802 - as in scipy and numpy
         """The dual transport: from the camera's rays to the projector's (eq. 2.12)."""
         return TransposedTransport(self)
+
+    @property
+    def lights(self) -> Float | None:
+        """Directions of the lights that the projector's rays are, float32 (rays, 3), if known.
+
+        They may be set; InputError unless each ray has one.
+        """
+        return self._lights
+
+    @lights.setter
+    def lights(self, lights: ArrayLike | None) -> None:
+        from rfpipe.environment import as_directions
+
+        self._lights = None if lights is None else as_directions(lights, count=self.shape[2])
 
     def relight(self, pattern: NDArray[Any]) -> Float:
         """Return the image under a pattern, ``c = T p`` (eq. 2.11).
@@ -70,20 +86,25 @@ class Light(MatrixAlgebra):
         return correspondence_of(self)
 
     def relight_environment(
-        self, environment: NDArray[Any], lights: NDArray[Any], turned: float = 0.0
+        self, environment: ArrayLike, lights: ArrayLike | None = None, turned: float = 0.0
     ) -> Float:
         """Relight with a panorama of the light around; the projector's rays are single lights.
 
-        Parameters are those of `rfpipe.environment.environment_weights`; `lights` has a direction
-        for each ray. Returns the image (*camera_shape, channels), in colour if either is.
+        Parameters are those of `rfpipe.environment.environment_weights`; `lights`, one for each
+        ray, are by default its own. Returns (*camera_shape, channels), in colour if either is.
 
-        Raises InputError as there, or if there are more or fewer directions than lights.
+        Raises InputError as there, or if there are no directions, or more or fewer than lights.
         """
-        from rfpipe.environment import environment_weights
+        from rfpipe.environment import as_directions, environment_weights
 
-        weights = environment_weights(environment, lights, turned)
-        if len(weights) != self.shape[2]:
-            raise InputError(f"{len(weights)} directions of lights for {self.shape[2]} lights")
+        lights = self.lights if lights is None else lights
+        if lights is None:
+            raise InputError(
+                "the transport doesn't know where its lights are: fit it from a folder with a file "
+                "of their directions, or set transport.lights, one direction for each ray"
+            )
+        directions = as_directions(lights, count=self.shape[2])
+        weights = environment_weights(environment, directions, turned)
         planes = weights.T.reshape(-1, *self.projector_shape)
         if self.channels == 1 or len(planes) == 1:
             return np.concatenate([self.relight(plane) for plane in planes], axis=-1)

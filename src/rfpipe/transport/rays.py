@@ -145,7 +145,9 @@ def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTr
     ]
     part = whole.between_some(*(matrix.sum(axis=0) > 0 for matrix in some))
     name = f"{seen.shape} by {lit.shape} rays"
-    return RegroupedTransport(part, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
+    taken = RegroupedTransport(part, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
+    taken.lights = None if whole.lights is None else whole.lights[lit.ravel()]
+    return taken
 
 
 def _one_each(rays: NDArray[np.int64], count: int) -> csr_array[np.float32]:

@@ -62,7 +62,10 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
     IntegrityError
         When an array that is read does not match its digest.
     """
-    return unpack_transport(open_arrays(find_transport(path)), memory_budget)
+    bundle = open_arrays(find_transport(path))
+    transport = unpack_transport(bundle, memory_budget)
+    transport.lights = bundle.attributes.get("lights")
+    return transport
 
 
 def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
