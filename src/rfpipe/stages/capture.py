@@ -22,9 +22,11 @@ from rfpipe.rigs.base import sequence_patterns
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
+from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.watch import watching_level
+from rfpipe.steps import counted_by
 from rfpipe.store import bytes_on_disk
 from rfpipe.units import (
     BLACK_LEVEL_KEY,
@@ -107,9 +109,11 @@ def run(
     in_hand = _bytes_in_hand(rig) * (2 if in_sequences else 1)
     batch = (resources or Resources()).fitting(in_hand, in_sequences or batch_patterns)
     beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
-    for name, part in before.items():
-        counts = {name: it for name, it in part.shown.items() if name != "rig"}
-        beside[name] = {**part.capture(batch, progress=progress), **counts}
+    # a simulated scene may be recorded at its first picture
+    with counted_by(partial(Progress, unit="step", shown=progress)):
+        for name, part in before.items():
+            counts = {name: it for name, it in part.shown.items() if name != "rig"}
+            beside[name] = {**part.capture(batch, progress=progress), **counts}
     with watching_level(of_level, level, **(watching or {})) as watch:
         captured = of_level.capture(batch, watch, progress=progress)
         beside |= watch.entries() if watch else {}
