@@ -19,7 +19,6 @@ from rfpipe.cli.transports import (
     opened,
     picture_of_rays,
     times,
-    write_picture,
 )
 from rfpipe.errors import InputError
 
@@ -70,6 +69,7 @@ def relight(
     import numpy as np
 
     from rfpipe.export import relit_pictures
+    from rfpipe.export.photographs import write_picture
     from rfpipe.store.files import whole_file
 
     light = opened(path, dual, level, view)
