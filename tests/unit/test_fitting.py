@@ -17,6 +17,7 @@ from rfpipe import open_transport
 from rfpipe.cli import app
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
+from rfpipe.export import photographs
 from rfpipe.fitting import Series, fit_transport, read_series
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes import planes_scene, relighting_patterns
@@ -203,6 +204,16 @@ def test_lights_that_can_t_be_written(tmp_path: Path, stored: Path) -> None:
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):
             run("export", stored, "-o", tmp_path / "olat.exr", option, value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("options", [("a.exr",), ("setup", "--photographs", 2, 1)])
+def test_what_is_stopped_leaves_nothing(tmp_path: Path, stored: Path, monkeypatch, options) -> None:
+    relit = iter(np.ones((4, *SHAPE, 3)))
+    stopping = lambda _light, patterns: (next(relit) for _ in patterns)  # noqa: E731
+    monkeypatch.setattr(photographs, "relit_pictures", stopping)
+    with pytest.raises(RuntimeError, match="StopIteration"):
+        run("export", stored, "-o", tmp_path / options[0], *options[1:])
     assert not list(tmp_path.iterdir())
 
 

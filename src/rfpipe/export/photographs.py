@@ -67,7 +67,7 @@ def write_photographs(
     Parameters
     ----------
     folder : path
-        A new one, written whole or not at all.
+        A new one, or InputError; written whole or not at all.
     training, validation : int
         Numbers of patterns.
     form : str
@@ -77,22 +77,13 @@ def write_photographs(
     -------
     float
         The radiance shown as white in a PNG: the brightest under white light.
-
-    Raises
-    ------
-    InputError
-        If something is in its place, or there are no training patterns.
-    StoreError
-        If it can't be written.
     """
     if training < 1 or validation < 0:
         raise InputError(f"{training} training and {validation} validation patterns; expected some")
     if folder.exists():
         raise InputError(f"{folder}: is there already; remove it, or name another folder")
-    white, new = (
-        float(light.relight(np.ones(light.projector_shape)).max()),
-        hidden_sibling(folder, "new"),
-    )
+    white = float(light.relight(np.ones(light.projector_shape)).max())
+    new = hidden_sibling(folder, "new")
     try:
         remove_tree(new)
         for name, pattern in _patterns(light, training, validation, seed):
