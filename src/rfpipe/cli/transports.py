@@ -96,8 +96,8 @@ def export(
         typer.Option(
             "--output",
             "-o",
-            help="File to write: the matrix as .npz, .h5, .hdf5 or .mat (MATLAB v7.3); as .exr the "
-            "picture under each projector ray, a part each; or the folder of --photographs.",
+            help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3); .exr, in which each "
+            "projector ray's picture is a part; or the folder of --photographs.",
         ),
     ],
     rows: Annotated[
@@ -131,8 +131,7 @@ def export(
         tuple[int, int] | None,
         typer.Option(
             metavar="TRAINING VALIDATION",
-            help="Write so many patterns and relit photographs, in the layout of papers on "
-            "projector-camera systems.",
+            help="Write so many patterns and photographs, as CompenNet and its like read them.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the patterns of --photographs.")] = 0,

@@ -217,7 +217,7 @@ def _of_papers(
             continue
         some, patterns = _brackets(taken, step), picture_files(shown, _OTHERS)
         if name == "ref" and len(some) != len(patterns):
-            continue  # setups may have others than those of the patterns
+            continue  # those of a setup may be others
         if not shown.is_relative_to(folder):
             patterns = patterns[: len(some)]  # setups that share them may take the first alone
         alone = {bracket[0].file.stem for bracket in some} ^ {file.stem for file in patterns}

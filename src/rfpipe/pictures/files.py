@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +67,7 @@ class Picture:
     bits: int
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """A picture in a file, by the part's name or, where it holds one, the file's, yet to be read.
 
     `read` returns it, or raises as `read_picture`.
@@ -147,14 +146,14 @@ def read_parts(path: Path) -> list[Part]:
     for index, spec in enumerate(specs):
         spec.channelnames = [name.rpartition(".")[2] for name in spec.channelnames]
         name = spec.getattribute("oiio:subimagename") or f"{index}"
-        pixels = partial(file.read_image, index, 0, 0, spec.nchannels)
-        read = partial(_picture, path, spec, file, pixels)
+        pixels_as = partial(file.read_image, index, 0, 0, spec.nchannels)
+        read = partial(_picture, path, spec, file, pixels_as)
         parts.append(Part(path, name, _header(path, spec), read))
     return parts
 
 
-def _picture(path: Path, spec: Any, file: Any, read: Callable[[Any], Any]) -> Picture:
-    """Return the picture of OIIO's spec, which is read from its file as a kind of numbers."""
+def _picture(path: Path, spec: Any, file: Any, pixels_as: Callable[[Any], Any]) -> Picture:
+    """Return the picture of OIIO's spec, whose file gives pixels as a kind of numbers."""
     import OpenImageIO as oiio
 
     header = _header(path, spec)
@@ -163,8 +162,8 @@ def _picture(path: Path, spec: Any, file: Any, read: Callable[[Any], Any]) -> Pi
         kind, bits = oiio.FLOAT, 32
     elif spec.format == oiio.UINT8:
         kind, bits = oiio.UINT8, 8
-    pixels = pixels_of(path, file, read(kind))
-    pixels = pixels[..., light_channels(path, list(spec.channelnames))]
+    chosen = light_channels(path, list(spec.channelnames))
+    pixels = pixels_of(path, file, pixels_as(kind))[..., chosen]
     dtype = np.float32 if header.kind == "light" else np.uint16
     return Picture(header, np.ascontiguousarray(pixels, dtype), bits)
 
