@@ -37,9 +37,9 @@ def photograph(sheet, matrix, expose):
         light = rays_of(sheet / shown["file"], (height, width))
         radiance = np.moveaxis(matrix @ light, 0, -1).reshape(height, width, -1)
         for seconds in asked["exposures_s"]:
-            picture = oiio.ImageBuf(expose(radiance, seconds, shown["key"]))
+            picture = oiio.ImageBuf(np.ascontiguousarray(expose(radiance, seconds, shown["key"])))
             picture.specmod().attribute("ExposureTime", float(seconds))
-            picture.write(str(sheet / "pictures" / f"IMG_{taken}.tif"))
+            assert picture.write(str(sheet / "pictures" / f"IMG_{taken}.tif"))
             taken += 1
 
 

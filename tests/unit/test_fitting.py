@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,11 @@ from rfpipe import open_transport
 from rfpipe.cli import app
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
+from rfpipe.export import photographs
 from rfpipe.fitting import Series, fit_transport, read_series
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes import planes_scene, relighting_patterns
+from rfpipe.transport.arrays import DenseTransport
 
 SHAPE = (12, 14)
 WALL = {"kind": "plane", "surfaces": ["white"]}
@@ -129,7 +132,7 @@ def test_brackets_of_a_known_camera_bring_their_variance(tmp_path: Path) -> None
         for exposure, frame in enumerate(camera.expose(radiance, 1, (0, index))):
             write(tmp_path / "pictures" / f"{2 * index + exposure}.tif", frame)
     found = read_series(tmp_path, camera=camera)
-    assert found.patterns.shape == (6, 6)  # without the dark ones, which are subtracted
+    assert found.patterns.shape == (6, 1, 6)  # without the dark ones, which are subtracted
     deviation = (found.radiance[:, 0] - matrix.T) / np.sqrt(found.variance[:, 0])
     assert 0.7 < deviation.std() < 1.4
     (tmp_path / "c.yaml").write_text(yaml.safe_dump({"scenes": {"a": WALL}, "camera": numbers}))
@@ -163,3 +166,122 @@ def test_what_is_wrong_with_a_folder_is_said(tmp_path: Path, change, message: st
     change(tmp_path)
     with pytest.raises(InputError, match=message):
         read_series(tmp_path)
+
+
+# --- pictures of other programs: parts of an EXR file, folders of papers
+
+
+def run(*arguments: object) -> str:
+    return CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False).output
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("stored") / "t.zarr"
+    DenseTransport(SHAPE, SHAPE, 3, [], {"matrix": T.astype(np.float32)}).save(path)
+    return path
+
+
+def test_lights_go_out_and_in_as_the_parts_of_an_exr_file(tmp_path: Path, stored: Path) -> None:
+    file, fitted = tmp_path / "olat.exr", tmp_path / "fitted.zarr"
+    assert "168 lights of 12 x 14" in run("export", stored, "-o", file)
+    assert "(complete)" in run("fit", file, "-o", fitted, "--lights", 12, 14)
+    np.testing.assert_allclose(open_transport(fitted).toarray(), T, rtol=1e-5, atol=1e-6 * T.max())
+    run("export", stored, "-o", file, "--coarser", 4, "--columns", "2,:3")
+    found = read_series(file)
+    assert list(found.names) == ["light_2_0", "light_2_1", "light_2_2"]
+    assert found.projector_shape == (1, 3)
+    lit = T.reshape(3, RAYS, *SHAPE)[..., 8:12, :4].sum((2, 3))
+    np.testing.assert_allclose(found.radiance[0], lit, rtol=1e-5)
+    np.save(tmp_path / "patterns.npy", hadamard(4)[1:, None] > 0)  # of parts, in a folder
+    assert list(read_series(tmp_path).names) == list(found.names)
+
+
+def test_lights_that_can_t_be_written(tmp_path: Path, stored: Path) -> None:
+    large = r"168 x 12 x 14 x 3 entries takes 0.3 MiB, the limit is 0.1"
+    for option, value, message in (
+        ("--limit-gib", 1e-4, large), ("--rows", "1,:", "all cam"), ("--columns", "12,0", "outside")
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            run("export", stored, "-o", tmp_path / "olat.exr", option, value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("options", [("a.exr",), ("setup", "--photographs", 2, 1)])
+def test_what_is_stopped_leaves_nothing(tmp_path: Path, stored: Path, monkeypatch, options) -> None:
+    relit = iter(np.ones((4, *SHAPE, 3)))
+    stopping = lambda _light, patterns: (next(relit) for _ in patterns)  # noqa: E731
+    monkeypatch.setattr(photographs, "relit_pictures", stopping)
+    with pytest.raises(RuntimeError, match="StopIteration"):
+        run("export", stored, "-o", tmp_path / options[0], *options[1:])
+    assert not list(tmp_path.iterdir())
+
+
+def test_parts_of_other_programs_keep_their_order_or_are_refused(tmp_path: Path) -> None:
+    file, pictures = tmp_path / "lights.exr", np.random.default_rng(6).random((3, 4, 5, 3))
+    specs = [oiio.ImageSpec(5, 4, 3, "half") for _ in range(3)]
+    for spec, name in zip(specs, ("rim", "fill", "key"), strict=True):
+        spec.channelnames = tuple(f"{name}.{colour}" for colour in "RGB")
+        spec.attribute("oiio:subimagename", name)
+
+    def write_them(pictures=pictures) -> None:
+        out = oiio.ImageOutput.create(str(file))
+        assert out.open(str(file), specs)
+        for index, (picture, spec) in enumerate(zip(pictures, specs, strict=True)):
+            assert not index or out.open(str(file), spec, "AppendSubimage")
+            assert out.write_image(picture[..., : spec.nchannels])
+        out.close()
+
+    write_them()
+    found = read_series(file)
+    assert list(found.names) == ["rim", "fill", "key"]
+    np.testing.assert_allclose(found.radiance[2], pictures[2].reshape(20, 3).T, rtol=1e-3)
+    with pytest.raises(InputError, match="3 pictures of 4 patterns"):
+        read_series(file, lights=(2, 2))
+    write_them(np.where(np.arange(3)[:, None, None, None] == 1, np.nan, pictures))
+    with pytest.raises(InputError, match="part fill: holds NaN"):
+        read_series(file)
+    write(file, np.ones((4, 5, 3), np.float32))
+    with pytest.raises(InputError, match="holds one picture"):
+        read_series(file)
+    for odd in (oiio.ImageSpec(3, 4, 3, "half"), oiio.ImageSpec(5, 4, 1, "half")):
+        odd.full_width, specs[1] = 5, odd
+        odd.attribute("oiio:subimagename", "fill")
+        write_them([np.ones((spec.height, spec.width, 3)) for spec in specs])
+        with pytest.raises(InputError, match=r"part fill: is Header.*All should be alike"):
+            read_series(file)
+
+
+@pytest.mark.parametrize(("form", "error"), [("exr", 1e-5), ("png", 0.01)])
+def test_photographs_of_a_paper_come_back(
+    tmp_path: Path, stored: Path, form: str, error: float
+) -> None:
+    folder = tmp_path / "setup"
+    told = run("export", stored, "-o", folder, "--photographs", 250, 30, "--format", form)
+    series = read_series(folder)
+    assert (len(series.patterns), series.validation.sum()) == (282, 30)  # black is subtracted
+    found = fit_transport(series)
+    assert (found.complete, found.held_out) == (True, 30)
+    assert found.error < error
+    white = float(told.split()[-1]) if form == "png" else 1.0
+    assert np.linalg.norm(white * dense(found.transport) - T) < 2 * error * np.linalg.norm(T)
+    with pytest.raises(InputError, match="there already"):
+        run("export", stored, "-o", folder, "--photographs", 2, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda at: (at / "cam/raw/train/img_0003.exr").unlink(), "7 pictures.*8 pat.*img_0003"),
+        (lambda at: (at / "test/img_0002.exr").unlink(), "2 pictures of the 1 patterns.*img_0002"),
+        (lambda at: write(at / "train/img_0004.exr", np.ones((12, 13, 3), "f4")), "another size"),
+        (lambda at: write(at / "cam/raw/test/img_0001.exr", np.ones((9, 9, 3), "f4")), "be alike"),
+        (lambda at: shutil.rmtree(at / "train"), "train: is no folder"),
+    ],
+)
+def test_folders_of_papers_that_don_t_fit(tmp_path: Path, stored: Path, change, message) -> None:
+    folder = tmp_path / "setup"
+    run("export", stored, "-o", folder, "--photographs", 8, 2, "--format", "exr", "--seed", 1)
+    change(folder)
+    with pytest.raises(InputError, match=message):
+        read_series(folder)

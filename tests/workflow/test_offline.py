@@ -69,6 +69,12 @@ def level_0(tmp_path: Path) -> Path:
     return sheet
 
 
+def test_the_photographer_takes_colour(level_0: Path) -> None:
+    matrix = np.repeat(symmetric_matrix()[None], 3, axis=0)
+    photographer.photograph(level_0, matrix, photographer.counts)
+    assert read_picture(level_0 / "pictures" / "IMG_0.tif").header.channels == 3
+
+
 QUIET = {"exposures": [0.5, 2.0], "bits": 16, "black_level_counts": 1000}
 
 

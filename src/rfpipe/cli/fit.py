@@ -14,7 +14,8 @@ def fit(
         typer.Argument(
             metavar="FOLDER",
             help="Pictures in its folder 'pictures' or in itself, patterns as pictures in its "
-            "folder 'patterns' or in patterns.npy, (pictures, H, W).",
+            "folder 'patterns' or in patterns.npy, (pictures, H, W[, 3]); or in cam/raw/train and "
+            "test, patterns in train and test. Or an EXR file with a part for each light.",
         ),
     ],
     output: Annotated[
@@ -40,8 +41,11 @@ def fit(
         Path | None, typer.Option(help="A picture without light to subtract, or a folder of some.")
     ] = None,
     transfer: Annotated[
-        Literal["linear", "srgb"], typer.Option(help="What integers in pictures stand for.")
-    ] = "linear",
+        Literal["linear", "srgb"] | None,
+        typer.Option(
+            help="What integers in pictures stand for; by default linear, beside cam/raw srgb."
+        ),
+    ] = None,
     coaxial: Annotated[
         bool, typer.Option("--coaxial", help="Camera and projector share their rays.")
     ] = False,
@@ -53,8 +57,9 @@ def fit(
 
     Patterns may be one light at a time, Hadamard, random or any others, as weights of light.
     Where they tell of each projector ray by itself, the transport follows directly; where they are
-    few, from what is most probable, on a coaxial rig by the model of near_far. How far it is off is
-    estimated from pictures that are left out. Nothing is written where pictures contradict the
+    few, from what is most probable, on a coaxial rig by the model of near_far. Coloured patterns
+    light each channel by itself. How far it is off is told by pictures that are left out, or are
+    there for validation. Nothing is written where pictures contradict the
     others, or the patterns are too few to tell much more than their mean. The transport opens in
     Python by rfpipe.open_transport, and relights by 'rfpipe relight'.
     """
@@ -73,10 +78,11 @@ def fit(
     series = read_series(folder, lights=lights, camera=camera, black=black, transfer=transfer)
     result = fit_transport(series, coaxial=coaxial, anyway=anyway)
     save_transport(result.transport, output, scene=folder.name, method="fit")
-    count, rays = series.patterns.shape
+    training = series.training
+    count, *_, rays = training.patterns.shape
     typer.echo(
         f"{output}: {count} pictures of {rays} projector rays "
-        f"({'complete' if result.complete else f'{series.rank} independent'}), by {result.model}"
+        f"({'complete' if result.complete else f'{training.rank} independent'}), by {result.model}"
         f"{'' if series.lights is None else ', with the directions of lights'}"
     )
     typer.echo(

@@ -20,7 +20,6 @@ from rfpipe.cli.transports import (
     opened,
     picture_of_rays,
     times,
-    write_picture,
 )
 from rfpipe.errors import InputError
 
@@ -81,6 +80,7 @@ def relight(
 
     from rfpipe.blocks import RayDomain
     from rfpipe.export.movies import movie_of, white_of
+    from rfpipe.export.photographs import write_picture
     from rfpipe.store.files import whole_file
 
     if bool(pattern) == bool(environment) or (pattern and turns > 1):

@@ -94,7 +94,10 @@ def export(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3)."
+            "--output",
+            "-o",
+            help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3); .exr, in which each "
+            "projector ray's picture is a part; or the folder of --photographs.",
         ),
     ],
     rows: Annotated[
@@ -116,7 +119,7 @@ def export(
             "--coarser",
             min=1,
             help="Join so many rays down and across on both sides: 4 makes the matrix 256 times "
-            "smaller. Places are those of joined rays.",
+            "smaller. Places are those of joined rays. In .exr the camera keeps its rays.",
         ),
     ] = 1,
     dual: Dual = False,
@@ -124,21 +127,41 @@ def export(
     limit_gib: Annotated[
         float, typer.Option(help="GiB that all of it may take before compression.")
     ] = 8.0,
+    photographs: Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            metavar="TRAINING VALIDATION",
+            help="Write so many patterns and photographs, as CompenNet and its like read them.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the patterns of --photographs.")] = 0,
+    form: Form = "png",
 ) -> None:
-    """Write the transport matrix T, or some of its rows and columns.
+    """Write the transport matrix T, or some of its rows and columns; or photographs.
 
     T is (channels, camera rays, projector rays), written part by part, in little memory.
     docs/export.md tells how MATLAB, numpy and others read it.
     """
+    from rfpipe.export import write_lights, write_photographs
     from rfpipe.transport import coarser
     from rfpipe.transport.matrix_out import write_matrix
 
-    light = opened(path, level=level)
-    light = coarser(light, joined) if joined > 1 else light
-    light = light.T if dual else light
-    selection = (_rays(rows, light.camera_shape), _rays(columns, light.projector_shape))
-    write_matrix(light, output, *selection, int(limit_gib * _GIB))
-    typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
+    light, limit_bytes = opened(path, level=level), int(limit_gib * _GIB)
+    joint = coarser(light, joined) if joined > 1 else light
+    light, joint = (light.T, joint.T) if dual else (light, joint)
+    seen, lit = _rays(rows, joint.camera_shape), _rays(columns, joint.projector_shape)
+    is_exr = output.suffix.lower() == ".exr"
+    if (is_exr and rows) or (photographs and (rows or columns)):
+        raise InputError("pictures are of all camera rays, photographs under all projector rays")
+    if photographs:
+        white = write_photographs(joint, output, *photographs, seed=seed, form=form)
+        typer.echo(f"{output}: {sum(photographs)} photographs, white is {white:.4g}")
+    elif is_exr:
+        count = write_lights(light, output, lit, side=joined, limit_bytes=limit_bytes)
+        typer.echo(f"{output}: {count} lights of {times(joint.projector_shape)}")
+    else:
+        write_matrix(joint, output, seen, lit, limit_bytes)
+        typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
 
 
 def movie(
@@ -233,15 +256,3 @@ def picture_of_rays(name: str, path: Path, shape: tuple[int, ...]) -> NDArray[np
             f"{times(expected)}, the shape of the rays, several views one above the other"
         )
     return picture.reshape(*shape, *picture.shape[2:])
-
-
-def write_picture(
-    path: Path, picture: NDArray[np.float32], white: float | None, about: dict[str, str]
-) -> None:
-    """Write a picture, complete or not at all."""
-    from rfpipe.pictures.images import write_image
-    from rfpipe.store.files import storage_errors, whole_file
-
-    failing = storage_errors(path, "writing", picture.nbytes, resumes=False)
-    with failing, whole_file(path) as partial:
-        write_image(partial, picture, white, about)

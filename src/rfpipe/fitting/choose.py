@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.fitting.folder import Series
 from rfpipe.fitting.linear import solve_linear, strange_pictures
-from rfpipe.methods.adaptive.estimate import relit
 from rfpipe.methods.adaptive.residual import Canvas, residual_of
 from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.images import Pictures
@@ -34,10 +33,11 @@ class Fit:
     complete : bool
         Whether the patterns tell of each projector ray by itself.
     error : float or None
-        Mean error of pictures that were left out of a first fit, relative to their norms, less the
-        noise that they are known to have. None where each pattern is needed.
+        Mean error of pictures that were left out of a first fit, or that the series has for
+        validation, relative to their norms, less the noise that they are known to have. None where
+        each pattern is needed.
     held_out : int
-        Pictures that were left out.
+        These pictures.
     """
 
     transport: Transport
@@ -69,24 +69,27 @@ def fit_transport(series: Series, *, coaxial: bool = False, anyway: bool = False
     if coaxial:
         _check_coaxial(series)
         models["near/far"] = _solve_near_far
-    complete, held = series.is_complete, _held_out(series)
+    training, validates = series.training, series.validation.any()
+    held = np.flatnonzero(series.validation) if validates else _held_out(series)
     rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
-    left_out = series.some(held)
+    complete, left_out = training.is_complete, series.some(held)
     errors: dict[str, float] = {}
     # of patterns that are just complete, one that is left out isn't told of by the others
-    if held.size and not (complete and not rest.is_complete):
+    if validates or (held.size and not (complete and not rest.is_complete)):
+        colours = range(series.channels)
+        shown = np.repeat(left_out.patterns, len(colours) // left_out.patterns.shape[1], axis=1)
         errors = {
-            name: _error(relit(solve(rest, []), left_out.patterns), left_out)
+            name: _error(solve(rest, []).forward(shown, colours), left_out)
             for name, solve in models.items()
         }
     best = min(errors, key=lambda name: errors[name]) if errors else "least squares"
-    row = level_row(0, len(series.patterns))
+    row = level_row(0, len(training.patterns))
     if errors:
         row["estimated_error"] = errors[best]
-        doubts = _doubts(series, rest, left_out, errors[best])
+        doubts = _doubts(training, rest, left_out, errors[best])
         if doubts and not anyway:
             raise InputError(f"{doubts} To take them all the same: --anyway")
-    transport = models[best](series, [row])
+    transport = models[best](training, [row])
     transport.lights = series.lights
     return Fit(transport, best, complete, errors.get(best), len(held) if errors else 0)
 
@@ -97,11 +100,12 @@ def _doubts(series: Series, rest: Series, held: Series, error: float) -> str:
         names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
         worst = ", ".join(names[index] for index in strange[:4])
         return f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"
-    mean = rest.radiance.mean(axis=0, dtype=np.float64) / rest.patterns.mean(dtype=np.float64)
-    by_mean = _error(held.patterns.mean(axis=1)[:, None, None] * mean, held)
+    light = rest.patterns.mean(axis=(0, 2), dtype=np.float64)
+    mean = rest.radiance.mean(axis=0, dtype=np.float64) / light[:, None]
+    by_mean = _error(held.patterns.mean(axis=2)[..., None] * mean, held)
     if error <= 0.5 * by_mean:
         return ""
-    rank, rays = series.rank, series.patterns.shape[1]
+    rank, rays = series.rank, series.patterns.shape[-1]
     return (
         f"left-out pictures are off by {error:.0%}, by {by_mean:.0%} where each is taken for the "
         f"mean one: {rank} independent patterns tell too little of {rays} rays. Take "
@@ -111,13 +115,14 @@ def _doubts(series: Series, rest: Series, held: Series, error: float) -> str:
 
 
 def _check_coaxial(series: Series) -> None:
-    patterns, white = series.patterns, series.patterns.all(axis=1)
+    patterns, white = series.patterns, series.patterns.all(axis=-1)
     if series.camera_shape != series.projector_shape:
         raise InputError(
             f"a coaxial rig has one shape of rays, not {series.camera_shape} camera and "
             f"{series.projector_shape} projector rays"
         )
-    if not ((patterns == 0) | (patterns == 1)).all() or not white.any() or white.all():
+    are_binary = patterns.shape[1] == 1 and ((patterns == 0) | (patterns == 1)).all()
+    if not are_binary or not white.any() or white.all():
         raise InputError(
             "the model of coaxial rigs needs a picture of white light, and others of patterns "
             "whose weights are 0 or 1; add them, or leave out --coaxial"
@@ -126,7 +131,7 @@ def _check_coaxial(series: Series) -> None:
 
 def _solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
     """Return direct and smooth indirect light, and what they leave of the pictures."""
-    shape, lit = series.projector_shape, series.patterns > 0
+    shape, lit = series.projector_shape, series.patterns[:, 0] > 0
     white = lit.all(axis=1)
     radiance = series.radiance[white].mean(axis=0, dtype=np.float64)[None].astype(np.float32)
     spread = series.variance[white].mean(axis=0, dtype=np.float64)[None] / np.count_nonzero(white)
@@ -145,7 +150,8 @@ def _held_out(series: Series) -> NDArray[np.int64]:
 
     Neither white nor black ones, whose light others know.
     """
-    free = np.flatnonzero(~(series.patterns.min(axis=1) > 0) & series.patterns.any(axis=1))
+    patterns = series.patterns.max(axis=1)
+    free = np.flatnonzero(~(patterns.min(axis=1) > 0) & patterns.any(axis=1))
     count = min(len(free) // (8 if len(free) >= 8 else 2), 16)
     return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
 

@@ -3,10 +3,11 @@
 A row t of T is taken for a Gaussian process over the projector's rays: its entries share a mean,
 are equally large and, over some distance, alike. With patterns P, pictures ``y = P t`` of variance
 V and the prior's covariance K, ``t = K P^T (P K P^T + V / s)^-1 y``, s the prior's variance. One
-eigenvalue decomposition serves all rays. Where V is known, the distance, and s beside the
-brightness of a ray, are those under which the pictures are most probable. Where it isn't, complete
-patterns are solved directly, and for others cross-validation chooses. Where the patterns are
-complete and noise is small, all of them come to the direct solution.
+eigenvalue decomposition serves all rays, of coloured patterns those of one channel. Where V is
+known, the distance, and s beside the brightness of a ray, are those under which the pictures are
+most probable. Where it isn't, complete patterns are solved directly, and for others
+cross-validation chooses. Where the patterns are complete and noise is small, all of them come to
+the direct solution.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.folder import Series
+from rfpipe.fitting.folder import Float, Series
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
@@ -38,19 +39,43 @@ _STRANGE = 10.0
 
 def solve_linear(series: Series, rows: list[dict[str, Any]]) -> Transport:
     """Return the transport with the most probable rows; `rows` is its table of levels."""
+    factors = [pair for lit_alike in series.by_light() for pair in _solved(lit_alike)]
+    shapes = series.camera_shape, series.projector_shape
+    channels, terms = len(factors), max(len(left) for left, _ in factors)
+    rays, lights = (factor.shape[1] for factor in factors[0])
+    if terms * (rays + lights) >= rays * lights:
+        matrix = np.stack([left.T @ right for left, right in factors])
+        return DenseTransport(*shapes, channels, rows, {"matrix": matrix})
+    left, right = (
+        np.stack([np.pad(factor, ((0, terms - len(factor)), (0, 0))) for factor in side])
+        for side in zip(*factors, strict=True)
+    )
+    strengths = np.ones((channels, terms), np.float32)
+    arrays = {"left": left, "right": right, "strengths": strengths}
+    return LowRankTransport(*shapes, channels, rows, arrays)
+
+
+def _solved(series: Series) -> list[tuple[Float, Float]]:
+    """Return each channel's factors, (terms, M) and (terms, N), of what is lit alike."""
     weights, gain = _weights(series), _gains(series)
     if not series.variance.any() and series.is_complete:
-        return _Basis.of(series, weights, 0.0).solved(series, weights, gain, _ROUNDING, rows)
+        return _Basis.of(series, weights, 0.0).solved(series, weights, gain, _ROUNDING)
     basis, ridge, _ = _most_probable(series, weights, gain)
-    return basis.solved(series, weights, gain, ridge, rows)
+    return basis.solved(series, weights, gain, ridge)
 
 
 def strange_pictures(series: Series) -> NDArray[np.intp]:
     """Return the numbers of pictures that the others predict far worse than most, the worst first.
 
     With ``C = (P K P^T + V / s)^-1``, a picture is off by ``(C y)_k / C_kk`` from what the others
-    predict, with variance ``1 / C_kk``.
+    predict, with variance ``1 / C_kk``. Of coloured patterns, channel by channel.
     """
+    strange = np.concatenate([_strange(lit_alike) for lit_alike in series.by_light()])
+    return strange[np.sort(np.unique(strange, return_index=True)[1])]
+
+
+def _strange(series: Series) -> NDArray[np.intp]:
+    """Return `strange_pictures` of what is lit alike."""
     basis, ridge, observed = _most_probable(series, _weights(series), _gains(series))
     count, vectors = len(observed), basis.vectors
     inverse = (vectors / (basis.values + ridge)) @ vectors.T
@@ -110,7 +135,7 @@ class _Basis:
     @classmethod
     def of(cls, series: Series, weights: Double, scale: float) -> _Basis:
         """Decompose weighted patterns under a prior of one scale."""
-        patterns = series.patterns.astype(np.float64) * weights[:, None]
+        patterns = series.patterns[:, 0].astype(np.float64) * weights[:, None]
         spread = _spread(patterns, series.projector_shape, scale)
         values, vectors = np.linalg.eigh(patterns @ spread.T)
         largest = max(float(values[-1]), np.finfo(np.float64).tiny)
@@ -126,10 +151,8 @@ class _Basis:
         """
         along = np.square(np.einsum("kr,kcm->rcm", self.vectors, observed, optimize=True))
         light = np.square(observed).sum(axis=0)
-        rest, silent = (
-            np.maximum(light - along.sum(axis=0), 0),
-            len(self.vectors) - len(self.values),
-        )
+        rest = np.maximum(light - along.sum(axis=0), 0)
+        silent = len(self.vectors) - len(self.values)
         shining, is_known = noise > 0, bool(noise.any())
         scores = np.empty(len(_RIDGES))
         for index, ridge in enumerate(_RIDGES):
@@ -149,31 +172,16 @@ class _Basis:
         return scores
 
     def solved(
-        self,
-        series: Series,
-        weights: Double,
-        gain: Double,
-        ridge: float,
-        rows: list[dict[str, Any]],
-    ) -> Transport:
-        """Return the solution at a ridge, as whichever of two kinds of transport is smaller."""
-        channels, rays, lights = series.channels, series.radiance.shape[2], self.right.shape[1]
-        terms, right = len(self.values), self.right.astype(np.float32)
-        left = np.empty((channels, terms, rays), np.float32)
-        for channel in range(channels):
+        self, series: Series, weights: Double, gain: Double, ridge: float
+    ) -> list[tuple[Float, Float]]:
+        """Return the solution at a ridge: each channel's factors, (terms, M) and (terms, N)."""
+        factors, right = [], self.right.astype(np.float32)
+        for channel in range(series.channels):
             inverse = 1 / (self.values[:, None] + ridge * gain[channel])
             observed = series.radiance[:, channel].astype(np.float64) * weights[:, None]
-            left[channel] = inverse * (self.vectors.T @ observed)
-        shapes = series.camera_shape, series.projector_shape
-        if terms * (rays + lights) >= rays * lights:
-            matrix = np.stack([each.T @ right for each in left])
-            return DenseTransport(*shapes, channels, rows, {"matrix": matrix})
-        arrays = {
-            "left": left,
-            "right": np.broadcast_to(right, (channels, terms, lights)).copy(),
-            "strengths": np.ones((channels, terms), np.float32),
-        }
-        return LowRankTransport(*shapes, channels, rows, arrays)
+            left = inverse * (self.vectors.T @ observed)
+            factors.append((left.astype(np.float32), right))
+        return factors
 
 
 def _gains(series: Series) -> Double:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +67,21 @@ class Picture:
     bits: int
 
 
+class Part(NamedTuple):
+    """A picture in a file, by the part's name or, where it holds one, the file's, yet to be read.
+
+    `read` returns it, or raises as `read_picture`.
+    """
+
+    file: Path
+    name: str
+    header: Header
+    read: Callable[[], Picture]
+
+    def __str__(self) -> str:
+        return f"{self.file}" + (f", part {self.name}" if self.name != self.file.name else "")
+
+
 def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
     """Return the pictures in a folder, numbers in their names taken for numbers.
 
@@ -108,17 +125,45 @@ def read_picture(path: Path) -> Picture:
         return Picture(
             Header((height, width), 1, "counts", raw.exposure_s), raw.counts[..., None], 16
         )
+    picture = opened(path)
+    return _picture(path, picture.spec(), picture, picture.get_pixels)
+
+
+def read_parts(path: Path) -> list[Part]:
+    """Return the pictures in a file: the parts of an EXR file, in its order, or the only one.
+
+    Layers in channels' names, as in ``left.R``, are left out. Errors as `read_header`.
+    """
     import OpenImageIO as oiio
 
-    picture = opened(path)
-    spec = picture.spec()
+    file: Any = oiio.ImageInput.open(str(path)) if path.suffix.lower() == ".exr" else None
+    specs: list[Any] = []
+    while file and file.seek_subimage(len(specs), 0):
+        specs.append(file.spec(len(specs)))
+    if len(specs) < 2:
+        return [Part(path, path.name, read_header(path), partial(read_picture, path))]
+    parts = []
+    for index, spec in enumerate(specs):
+        spec.channelnames = [name.rpartition(".")[2] for name in spec.channelnames]
+        name = spec.getattribute("oiio:subimagename") or f"{index}"
+        pixels_as = partial(file.read_image, index, 0, 0, spec.nchannels)
+        read = partial(_picture, path, spec, file, pixels_as)
+        parts.append(Part(path, name, _header(path, spec), read))
+    return parts
+
+
+def _picture(path: Path, spec: Any, file: Any, pixels_as: Callable[[Any], Any]) -> Picture:
+    """Return the picture of OIIO's spec, whose file gives pixels as a kind of numbers."""
+    import OpenImageIO as oiio
+
     header = _header(path, spec)
     kind, bits = oiio.UINT16, 16
     if header.kind == "light":
         kind, bits = oiio.FLOAT, 32
     elif spec.format == oiio.UINT8:
         kind, bits = oiio.UINT8, 8
-    pixels = pixels_of(path, picture, kind)[..., light_channels(path, list(spec.channelnames))]
+    chosen = light_channels(path, list(spec.channelnames))
+    pixels = pixels_of(path, file, pixels_as(kind))[..., chosen]
     dtype = np.float32 if header.kind == "light" else np.uint16
     return Picture(header, np.ascontiguousarray(pixels, dtype), bits)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
 
     picture = opened(path)
     chosen = light_channels(path, list(picture.spec().channelnames))
-    pixels = pixels_of(path, picture, oiio.FLOAT)
+    pixels = pixels_of(path, picture, picture.get_pixels(oiio.FLOAT))
     return pixels[..., chosen if len(chosen) == 3 else chosen[0]]
 
 
@@ -50,11 +50,10 @@ def opened(path: Path) -> Any:
     return picture
 
 
-def pixels_of(path: Path, picture: Any, kind: Any) -> NDArray[Any]:
-    """Return the pixels of an opened file, (H, W, channels), as numbers of one of OIIO's kinds."""
-    pixels: NDArray[Any] | None = picture.get_pixels(kind)
+def pixels_of(path: Path, file: Any, pixels: NDArray[Any] | None) -> NDArray[Any]:
+    """Return pixels that OIIO has read of a file, (H, W, channels); InputError for None."""
     if pixels is None:
-        raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
+        raise InputError(f"{path}: can't be read as a picture: {file.geterror()}")
     return pixels
 
 
@@ -104,6 +103,28 @@ def write_image(
     for name, text in (about or {}).items():
         picture.specmod().attribute(name, text)
     _write(path, picture, kind)
+
+
+def write_parts(
+    path: Path, names: Sequence[str], shape: tuple[int, ...], pictures: Iterable[NDArray[Any]]
+) -> None:
+    """Write radiance, pictures of one shape (H, W, C), as the named parts of one EXR file, float32.
+
+    InputError when it can't be written.
+    """
+    import OpenImageIO as oiio
+
+    height, width, channels = shape
+    specs = [oiio.ImageSpec(width, height, channels, "float") for _ in names]
+    for spec, name in zip(specs, names, strict=True):
+        spec.attribute("oiio:subimagename", name)
+    file: Any = oiio.ImageOutput.create(str(path))
+    written = file.open(str(path), specs)
+    for index, picture in enumerate(pictures):
+        written = written and (not index or file.open(str(path), specs[index], "AppendSubimage"))
+        written = written and file.write_image(np.ascontiguousarray(picture, np.float32))
+    if not (file.close() and written):
+        raise InputError(f"{path}: can't be written: {file.geterror()}")
 
 
 def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:

@@ -108,13 +108,8 @@ class MatrixAlgebra(ABC):
         chosen_rows = chosen_rays(rows, self.camera_shape, "rows")
         chosen_columns = chosen_rays(columns, self.projector_shape, "columns")
         shape = self.channels, len(chosen_rows), len(chosen_columns)
-        if _FLOAT * prod(shape) > memory_budget:
-            raise InputError(
-                f"a matrix of {' x '.join(f'{length:,}' for length in shape)} entries takes "
-                f"{gibibytes(_FLOAT * prod(shape))}, more than the {gibibytes(memory_budget)} of "
-                "memory_budget; choose rows or columns, take rfpipe.coarser(T, 4), whose "
-                "matrix is 256 times smaller, or multiply without a matrix: T @ x"
-            )
+        advice = "choose rows or columns, take rfpipe.coarser(T, 4), or multiply without it: T @ x"
+        refuse_larger("a matrix", shape, memory_budget, advice)
         matrix = np.empty(shape, np.float32)
         for rows_, columns_, block in self.blocks(chosen_rows, chosen_columns):
             matrix[:, rows_, columns_] = block
@@ -193,6 +188,16 @@ def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
     if not len(numbers):
         raise InputError(f"{name}: no rays are chosen of {len(every):,}")
     return numbers
+
+
+def refuse_larger(name: str, shape: tuple[int, ...], limit_bytes: int, advice: str) -> None:
+    """Raise InputError, by a name and with advice, where a float32 array is beyond a limit."""
+    nbytes = _FLOAT * prod(shape)
+    if nbytes > limit_bytes:
+        raise InputError(
+            f"{name} of {' x '.join(f'{length:,}' for length in shape)} entries takes "
+            f"{gibibytes(nbytes)}, the limit is {gibibytes(limit_bytes)}; {advice}"
+        )
 
 
 def gibibytes(size: int) -> str:

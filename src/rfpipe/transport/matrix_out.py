@@ -20,7 +20,7 @@ from rfpipe.transport.algebra import (
     MatrixAlgebra,
     Rays,
     chosen_rays,
-    gibibytes,
+    refuse_larger,
 )
 from rfpipe.version import __version__
 
@@ -83,14 +83,9 @@ def write_matrix(
         chosen_rays(rows, matrix.camera_shape, "rows"),
         chosen_rays(columns, matrix.projector_shape, "columns"),
     )
+    advice = "choose rows or columns, join rays (2 x 2: 16 times smaller), or raise the limit"
+    refuse_larger(f"{path}: a matrix", contents.shape, limit_bytes, advice)
     nbytes = 4 * prod(contents.shape)
-    if nbytes > limit_bytes:
-        entries = " x ".join(f"{length:,}" for length in contents.shape)
-        raise InputError(
-            f"{path}: a matrix of {entries} = {prod(contents.shape):,} entries takes "
-            f"{gibibytes(nbytes)}, the limit is {gibibytes(limit_bytes)}; choose rows or columns, "
-            "join rays (2 x 2 make it 16 times smaller), or raise the limit"
-        )
     with storage_errors(path, "writing", nbytes, resumes=False), whole_file(path) as partial:
         write(partial, contents)
 

@@ -1,0 +1,120 @@
+"""Relit photographs with their patterns, for other programs: of single lights, of a paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.export.movies import relit_pictures
+from rfpipe.pictures.images import write_image, write_parts
+from rfpipe.provenance import generator
+from rfpipe.relighting import shapes
+from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, whole_file
+from rfpipe.transport.algebra import Rays, chosen_rays, refuse_larger
+from rfpipe.transport.light import LIMIT, Light
+from rfpipe.transport.rays import squares
+from rfpipe.weights import picture_weights
+
+Float = NDArray[np.float32]
+
+
+def write_lights(
+    light: Light, file: Path, rays: Rays = None, *, side: int = 1, limit_bytes: int = LIMIT
+) -> int:
+    """Write the pictures under one light at a time (OLAT) as parts of an EXR file, return how many.
+
+    Parameters
+    ----------
+    file : path
+        Written whole or not at all.
+    rays
+        Projector rays, or squares of `side` by `side` rays, see `rfpipe.transport.algebra.Rays`; a
+        part each, in their order, named as ``light_31_35`` by row and column. All by default.
+    limit_bytes : int
+        That the pictures may take before compression.
+
+    Raises
+    ------
+    InputError
+        If there is no such ray, the pictures are larger, or the file can't be written.
+    """
+    grid, members = squares(light.projector_shape, side)
+    chosen = chosen_rays(rays, grid, "lights")
+    shape = (*RayDomain(light.camera_shape).picture_shape, light.channels)
+    advice = "choose columns, join rays (2 x 2: 4 times smaller), or raise the limit"
+    refuse_larger(f"{file}: a file", (len(chosen), *shape), limit_bytes, advice)
+    places = np.transpose(np.unravel_index(chosen, grid))
+    names = ["_".join(map(str, ("light", *place))) for place in places]
+    patterns = (members[[ray]].toarray().reshape(light.projector_shape) for ray in chosen)
+    with storage_errors(file, "writing", resumes=False), whole_file(file) as partial:
+        write_parts(partial, names, shape, relit_pictures(light, patterns))
+    return len(names)
+
+
+def write_photographs(
+    light: Light, folder: Path, training: int, validation: int, *, seed: int = 0, form: str = "png"
+) -> float:
+    """Write patterns and relit photographs in the layout of papers on projector-camera systems.
+
+    Patterns lie in ``ref`` (black, white, grey), ``train`` and ``test`` (random shapes, others in
+    each channel), photographs in ``cam/raw``: `rfpipe.fitting.read_series` reads them.
+
+    Parameters
+    ----------
+    folder : path
+        A new one, or InputError; written whole or not at all.
+    training, validation : int
+        Numbers of patterns.
+    form : str
+        ``png``, sRGB of 8 bits, or ``exr``, weights and radiance.
+
+    Returns
+    -------
+    float
+        The radiance shown as white in a PNG: the brightest under white light.
+    """
+    if training < 1 or validation < 0:
+        raise InputError(f"{training} training and {validation} validation patterns; expected some")
+    if folder.exists():
+        raise InputError(f"{folder}: is there already; remove it, or name another folder")
+    white = float(light.relight(np.ones(light.projector_shape)).max())
+    new = hidden_sibling(folder, "new")
+    try:
+        remove_tree(new)
+        for name, pattern in _patterns(light, training, validation, seed):
+            (photograph,) = relit_pictures(light, [pattern.reshape(*light.projector_shape, -1)])
+            for place, picture, top in (("", pattern, 1.0), ("cam/raw", photograph, white)):
+                write_picture(new / place / f"{name}.{form}", picture, top)
+        with storage_errors(folder, "writing", resumes=False):
+            new.rename(folder)
+    finally:
+        remove_tree(new)
+    return white
+
+
+def write_picture(
+    path: Path, picture: Float, white: float | None, about: Mapping[str, str] | None = None
+) -> None:
+    """Write a picture, complete or not at all; see `rfpipe.pictures.images.write_image`."""
+    failing = storage_errors(path, "writing", picture.nbytes, resumes=False)
+    with failing, whole_file(path) as partial:
+        write_image(partial, picture, white, about)
+
+
+def _patterns(
+    light: Light, training: int, validation: int, seed: int
+) -> Iterator[tuple[str, Float]]:
+    """Yield names and patterns (H, W, C), views one above the other."""
+    size, channels = RayDomain(light.projector_shape).picture_shape, light.channels
+    for index, level in enumerate(picture_weights(np.array([0, 255, 128], np.uint8), "srgb")):
+        yield f"ref/img_{index + 1:04d}", np.full((*size, channels), level)
+    for place, first, count in (("train", 0, training), ("test", training, validation)):
+        for index in range(count):
+            random = [generator(seed, first + index, channel) for channel in range(channels)]
+            planes = [shapes(size, each) for each in random]
+            yield f"{place}/img_{index + 1:04d}", np.stack(planes, axis=-1).astype(np.float32)
