@@ -53,17 +53,6 @@ def planar_batches(
         yield slice(begin, end), radiance, variance + rounding(radiance)
 
 
-def read_planar(
-    images: LevelImages, channels: int, rays: int, first: int, last: int
-) -> tuple[Float, Float]:
-    """Read some of a level's images, radiance and variance, float32 (last - first, C, rays)."""
-    radiance = np.empty((last - first, channels, rays), np.float32)
-    variance = np.empty_like(radiance)
-    for part, observed, spread in planar_batches(images, channels, rays, first, last):
-        radiance[part], variance[part] = np.moveaxis(observed, 0, 1), np.moveaxis(spread, 0, 1)
-    return radiance, variance
-
-
 def rounding(radiance: Float) -> Float:
     """Return the variance of float32's rounding, which exact radiance has, too; at least tiny."""
     least = np.finfo(np.float32).tiny
@@ -97,8 +86,10 @@ class Pictures:
     ) -> Pictures:
         """Read some of a level's images."""
         lit = images.schedule.batch(first, last) > 0
-        planes = read_planar(images, channels, pixels, first, last)
-        return cls(lit.reshape(len(lit), -1), *planes)
+        radiance, variance = np.empty((2, len(lit), channels, pixels), np.float32)
+        for part, observed, spread in planar_batches(images, channels, pixels, first, last):
+            radiance[part], variance[part] = np.moveaxis(observed, 0, 1), np.moveaxis(spread, 0, 1)
+        return cls(lit.reshape(len(lit), -1), radiance, variance)
 
     def some(self, chosen: slice | NDArray[np.bool_]) -> Pictures:
         """Return some of the pictures."""
