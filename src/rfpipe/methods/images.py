@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from math import prod
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,22 @@ def rounding(radiance: Float) -> Float:
 
 SIGNIFICANT = 3.0
 """What exceeds noise by so many standard deviations is light."""
+
+
+def beyond_noise(
+    grid: tuple[int, ...], cell: NDArray[np.int64], *of_pixels: NDArray[Any]
+) -> NDArray[np.bool_]:
+    """Find the cells of a grid that are off by more than noise makes, and by more than is allowed.
+
+    Of each pixel, which lies in `cell`: its squared errors, what noise makes of them, half of the
+    variance of that, and what is allowed.
+    """
+    wrong, noise, chance, allowed = (
+        np.bincount(cell, each.astype(np.float64), prod(grid)) for each in of_pixels
+    )
+    excess = wrong - noise
+    beyond = (excess > SIGNIFICANT * np.sqrt(2 * chance)) & (excess > allowed)
+    return np.asarray(beyond.reshape(grid))
 
 
 @dataclass(frozen=True)

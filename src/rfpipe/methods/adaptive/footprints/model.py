@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,9 @@ from rfpipe.methods.adaptive.footprints.functions import (
     shared_rays,
 )
 from rfpipe.methods.adaptive.footprints.matching import Templates
-from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, Series
+from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
 from rfpipe.methods.adaptive.patterns import SEED
-from rfpipe.methods.images import SIGNIFICANT
+from rfpipe.methods.images import beyond_noise
 from rfpipe.provenance import generator
 from rfpipe.transport.multiscale import (
     cells,
@@ -290,13 +290,5 @@ def _wanting(chart: Chart, scale: int, exchange: Exchange) -> NDArray[np.bool_]:
     shape, cell = cells(chart.shape, scale), chart.cell_of(scale)
     if exchange.looked_at is not None:
         cell = cell[exchange.looked_at]
-    excess, free, allowed = exchange.beyond(0.004)
-
-    def total(values: NDArray[Any]) -> Double:
-        summed = np.bincount(cell, values.astype(np.float64), int(np.prod(shape)))
-        return summed.astype(np.float64)
-
-    over, chance = total(excess) - total(free), np.sqrt(2 * total(free))
-    wanted = (over > SIGNIFICANT * chance) & (over > total(allowed))
-    mask: NDArray[np.bool_] = wanted.reshape(shape)
-    return mask
+    wrong, noise, allowed = exchange.beyond(0.004)
+    return beyond_noise(shape, cell, wrong, noise, noise, allowed)
