@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,3 +52,9 @@ def settings_of_a_plane(**others: Any) -> Config:
     """Return the settings of a run of one white plane, and others that are given."""
     scenes = {"plane": {"kind": "plane", "surfaces": ["white"]}}
     return parse_config({"scenes": scenes, **others}, "the test")
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """All files below a folder, or a file alone, by their names in it."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return {str(file.relative_to(path)): file.read_bytes() for file in files if file.is_file()}

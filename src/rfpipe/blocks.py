@@ -101,6 +101,16 @@ class RayDomain:
         """Number of views, height and width: values of all rays reshape to images of that shape."""
         return self.views, *self.image_shape
 
+    def squares(self, side: int) -> tuple[tuple[int, int, int], NDArray[np.int64]]:
+        """Return the grid of squares of rays, views first, and the number of each ray's, (size,).
+
+        Squares don't reach over views; those at an image's end may be smaller.
+        """
+        view, row, column = np.indices(self.stack_shape, np.int64).reshape(3, -1)
+        height, width = self.image_shape
+        grid = self.views, -(-height // side), -(-width // side)
+        return grid, np.ravel_multi_index((view, row // side, column // side), grid)
+
     @property
     def picture_shape(self) -> tuple[int, int]:
         """Height and width of the images of all views, one above the other."""

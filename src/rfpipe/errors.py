@@ -17,11 +17,6 @@ if TYPE_CHECKING:
 _USER = re.compile(r"(:/+)[^/\s'\"]*@")
 
 
-def without_password(text: str) -> str:
-    """Return a text in which no URL shows the name and the password of a user."""
-    return _USER.sub(r"\1", text)
-
-
 def installing(extra: str) -> str:
     """Return how to install an extra of rfpipe, for the end of a message.
 
@@ -34,7 +29,7 @@ class RfpipeError(Exception):
     """Base of every error that rfpipe raises on purpose; its message shows no password of a URL."""
 
     def __init__(self, *args: object) -> None:
-        super().__init__(*(without_password(a) if isinstance(a, str) else a for a in args))
+        super().__init__(*(_USER.sub(r"\1", a) if isinstance(a, str) else a for a in args))
 
 
 class ConfigError(RfpipeError):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.collections_ import acquire_item
+from tests.helpers import contents
 from tests.serving import serving
 from typer.testing import CliRunner
 
@@ -70,11 +71,7 @@ def test_a_packed_run_reads_alike_survives_a_zip_and_comes_back(
     invoke = CliRunner().invoke
     said = invoke(app, ["collection", "pack", str(results), "-o", str(packed)]).output
     assert "are shared" in said
-    plain = {
-        path.relative_to(results): path.read_bytes()
-        for path in results.rglob("*")
-        if path.is_file() and ".lock" not in path.name
-    }
+    plain = {name: of for name, of in contents(results).items() if ".lock" not in name}
     stored = sum(path.stat().st_size for path in packed.rglob("objects/*/*"))
     assert stored == sum(len(content) for content in set(plain.values()))
     archive = tmp_path / "packed.zip"
@@ -91,9 +88,7 @@ def test_a_packed_run_reads_alike_survives_a_zip_and_comes_back(
     assert invoke(app, ["verify", str(packed)]).exit_code == 0
     back = tmp_path / "results"
     assert invoke(app, ["collection", "unpack", str(packed), "-o", str(back)]).exit_code == 0
-    assert plain == {
-        path.relative_to(back): path.read_bytes() for path in back.rglob("*") if path.is_file()
-    }
+    assert contents(back) == plain
     largest = max(packed.glob("objects/*/*"), key=lambda path: path.stat().st_size)
     largest.write_bytes(largest.read_bytes()[:-1] + b"?")
     assert invoke(app, ["verify", str(packed)]).exit_code == 1

@@ -113,7 +113,9 @@ scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surface
 scenes: {a: {kind: room, methods: {}}} -> scenes.a.methods is {}
 scenes: {a: {kind: captured, shape: 4 x 5}} -> capture.rig should be remote or offline for scenes.a
 {scenes: {a: &a {kind: captured}, b: *a}, capture: {rig: remote}} -> scenes .* capture.rig remote
+{scenes: {a: &a {kind: captured}, b: *a}, capture: {rig: offline}} -> scenes .* capture.rig offline
 {scenes: {a: {kind: captured, camera_shape: 6 x 7}},capture: {rig: remote}} -> a.methods .* any rig
+scenes: {a: {kind: plane, surfaces: [white], projector: {position: [1, 0, 0]}}} -> .* any rig
 scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is unknown
 """
 

@@ -92,7 +92,8 @@ def test_each_spot_is_judged_by_itself() -> None:
     lit = held.lit[:, None].astype(np.float32)
     equal = np.eye(held.lit.shape[1])[None]
     pictures = Pictures(held.lit, lit, np.zeros_like(lit))
-    found = error_of(transport(equal * ~missing), pictures, np.ones((1, len(missing)), np.float32))
+    ones = np.ones((1, len(missing)), np.float32)
+    found = error_of(transport(equal * ~missing), pictures, ones, ~held.lit)
     assert found.spots == pytest.approx(1 / 40, rel=0.3)
 
 

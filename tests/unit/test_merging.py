@@ -71,6 +71,8 @@ def test_defects_are_unknown_in_one_image_and_in_many() -> None:
     for index in range(4):
         alone = merger.merge(frames[index : index + 1], index)
         np.testing.assert_array_equal(alone.radiance[0], together.radiance[index])
+        np.testing.assert_array_equal(alone.variance[0], together.variance[index])
+    assert together.radiance.dtype == together.variance.dtype == np.float32
 
 
 def test_a_camera_with_no_good_pixel_is_refused() -> None:

@@ -43,7 +43,7 @@ def test_merge_is_unbiased_and_states_its_variance(radiance: float, camera: Came
     assert merged.radiance.std() == pytest.approx(deviation, rel=0.05 if radiance else 0.1)
 
 
-def test_weights_from_the_pooled_estimate_are_unbiased_and_those_from_each_count_are_not() -> None:
+def test_weights_from_the_pooled_estimate_are_unbiased_and_the_best() -> None:
     """Weighting each exposure by its own noisy count pulls dark samples towards zero."""
     collection = np.array([4.0, 6.0, 9.0])  # electrons at a radiance of 1
     noise = np.float32(1.0)
@@ -53,13 +53,9 @@ def test_weights_from_the_pooled_estimate_are_unbiased_and_those_from_each_count
     electrons = drawn.astype(np.float32)
     usable = np.ones(electrons.shape, bool)
     pooled, variance, _ = merge_bracket(electrons, usable, collection, [noise] * 3, 1e3)
-    own = collection[:, None] / (np.maximum(electrons, 0) + noise)
-    naive = (own * electrons).sum(axis=0) / (own * collection[:, None]).sum(axis=0)
     error = np.sqrt(variance.mean() / size)
-    assert abs(naive.mean() - 1) > 50 * error
-    assert naive.mean() < 0.95
     assert abs(pooled.mean(dtype=np.float64) - 1) < 5 * error
-    # and its spread is that of the best linear estimate, which knows the true weights
+    # its spread is that of the best linear estimate, which knows the true weights
     best = 1 / np.sum(collection**2 / (collection + noise))
     assert pooled.var(dtype=np.float64) == pytest.approx(best, rel=0.02)
 
@@ -121,18 +117,6 @@ def test_counts_near_full_scale_are_saturated() -> None:
     frames = np.full((1, 4, 1, 2, 1), first - 1, np.uint16)
     frames[:, :, 0, 0] = first
     assert CAMERA.merge(frames, np.zeros(frames.shape[1:])).saturated == 1
-
-
-def test_merge_of_a_batch_is_the_merge_of_each() -> None:
-    images = np.random.default_rng(0).random((3, 7, 9, 3)).astype(np.float32) * 0.1
-    frames = np.stack([CAMERA.expose(image, 0, (0, index)) for index, image in enumerate(images)])
-    off = black(CAMERA, images[0])
-    together = CAMERA.merge(frames, off)
-    for index in range(3):
-        alone = CAMERA.merge(frames[index : index + 1], off)
-        np.testing.assert_array_equal(alone.radiance[0], together.radiance[index])
-        np.testing.assert_array_equal(alone.variance[0], together.variance[index])
-    assert together.radiance.dtype == together.variance.dtype == np.float32
 
 
 def test_merge_of_no_brackets() -> None:

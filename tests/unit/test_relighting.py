@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from rfpipe.errors import InputError
 from rfpipe.provenance import generator
 from rfpipe.relighting import KINDS, picture_errors, relighting_pictures
 
@@ -54,11 +53,6 @@ def test_the_smallest_domains_are_lit_too(shape):
     drawn = relighting_pictures(shape, 9).reshape(9, -1)
     assert drawn.shape[1] == np.prod(shape)
     assert (drawn.max(axis=1) == 1).all()
-
-
-def test_a_shape_of_no_ray_domain_is_refused():
-    with pytest.raises(InputError):
-        relighting_pictures((7,), 1)
 
 
 def scene(seed: int = 0, direct: float = 1.0) -> np.ndarray:

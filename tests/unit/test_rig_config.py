@@ -31,6 +31,8 @@ def test_the_default_file_holds_the_defaults() -> None:
         ({"kind": "simulated", "scene": PLANE, "bench": {}}, "bench should be null"),
         ({"bench": {"scene": {**PLANE, "channels": 3}}},
          "bench.scene.channels should be 1 with sensor.bayer null, not 3"),
+        ({"bench": {"scene": {**PLANE, "projector": {"position": [1, 0, 0]}}}},
+         "scene should be a coaxial one"),
         ({"bench": {"camera_corners": [[[0, 0], [9, 0], [9, 9], [0, 9]]] * 2}},
          "camera_corners should have four corners for each of 1 views, not for 2"),
     ],

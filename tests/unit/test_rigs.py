@@ -111,18 +111,6 @@ def test_what_is_no_transport(matrix: Any, message: str) -> None:
         rig_of(matrix)
 
 
-def test_patterns_that_cannot_be_shown_are_named() -> None:
-    rig = rig_of(MATRICES)
-    patterns = PATTERNS.copy()
-    patterns[2, 1, 3] = 1.5
-    with pytest.raises(InputError, match=r"pattern \(1, 2\) is 1.5 at projector pixel \(1, 3\)"):
-        rig.capture(patterns, KEYS)
-    with pytest.raises(InputError, match=r"shape \(5, 7, 3\); this projector shows .*3, 7\)"):
-        rig.capture(PATTERNS.transpose(0, 2, 1), KEYS)
-    with pytest.raises(InputError, match="5 patterns came with 4 keys"):
-        rig.capture(PATTERNS, KEYS[:4])
-
-
 def test_an_operator_that_returns_the_wrong_thing() -> None:
     with pytest.raises(CaptureError, match=r"shape \(5, 19, 3\) for patterns \(1, 0\) to \(1, 4\)"):
         rig_of(Callable(np.ones((5, 19, 3)))).capture(PATTERNS, KEYS)

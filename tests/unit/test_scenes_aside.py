@@ -4,12 +4,9 @@ from itertools import cycle
 
 import numpy as np
 import pytest
-from tests.helpers import dense
 
-from rfpipe import acquire
-from rfpipe.config import SceneSettings, parse_config, parse_rig_config
-from rfpipe.errors import ConfigError, InputError
-from rfpipe.rigs import SimulatedRig
+from rfpipe.config import SceneSettings
+from rfpipe.errors import InputError
 from rfpipe.scenes import (
     GEOMETRIES,
     Occluder,
@@ -171,18 +168,3 @@ def test_impossible_places_are_refused():
             planes_scene(geometry, white, (4, 5), projector=Pinhole((4, 5), place, (9, 0, 9)))
     with pytest.raises(ValueError, match="another point to look at"):
         SceneSettings.of("plane", projector={"position": (0, 1, 3)})
-
-
-def test_a_scene_that_is_lit_from_aside_is_acquired():
-    scene = aside("sphere_on_plane", (7, 8), (5, 9))
-    transport = acquire(SimulatedRig(scene), "brute_force", progress=False).transport
-    np.testing.assert_allclose(dense(transport)[0], scene.dense(), rtol=1e-5)
-
-
-def test_methods_for_coaxial_rigs_are_refused():
-    scene = {"kind": "plane", "surfaces": ["white"], "projector": {"position": [1, 0, 0]}}
-    with pytest.raises(ConfigError, match=r"scenes\.lit\.methods should be methods for any rig"):
-        parse_config({"scenes": {"lit": scene}, "methods": {"symmetric": {}}}, "mine.yaml")
-    assert parse_config({"scenes": {"lit": scene}, "methods": {"dual": {}}}, "mine.yaml")
-    with pytest.raises(ConfigError, match=r"scene should be a coaxial one"):
-        parse_rig_config({"bench": {"scene": {**scene, "channels": 1}}}, "bench.yaml")

@@ -81,14 +81,6 @@ def test_each_bounce_adds_light(small):
     assert np.array_equal(matrices[2], small.dense(1))
 
 
-def test_compressed_scenes_make_the_same_light(monkeypatch):
-    plain, packed = (room_scene(SURFACES, (20, 30), views=(2, 2), channels=1) for _ in range(2))
-    patterns = np.random.default_rng(0).random((2, *plain.shape))
-    exact = plain.apply(patterns)
-    monkeypatch.setattr("rfpipe.scenes.radiosity.DENSE_LIMIT", 0)
-    assert packed.apply(patterns) == pytest.approx(exact, rel=1e-5)
-
-
 @pytest.mark.parametrize("shape", [(8, 12), (26, 40)])
 def test_no_light_is_made_and_the_default_camera_takes_it(shape):
     scene = room_scene(SURFACES, shape, views=(3, 3))

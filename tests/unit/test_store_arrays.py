@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import zarr
 from numpy.typing import NDArray
+from tests.helpers import contents
 
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.store import FrameStore, open_arrays, write_arrays
@@ -30,10 +31,6 @@ def example() -> dict[str, NDArray[Any]]:
     }
 
 
-def tree(path: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
-
-
 def test_arrays_come_back_as_they_went_in(tmp_path: Path) -> None:
     arrays = example()
     path = tmp_path / "new folder" / "transport.zarr"
@@ -42,7 +39,7 @@ def test_arrays_come_back_as_they_went_in(tmp_path: Path) -> None:
     assert bundle.names == tuple(sorted(arrays))
     assert bundle.attributes == ATTRIBUTES
     assert bundle.digest == digest
-    assert bundle.nbytes_stored == sum(map(len, tree(path).values()))
+    assert bundle.nbytes_stored == sum(map(len, contents(path).values()))
     for name, array in arrays.items():
         assert bundle.shape(name) == array.shape
         assert bundle.dtype(name) == array.dtype
@@ -62,7 +59,7 @@ def test_bytes_and_digest_are_the_same_each_time_and_in_any_order(tmp_path: Path
     first = write_arrays(tmp_path / "a", arrays, ATTRIBUTES)
     second = write_arrays(tmp_path / "b", backwards, dict(reversed(ATTRIBUTES.items())))
     assert first == second
-    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
 def test_digest_tells_names_values_dtypes_shapes_and_attributes_apart(tmp_path: Path) -> None:
@@ -77,12 +74,12 @@ def test_digest_tells_names_values_dtypes_shapes_and_attributes_apart(tmp_path: 
 
 def test_what_a_kill_left_is_cleared(tmp_path: Path) -> None:
     write_arrays(tmp_path / "s", {"a": np.arange(3)}, {})
-    intact = tree(tmp_path / "s")
+    intact = contents(tmp_path / "s")
     for leftover in (".s.new", ".s.removed"):
         (tmp_path / leftover / "a").mkdir(parents=True)
         (tmp_path / leftover / "a" / "zarr.json").write_text("half")
     write_arrays(tmp_path / "s", {"a": np.arange(3)}, {})
-    assert tree(tmp_path / "s") == intact
+    assert contents(tmp_path / "s") == intact
     assert [p.name for p in tmp_path.iterdir()] == ["s"]
 
 

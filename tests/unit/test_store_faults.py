@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.helpers import contents
 from tests.waiting import wait_until
 
 from rfpipe.errors import LockedError, StoreError
@@ -68,10 +69,6 @@ def running(code: str, path: Path, says: bytes) -> subprocess.Popen[bytes]:
     return program
 
 
-def tree(path: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
-
-
 def start_writer(
     path: Path, chunks: tuple[int, int], pause: float, last: float = np.inf
 ) -> subprocess.Popen[bytes]:
@@ -99,7 +96,7 @@ def test_killed_writers_resume_to_the_same_bytes(tmp_path: Path, chunks: tuple[i
         before, captured = captured, int(FrameStore.open(path).done.sum())
         assert before < captured <= N_ITEMS
     assert start_writer(path, chunks, 0).wait() == 0
-    assert tree(path) == tree(tmp_path / "whole")
+    assert contents(path) == contents(tmp_path / "whole")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["s", "whole"]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import zarr
 from numpy.typing import NDArray
+from tests.helpers import contents
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StaleStoreError, StoreError
 from rfpipe.store import FrameStore, ItemWriter, bytes_on_disk
@@ -38,10 +39,6 @@ def filled(path: Path, frames: NDArray[Any], **options: Any) -> str:
         return store.digest()
 
 
-def tree(path: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
-
-
 @pytest.mark.parametrize(("items_per_chunk", "chunks_per_file"), [(1, 1), (3, 1), (1, 3)])
 @pytest.mark.parametrize("dtype", [COUNTS, RADIANCE])
 def test_frames_come_back_as_they_went_in(
@@ -64,14 +61,14 @@ def test_frames_come_back_as_they_went_in(
     assert reader.attributes == {"unit": "count", "exposures": [0.5, 1.0]}
     assert (reader.fingerprint, reader.shape, reader.dtype) == ("abc", SHAPE, np.dtype(dtype))
     assert reader.items_per_file == items_per_chunk * chunks_per_file
-    ours = tree(path)
+    ours = contents(path)
     assert bytes_on_disk(path) == sum(map(len, ours.values()))
     for start, stop in ((0, 7), (1, 4), (5, 5)):
         np.testing.assert_array_equal(reader.read(start, stop), frames[start:stop])
     # any zarr reader opens it, and zarr itself would write the same files
     np.testing.assert_array_equal(zarr.open_array(path, mode="r")[...], frames)
     zarr.open_array(path, mode="r+")[...] = frames
-    assert tree(path) == ours
+    assert contents(path) == ours
 
 
 def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> None:
@@ -88,7 +85,7 @@ def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> 
         store.write(0, frames[:2])
         store.write(4, frames[4:6])
     assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames, items_per_chunk=2)
-    assert tree(path)["journal.jsonl"] == tree(tmp_path / "plain")["journal.jsonl"]
+    assert contents(path)["journal.jsonl"] == contents(tmp_path / "plain")["journal.jsonl"]
     with pytest.raises(StaleStoreError, match="fingerprint abc instead of old"):
         ItemWriter(path, "old")
     with pytest.raises(StoreError, match="isn't open for writing"):
@@ -118,7 +115,7 @@ def test_large_frames_compress_to_the_same_bytes_each_time(tmp_path: Path) -> No
     frames = counts((1, 700, 900, 3))
     filled(tmp_path / "a", frames)
     filled(tmp_path / "b", frames)
-    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
 def test_black_frames_and_none_at_all_count_as_captured(tmp_path: Path) -> None:
@@ -154,7 +151,7 @@ def test_resume_goes_on_where_it_stopped_and_keeps_its_layout(tmp_path: Path) ->
         with create(path, **options) as store:
             assert store.missing() == [(start, 7)]
             store.write(start, frames[start : start + 4])
-    assert tree(path) == tree(tmp_path / "whole")
+    assert contents(path) == contents(tmp_path / "whole")
 
 
 def test_a_reader_sees_what_is_captured_while_another_writes(tmp_path: Path) -> None:
@@ -184,7 +181,7 @@ def test_damage_is_named_and_healed_by_the_next_writer(
 ) -> None:
     frames, path = counts(), tmp_path / "s"
     digest = filled(path, frames, **layout)
-    intact = tree(path)
+    intact = contents(path)
     first, chunk = (4, path / "c.2.0.0.0.0") if layout else (5, path / "c.5.0.0.0.0")
     whole = chunk.read_bytes()
     chunk.write_bytes(
@@ -204,7 +201,7 @@ def test_damage_is_named_and_healed_by_the_next_writer(
         store.write(first, frames[first:6])
         assert store.digest() == digest
     assert "are damaged and will be written again" in caplog.text
-    assert tree(path) == intact
+    assert contents(path) == intact
 
 
 @pytest.mark.parametrize(("cut", "lost"), [(1, 1), (20, 1), (90, 2)])
@@ -214,14 +211,14 @@ def test_a_torn_journal_line_does_not_count(
 ) -> None:
     frames, path = counts((8, 5)), tmp_path / "s"
     filled(path, frames, items_per_chunk=items_per_chunk)
-    intact = tree(path)
+    intact = contents(path)
     (path / "journal.jsonl").write_bytes(intact["journal.jsonl"][:-cut])
     first = (8 - lost) // items_per_chunk * items_per_chunk
     np.testing.assert_array_equal(np.flatnonzero(~FrameStore.open(path).done), range(first, 8))
     with create(path, frames.shape) as store:
         assert store.missing() == [(first, 8)]
         store.write(first, frames[first:])
-    assert tree(path) == intact
+    assert contents(path) == intact
 
 
 @pytest.mark.parametrize(
@@ -236,14 +233,14 @@ def test_a_torn_journal_line_does_not_count(
 def test_an_altered_journal_line_does_not_count(tmp_path: Path, line: bytes) -> None:
     frames, path = counts((6, 5)), tmp_path / "s"
     filled(path, frames)
-    intact = tree(path)
+    intact = contents(path)
     lines = intact["journal.jsonl"].splitlines()
     lines[3] = line
     (path / "journal.jsonl").write_bytes(b"\n".join(lines) + b"\n")
     with create(path, frames.shape) as store:
         assert store.missing() == [(3, 4)]
         store.write(3, frames[3:4])
-    assert tree(path) == intact
+    assert contents(path) == intact
 
 
 def test_leftovers_of_a_kill_are_cleared(tmp_path: Path) -> None:
@@ -251,12 +248,12 @@ def test_leftovers_of_a_kill_are_cleared(tmp_path: Path) -> None:
     (tmp_path / ".s.new").mkdir()
     (tmp_path / ".s.new" / "zarr.json").write_text("half")
     filled(path, counts())
-    intact = tree(path)
+    intact = contents(path)
     (path / ".c.6.0.0.0.1234.partial").write_bytes(b"half a chunk")
     (path / ".partial-journal.jsonl").write_bytes(b"half a journal")
     with create(path) as store:
         assert store.complete
-    assert tree(path) == intact
+    assert contents(path) == intact
     assert [p.name for p in tmp_path.iterdir()] == ["s"]
 
 
@@ -289,10 +286,10 @@ def test_a_stale_store_is_refused_until_discarded(
     tmp_path: Path, change: dict[str, Any], named: str
 ) -> None:
     filled(tmp_path / "s", counts())
-    intact = tree(tmp_path / "s")
+    intact = contents(tmp_path / "s")
     with pytest.raises(StaleStoreError, match=named):
         create(tmp_path / "s", **change)
-    assert tree(tmp_path / "s") == intact
+    assert contents(tmp_path / "s") == intact
     FrameStore.discard(tmp_path / "s")
     FrameStore.discard(tmp_path / "s")  # nothing there is fine
     assert list(tmp_path.iterdir()) == []

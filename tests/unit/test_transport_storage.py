@@ -5,6 +5,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from tests.helpers import contents
 from tests.property.test_hierarchical import random_transport
 
 import rfpipe
@@ -123,8 +124,7 @@ def test_results_and_bytes_are_the_same_on_any_number_of_threads(
             save_transport(transport, path, "uint8")
             opened = open_transport(path)
             images = [opened.relight_batch(np.repeat(PATTERNS[:1], n, 0)) for n in (1, 3, 20)]
-            stored = filter(Path.is_file, path.rglob("*"))
-            found.append((images, {p.relative_to(path): p.read_bytes() for p in stored}))
+            found.append((images, contents(path)))
     finally:
         numba.set_num_threads(threads)
     for first, last in zip(found[0][0], found[-1][0], strict=True):

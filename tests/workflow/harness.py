@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from tests.helpers import contents
 from tests.waiting import PATIENCE_SECONDS, wait_until
 from tests.workflow.starter import SNAKEMAKE, run_snakemake
 
@@ -100,12 +101,8 @@ class Workflow:
 
     def contents(self, name: str) -> dict[str, bytes]:
         """All bytes that the stages left of an acquisition: manifests, stores and journals."""
-        folder = self.path(name)
-        return {
-            str(path.relative_to(folder)): path.read_bytes()
-            for path in sorted(folder.rglob("*"))
-            if path.is_file() and not path.name.endswith((".log", ".asked", "benchmark.tsv"))
-        }
+        files, left_out = contents(self.path(name)), (".log", ".asked", "benchmark.tsv")
+        return {name: files[name] for name in sorted(files) if not name.endswith(left_out)}
 
     def copy_to(self, folder: Path) -> Workflow:
         """Copy the whole run, Snakemake's records and times included."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.helpers import contents
 
 from rfpipe.config import CameraConfig
 from rfpipe.photometry import CameraModel, Sensor
@@ -138,14 +139,6 @@ class FaultyRig:
         ]
         self.shown += keys
         return np.stack(frames)
-
-
-def contents(store: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(store)): path.read_bytes()
-        for path in (store.rglob("*") if store.is_dir() else [store])
-        if path.is_file()
-    }
 
 
 def left(path: Path) -> dict[str, bytes]:

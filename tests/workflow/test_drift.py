@@ -14,7 +14,7 @@ from rfpipe.errors import CaptureError
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.watch import look_count, look_positions
+from rfpipe.stages.watch import look_positions
 from rfpipe.store import FrameStore
 from rfpipe.units import LOOK_KEY, WARM_UP_KEY
 
@@ -158,14 +158,6 @@ def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Pat
         mine.capture(1, watching={**WATCHING, "looks": every})
         assert mine.folder.read_manifest(1, "capture")["moves"]["every"] == EVERY
     assert len(mine.rig.keys) == taken
-
-
-def test_looks_stand_before_their_patterns_and_after_the_last() -> None:
-    for patterns, every in ((1, 1), (7, 3), (9, 3), (5, 100)):
-        at = look_positions(patterns, every)
-        assert len(at) == look_count(patterns, every)
-        assert at[-1] == patterns
-        assert (np.diff(at) <= every).all()
 
 
 def test_the_lamp_warms_up_when_it_may_have_been_off(

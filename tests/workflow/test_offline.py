@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from rfpipe import OperatorRig, open_transport
 from rfpipe.cli import app
 from rfpipe.config import CameraConfig, load_config, parse_config
-from rfpipe.errors import ConfigError, InputError, RfpipeError
+from rfpipe.errors import InputError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
@@ -228,12 +228,6 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
     mean = picture[1:9, 2:12].reshape(4, 2, 5, 2).mean(axis=(1, 3))
     seen = rig.sensor.resampling.matrix @ picture.ravel()
     np.testing.assert_allclose(seen, mean.ravel(), rtol=1e-6)
-
-
-def test_one_scene_is_captured_by_files() -> None:
-    scenes = {"a": {"kind": "captured"}, "b": {"kind": "captured"}}
-    with pytest.raises(ConfigError, match="rig offline"):
-        parse_config({**SETTINGS, "scenes": scenes}, "it")
 
 
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:

@@ -57,19 +57,17 @@ def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str,
     return read_manifest(folder.path / verification.MANIFEST)
 
 
-class Stopping(OperatorRig):
+class Stopping(FaultyRig):
     """A rig that stops at a key, and counts what it shows."""
 
     def __init__(self) -> None:
-        super().__init__(list(wedge()), SHAPE, SHAPE, CameraModel())
+        super().__init__(OperatorRig(list(wedge()), SHAPE, SHAPE, CameraModel()), self._stop)
         self.stops_at: tuple[int, ...] | None = None
-        self.shown: list[tuple[int, ...]] = []
 
-    def capture(self, patterns: Any, keys: Any) -> Any:
-        if self.stops_at in map(tuple, keys):
+    def _stop(self, key: tuple[int, ...], frame: Any) -> Any:
+        if key == self.stops_at:
             raise KeyboardInterrupt
-        self.shown += map(tuple, keys)
-        return super().capture(patterns, keys)
+        return frame
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from math import prod
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,17 +54,6 @@ def planar_batches(
         yield slice(begin, end), radiance, variance + rounding(radiance)
 
 
-def read_planar(
-    images: LevelImages, channels: int, rays: int, first: int, last: int
-) -> tuple[Float, Float]:
-    """Read some of a level's images, radiance and variance, float32 (last - first, C, rays)."""
-    radiance = np.empty((last - first, channels, rays), np.float32)
-    variance = np.empty_like(radiance)
-    for part, observed, spread in planar_batches(images, channels, rays, first, last):
-        radiance[part], variance[part] = np.moveaxis(observed, 0, 1), np.moveaxis(spread, 0, 1)
-    return radiance, variance
-
-
 def rounding(radiance: Float) -> Float:
     """Return the variance of float32's rounding, which exact radiance has, too; at least tiny."""
     least = np.finfo(np.float32).tiny
@@ -73,6 +63,22 @@ def rounding(radiance: Float) -> Float:
 
 SIGNIFICANT = 3.0
 """What exceeds noise by so many standard deviations is light."""
+
+
+def beyond_noise(
+    grid: tuple[int, ...], cell: NDArray[np.int64], *of_pixels: NDArray[Any]
+) -> NDArray[np.bool_]:
+    """Find the cells of a grid that are off by more than noise makes, and by more than is allowed.
+
+    Of each pixel, which lies in `cell`: its squared errors, what noise makes of them, half of the
+    variance of that, and what is allowed.
+    """
+    wrong, noise, chance, allowed = (
+        np.bincount(cell, each.astype(np.float64), prod(grid)) for each in of_pixels
+    )
+    excess = wrong - noise
+    beyond = (excess > SIGNIFICANT * np.sqrt(2 * chance)) & (excess > allowed)
+    return np.asarray(beyond.reshape(grid))
 
 
 @dataclass(frozen=True)
@@ -97,8 +103,10 @@ class Pictures:
     ) -> Pictures:
         """Read some of a level's images."""
         lit = images.schedule.batch(first, last) > 0
-        planes = read_planar(images, channels, pixels, first, last)
-        return cls(lit.reshape(len(lit), -1), *planes)
+        radiance, variance = np.empty((2, len(lit), channels, pixels), np.float32)
+        for part, observed, spread in planar_batches(images, channels, pixels, first, last):
+            radiance[part], variance[part] = np.moveaxis(observed, 0, 1), np.moveaxis(spread, 0, 1)
+        return cls(lit.reshape(len(lit), -1), radiance, variance)
 
     def some(self, chosen: slice | NDArray[np.bool_]) -> Pictures:
         """Return some of the pictures."""

@@ -124,8 +124,9 @@ def find_hot(dark: DarkFrames) -> Mask:
     variance = dark.variance if count > 1 else None
     hot = np.zeros(black.shape[1:], bool)
     for exposure, mean in enumerate(black):
-        centre, deviation = _robust(mean)
-        hot |= np.abs(mean - centre) > _threshold(mean.size) * max(deviation, floor)
+        apart = np.abs(mean - float(np.median(mean)))
+        deviation = MAD_TO_DEVIATION * float(np.median(apart))
+        hot |= apart > _threshold(mean.size) * max(deviation, floor)
         if variance is not None:
             hot |= _noisy(variance[exposure], count - 1, floor * np.sqrt(count))
     return hot
@@ -152,12 +153,6 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
 def _threshold(size: int) -> float:
     """Deviations that none of `size` good Gaussian pixels exceeds."""
     return SIGNIFICANCE + float(np.sqrt(2 * np.log(max(size, 2))))
-
-
-def _robust(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return median and robust standard deviation."""
-    centre = float(np.median(values))
-    return centre, MAD_TO_DEVIATION * float(np.median(np.abs(values - centre)))
 
 
 def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float32]
 
-BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
-"""Colours of the photosites (0, 0), (0, 1), (1, 0), (1, 1)."""
-
 # Bilinear weights, for red, green and blue, of a pixel's own photosite, its direct and its diagonal
 # neighbours, where they have the colour.
 _WEIGHTS = ((1, 0.5, 0.25), (1, 0.25, 0), (1, 0.5, 0.25))
@@ -55,7 +52,7 @@ def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Flo
     ----------
     radiance, variance : ndarray of float32, shape (..., H, W)
     pattern : str
-        One of `BAYER_PATTERNS`.
+        RGGB, BGGR, GRBG or GBRG: colours of the photosites (0, 0), (0, 1), (1, 0), (1, 1).
 
     Returns
     -------

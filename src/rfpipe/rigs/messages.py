@@ -282,7 +282,7 @@ class _Facts(BaseModel):
     keys: Annotated[list[_Key], Field(max_length=_MOST_MEMBERS)]
 
 
-def read_token(file: Path | None = None, variable: str = "RFPIPE_TOKEN") -> str:
+def read_token(file: Path | None = None) -> str:
     """Read the bearer token from a file or from the environment; never from a command line.
 
     The file holds nothing but the token, 16 to 512 visible ASCII characters, and nobody but its
@@ -294,7 +294,7 @@ def read_token(file: Path | None = None, variable: str = "RFPIPE_TOKEN") -> str:
         When there is none, others may read the file, or the token is too short, too long or holds
         other characters. No message shows it.
     """
-    source, token = f"the environment variable {variable}", os.environ.get(variable, "")
+    source, token = "the environment variable RFPIPE_TOKEN", os.environ.get("RFPIPE_TOKEN", "")
     if file is not None:
         source = str(file)
         try:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
 from rfpipe.provenance import versions
 from rfpipe.store import (
-    ArrayBundle,
     FrameStore,
     ItemWriter,
     keep_header,
@@ -32,6 +31,7 @@ from rfpipe.store import (
 )
 from rfpipe.store.files import digest_of
 from rfpipe.store.places import Place
+from rfpipe.transport.arrays import LazyArrays
 from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
 
 REFERENCE = "reference"
@@ -183,7 +183,8 @@ class AcquisitionFolder:
                     f"{bundle.path}: holds other patterns than {manifest.name} says. Run the "
                     "stage that writes it again"
                 )
-        return _Opened(bundle, manifest), bundle.attributes
+        read = advice_on_damage(manifest)(bundle.read)
+        return LazyArrays(bundle.names, read), bundle.attributes
 
     @contextmanager
     def frames(self, level: int, stage: str, part: str | None = None) -> Iterator[FrameStore]:
@@ -254,29 +255,6 @@ class AcquisitionFolder:
     def refined_above(self, level: int | None) -> list[str]:
         """Return the digests of all refinements above a level, which its schedule rests on."""
         return [self.read_manifest(above, "refine")["digest"] for above in self.levels_above(level)]
-
-
-@dataclass(frozen=True)
-class _Opened(Mapping[str, NDArray[Any]]):
-    """The arrays of a store, by name; the error of a damaged one tells how to mend it."""
-
-    bundle: ArrayBundle
-    manifest: Path
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self.bundle.names:
-            raise KeyError(name)
-        with advice_on_damage(self.manifest):
-            return self.bundle.read(name)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.bundle.names  # known without reading the array
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.bundle.names)
-
-    def __len__(self) -> int:
-        return len(self.bundle.names)
 
 
 def name_of(level: int) -> str:

@@ -61,7 +61,7 @@ class ArrayTransport(Transport):
 
     @classmethod
     def _opened(cls, bundle: ArrayBundle, keep: bool) -> Arrays:  # noqa: ARG003
-        return LazyArrays(bundle.names, bundle.read)
+        return LazyArrays(bundle.names, cache(bundle.read))
 
 
 class DenseTransport(ArrayTransport):
@@ -137,16 +137,18 @@ class LevelTransport(Transport):
 
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
-    """Named arrays that are read when first used."""
+    """Named arrays that are read when used."""
 
     def __init__(self, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> None:
-        self._names = tuple(names)
-        self._read = cache(read)
+        self._names, self._read = names, read
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._names:
             raise KeyError(name)
         return self._read(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names  # known without reading the array
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)

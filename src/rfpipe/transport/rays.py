@@ -107,19 +107,13 @@ def coarser(transport: Light, factor: int) -> RegroupedTransport:
 
 
 def squares(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_array[np.float32]]:
-    """Return the grid of squares of rays, and the matrix (squares, rays) that adds them up.
-
-    Squares don't reach over views; those at an image's end may be smaller.
-    """
+    """Return the grid of `RayDomain.squares`, and the matrix (squares, rays) that adds them up."""
     from scipy.sparse import csr_array
 
-    view, row, column = np.indices(RayDomain(shape).stack_shape, np.int64)
-    grid = (*shape[:-2], -(-shape[-2] // side), -(-shape[-1] // side))
-    where = (view, row // side, column // side)
-    square = np.ravel_multi_index(where, RayDomain(grid).stack_shape).ravel()
-    ones = np.ones(square.size, np.float32)
-    matrix = csr_array((ones, (square, np.arange(square.size))), shape=(prod(grid), square.size))
-    return grid, matrix
+    (views, *image), square = RayDomain(shape).squares(side)
+    ones, size = np.ones(square.size, np.float32), (views * prod(image), square.size)
+    matrix = csr_array((ones, (square, np.arange(square.size))), shape=size)
+    return (*shape[:-2], *image), matrix
 
 
 def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTransport:

@@ -147,14 +147,9 @@ class Cells:
 
     def __init__(self, shape: tuple[int, ...], side: int) -> None:
         self.shape, self.side = tuple(shape), side
-        grid, self._sums = squares(self.shape, side)
-        self.stack = RayDomain(grid).stack_shape
-        self.count = math.prod(grid)
-
-    @cached_property
-    def of_ray(self) -> NDArray[np.int64]:
-        """Each ray's cell, (N,)."""
-        return self._sums.tocsc().indices.astype(np.int64)
+        self.stack, self.of_ray = RayDomain(self.shape).squares(side)
+        self.count = math.prod(self.stack)
+        self._sums = squares(self.shape, side)[1]
 
     @cached_property
     def haar(self) -> Haar:

@@ -5,7 +5,6 @@ They are drawn from those that people relight (`rfpipe.relighting`): shapes, bar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -127,10 +126,11 @@ def relit(transport: Transport, patterns: NDArray[Any]) -> Float:
     return transport.forward(light, range(transport.channels))
 
 
-def error_of(
-    transport: Transport, held: Pictures, floodlit: Float, dark: Bools | None = None
-) -> Estimate:
-    """Compare a transport's pictures with the held-out ones, where pixels are known.
+def error_of(transport: Transport, held: Pictures, floodlit: Float, dark: Bools) -> Estimate:
+    """Compare a transport's pictures with the held-out ones, each part where it is brightest.
+
+    What noise adds is taken off: that of the pictures' variances, times the scale that the two
+    pictures of the first pattern tell. Pixels that aren't known don't count.
 
     Parameters
     ----------
@@ -138,26 +138,11 @@ def error_of(
     held : Pictures
         Of `held_out_patterns`, in their order.
     floodlit : ndarray of float32, shape (C, M)
-    dark : ndarray of bool, shape (pictures, M), optional
-        The pixels that get no direct light, where these are known.
+    dark : ndarray of bool, shape (pictures, M)
+        The pixels that get no direct light.
     """
     parts = held_out_parts(transport.projector_shape)
-    return estimate([relit(transport, each) for each in parts], parts, held, floodlit, dark)
-
-
-def estimate(
-    predicted: Sequence[Float],
-    parts: Sequence[Bools],
-    held: Pictures,
-    floodlit: Float,
-    dark: Bools | None = None,
-) -> Estimate:
-    """Compare predicted pictures with held-out ones, each part in the pixels where it is brightest.
-
-    What noise adds is taken off: that of the pictures' variances, times the scale that the two
-    pictures of the first pattern tell. Of each picture `parts` are its pattern's, bool (parts, N),
-    and `predicted` their light, float32 (parts, C, M).
-    """
+    predicted = [relit(transport, each) for each in parts]
     known = held.known
     taken, variance = (
         each[..., known].astype(np.float64) for each in (held.radiance, held.variance)
@@ -177,8 +162,6 @@ def estimate(
         chance = np.sqrt(2 * np.square(noise[index]) @ judged)
         errors[kind].append(_mean_error(wrong[index] @ judged, chance, whole))
     by_kind = {kind: float(np.mean(errors[kind])) for kind in KINDS}
-    if dark is None:
-        return Estimate(**by_kind)
     # of many parts together, errors add up as chance does, and light more than that: each is judged
     # by its share of the error, and by the light that it is predicted to send there alone
     count = np.array([len(pattern) for pattern in parts])

@@ -8,11 +8,8 @@ single places, symmetric photography comes before that.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from math import log2
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +20,7 @@ from rfpipe.methods.adaptive.patterns import probe_patterns
 from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive
 from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit, light_range
 from rfpipe.methods.adaptive.state import AdaptiveState
-from rfpipe.methods.base import LevelImages, Method, get_method
-from rfpipe.methods.images import Pictures
+from rfpipe.methods.base import LevelImages
 from rfpipe.methods.states import kept
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
@@ -61,13 +57,9 @@ class NearFar(Adaptive):
     needs_coaxial_rig = True
     bytes_per_ray = 10_000
     way = COAXIAL
+    goes_down = "symmetric"
     trials = (0.05, 0.01, 0.003)
     State = NearFarState
-
-    @cached_property
-    def hierarchy(self) -> Method[Any]:
-        """Symmetric photography."""
-        return get_method("symmetric")
 
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return rounds of smooth light, of what it leaves, the hierarchy, and what that leaves."""
@@ -75,8 +67,6 @@ class NearFar(Adaptive):
         return (*model, *BLOCK_ROUNDS, *self.below(projector))
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        if self.slot(state)[0] == "residual":
-            return super()._patterns(state, count)
         shape, level = state.projector.shape, state.level
         return probe_patterns(shape, level, count, self._range(state) if level > 1 else None)
 
@@ -90,41 +80,30 @@ class NearFar(Adaptive):
         completed = after.pictures.completed(state.projector.shape)
         return state.after(after.rows[-1], taken=completed)
 
-    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
-        """Fit smooth light, or what the better model leaves of all pictures."""
-        if self.slot(state, back=1)[0] == "residual":
-            return super()._fitted(state, images, first)
-        shape, count = state.projector.shape, images.schedule.count
-        more = Pictures.read(images, state.channels, state.projector.size, first, count)
-        state = state.changed(taken=more)
+    def _fitted(self, state: AdaptiveState) -> AdaptiveState:
+        """Fit smooth light; from the second round on, find what it leaves."""
+        shape = state.projector.shape
         # a solution a scale, two of all, one of each channel
         with steps("smooth light", round(log2(coarsest_scale(shape))) + 2 + state.channels):
             model = fit(shape, state.pictures)
         state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
-        return self._where_it_helps(state) if state.level > 2 else state
-
-    def _where_it_helps(self, state: AdaptiveState) -> AdaptiveState:
-        """Find what smooth light leaves, where that helps: then rounds of blocks follow."""
+        if state.level <= 2:
+            return state
+        # where that helps, rounds of blocks follow
         after = self._with_residual(state)
-        [(_, base)] = self._bases(state)
-        error = self._estimate(state, base).error
-        helps = self._best(after)[1].error < _HELPS * error
+        helps = self._best(after)[0].error < _HELPS * self._best(state)[0].error
         return after if helps else state
 
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         assert state.held is not None
         return np.asarray(~state.held.lit)
 
-    def _bases(self, state: AdaptiveState) -> Iterator[tuple[bool, SumTransport]]:
-        """Yield smooth light, and the hierarchy if there is one, and whether it is that."""
+    def _model(self, state: AdaptiveState, *more: Transport) -> SumTransport:
+        """Return smooth light and more parts; the rest is direct light."""
         rows = list(state.rows)
-        yield False, as_transport(state.projector.shape, rows, state.model, state.pictures)
-        if state.inner is not None:
-            yield True, SumTransport([self.hierarchy.transport(state.inner)], rows)
+        return as_transport(state.projector.shape, rows, state.model, state.pictures, more)
 
-    def _with_rest(
-        self, state: AdaptiveState, base: SumTransport, rest: Transport, of_hierarchy: bool
-    ) -> SumTransport:
-        """Return smooth light, or the hierarchy, and what it leaves; the rest is direct light."""
-        model, parts = (None, [*base.parts, rest]) if of_hierarchy else (state.model, [rest])
-        return as_transport(state.projector.shape, list(state.rows), model, state.pictures, parts)
+    def _instead(self, state: AdaptiveState, *parts: Transport) -> SumTransport:
+        """Return the hierarchy and what it leaves; the rest is direct light."""
+        rows = list(state.rows)
+        return as_transport(state.projector.shape, rows, None, state.pictures, parts)

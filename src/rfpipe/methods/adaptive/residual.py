@@ -199,7 +199,9 @@ def residual_of(
     """
     channels, cells = len(canvas.factor), canvas.cells
     lamp, factor = (cells, canvas.factor) if sender is None else (sender.cells, sender.factor)
-    residual = pictures.radiance - _predicted(canvas, pictures.lit, model)
+    batches = np.split(pictures.lit, range(64, len(pictures.lit), 64))
+    predicted = [canvas.reduced(relit(model, lit)) for lit in batches]
+    residual = pictures.radiance - np.concatenate(predicted)
     # a picture may be wrong by a part of the brightest light in any case
     expected = np.square(np.float32(5e-4) * canvas.brightest)
     variance = pictures.variance + expected[:, None]
@@ -286,12 +288,6 @@ def _between(canvas: Canvas, model: Transport, channel: int, sender: Sender | No
     received = cells.shared_out(factor * canvas.known, weight)
     matrix = model.between(received, lamp.shared_out(sent, light), channel)
     return matrix if sender is not None else np.float32(0.5) * (matrix + matrix.T)
-
-
-def _predicted(canvas: Canvas, lit: NDArray[np.bool_], model: Transport) -> Float:
-    """Return a model's pictures of patterns, as `CellPictures.radiance`."""
-    parts = [lit[first : first + 64] for first in range(0, len(lit), 64)]
-    return np.concatenate([canvas.reduced(relit(model, part)) for part in parts])
 
 
 def _kept(cores: Float, weights: NDArray[np.float64], sent: Float) -> Residual:

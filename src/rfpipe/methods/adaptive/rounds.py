@@ -11,6 +11,7 @@ import logging
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import takewhile
 from typing import Any, ClassVar
 
@@ -28,7 +29,15 @@ from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, error_of, held_
 from rfpipe.methods.adaptive.patterns import block_patterns
 from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, residual_of
 from rfpipe.methods.adaptive.state import SURE, AdaptiveState
-from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Method, Pack, options_of
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    ErrorOptions,
+    LevelImages,
+    Method,
+    Pack,
+    get_method,
+    options_of,
+)
 from rfpipe.methods.images import ImagesAs, Pictures
 from rfpipe.methods.states import PackingMethod, joined, level_row, unprefixed
 from rfpipe.patterns import Schedule
@@ -49,11 +58,13 @@ class Adaptive(PackingMethod[AdaptiveState]):
     trades = "target_error"
     State: ClassVar[type[AdaptiveState]] = AdaptiveState
     way: ClassVar[Way]
+    goes_down: ClassVar[str]
+    """Name of the method that goes down the block tree."""
 
-    @property
-    @abstractmethod
+    @cached_property
     def hierarchy(self) -> Method[Any]:
         """The method that goes down the block tree."""
+        return get_method(self.goes_down)
 
     @abstractmethod
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
@@ -86,46 +97,48 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Return how many patterns the next round shows, held-out ones not counted."""
         return next_round(state, self.slot(state)[1])
 
+    @abstractmethod
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        """Return the next round's patterns, (count, *shape): random blocks."""
-        return block_patterns(cells_of(state.projector.shape), state.level, count)
+        """Return the next round's patterns for the model, (count, *shape)."""
 
-    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
-        """Return the state with a fit to a round's images, too, from the first on."""
-        canvas = Canvas.of(state.camera.shape, state.pictures)
-        return self._with_residual(state.changed(others=canvas.read(images, first)))
+    @abstractmethod
+    def _fitted(self, state: AdaptiveState) -> AdaptiveState:
+        """Return the state with a fit to its pictures."""
 
-    def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
-        """Yield what may be returned: models, and one of them with what it leaves."""
-        for of_hierarchy, base in self._bases(state):
-            yield base
-            if state.residual is not None and state.of_hierarchy is of_hierarchy:
-                canvas = Canvas.of(state.camera.shape, state.pictures)
-                rest = state.residual.transport(canvas, state.projector.shape)
-                yield self._with_rest(state, base, rest, of_hierarchy)
+    @abstractmethod
+    def _model(self, state: AdaptiveState, *more: Transport) -> SumTransport:
+        """Return what was fitted, and more parts of the light."""
 
-    def _bases(self, state: AdaptiveState) -> Iterator[tuple[bool, SumTransport]]:
-        """Yield the model, and the hierarchy if there is one, and whether it is that."""
-        raise NotImplementedError
+    def _instead(self, state: AdaptiveState, *parts: Transport) -> SumTransport:
+        """Return the hierarchy and what it leaves."""
+        return SumTransport(parts, list(state.rows))
 
-    def _with_rest(
-        self, state: AdaptiveState, base: SumTransport, rest: Transport, of_hierarchy: bool
-    ) -> SumTransport:
-        """Return a model and what it leaves."""
-        raise NotImplementedError
-
-    def _dark(self, state: AdaptiveState) -> NDArray[np.bool_] | None:
-        """Return the camera pixels without direct light in each held-out picture, if known."""
-        return None
+    @abstractmethod
+    def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
+        """Return the camera pixels without direct light in each held-out picture."""
 
     def _sender(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Sender | None:
         """Return the projector, unless the rig is coaxial."""
         return None
 
+    def _candidates(self, state: AdaptiveState) -> Iterator[tuple[Transport, bool]]:
+        """Yield what may be returned, and whether it is the hierarchy: with what it leaves, too."""
+        rest = []
+        if state.residual is not None:
+            canvas = Canvas.of(state.camera.shape, state.pictures)
+            rest = [state.residual.transport(canvas, state.projector.shape)]
+        yield self._model(state), False
+        if rest and not state.of_hierarchy:
+            yield self._model(state, *rest), False
+        if state.inner is not None:
+            inner = self.hierarchy.transport(state.inner)
+            yield SumTransport([inner], list(state.rows)), True
+            if rest and state.of_hierarchy:
+                yield self._instead(state, inner, *rest), True
+
     def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
         """Find what the better model leaves of all pictures, unless it is good enough."""
-        bases = [(self._estimate(state, base), each, base) for each, base in self._bases(state)]
-        estimate, of_hierarchy, base = min(bases, key=lambda each: each[0].error)
+        estimate, base, of_hierarchy = self._best(state.changed(residual=None))
         if state.estimated(estimate).reached:
             return state
         canvas, series = Canvas.of(state.camera.shape, state.pictures), state.pictures
@@ -182,7 +195,11 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if due == "hierarchy":
             return replace(self.hierarchy.schedule(state.inner), level=level)
         held, count = self._asked(state)
-        shown = [held_out_patterns(shape)[:held], self._patterns(state, count)]
+        if due == "residual":
+            patterns = block_patterns(cells_of(shape), level, count)
+        else:
+            patterns = self._patterns(state, count)
+        shown = [held_out_patterns(shape)[:held], patterns]
         weights = np.concatenate(shown).astype(np.float32)
         return Schedule(level, shape, len(weights), weights=weights)
 
@@ -209,8 +226,12 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if first:
             held = Pictures.read(images, state.channels, state.camera.size, 0, first)
             after = after.changed(held=held)
-        if count > first:
-            after = self._fitted(after, images, first)
+        if count > first and due == "residual":
+            canvas = Canvas.of(state.camera.shape, state.pictures)
+            after = self._with_residual(after.changed(others=canvas.read(images, first)))
+        elif count > first:
+            taken = Pictures.read(images, state.channels, state.camera.size, first, count)
+            after = self._fitted(after.changed(taken=taken))
         return self.decided(self._judged(after, state))
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
@@ -265,21 +286,20 @@ class Adaptive(PackingMethod[AdaptiveState]):
         )
         return self.hierarchy.start(state.camera, state.projector, state.channels, options)
 
-    def _estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:
-        """Compare a transport's pictures with the held-out ones, where pixels are known."""
-        assert state.held is not None
-        return error_of(transport, state.held, state.pictures.floodlit, self._dark(state))
-
-    def _best(self, state: AdaptiveState) -> tuple[Transport, Estimate]:
-        """Return what predicts the held-out pictures best, and how well."""
+    def _best(self, state: AdaptiveState) -> tuple[Estimate, Transport, bool]:
+        """Return what predicts the held-out pictures best, how well, and if it's the hierarchy."""
         if not state.held:
-            return next(iter(self._candidates(state))), Estimate(1.0, 1.0, 1.0)
-        estimated = [(each, self._estimate(state, each)) for each in self._candidates(state)]
-        return min(estimated, key=lambda pair: pair[1].error)
+            return Estimate(1.0, 1.0, 1.0), *next(self._candidates(state))
+        held, floodlit, dark = state.held, state.pictures.floodlit, self._dark(state)
+        estimated = [
+            (error_of(transport, held, floodlit, dark), transport, of_hierarchy)
+            for transport, of_hierarchy in self._candidates(state)
+        ]
+        return min(estimated, key=lambda each: each[0].error)
 
     def _judged(self, state: AdaptiveState, before: AdaptiveState | None = None) -> AdaptiveState:
         """Estimate the error of what would be returned; keep the model before, where better."""
-        estimate = self._best(state)[1]
+        estimate = self._best(state)[0]
         if before and before.estimates and estimate.error > before.estimates[-1].error:
             _log.info("the fit to more pictures is worse than the one before, which is kept")
             fields = ("model", "residual", "of_hierarchy")
@@ -290,7 +310,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return what predicts the held-out pictures best."""
-        return self._best(state)[0]
+        return self._best(state)[1]
 
     def known(self, state: AdaptiveState) -> Transport:
         """Return the hierarchy while it is refined, however far off it still is."""

@@ -27,7 +27,7 @@ from rfpipe.methods.adaptive.smooth_fit import (
     solve,
 )
 from rfpipe.methods.base import Float
-from rfpipe.methods.images import SIGNIFICANT, Pictures
+from rfpipe.methods.images import Pictures, beyond_noise
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale import (
@@ -123,21 +123,12 @@ def _wanting(
     """Find the cells of a scale whose dark pixels the model gets wrong by `wrong`, beyond noise."""
     probes = pictures.probes
     dark = pictures.known & ~probes.lit
-    grid = cells(shape, scale)
-    view, row, column = np.indices(RayDomain(shape).stack_shape)
-    cell = np.ravel_multi_index((view, row // scale, column // scale), grid).ravel()
-
-    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.bincount(cell, values, int(np.prod(grid))).astype(np.float64)
-
     variance = np.where(dark, probes.variance[:, 0], 0)
-    noise = total(variance.sum(axis=0, dtype=np.float64))
-    excess = total(np.where(dark, wrong * wrong, 0).sum(axis=0, dtype=np.float64)) - noise
-    chance = total(np.square(variance, dtype=np.float64).sum(axis=0))
-    floodlit = pictures.floodlit[0].astype(np.float64)
-    allowed = total((_REFINED_AT * floodlit) ** 2 * dark.sum(axis=0))
-    wanted: NDArray[np.bool_] = (excess > SIGNIFICANT * np.sqrt(2 * chance)) & (excess > allowed)
-    return wanted.reshape(grid)
+    noise = variance.sum(axis=0, dtype=np.float64)
+    squares = np.where(dark, wrong * wrong, 0).sum(axis=0, dtype=np.float64)
+    chance = np.square(variance, dtype=np.float64).sum(axis=0)
+    allowed = (_REFINED_AT * pictures.floodlit[0].astype(np.float64)) ** 2 * dark.sum(axis=0)
+    return beyond_noise(*RayDomain(shape).squares(scale), squares, noise, chance, allowed)
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,6 @@ from rfpipe.methods.symmetric.nodes import (
 )
 from rfpipe.transport.hierarchical.leaves import LeafSet
 
-Flags = NDArray[np.bool_]
-
 # The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
 _SPREAD = 3.0
 # Outcomes of the rank test, the better the higher.

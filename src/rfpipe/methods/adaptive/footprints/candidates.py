@@ -64,10 +64,6 @@ class Candidates:
         variance = np.square(part * self.weights) + np.square(part_of_all * floodlit)
         return replace(self, variance=variance.astype(np.float32))
 
-    def pruned(self, series: Series) -> Candidates:
-        """Drop candidates that turned out to give no light."""
-        return self.brighter(series).uncertain(series, 1.0, 0.02)
-
     def brighter(self, series: Series, but: Int64 | None = None) -> Candidates:
         """Leave those out that give next to no light, but for those of some pixels."""
         pixels = self.pixels(len(series.lit))
@@ -283,9 +279,13 @@ def joined(parts: list[Candidates], rays: int) -> Candidates:
     return Candidates(keys[order], variance, weights)
 
 
-def split(found: Candidates, views: int, rays: int) -> Iterator[Candidates]:
-    """Yield the footprints on each of a projector's views, of so many rays each."""
-    return (found if views == 1 else on_view(found, each, views, rays) for each in range(views))
+def by_view(views: tuple[Series, ...], found: Candidates) -> Iterator[tuple[Series, Candidates]]:
+    """Yield the series of each of a projector's views, and the footprints on it."""
+    if len(views) == 1:
+        yield views[0], found
+        return
+    for number, series in enumerate(views):
+        yield series, on_view(found, number, len(views), len(series.lit))
 
 
 def on_view(found: Candidates, view: int, views: int, rays: int) -> Candidates:
@@ -322,11 +322,11 @@ def reconciled(series: tuple[Series, ...], found: Candidates, indirect: list[Flo
 
     The two may differ by a tenth of the weight and .003 of the floodlit image.
     """
-    rays, views = len(series[0].lit), len(series)
-    there, back = _both_ways(found, rays * views)
-    expected = split(replace(there, weights=back), views, rays)
+    rays = len(series[0].lit)
+    there, back = _both_ways(found, rays * len(series))
+    expected = by_view(series, replace(there, weights=back))
     parts = []
-    for each, other, light in zip(series, expected, indirect, strict=True):
+    for (each, other), light in zip(expected, indirect, strict=True):
         near = other.uncertain(each, 0.1, 0.003)
         parts.append(reweighted(each, near, light, near.weights))
     return joined(parts, rays)

@@ -21,7 +21,6 @@ from rfpipe.methods.images import nearest
 from rfpipe.transport.multiscale import (
     MultiscaleBasis,
     along,
-    cells,
     numbers,
 )
 
@@ -201,10 +200,8 @@ class Chart:
 
     def cell_of(self, scale: int) -> Int64:
         """Return the number of the cell of a scale in which each camera ray lies, (rays,)."""
-        _, down, across = cells(self.shape, scale)
+        (_, down, across), cell = RayDomain(self.shape).squares(scale)
         if self.places is None:
-            view, row, column = np.indices(RayDomain(self.shape).stack_shape).reshape(3, -1)
-            cell: Int64 = (view * down + row // scale) * across + column // scale
             return cell
         row, column = (self.places.T // scale).astype(np.int64)
         inside: Int64 = np.clip(row, 0, down - 1) * across + np.clip(column, 0, across - 1)

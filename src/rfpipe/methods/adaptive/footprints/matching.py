@@ -24,10 +24,8 @@ def coarse_light(projector: RayDomain, lit: Float) -> Double:
 
     Light from far away is told apart in six cells across the short side of an image.
     """
-    height, width = projector.image_shape
-    side = max(1, round(min(height, width) / 6))
-    row, column = np.indices((height, width))
-    cell = (row // side * -(-width // side) + column // side).ravel()
+    image = projector.image_shape
+    cell = RayDomain(image).squares(max(1, round(min(image) / 6)))[1]
     size = np.bincount(cell)
     sums = np.zeros((len(size), lit.shape[1]))
     np.add.at(sums, cell, lit)

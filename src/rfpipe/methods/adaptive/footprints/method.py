@@ -7,9 +7,7 @@ with no structured light. Where the model doesn't fit, dual photography follows.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from math import log2
 from typing import Any
 
@@ -26,8 +24,8 @@ from rfpipe.methods.adaptive.patterns import view_patterns
 from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, root_of
 from rfpipe.methods.adaptive.rounds import Adaptive
 from rfpipe.methods.adaptive.state import AdaptiveState
-from rfpipe.methods.base import LevelImages, Method, get_method
-from rfpipe.methods.images import Pictures, nearest
+from rfpipe.methods.base import LevelImages
+from rfpipe.methods.images import nearest
 from rfpipe.methods.states import kept
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
@@ -80,13 +78,9 @@ class Footprints(Adaptive):
     marker = "p"
     bytes_per_ray = 100_000
     way = ASIDE
+    goes_down = "dual"
     trials = (0.05, 0.01, 0.005)
     State = FootprintState
-
-    @cached_property
-    def hierarchy(self) -> Method[Any]:
-        """Dual photography."""
-        return get_method("dual")
 
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return rounds, then the levels of dual photography, and of what that leaves."""
@@ -98,8 +92,6 @@ class Footprints(Adaptive):
         return 0 if state.unfit and not state.inner else super()._in_round(state)
 
     def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        if self.slot(state)[0] == "residual":
-            return super()._patterns(state, count)
         return view_patterns(state.projector.shape, state.level, count)
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
@@ -116,17 +108,11 @@ class Footprints(Adaptive):
         # smaller projectors are lit block by block at once
         return rays >= 4 * ROUNDS[0] * views
 
-    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
-        """Fit the model to a round's pictures and all before them."""
+    def _fitted(self, state: AdaptiveState) -> AdaptiveState:
+        """Fit the model, and find what it leaves."""
         assert isinstance(state, FootprintState)
-        if self.slot(state, back=1)[0] == "residual":
-            return super()._fitted(state, images, first)
-        count, channels = images.schedule.count, state.channels
-        state = state.changed(
-            taken=Pictures.read(images, channels, state.camera.size, first, count)
-        )
         pictures, views = state.pictures, state.projector.views
-        unit = unit_of(pictures)
+        unit, channels = unit_of(pictures), state.channels
         grey = series_of(pictures.grey() if channels > 1 else pictures, unit, views)
         indices = range(channels if channels > 1 else 0)
         parts = (series_of(pictures.channel(index), unit, views) for index in indices)
@@ -157,18 +143,9 @@ class Footprints(Adaptive):
         white = np.maximum(base.adjoint(planar[:1], channels)[0], 0)
         return Sender(cells, root_of(white), places.T.astype(np.float32))
 
-    def _bases(self, state: AdaptiveState) -> Iterator[tuple[bool, SumTransport]]:
-        """Yield footprints, and the hierarchy if there is one, and whether it is that."""
-        rows = list(state.rows)
-        yield False, SumTransport([_model_of(state)], rows)
-        if state.inner is not None:
-            yield True, SumTransport([self.hierarchy.transport(state.inner)], rows)
-
-    def _with_rest(
-        self, state: AdaptiveState, base: SumTransport, rest: Transport, of_hierarchy: bool
-    ) -> SumTransport:
-        """Return a model and what it leaves."""
-        return SumTransport([*base.parts, rest], list(state.rows))
+    def _model(self, state: AdaptiveState, *more: Transport) -> SumTransport:
+        """Return footprints, smooth light between them, and more parts."""
+        return SumTransport([_model_of(state), *more], list(state.rows))
 
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         """Return the camera pixels with at most a 50th of their direct light."""

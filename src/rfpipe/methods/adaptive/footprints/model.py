@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from rfpipe.methods.adaptive.footprints.candidates import (
     Candidates,
     Precision,
     averaged,
+    by_view,
     first_footprints,
     found_anew,
     is_symmetric,
@@ -29,7 +30,6 @@ from rfpipe.methods.adaptive.footprints.candidates import (
     on_view,
     reconciled,
     reweighted,
-    split,
     with_other_way,
 )
 from rfpipe.methods.adaptive.footprints.exchange import FULLY, NEARLY, ROUGHLY, Exchange
@@ -43,9 +43,9 @@ from rfpipe.methods.adaptive.footprints.functions import (
     shared_rays,
 )
 from rfpipe.methods.adaptive.footprints.matching import Templates
-from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, Series
+from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
 from rfpipe.methods.adaptive.patterns import SEED
-from rfpipe.methods.images import SIGNIFICANT
+from rfpipe.methods.images import beyond_noise
 from rfpipe.provenance import generator
 from rfpipe.transport.multiscale import (
     cells,
@@ -108,9 +108,12 @@ def find(
             found = with_other_way(found, projector.size)
             found = _reweighted(grey, found, exchange.indirect())
         if number or not fresh:
-            sure = zip(grey, split(found, projector.views, rays), strict=True)
-            found = joined([part.pruned(series) for series, part in sure], rays)
-    candidates, exchange = _settled(grey, found, exchange)
+            bright = (
+                part.brighter(series).uncertain(series, 1.0, 0.02)
+                for series, part in by_view(grey, found)
+            )
+            found = joined([*bright], rays)
+    candidates, exchange = _settled(grey, found, exchange, FULLY)
     fitted = tuple(_of_channel(series, grey, candidates, exchange) for series in channels)
     return Model(candidates, fitted or ((candidates, exchange),))
 
@@ -125,20 +128,22 @@ def _searched(
 ) -> Candidates:
     """Look for footprints again, in what indirect light leaves of the pictures."""
     rays, parts = len(grey[0].lit), []
-    sides = zip(grey, split(found, len(grey), rays), indirect, templates, strict=True)
-    for series, part, light, template in sides:
+    sides = zip(by_view(grey, found), indirect, templates, strict=True)
+    for (series, part), light, template in sides:
         anew = reweighted(series, found_anew(series, part, light, camera, template), light)
         # fits need all candidates of the rays that they look at, and of no other
         parts.append(anew if looked_at is None else anew.brighter(series, looked_at))
     return joined(parts, rays)
 
 
-def _settled(series: Views, found: Candidates, exchange: Exchange) -> Channel:
+def _settled(
+    series: Views, found: Candidates, exchange: Exchange, accuracy: tuple[float, int]
+) -> Channel:
     """Find weights and exchange once more, with the footprints' last candidates."""
     if exchange.shares_rays:
         return _agreed(series, found, exchange)
     start = replace(exchange, precision=_precisions(series, found, exchange.looked_at))
-    fitted = start.fitted(start.learned(), FULLY).with_gains()
+    fitted = start.fitted(start.learned(), accuracy).with_gains()
     return _reweighted(series, found, fitted.indirect()), fitted
 
 
@@ -148,16 +153,15 @@ def _agreed(series: Views, found: Candidates, exchange: Exchange) -> Channel:
     Where both ways are known to be alike, weights are known so well that little of them has to be
     marginalised.
     """
-    rays, views = len(series[0].lit), len(series)
-    everywhere, looked_at = rays * views, exchange.looked_at
+    rays = len(series[0].lit)
+    everywhere, looked_at = rays * len(series), exchange.looked_at
     found = _reweighted(series, with_other_way(found, everywhere), exchange.indirect())
     for _ in range(2):
         found = reconciled(series, found, exchange.indirect())
-        mean = averaged(found, everywhere)
-        sides = zip(series, split(mean, views, rays), strict=True)
         # footprints that agree have small deviations left
         pairs = [
-            part.uncertain(each, 0.05, 0.003).looked_at(each, looked_at) for each, part in sides
+            part.uncertain(each, 0.05, 0.003).looked_at(each, looked_at)
+            for each, part in by_view(series, averaged(found, everywhere))
         ]
         start = replace(
             exchange,
@@ -174,14 +178,12 @@ def _agreed(series: Views, found: Candidates, exchange: Exchange) -> Channel:
 
 
 def _reweighted(series: Views, found: Candidates, indirect: list[Float]) -> Candidates:
-    rays = len(series[0].lit)
-    sides = zip(series, split(found, len(series), rays), indirect, strict=True)
-    return joined([reweighted(*each) for each in sides], rays)
+    sides = zip(by_view(series, found), indirect, strict=True)
+    return joined([reweighted(*side, light) for side, light in sides], len(series[0].lit))
 
 
 def _precisions(series: Views, found: Candidates, looked_at: Int64 | None) -> tuple[Precision, ...]:
-    parts = split(found, len(series), len(series[0].lit))
-    sides = zip(series, parts, strict=True)
+    sides = by_view(series, found)
     return tuple(Precision.of(*part.looked_at(each, looked_at)) for each, part in sides)
 
 
@@ -201,7 +203,6 @@ def _of_channel(series: Views, grey: Views, found: Candidates, exchange: Exchang
     sent = carry.seen * (carry.means @ share) + (1 - carry.seen) * np.float32(usual)
     begun = replace(
         exchange,
-        precision=_precisions(series, start, exchange.looked_at),
         series=tuple(each.of(exchange.looked_at) for each in series),
         factors=(exchange.camera * share, (exchange.projector * sent).astype(np.float32)),
         gains=(np.ones_like(exchange.gains[0]), np.ones_like(exchange.gains[1])),
@@ -209,10 +210,7 @@ def _of_channel(series: Views, grey: Views, found: Candidates, exchange: Exchang
     )
     if not share.any():
         return start, begun
-    if exchange.shares_rays:
-        return _agreed(series, start, begun)
-    fitted = begun.fitted(begun.learned(), NEARLY).with_gains()
-    return _reweighted(series, start, fitted.indirect()), fitted
+    return _settled(series, start, begun, NEARLY)
 
 
 def _floodlit(series: Views) -> Float:
@@ -292,13 +290,5 @@ def _wanting(chart: Chart, scale: int, exchange: Exchange) -> NDArray[np.bool_]:
     shape, cell = cells(chart.shape, scale), chart.cell_of(scale)
     if exchange.looked_at is not None:
         cell = cell[exchange.looked_at]
-    excess, free, allowed = exchange.beyond(0.004)
-
-    def total(values: NDArray[Any]) -> Double:
-        summed = np.bincount(cell, values.astype(np.float64), int(np.prod(shape)))
-        return summed.astype(np.float64)
-
-    over, chance = total(excess) - total(free), np.sqrt(2 * total(free))
-    wanted = (over > SIGNIFICANT * chance) & (over > total(allowed))
-    mask: NDArray[np.bool_] = wanted.reshape(shape)
-    return mask
+    wrong, noise, allowed = exchange.beyond(0.004)
+    return beyond_noise(shape, cell, wrong, noise, noise, allowed)
