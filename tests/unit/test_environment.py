@@ -85,7 +85,11 @@ def test_a_panorama_that_turns_as_a_movie_and_as_pictures(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("lights", "options", "message"),
     [
-        (LIGHTS[1:], (), "10 directions of lights for 11|names lights of pictures, but none of light_10.exr"),
+        (
+            LIGHTS[1:],
+            (),
+            "10 directions of lights for 11|but none of light_10.exr",
+        ),
         (LIGHTS[1:], ("--lights", 1, 11), "10 directions of lights for 11|none of light_10.exr"),
         (np.where(np.eye(COUNT, 1, -4), 0, LIGHTS), (), "has no direction"),
         (np.where(np.eye(COUNT, 1, -4), np.nan, LIGHTS), (), "has no direction"),

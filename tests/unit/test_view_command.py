@@ -14,7 +14,7 @@ from rfpipe.cli import app
 from rfpipe.errors import RfpipeError
 from rfpipe.pictures.images import write_image
 from rfpipe.transport import save_transport
-from rfpipe.viewer import write_acquisition
+from rfpipe_viewer import write_acquisition
 
 SHAPE = (20, 24)
 

@@ -11,7 +11,7 @@ from tests.browsers import opened, picture_of
 from tests.viewers import KINDS, lights, planar, transport_of
 
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.viewer import View, write_view
+from rfpipe_viewer import View, write_view
 
 KERNELS = ("", "?kernel=javascript")
 

@@ -1,5 +1,6 @@
 # What the rules behind the transports share: viewers' pages and the report.
 
+import rfpipe_viewer
 from rfpipe.errors import RfpipeError
 from rfpipe.provenance import fingerprint
 from rfpipe.store.files import digest_of
@@ -27,11 +28,12 @@ def other_acquisitions(wildcards):
     ]
 
 
-# What the pages run, which is no Python.
-VIEWER_WEB = fingerprint(
+# The package that makes the pages, with what they run.
+VIEWER = fingerprint(
     [
         digest_of(path.read_bytes())
-        for path in sorted((Path(rfpipe.__file__).parent / "viewer").glob("*/*.*"))
+        for path in sorted(Path(rfpipe_viewer.__file__).parent.rglob("*.*"))
+        if path.suffix != ".pyc"
     ]
 )
 

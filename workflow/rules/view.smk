@@ -15,6 +15,6 @@ rule view:
         **ASKED,
     params:
         code=code_digest(pages=True),
-        web=VIEWER_WEB,
+        viewer=VIEWER,
     script:
         "../scripts/view.py"

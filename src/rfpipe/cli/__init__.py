@@ -16,7 +16,6 @@ from rfpipe.cli.run import PASSED_ON, catalogue, plan, run
 from rfpipe.cli.settings import settings
 from rfpipe.cli.transports import export, info, movie
 from rfpipe.cli.verify import verify
-from rfpipe.cli.view import view
 from rfpipe.errors import RfpipeError
 from rfpipe.version import __version__
 
@@ -49,7 +48,6 @@ app.command()(catalogue)
 app.command()(verify)
 app.command()(info)
 app.command()(relight)
-app.command()(view)
 app.command()(export)
 app.command()(movie)
 app.command()(fit)

@@ -18,8 +18,8 @@ from rfpipe.errors import InputError
 from rfpipe.store.files import storage_errors, write_atomically
 from rfpipe.transport.base import Transport
 from rfpipe.transport.filling import looks_coaxial
-from rfpipe.viewer.lowering import lower
-from rfpipe.viewer.program import Packed, pack_array, pack_program
+from rfpipe_viewer.lowering import lower
+from rfpipe_viewer.program import Packed, pack_array, pack_program
 
 LARGEST = 30 * 10**6
 """Bytes of data, as the page holds them, up to which it has other levels than the last."""
@@ -175,12 +175,12 @@ def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> s
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
-    web = files("rfpipe.viewer").joinpath("web")
+    web = files("rfpipe_viewer").joinpath("web")
 
     def source(*names: str) -> str:
         return "\n".join(web.joinpath(name).read_text(encoding="utf-8") for name in names)
 
-    kernel = files("rfpipe.viewer").joinpath("kernel/kernels.wasm").read_bytes()
+    kernel = files("rfpipe_viewer").joinpath("kernel/kernels.wasm").read_bytes()
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     compared = view.compared
     return environment.from_string(source("page.html.j2")).render(

@@ -1,7 +1,7 @@
-;; The operations of rfpipe.viewer.program between vectors of float32, with SIMD.
+;; The operations of rfpipe_viewer.program between vectors of float32, with SIMD.
 ;;
 ;; Addresses are in bytes, lengths in numbers. Every operation adds to y. `kernels.wasm` beside this
-;; file is made from it by `python -m rfpipe.viewer.kernel`; web/kernels.js does the same without
+;; file is made from it by `python -m rfpipe_viewer.kernel`; web/kernels.js does the same without
 ;; SIMD.
 (module
   (import "env" "memory" (memory 1))

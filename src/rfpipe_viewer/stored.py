@@ -12,7 +12,7 @@ from rfpipe.store import open_arrays
 from rfpipe.store.places import Place
 from rfpipe.transport import open_transport
 from rfpipe.transport.base import estimates
-from rfpipe.viewer.build import Compared, View, Written, write_view
+from rfpipe_viewer.build import Compared, View, Written, write_view
 
 __all__ = ["view_of", "write_acquisition"]
 
@@ -72,7 +72,7 @@ def write_acquisition(store: Path, others: Sequence[Path], page: Path) -> Writte
     others : sequence of Path
         Those of the same scene by other methods.
     page : Path
-        See `rfpipe.viewer.write_view`.
+        See `rfpipe_viewer.write_view`.
     """
     view, _ = view_of(store)
     shapes = view.transport.camera_shape, view.transport.projector_shape

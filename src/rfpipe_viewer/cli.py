@@ -11,7 +11,7 @@ from rfpipe.cli.transports import TransportPath, picture_of_rays
 
 if TYPE_CHECKING:
     from rfpipe.transport import Transport
-    from rfpipe.viewer import Compared
+    from rfpipe_viewer import Compared
 
 
 def view(
@@ -43,8 +43,8 @@ def view(
     For example: rfpipe view results/planes_iv/symmetric -o scene.html
     """
     from rfpipe.transport.storage import find_transport
-    from rfpipe.viewer import write_view
-    from rfpipe.viewer.stored import view_of
+    from rfpipe_viewer import write_view
+    from rfpipe_viewer.stored import view_of
 
     store = find_transport(path)
     content, facts = view_of(store, title)
@@ -60,8 +60,8 @@ def view(
 def _compared(path: Path, transport: Transport) -> Compared:
     """Read what to compare with: a transport, or a picture."""
     from rfpipe.transport.storage import find_transport
-    from rfpipe.viewer import Compared
-    from rfpipe.viewer.stored import view_of
+    from rfpipe_viewer import Compared
+    from rfpipe_viewer.stored import view_of
 
     if path.suffix == ".exr":
         return Compared(picture_of_rays(str(path), path, transport.camera_shape), path.name)

@@ -1,4 +1,4 @@
-"""Make ``kernels.wasm`` from ``kernels.wat``: ``python -m rfpipe.viewer.kernel``."""
+"""Make ``kernels.wasm`` from ``kernels.wat``: ``python -m rfpipe_viewer.kernel``."""
 
 from pathlib import Path
 

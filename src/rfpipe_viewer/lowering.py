@@ -27,7 +27,7 @@ from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.multiscale import MultiscaleTransport
 from rfpipe.transport.sum import SumTransport
 from rfpipe.transport.wavelet import WaveletTransport
-from rfpipe.viewer.program import (
+from rfpipe_viewer.program import (
     CAMERA,
     PROJECTOR,
     Kind,
@@ -35,7 +35,7 @@ from rfpipe.viewer.program import (
     Program,
     digest_of_array,
 )
-from rfpipe.viewer.smooth import pyramid
+from rfpipe_viewer.smooth import pyramid
 
 __all__ = ["lower"]
 
