@@ -105,8 +105,11 @@ bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@for script in benchmarks/bench_*.py; do echo "$$script"; \
 	  python -m "benchmarks.$$(basename "$$script" .py)"; done
 
-measured: $(INSTALLED) ## make the tables of docs/measured.md and README anew, hours
+measured: $(INSTALLED) ## make the tables of docs/measured.md and README anew, a night
 	@rfpipe run
+	@rfpipe run --directory thesis --configfile config/thesis.yaml
+	@rfpipe run --directory large --configfile config/large.yaml
+	@python -m benchmarks.large
 	@python -m benchmarks.measured $(ARGS)
 
 benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv

@@ -1,8 +1,9 @@
 """The tables of docs/measured.md, and those that README shows of them: ``make measured``.
 
 Acquires what docs/measured/acquisitions.csv lacks of the code as it is, hours from nothing, takes
-the default run's results from ``--run``, if it is there, and writes each table between its
-markers, ``<!-- NAME -->`` and ``<!-- /NAME -->``.
+the results of the default run and of `make thesis` from their folders, if they are there, and
+those that `benchmarks.large` left, and writes each table between its markers, ``<!-- NAME -->`` and
+``<!-- /NAME -->``.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.measured", description=__doc__)
     parser.add_argument("--run", type=Path, default=Path("results/report/tables"),
                         help="tables of the default run")  # fmt: skip
+    parser.add_argument("--thesis", type=Path, default=Path("thesis/results/report/tables"),
+                        help="tables of `make thesis`")  # fmt: skip
     parser.add_argument("--cache", type=Path, default=Path("results/recorded"),
                         help="folder of recorded matrices")  # fmt: skip
     parser.add_argument("--minutes", type=float, default=float("inf"),
@@ -53,8 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         known = known_keys(table)
         lacking = [case for case in all_cases() if case.key not in known]
         run(lacking, table, by_place(table), asked.cache, 60 * asked.minutes)
-    if (asked.run / "results.csv").exists():
-        write_atomically(FOLDER / "default_run.csv", default_run(asked.run).encode())
+    for tables, name in ((asked.run, "default_run"), (asked.thesis, "thesis_run")):
+        if (tables / "results.csv").exists():
+            write_atomically(FOLDER / f"{name}.csv", of_run(tables).encode())
     for page in PAGES:
         write_atomically(page, written(page.read_text("utf-8"), FOLDER).encode())
 
@@ -73,8 +77,8 @@ def all_cases() -> Iterator[Case]:
                             side=_THESIS_SIDE, channels=3)  # fmt: skip
 
 
-def default_run(tables: Path) -> str:
-    """Return what is shown of the default run's tables, as CSV."""
+def of_run(tables: Path) -> str:
+    """Return what is shown of a run's tables, as CSV."""
     told = pd.read_csv(tables / "results.csv")
     columns = ["scene", "method", "patterns", "megabytes", "mean_error", "estimated_error",
                "worst_error", "mean_indirect"]  # fmt: skip
