@@ -13,6 +13,7 @@ from rfpipe.errors import InputError
 from rfpipe.scenes import planes_scene
 from rfpipe.scenes.rooms import GEOMETRIES
 from rfpipe.scenes.sight import Pinhole, sight_of
+from rfpipe.transport.arrays import DenseTransport
 
 CAMERA, LAMP = Pinhole((24, 30)), Pinhole((28, 34), (1.72, 0.0, 0.54), (0.0, 0.0, 3.0))
 
@@ -49,12 +50,94 @@ def test_a_pattern_makes_what_is_within_reach(aside) -> None:
     assert transport.pattern_for(np.full(CAMERA.shape, 1e3)).out_of_reach.mean() > 0.5
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_light_is_told_by_how_far_it_has_come(mirrored) -> None:
+    shape, rng = (26, 34), np.random.default_rng(1)
+    rays = np.indices(shape).reshape(2, -1)
+    apart = np.abs(rays[:, :, None] - rays[:, None]).max(axis=0)
+    entries = rng.uniform(0, 1e-3, apart.shape)
+    entries[apart == 0] = 1
+    ranges = {"direct": apart <= 2, "near": apart == 3, "far": apart > 7}
+    entries *= sum(ranges.values())  # at ranges between, some is near and some is far
+    if mirrored:  # places are other rays
+        seen = np.arange(apart.shape[0]).reshape(shape)[:, ::-1].ravel()
+        entries, ranges = entries[seen], {name: mask[seen] for name, mask in ranges.items()}
+    transport = transport_of(entries, shape)
+    pattern = (rng.random(shape) > 0.5).astype(float)
+    parts = transport.separate(pattern, near=2 / 34)
+    for name, mask in ranges.items():
+        truth = (entries * mask) @ pattern.ravel()
+        np.testing.assert_allclose(getattr(parts, name).ravel(), truth, atol=1e-5)
+    total = parts.direct + parts.near + parts.far
+    np.testing.assert_allclose(total, transport.relight(pattern), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("method", "within"), [("auto", 0.02), ("symmetric", 0.01)])
+def test_every_method_separates_alike(method, within) -> None:
+    scene = planes_scene("wedge_30", ("white", "texture"), (32, 32), channels=1)
+    made = []
+    for by, noise in (("brute_force", None), (method, rfpipe.CameraModel())):
+        rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, noise, seed=2)
+        made.append(rfpipe.acquire(rig, by, progress=False).transport)
+    exact, acquired = (each.separate(np.ones(scene.shape)) for each in made)
+    total = np.linalg.norm(made[0].relight(np.ones(scene.shape)))
+    for name in ("direct", "near", "far"):
+        off = getattr(acquired, name) - getattr(exact, name)
+        assert np.linalg.norm(off) < within * total
+
+
+def transport_of(matrix, shape: tuple[int, ...]) -> DenseTransport:
+    held = {"matrix": np.asarray(matrix, np.float32)[None]}
+    return DenseTransport(shape, shape, 1, [], held)
+
+
 @pytest.mark.parametrize(
-    "picture", [np.ones((3, 3)), np.full(CAMERA.shape, np.nan), -np.ones(CAMERA.shape)]
+    "picture",
+    [
+        np.ones((3, 3)),
+        np.full(CAMERA.shape, np.nan),
+        -np.ones(CAMERA.shape),
+        np.full(CAMERA.shape, 255, np.uint8),
+    ],
 )
 def test_what_is_no_picture_of_the_camera_is_refused(aside, picture) -> None:
     with pytest.raises(InputError, match="wished picture"):
         aside[0].pattern_for(picture)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "options", "match"),
+    [
+        (np.ones((3, 3)), {}, "shape"),
+        (np.full(LAMP.shape, np.nan), {}, "NaN"),
+        (np.full(LAMP.shape, 255, np.uint8), {}, "weights"),
+        (np.ones(LAMP.shape), {"direct": -1}, "direct = -1"),
+        (np.ones(LAMP.shape), {"near": np.nan}, "near = nan"),
+    ],
+)
+def test_what_cannot_be_separated_is_refused(aside, pattern, options, match) -> None:
+    with pytest.raises(InputError, match=match):
+        aside[0].separate(pattern, **options)
+
+
+@pytest.mark.parametrize(
+    ("shape", "light", "match"),
+    [
+        ((2, 8, 8), 1, "several views"),
+        ((1, 12), 1, "no picture"),
+        ((8, 8), 0, "no pixel sees light"),
+    ],
+)
+def test_rays_and_scenes_without_places_are_refused(shape, light, match) -> None:
+    transport = transport_of(light * np.eye(np.prod(shape)), shape)
+    with pytest.raises(InputError, match=match):
+        transport.separate(np.ones(shape))
+    if match != "no picture":
+        with pytest.raises(InputError, match=match):
+            transport.correspondence()
+    if not light:
+        with pytest.raises(InputError, match=match):
+            transport.pattern_for(np.ones(shape))
 
 
 def test_lights_share_a_panorama_out(tmp_path: Path) -> None:

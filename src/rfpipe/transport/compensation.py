@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.transport.algebra import MatrixAlgebra
+from rfpipe.weights import as_weights
 
 Float = NDArray[np.float32]
 
@@ -55,10 +56,11 @@ def compensation_for(transport: MatrixAlgebra, picture: NDArray[Any]) -> Compens
     Raises
     ------
     InputError
-        If the picture has another shape, or values that aren't finite or are negative.
+        If the picture has another shape, or values that aren't finite or are negative, or are a
+        picture file's whole numbers; if no light arrives.
     """
     camera, channels = transport.camera_shape, transport.channels
-    wished = np.asarray(picture, np.float64)
+    wished = as_weights(picture, "a wished picture").astype(np.float64)
     if wished.shape == camera:
         wished = np.repeat(wished[..., None], channels, axis=-1)
     if wished.shape != (*camera, channels):
@@ -67,6 +69,8 @@ def compensation_for(transport: MatrixAlgebra, picture: NDArray[Any]) -> Compens
         )
     if not np.isfinite(wished).all() or (wished < 0).any():
         raise InputError("a wished picture holds NaN, infinite or negative values")
+    if not (transport @ np.ones(transport.shape[2])).any():
+        raise InputError("no pixel sees light of the projector: no pattern makes a picture")
     planes = wished.reshape(-1, channels).T.astype(np.float32)
     weights = np.stack([_weights(transport, index, plane) for index, plane in enumerate(planes)])
     reached = transport.forward(weights[None], range(channels))[0].T.reshape(wished.shape)

@@ -56,12 +56,14 @@ def correspondence_of(transport: MatrixAlgebra) -> Correspondence:
     Raises
     ------
     InputError
-        If the projector is a stack of views.
+        If the projector is a stack of views, or no light arrives.
     """
     shape = transport.projector_shape
     if RayDomain(shape).views > 1:
         raise InputError(f"the projector's rays {shape} are several views; crop one of them first")
     floodlit = _relit(transport, np.ones((1, *shape), np.float32))[0]
+    if not floodlit.max() > 0:
+        raise InputError("no pixel sees light of the projector: there is nothing to tell places by")
     coarse = [_coordinate(transport, floodlit, axis) for axis in (0, 1)]
     entries = _around(transport, coarse)
     # light from everywhere, which all dots have alike

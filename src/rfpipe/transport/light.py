@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from rfpipe.transport.compensation import Compensation
     from rfpipe.transport.correspondence import Correspondence
+    from rfpipe.transport.separation import Separation
 
 LIMIT = 8 * 2**30
 """Bytes that a matrix in a file may take by default, before compression."""
@@ -97,6 +98,38 @@ class Light(MatrixAlgebra):
         from rfpipe.transport.compensation import compensation_for
 
         return compensation_for(self, picture)
+
+    def separate(
+        self, pattern: NDArray[Any], *, direct: int = 2, near: float = 1 / 16
+    ) -> Separation:
+        """Return the picture under a pattern as direct, near-range and far-range light.
+
+        Light is told by how far from a pixel's own place in the projector's picture it was sent:
+        itself on a coaxial rig, else as `correspondence` tells. A pixel without such a place, in
+        shadow, has no direct light, and what is near for the next one.
+
+        Parameters
+        ----------
+        pattern
+            As for `relight`.
+        direct : int
+            Rows and columns of the projector up to which light is direct, 0 or more. Two take in
+            the width of a camera's pixel, and what isn't quite sharp.
+        near : float
+            Range up to which other light is near, as a share of the projector's longer side, above
+            0. It fades out: about half of the light at that range is near. The default is about
+            the range of the near parts of `near_far`.
+
+        Raises
+        ------
+        InputError
+            If the pattern has another shape or isn't finite, an option is out of range, no light
+            arrives, or the projector has several views, or no picture, as lights one at a time.
+        """
+        from rfpipe.transport.separation import separated
+
+        light = planar_patterns(np.asarray(pattern)[None], self.projector_shape, self.channels)
+        return separated(self, light[0], direct, near)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
