@@ -16,8 +16,6 @@ from rfpipe.transport.correspondence import correspondence_of
 Float = NDArray[np.float32]
 Places = NDArray[np.float64]
 
-_AT_ONCE = 16  # pictures that are relit together: bounds their memory
-
 
 @dataclass(frozen=True)
 class Separation:
@@ -45,10 +43,10 @@ def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) 
         )
     if min(shape[-2:]) < 2:
         raise InputError(f"the projector's rays {shape} are no picture, in which some are near")
-    places, has_place = _places(transport)
+    places = _places(transport)
     channels = range(transport.channels)
     planes = light.reshape(-1, *shape[-2:])
-    windows = (_windows(plane, places, has_place, int(direct)) for plane in planes)
+    windows = (_windows(plane, places, int(direct)) for plane in planes)
     around = np.stack([transport.relight_each(own, k) for k, own in enumerate(windows)])
     within = np.zeros_like(around)
     for weights, lit in _neighbourhoods(planes, places, near * max(shape), direct + 1):
@@ -59,31 +57,28 @@ def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) 
     return Separation(*(it.T.reshape(*transport.camera_shape, -1) for it in parts))
 
 
-def _places(transport: MatrixAlgebra) -> tuple[Places, NDArray[np.bool_]]:
-    """Return each camera ray's place, row and column (M, 2), and which have one of their own."""
-    from scipy.ndimage import distance_transform_edt
-
+def _places(transport: MatrixAlgebra) -> Places:
+    """Return each camera ray's place, row and column; outside of the picture for none: (M, 2)."""
     found = correspondence_of(transport)
-    places, mask = found.places, found.mask
-    if not mask.any():
+    if not found.mask.any():
         raise InputError("no pixel sees light that comes directly from one place of the projector")
+    rays = np.moveaxis(np.indices(found.mask.shape)[-2:], 0, -1) + 0.5
+    places = np.where(found.mask[..., None], found.places, -1e9)
     if transport.camera_shape == transport.projector_shape:
-        rays = np.moveaxis(np.indices(mask.shape)[-2:], 0, -1) + 0.5
-        if np.median(np.abs(places - rays)[mask]) < 0.5:  # coaxial
-            places, mask = rays, np.ones_like(mask)
-    nearest = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    return places[tuple(nearest)].reshape(-1, 2).astype(np.float64), mask.ravel()
+        is_coaxial = np.median(np.abs(places - rays)[found.mask]) < 0.5
+        places = rays if is_coaxial else places
+    return places.reshape(-1, 2)
 
 
-def _windows(light: Float, places: Places, chosen: NDArray[np.bool_], reach: int) -> Any:
-    """Return the light around each chosen camera ray's place, sparse (M, N)."""
+def _windows(light: Float, places: Places, reach: int) -> Any:
+    """Return the light around each camera ray's place, sparse (M, N)."""
     from scipy.sparse import csr_array
 
-    rays, side = np.flatnonzero(chosen), np.arange(-reach, reach + 1)
+    side = np.arange(-reach, reach + 1)
     offsets = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    sent = np.floor(places[rays, None]).astype(np.int64) + offsets
+    sent = np.floor(places[:, None]).astype(np.int64) + offsets
     inside = ((sent >= 0) & (sent < light.shape)).all(axis=-1)
-    owner, ray = rays[np.nonzero(inside)[0]], np.ravel_multi_index(sent[inside].T, light.shape)
+    owner, ray = np.nonzero(inside)[0], np.ravel_multi_index(sent[inside].T, light.shape)
     windows = csr_array((light.ravel()[ray], (owner, ray)), shape=(len(places), light.size))
     windows.eliminate_zeros()
     return windows
@@ -103,8 +98,5 @@ def _neighbourhoods(
         apart = np.abs(places[:, axis] - points) / spacing
         shares.append(np.maximum(1 - apart, 0).astype(np.float32))
         boxes.append(np.abs(np.arange(length) + 0.5 - points) <= spacing + least)
-    grid = np.argwhere(shares[0] @ shares[1].T > 0)
-    for first in range(0, len(grid), _AT_ONCE):
-        row, column = grid[first : first + _AT_ONCE].T
-        box = boxes[0][row][..., None] & boxes[1][column][:, None]
-        yield shares[0][row] * shares[1][column], light * box[:, None]
+    for share, box in zip(shares[0], boxes[0], strict=True):
+        yield share * shares[1], light * (box[:, None] & boxes[1][:, None])[:, None]
