@@ -41,6 +41,16 @@ def test_places_are_those_of_the_geometry(aside) -> None:
     np.testing.assert_allclose(projected[:, 1::-1] / projected[:, 2:], LAMP.project(points))
 
 
+def test_places_between_two_rays_are_told() -> None:
+    shape = (12, 40)
+    direct = (np.eye(480) + np.eye(480, k=1)) / 2
+    entries = direct + np.random.default_rng(1).uniform(0, 1e-4, direct.shape)
+    places = transport_of(entries, shape).correspondence().places[:, :-1]
+    row, column = np.indices(places.shape[:2])
+    truth = np.stack([row + 0.5, column + 1], axis=-1)
+    np.testing.assert_allclose(places, truth, atol=0.1)
+
+
 def test_a_pattern_makes_what_is_within_reach(aside) -> None:
     transport, _ = aside
     lit = np.random.default_rng(1).uniform(0.2, 0.8, LAMP.shape)

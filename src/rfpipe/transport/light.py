@@ -117,8 +117,8 @@ class Light(MatrixAlgebra):
         """Return the picture under a pattern as direct, near-range and far-range light.
 
         Light is told by how far from a pixel's own place in the projector's picture it was sent:
-        itself on a coaxial rig, else as `correspondence` tells. All light of a pixel without such
-        a place, in shadow, is far range.
+        itself on a coaxial rig, else as `correspondence` tells. A pixel without such a place, in
+        shadow, goes by that of the next one.
 
         Parameters
         ----------

@@ -58,15 +58,18 @@ def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) 
 
 
 def _places(transport: MatrixAlgebra) -> Places:
-    """Return each camera ray's place, row and column; outside of the picture for none: (M, 2)."""
+    """Return each camera ray's place, row and column, (M, 2)."""
+    from scipy.ndimage import distance_transform_edt
+
     found = correspondence_of(transport)
     if not found.mask.any():
         raise InputError("no pixel sees light that comes directly from one place of the projector")
-    rays = np.moveaxis(np.indices(found.mask.shape)[-2:], 0, -1) + 0.5
-    places = np.where(found.mask[..., None], found.places, -1e9)
+    nearest = distance_transform_edt(~found.mask, return_distances=False, return_indices=True)
+    places: Places = found.places[tuple(nearest)].astype(np.float64)
     if transport.camera_shape == transport.projector_shape:
-        is_coaxial = np.median(np.abs(places - rays)[found.mask]) < 0.5
-        places = rays if is_coaxial else places
+        rays = np.moveaxis(np.indices(found.mask.shape)[-2:], 0, -1) + 0.5
+        if np.median(np.abs(places - rays)) < 0.5:  # coaxial
+            places = rays
     return places.reshape(-1, 2)
 
 
