@@ -14,7 +14,7 @@ from rfpipe.transport.algebra import MatrixAlgebra
 from rfpipe.transport.correspondence import correspondence_of
 
 Float = NDArray[np.float32]
-Places = NDArray[np.float64]
+Places = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def _places(transport: MatrixAlgebra) -> Places:
     if not found.mask.any():
         raise InputError("no pixel sees light that comes directly from one place of the projector")
     nearest = distance_transform_edt(~found.mask, return_distances=False, return_indices=True)
-    places: Places = found.places[tuple(nearest)].astype(np.float64)
+    places: Places = found.places[tuple(nearest)]
     if transport.camera_shape == transport.projector_shape:
         rays = np.moveaxis(np.indices(found.mask.shape)[-2:], 0, -1) + 0.5
         if np.median(np.abs(places - rays)) < 0.5:  # coaxial
