@@ -15,11 +15,9 @@ camera, lamp = Pinhole((side, side)), Pinhole((side, side), (1.72, 0, 0.54), (0,
 scene = planes_scene("wedge_120", ("white", "texture"), camera.shape, projector=lamp)
 rig = rfpipe.OperatorRig(scene, camera.shape, lamp.shape, rfpipe.CameraModel(), seed=1)
 transport = rfpipe.acquire(rig, "auto", target_error=0.01).transport
-
 found = transport.correspondence()
 seen = found.mask
-pixels = np.argwhere(seen) + 0.5
-sides = (pixels[:, ::-1].T, found.places[seen][:, ::-1].T.astype(float))
+sides = (np.argwhere(seen)[:, ::-1].T + 0.5, found.places[seen][:, ::-1].T.astype(float))
 # of a real rig, OpenCV's stereo calibration gives both matrices
 point = cv2.triangulatePoints(camera.matrix, lamp.matrix, *sides)
 depth = np.full(seen.shape, np.nan)
@@ -27,18 +25,16 @@ depth[seen] = point[2] / point[3]
 
 picture = transport.relight(np.ones(lamp.shape))
 shown = np.clip(picture / np.quantile(picture, 0.99), 0, 1) ** (1 / 2.2)
-columns = [f"property {kind}" for kind in ("float x", "float y", "float z", "uchar red",
-                                           "uchar green", "uchar blue")]  # fmt: skip
-head = ["ply", "format ascii 1.0", f"element vertex {seen.sum()}", *columns, "end_header"]
+kinds = ("float x", "float y", "float z", "uchar red", "uchar green", "uchar blue")
+head = "".join(f"property {kind}\n" for kind in kinds) + "end_header"
+head = f"ply\nformat ascii 1.0\nelement vertex {seen.sum()}\n{head}"
 cloud = np.column_stack([(point[:3] / point[3]).T, (255 * shown[seen]).astype(int)])
-np.savetxt("cloud.ply", cloud, fmt="%.5f %.5f %.5f %d %d %d", header="\n".join(head), comments="")
+np.savetxt("cloud.ply", cloud, fmt="%.5f %.5f %.5f %d %d %d", header=head, comments="")
 
 figure, axes = pyplot.subplots(1, 4, figsize=(12, 3.2), layout="constrained")
-column = np.where(found.mask, found.places[..., 1], np.nan)
-pictures = {"floodlit": shown, "projector's column": column, "confidence": found.confidence,
-            "depth": depth}  # fmt: skip
-for axis, (title, image) in zip(axes, pictures.items(), strict=True):
-    low, high = np.nanquantile(image, (0.01, 0.99))
-    axis.imshow(image, vmin=low, vmax=high)
+column = np.where(seen, found.places[..., 1], np.nan)
+titles = ("floodlit", "projector's column", "confidence", "depth")
+for axis, title, image in zip(axes, titles, (shown, column, found.confidence, depth), strict=True):
+    axis.imshow(image, vmin=np.nanquantile(image, 0.01), vmax=np.nanquantile(image, 0.99))
     axis.set(title=title, xticks=[], yticks=[])
 figure.savefig("what_sees_what.png")

@@ -13,6 +13,7 @@ from rfpipe.errors import InputError
 from rfpipe.scenes import planes_scene
 from rfpipe.scenes.rooms import GEOMETRIES
 from rfpipe.scenes.sight import Pinhole, sight_of
+from rfpipe.transport.arrays import DenseTransport
 
 CAMERA, LAMP = Pinhole((24, 30)), Pinhole((28, 34), (1.72, 0.0, 0.54), (0.0, 0.0, 3.0))
 
@@ -40,6 +41,16 @@ def test_places_are_those_of_the_geometry(aside) -> None:
     np.testing.assert_allclose(projected[:, 1::-1] / projected[:, 2:], LAMP.project(points))
 
 
+def test_places_between_two_rays_are_told() -> None:
+    shape = (12, 40)
+    direct = (np.eye(480) + np.eye(480, k=1)) / 2
+    entries = direct + np.random.default_rng(1).uniform(0, 1e-4, direct.shape)
+    places = transport_of(entries, shape).correspondence().places[:, :-1]
+    row, column = np.indices(places.shape[:2])
+    truth = np.stack([row + 0.5, column + 1], axis=-1)
+    np.testing.assert_allclose(places, truth, atol=0.1)
+
+
 def test_a_pattern_makes_what_is_within_reach(aside) -> None:
     transport, _ = aside
     lit = np.random.default_rng(1).uniform(0.2, 0.8, LAMP.shape)
@@ -49,12 +60,84 @@ def test_a_pattern_makes_what_is_within_reach(aside) -> None:
     assert transport.pattern_for(np.full(CAMERA.shape, 1e3)).out_of_reach.mean() > 0.5
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_light_is_told_by_how_far_it_has_come(mirrored) -> None:
+    shape, rng = (26, 34), np.random.default_rng(1)
+    rays = np.indices(shape).reshape(2, -1)
+    apart = np.abs(rays[:, :, None] - rays[:, None]).max(axis=0)
+    entries = rng.uniform(0, 1e-3, apart.shape)
+    entries[apart == 0] = 1
+    ranges = {"direct": apart <= 2, "near": apart == 3, "far": apart > 7}
+    entries *= sum(ranges.values())  # at ranges between, some is near and some is far
+    if mirrored:  # places are other rays
+        seen = np.arange(apart.shape[0]).reshape(shape)[:, ::-1].ravel()
+        entries, ranges = entries[seen], {name: mask[seen] for name, mask in ranges.items()}
+    transport = transport_of(entries, shape)
+    pattern = (rng.random(shape) > 0.5).astype(float)
+    parts = transport.separate(pattern, near=2 / 34)
+    for name, mask in ranges.items():
+        truth = (entries * mask) @ pattern.ravel()
+        np.testing.assert_allclose(getattr(parts, name).ravel(), truth, atol=1e-5)
+    total = parts.direct + parts.near + parts.far
+    np.testing.assert_allclose(total, transport.relight(pattern), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("method", "within"), [("auto", 0.02), ("symmetric", 0.01)])
+def test_every_method_separates_alike(method, within) -> None:
+    scene = planes_scene("wedge_30", ("white", "texture"), (32, 32), channels=1)
+    made = []
+    for by, noise in (("brute_force", None), (method, rfpipe.CameraModel())):
+        rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, noise, seed=2)
+        made.append(rfpipe.acquire(rig, by, progress=False).transport)
+    exact, acquired = (each.separate(np.ones(scene.shape)) for each in made)
+    total = np.linalg.norm(made[0].relight(np.ones(scene.shape)))
+    for name in ("direct", "near", "far"):
+        off = getattr(acquired, name) - getattr(exact, name)
+        assert np.linalg.norm(off) < within * total
+
+
+def transport_of(matrix, shape: tuple[int, ...]) -> DenseTransport:
+    held = {"matrix": np.asarray(matrix, np.float32)[None]}
+    return DenseTransport(shape, shape, 1, [], held)
+
+
 @pytest.mark.parametrize(
-    "picture", [np.ones((3, 3)), np.full(CAMERA.shape, np.nan), -np.ones(CAMERA.shape)]
+    ("picture", "match"),
+    [
+        (lambda _: np.ones((3, 3)), "shape"),
+        (lambda shape: np.full(shape, np.nan), "NaN"),
+        (lambda shape: np.full(shape, 255, np.uint8), "weights"),
+    ],
 )
-def test_what_is_no_picture_of_the_camera_is_refused(aside, picture) -> None:
-    with pytest.raises(InputError, match="wished picture"):
-        aside[0].pattern_for(picture)
+def test_what_is_no_picture_is_refused(aside, picture, match) -> None:
+    with pytest.raises(InputError, match=f"wished picture .*{match}"):
+        aside[0].pattern_for(picture(CAMERA.shape))
+    with pytest.raises(InputError, match=f"pattern .*{match}"):
+        aside[0].separate(picture(LAMP.shape))
+
+
+def test_what_is_out_of_range_is_refused(aside) -> None:
+    with pytest.raises(InputError, match="negative"):
+        aside[0].pattern_for(-np.ones(CAMERA.shape))
+    for option in ({"direct": -1}, {"direct": 0.5}, {"near": 0}, {"near": np.nan}):
+        with pytest.raises(InputError, match="direct = "):
+            aside[0].separate(np.ones(LAMP.shape), **option)
+
+
+@pytest.mark.parametrize(
+    ("shape", "light", "calls", "match"),
+    [
+        ((2, 8, 8), 1, ("separate", "correspondence"), "several views"),
+        ((1, 12), 1, ("separate",), "no picture"),
+        ((8, 8), 0, ("separate", "correspondence", "pattern_for"), "no pixel sees light"),
+    ],
+)
+def test_rays_without_places_are_refused(shape, light, calls, match) -> None:
+    transport = transport_of(light * np.eye(np.prod(shape)), shape)
+    for call in calls:
+        arguments = () if call == "correspondence" else (np.ones(shape),)
+        with pytest.raises(InputError, match=match):
+            getattr(transport, call)(*arguments)
 
 
 @pytest.mark.slow

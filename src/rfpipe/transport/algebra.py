@@ -150,6 +150,19 @@ class MatrixAlgebra(ABC):
             else:
                 yield of_seen, of_lit, np.moveaxis(entries, 0, -1)
 
+    def relight_each(self, patterns: Any, channel: int) -> Float:
+        """Return what each camera ray sees under a pattern of its own, float32 (camera rays,).
+
+        `patterns` are sparse (camera rays, projector rays). What isn't made for it is read as rows
+        of the matrix, as `blocks` does.
+        """
+        rays = np.flatnonzero(np.diff(patterns.indptr))
+        seen = np.zeros(patterns.shape[0], np.float32)
+        parts = self.blocks(rays, np.arange(self.shape[2]), by_rows=True, channels=[channel])
+        for rows, _, entries in parts:
+            seen[rays[rows]] = (patterns[rays[rows]] * entries[0]).sum(axis=1)
+        return seen
+
     def _product(self, x: ArrayLike, axis: int, product: str, expected: str) -> Float:
         """Return ``T @ x``, whose rays are x's axis -2, or ``x @ T``, where they are its last."""
         vectors = as_weights(x, f"x of {product}").astype(np.float32, copy=False)

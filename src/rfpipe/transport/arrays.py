@@ -22,6 +22,7 @@ S = TypeVar("S")
 # Bits that are kept of single values, the leading one included.
 _SIGNIFICANT = {"uint8": 12, "uint16": 16}
 _FLOAT32_BITS = 24
+_RAYS = 64  # of which `each_bounced` takes the functions together
 
 
 class CoaxialTransport(Transport):
@@ -94,6 +95,42 @@ def _by_channel(
 ) -> Float:
     planes = [apply(planar[:, k], channel) for k, channel in enumerate(channels)]
     return np.ascontiguousarray(np.stack(planes, axis=1), np.float32)
+
+
+def each_bounced(taken: Any, cores: Any, given: Any) -> Float:
+    """Return the diagonal of ``taken cores given^T`` of scipy's sparse, float32 (rays,)."""
+    seen = np.empty(taken.shape[0], np.float32)
+    # rays beside each other have few functions between them
+    for first in range(0, len(seen), _RAYS):
+        some = slice(first, first + _RAYS)
+        left, right = (np.unique(it[some].indices) for it in (taken, given))
+        between = cores[left][:, right].toarray()
+        parts = taken[some][:, left] @ between, given[some][:, right].toarray()
+        seen[some] = (parts[0] * parts[1]).sum(axis=1)
+    return seen
+
+
+class PairTransport(CoaxialTransport, ArrayTransport):
+    """Symmetric transport ``T = F B S B^T F`` a channel: functions, and what pairs exchange.
+
+    It holds F, ``factor``, the non-zero places of S, ``pairs``, and their values, ``cores``.
+    """
+
+    @abstractmethod
+    def functions(self) -> Any:
+        """Return B, scipy's sparse (N, functions)."""
+
+    def relight_each(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+        from scipy.sparse import csr_array
+
+        factor, cores = (self._held[name][channel] for name in ("factor", "cores"))
+        functions, (first, second) = self.functions(), self._held["pairs"]
+        half = csr_array((cores / (1 + (first == second)), (first, second)),
+                         shape=2 * functions.shape[1:])  # fmt: skip
+        light = patterns.multiply(factor) @ functions
+        seen: Float = factor * each_bounced(functions, half + half.T, light)
+        return seen
 
 
 class LevelTransport(Transport):

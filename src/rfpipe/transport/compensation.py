@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,41 +39,26 @@ class Compensation:
     out_of_reach: NDArray[np.bool_]
 
 
-def compensation_for(transport: MatrixAlgebra, picture: NDArray[Any]) -> Compensation:
+def compensation_for(transport: MatrixAlgebra, wished: Float) -> Compensation:
     """Find weights between 0 and 1 under which the scene looks most like a picture.
 
     That is ``min |T p - picture|`` for ``0 <= p <= 1`` in each channel, by limited-memory BFGS with
-    bounds [Byrd et al. 1995], from the weights that direct light alone would take.
-
-    Parameters
-    ----------
-    transport : Light
-    picture : array, shape (*camera_shape) or (*camera_shape, channels)
-        Radiance, 0 or more, in the unit of the transport's pictures.
-
-    Raises
-    ------
-    InputError
-        If the picture has another shape, or values that aren't finite or are negative.
+    bounds [Byrd et al. 1995], from the weights that direct light alone would take. The picture is
+    planar, (channels, camera rays); see `Light.pattern_for`.
     """
-    camera, channels = transport.camera_shape, transport.channels
-    wished = np.asarray(picture, np.float64)
-    if wished.shape == camera:
-        wished = np.repeat(wished[..., None], channels, axis=-1)
-    if wished.shape != (*camera, channels):
-        raise InputError(
-            f"a wished picture has the shape {camera} or {(*camera, channels)}, got {wished.shape}"
-        )
-    if not np.isfinite(wished).all() or (wished < 0).any():
-        raise InputError("a wished picture holds NaN, infinite or negative values")
-    planes = wished.reshape(-1, channels).T.astype(np.float32)
-    weights = np.stack([_weights(transport, index, plane) for index, plane in enumerate(planes)])
-    reached = transport.forward(weights[None], range(channels))[0].T.reshape(wished.shape)
-    wrong = np.sqrt(np.square(reached - wished).mean(axis=-1))
-    level = float(np.sqrt(np.square(wished).mean()))
+    if (wished < 0).any():
+        raise InputError("a wished picture holds negative values; light has none")
+    if not (transport @ np.ones(transport.shape[2])).any():
+        raise InputError("no pixel sees light of the projector: no pattern makes a picture")
+    channels, camera = range(transport.channels), transport.camera_shape
+    weights = np.stack([_weights(transport, index, wished[index]) for index in channels])
+    reached = transport.forward(weights[None], channels)[0]
+    wrong = np.sqrt(np.square(reached - wished, dtype=np.float64).mean(axis=0))
+    level = float(np.sqrt(np.square(wished, dtype=np.float64).mean()))
     residual = float(np.sqrt(np.square(wrong).mean()) / max(level, _TINY))
-    pattern = weights.T.reshape(*transport.projector_shape, channels)
-    return Compensation(pattern, reached, residual, wrong > _OUT_OF_REACH * level)
+    pattern = weights.T.reshape(*transport.projector_shape, -1)
+    picture, far_off = reached.T.reshape(*camera, -1), wrong > _OUT_OF_REACH * level
+    return Compensation(pattern, picture, residual, far_off.reshape(camera))
 
 
 def _weights(transport: MatrixAlgebra, channel: int, wished: Float) -> Float:

@@ -56,12 +56,14 @@ def correspondence_of(transport: MatrixAlgebra) -> Correspondence:
     Raises
     ------
     InputError
-        If the projector is a stack of views.
+        If the projector is a stack of views, or no light arrives.
     """
     shape = transport.projector_shape
     if RayDomain(shape).views > 1:
         raise InputError(f"the projector's rays {shape} are several views; crop one of them first")
     floodlit = _relit(transport, np.ones((1, *shape), np.float32))[0]
+    if not floodlit.max() > 0:
+        raise InputError("no pixel sees light of the projector: there is nothing to tell places by")
     coarse = [_coordinate(transport, floodlit, axis) for axis in (0, 1)]
     entries = _around(transport, coarse)
     # light from everywhere, which all dots have alike
@@ -95,23 +97,28 @@ def _relit(transport: MatrixAlgebra, patterns: Float) -> Float:
 
 def _coordinate(transport: MatrixAlgebra, floodlit: Float, axis: int) -> NDArray[np.int64]:
     """Return the row, or the column, of each camera pixel's place, to a pixel, (camera rays,)."""
-    shape = transport.projector_shape
-    place = np.arange(shape[axis])
+    shape = transport.projector_shape[-2:]
+    place = np.arange(shape[axis] + 1)
     gray = place ^ place >> 1
-    bits = max(int(place[-1]).bit_length(), 1)
-    lines = np.stack([(gray >> bit ^ gray * (bit > 0)) & 1 for bit in range(bits)])
-    along = lines.reshape(bits, *(-1 if each == axis else 1 for each in range(len(shape))))
-    patterns = np.broadcast_to(along, (bits, *shape)).astype(np.float32)
-    lit = _relit(transport, patterns) > floodlit / 2
-    lit[1:] ^= lit[0]
-    binary = np.logical_xor.accumulate(lit[::-1], axis=0)[::-1]
-    found: NDArray[np.int64] = np.tensordot(1 << np.arange(bits), binary, 1)
+    bits = 1 << np.arange(max(int(place[-2]).bit_length(), 1))
+    told = []
+    # where a pixel sees an edge of the finest stripes, the same moved by one have none
+    for fine in (gray[:-1] & 1, gray[1:] & 1):
+        lines = np.stack([fine, *((gray[:-1] & bit > 0) ^ fine for bit in bits)])
+        along = np.expand_dims(lines, 2 - axis)
+        images = _relit(transport, np.broadcast_to(along, (len(lines), *shape)).astype(np.float32))
+        above = images - floodlit / 2
+        lit = (above[1:] > 0) ^ (above[0] > 0)
+        binary = np.logical_xor.accumulate(lit[::-1], axis=0)[::-1]
+        told.append((np.abs(above[0]), np.tensordot(bits, binary, 1)))
+    (clear, first), (clearer, second) = told
+    found: NDArray[np.int64] = np.where(clearer > clear, second, first)
     return np.minimum(found, shape[axis] - 1)
 
 
 def _around(transport: MatrixAlgebra, coarse: list[NDArray[np.int64]]) -> Float:
     """Return each pixel's entries around its place, (rows, columns, camera rays)."""
-    shape = transport.projector_shape
+    shape = transport.projector_shape[-2:]
     row, column = np.indices(shape)
     entries = np.empty((_APART, _APART, len(coarse[0])), np.float32)
     # which of the window's places a dot at each offset is near

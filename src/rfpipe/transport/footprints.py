@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.transport.arrays import ArrayTransport
+from rfpipe.transport.arrays import ArrayTransport, each_bounced
 from rfpipe.transport.base import Float
 
 if TYPE_CHECKING:
@@ -52,6 +52,15 @@ class FootprintTransport(ArrayTransport):
         sent = functions["left"].T @ (light.T * held["camera_factor"][channel][:, None])
         smooth = functions["right"] @ (cores.T @ sent)
         return (direct.T @ light.T + smooth * held["projector_factor"][channel][:, None]).T
+
+    def relight_each(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+        held, functions = self._held, self._functions
+        cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
+        light = patterns.multiply(held["projector_factor"][channel]) @ functions["right"]
+        smooth = held["camera_factor"][channel] * each_bounced(functions["left"], cores, light)
+        seen: Float = patterns.multiply(direct).sum(axis=1) + smooth
+        return seen
 
     def direct(self) -> FootprintTransport:
         """Return the footprints alone."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from rfpipe.transport.compensation import Compensation
     from rfpipe.transport.correspondence import Correspondence
+    from rfpipe.transport.separation import Separation
 
 LIMIT = 8 * 2**30
 """Bytes that a matrix in a file may take by default, before compression."""
@@ -111,13 +112,57 @@ class Light(MatrixAlgebra):
         return self.relight(np.moveaxis(planes, 0, -1))
 
     def pattern_for(self, picture: NDArray[Any]) -> Compensation:
-        """Return the pattern, of weights between 0 and 1, that makes the scene look like a picture.
+        """Return the pattern of weights between 0 and 1 that makes the scene look like a picture.
 
-        See `rfpipe.transport.compensation.compensation_for`.
+        Parameters
+        ----------
+        picture : array, shape (*camera_shape) or (*camera_shape, channels)
+            Radiance, 0 or more, in the unit of the transport's pictures.
+
+        Raises
+        ------
+        InputError
+            If the picture has another shape, or values that aren't finite, are negative, or a
+            picture file's whole numbers; if no light arrives.
         """
         from rfpipe.transport.compensation import compensation_for
 
-        return compensation_for(self, picture)
+        wished = planar_patterns(
+            np.asarray(picture)[None], self.camera_shape, self.channels, "a wished picture"
+        )
+        return compensation_for(self, wished[0])
+
+    def separate(
+        self, pattern: NDArray[Any], *, direct: int = 2, near: float = 1 / 16
+    ) -> Separation:
+        """Return the picture under a pattern as direct, near-range and far-range light.
+
+        Light is told by how far from a pixel's own place in the projector's picture it was sent:
+        itself on a coaxial rig, else as `correspondence` tells. A pixel without such a place, in
+        shadow, goes by that of the next one.
+
+        Parameters
+        ----------
+        pattern
+            As for `relight`.
+        direct : int
+            Rows and columns of the projector up to which light is direct, 0 or more. Two take in
+            the width of a camera's pixel, and what isn't quite sharp.
+        near : float
+            Range up to which other light is near, as a share of the projector's longer side, above
+            0. It fades out: about half of the light at that range is near. The default is about
+            the range of the near parts of `near_far`.
+
+        Raises
+        ------
+        InputError
+            If the pattern has another shape or isn't finite, an option is out of range, no light
+            arrives, or the projector has several views, or no picture, as lights one at a time.
+        """
+        from rfpipe.transport.separation import separated
+
+        light = planar_patterns(np.asarray(pattern)[None], self.projector_shape, self.channels)
+        return separated(self, light[0], direct, near)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
@@ -235,12 +280,14 @@ class TransposedTransport(Light):
         return self._primal.between_some(lit, seen).T
 
 
-def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
+def planar_patterns(
+    patterns: NDArray[Any], shape: tuple[int, ...], channels: int, name: str = "a pattern"
+) -> Float:
     """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
 
     White light is the same memory for all channels.
     """
-    patterns = as_weights(patterns)
+    patterns = as_weights(patterns, name)
     count = patterns.shape[0]
     if patterns.shape == (count, *shape):
         rays = np.ascontiguousarray(patterns, np.float32).reshape(count, 1, -1)
@@ -250,8 +297,8 @@ def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: in
         planar = np.ascontiguousarray(planes, np.float32)
     else:
         raise InputError(
-            f"a pattern has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
+            f"{name} has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
         )
     if not np.isfinite(patterns).all():
-        raise InputError("a pattern holds NaN or infinite weights; all weights must be finite")
+        raise InputError(f"{name} holds NaN or infinite weights; all weights must be finite")
     return planar

@@ -57,6 +57,16 @@ class LowRankTransport(ArrayTransport):
             matrix += (received.T @ diags_array(self._held["diagonal"][channel]) @ sent).toarray()
         return np.asarray(matrix, np.float32)
 
+    def relight_each(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+        seen = np.zeros(patterns.shape[0])
+        terms = (it[channel] for it in (self._held["left"], self._held["strengths"], self._right))
+        for left, strength, right in zip(*terms, strict=True):
+            seen += left * (strength * (patterns @ right.astype(np.float64)))
+        if "diagonal" in self._held:
+            seen += self._held["diagonal"][channel] * patterns.diagonal()
+        return seen.astype(np.float32)
+
     @property
     def _right(self) -> Float:
         return self._held["right" if "right" in self._held else "left"]

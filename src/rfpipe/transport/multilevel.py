@@ -103,6 +103,17 @@ class MultilevelTransport(LevelTransport):
             result[first : first + _BATCH] = spread[..., self.tree.inverse]
         return result
 
+    def relight_each(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+        from scipy.sparse import csr_array
+
+        seen = np.zeros(patterns.shape[0])
+        for pairs, spread in self.spread_pairs():
+            light = patterns[:, self.tree.order] @ spread.of([channel])[0].T
+            where = pairs.pixel, spread.node
+            seen += (csr_array((pairs.values[channel], where), shape=light.shape) * light).sum(1)
+        return seen.astype(np.float32)
+
     def spread_pairs(self) -> Iterator[tuple[PairSet, Spread]]:
         """Yield each level's pairs, and how their responses are spread over their blocks."""
         for index, pairs in enumerate(self.pair_sets):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.transport.arrays import ArrayTransport, CoaxialTransport
+from rfpipe.transport.arrays import PairTransport
 from rfpipe.transport.base import Float
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ def _pairs(
     return a[order].astype(np.int32), b[order].astype(np.int32)
 
 
-class MultiscaleTransport(CoaxialTransport, ArrayTransport):
+class MultiscaleTransport(PairTransport):
     """Symmetric transport ``T = F B S B^T F`` a channel, smooth up to the image F on both sides.
 
     Parameters
@@ -236,6 +236,10 @@ class MultiscaleTransport(CoaxialTransport, ArrayTransport):
         cores, factor = self._held["cores"][channel], self._held["factor"][channel]
         first, second = self._held["pairs"]
         return bounced(self.basis, (first, second), cores, factor, light)
+
+    def functions(self) -> csr_array[np.float32]:
+        """Return B."""
+        return self.basis.weights
 
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int

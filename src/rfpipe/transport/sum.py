@@ -59,6 +59,10 @@ class SumTransport(Transport):
         """Return the light between few patterns, see `Transport.between`."""
         return reduce(np.add, (part.between(received, sent, channel) for part in self.parts))
 
+    def relight_each(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+        return reduce(np.add, (part.relight_each(patterns, channel) for part in self.parts))
+
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
         """Return the parts that pass light between some rays, see `Light.between_some`."""
         parts: Any = [part.between_some(seen, lit) for part in self.parts]

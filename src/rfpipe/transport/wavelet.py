@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.transport.arrays import ArrayTransport, CoaxialTransport
+from rfpipe.transport.arrays import PairTransport
 from rfpipe.transport.base import Float
 from rfpipe.transport.rays import squares
 
@@ -183,7 +183,7 @@ class Cells:
         return csr_array((shares, where), shape=(len(shares), self.count))
 
 
-class WaveletTransport(CoaxialTransport, ArrayTransport):
+class WaveletTransport(PairTransport):
     """Symmetric transport ``T = F W^T C W F`` a channel, between wavelets of two images.
 
     Parameters
@@ -203,6 +203,10 @@ class WaveletTransport(CoaxialTransport, ArrayTransport):
     def cells(self) -> Cells:
         """The grid of the wavelets."""
         return Cells(self.camera_shape, int(self._held["side"][0]))
+
+    def functions(self) -> csr_array[np.float32]:
+        """Return ``W^T`` over the rays."""
+        return self.cells.functions()
 
     def _lit(self, light: Float, channel: int) -> Any:
         from rfpipe.transport.pair_kernels import couple

@@ -117,6 +117,25 @@ def leaf_offsets(tree: BlockTree, leaves: LeafSet) -> NDArray[np.int64]:
     return np.append(0, np.cumsum(sizes))
 
 
+def leaf_entries(tree: BlockTree, leaves: LeafSet, rays: NDArray[np.int64], channel: int) -> Float:
+    """Return what leaves tell of entries, rows before columns: positions (2, n), float32 (n,)."""
+    from scipy.sparse import csr_array
+
+    starts, pair = tree.starts[leaves.level], (leaves.block_a, leaves.block_b)
+    count, blocks = tree.n_blocks(leaves.level), tree.block_of_position(leaves.level)[rays]
+    number = csr_array((np.arange(1, len(leaves) + 1), pair), shape=(count, count))[*blocks]
+    hit = np.flatnonzero(number)
+    leaf, values = number[hit] - 1, leaves.values[channel]
+    entries = np.zeros(len(number), np.float32)
+    if leaves.level == tree.n_levels - 1:
+        entries[hit] = values[leaf]
+    else:
+        first, second, _ = factor_offsets(starts, *pair)
+        a, b = (rays - starts[blocks])[:, hit]
+        entries[hit] = values[first[leaf] + a] * values[second[leaf] + b]
+    return entries
+
+
 def ragged_ranges(begin: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the indices of runs ``begin[i] : begin[i] + lengths[i]``, one after the other."""
     ends = np.cumsum(lengths)

@@ -16,6 +16,7 @@ from rfpipe.transport.hierarchical.apply import apply_leaf_sets
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
     decoded,
+    leaf_entries,
     merge_leaf_sets,
     pack_leaves,
 )
@@ -82,6 +83,15 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
         if isinstance(held, StoredLeaves):
             return self.holding(self.level_rows, held.between(rays))
         return self.holding(self.level_rows, [rays.chosen(leaves) for leaves in held])
+
+    def relight_each(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+        pairs = patterns.tocoo()
+        # T = T^T, and the blocks of rays in order are in order
+        rays = np.sort(self.tree.inverse[np.stack([pairs.row, pairs.col])], axis=0)
+        entries = sum(leaf_entries(self.tree, each, rays, channel) for each in self.leaf_sets)
+        seen = np.bincount(pairs.row, entries * pairs.data, pairs.shape[0])
+        return seen.astype(np.float32)
 
     def _truncated(self, level: int) -> Sequence[LeafSet]:
         """Make leaves of what was subdivided at `level` of the blocks."""

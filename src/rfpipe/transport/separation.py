@@ -1,0 +1,105 @@
+"""Direct, near-range and far-range light of a picture, by how far it has come."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.transport.algebra import MatrixAlgebra
+from rfpipe.transport.correspondence import correspondence_of
+
+Float = NDArray[np.float32]
+Places = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Separation:
+    """Three pictures that add up to the relit one, each float32 (*camera_shape, channels).
+
+    Attributes
+    ----------
+    direct, near, far
+        Light from around a pixel's own place in the projector's picture, from near it, and from
+        all other places.
+    """
+
+    direct: Float
+    near: Float
+    far: Float
+
+
+def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) -> Separation:
+    """Return the picture under planar light (channels, projector rays), see `Light.separate`."""
+    shape = transport.projector_shape
+    if not (direct >= 0 and direct == int(direct) and 0 < near <= 1):
+        raise InputError(
+            f"direct = {direct}, near = {near}: expected a whole number of at least 0, and a share "
+            "of the projector's longer side, above 0 and at most 1"
+        )
+    if min(shape[-2:]) < 2:
+        raise InputError(f"the projector's rays {shape} are no picture, in which some are near")
+    places = _places(transport)
+    channels = range(transport.channels)
+    planes = light.reshape(-1, *shape[-2:])
+    windows = (_windows(plane, places, int(direct)) for plane in planes)
+    around = np.stack([transport.relight_each(own, k) for k, own in enumerate(windows)])
+    within = np.zeros_like(around)
+    for weights, lit in _neighbourhoods(planes, places, near * max(shape), direct + 1):
+        images = transport.forward(lit.reshape(-1, *light.shape), channels)
+        within += (weights[:, None] * images).sum(axis=0)
+    image = transport.forward(light[None], channels)[0]
+    parts = (around, within - around, image - within)
+    return Separation(*(it.T.reshape(*transport.camera_shape, -1) for it in parts))
+
+
+def _places(transport: MatrixAlgebra) -> Places:
+    """Return each camera ray's place, row and column, (M, 2)."""
+    from scipy.ndimage import distance_transform_edt
+
+    found = correspondence_of(transport)
+    if not found.mask.any():
+        raise InputError("no pixel sees light that comes directly from one place of the projector")
+    nearest = distance_transform_edt(~found.mask, return_distances=False, return_indices=True)
+    places: Places = found.places[tuple(nearest)]
+    if transport.camera_shape == transport.projector_shape:
+        rays = np.moveaxis(np.indices(found.mask.shape)[-2:], 0, -1) + 0.5
+        if np.median(np.abs(places - rays)) < 0.5:  # coaxial
+            places = rays
+    return places.reshape(-1, 2)
+
+
+def _windows(light: Float, places: Places, reach: int) -> Any:
+    """Return the light around each camera ray's place, sparse (M, N)."""
+    from scipy.sparse import csr_array
+
+    side = np.arange(-reach, reach + 1)
+    offsets = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    sent = np.floor(places[:, None]).astype(np.int64) + offsets
+    inside = ((sent >= 0) & (sent < light.shape)).all(axis=-1)
+    owner, ray = np.nonzero(inside)[0], np.ravel_multi_index(sent[inside].T, light.shape)
+    windows = csr_array((light.ravel()[ray], (owner, ray)), shape=(len(places), light.size))
+    windows.eliminate_zeros()
+    return windows
+
+
+def _neighbourhoods(
+    light: Float, places: Places, near: float, least: int
+) -> Iterator[tuple[Float, Float]]:
+    """Yield weights of camera rays (B, M), and what is lit, (B, channels, height, width).
+
+    The weights are those of linear interpolation between points that are `near` apart; lit is what
+    is at most that and `least` away from each.
+    """
+    shares, boxes, spacing = [], [], max(1.0, near)
+    for axis, length in enumerate(light.shape[1:]):
+        points = spacing * np.arange(np.ceil(length / spacing) + 1)[:, None]
+        apart = np.abs(places[:, axis] - points) / spacing
+        shares.append(np.maximum(1 - apart, 0).astype(np.float32))
+        boxes.append(np.abs(np.arange(length) + 0.5 - points) <= spacing + least)
+    for share, box in zip(shares[0], boxes[0], strict=True):
+        yield share * shares[1], light * (box[:, None] & boxes[1][:, None])[:, None]
