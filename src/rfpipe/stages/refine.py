@@ -8,10 +8,13 @@ from functools import partial
 from typing import Any
 
 from rfpipe.methods import Pack
+from rfpipe.methods.base import LevelImages
+from rfpipe.methods.images import ImagesAs
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.merger import read_floodlit
 from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
@@ -54,7 +57,10 @@ def run(
     state = plan.state_before(folder, level)
     schedule, factors = read_schedule(folder, level), read_normalization(folder, level)
     with folder.frames(level, "merge") as merged:
-        images = NormalizedImages(schedule, merged, factors)
+        images: LevelImages = NormalizedImages(schedule, merged, factors)
+        if schedule.count == 1 and schedule.complete:  # the references' pattern, in far less noise
+            floodlit, variance = (image[None] for image in read_floodlit(folder))
+            images = ImagesAs(schedule, lambda *_: (floodlit, variance))
         with counted_by(partial(Progress, unit="step", shown=progress)):
             state = method.refine(state, images, (resources or Resources()).data_bytes)
     log_estimate(state.rows, plan.options)
