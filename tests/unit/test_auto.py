@@ -99,3 +99,18 @@ def test_fits_count_their_steps(seen: np.ndarray, method: str) -> None:
     total = sum(call.args[1] for call in counter.call_args_list)
     counted = counter.return_value.__enter__.return_value.advance.call_count
     assert 0.7 * total <= counted <= total
+
+
+def test_the_floodlit_image_has_the_noise_of_all_its_brackets() -> None:
+    spread = []
+
+    class Noting(NearFar):
+        def refine(self, state: Any, images: Any, *more: Any) -> Any:
+            if state.level == 0:
+                spread.append(images.read(0, 1)[1].mean())
+            return super().refine(state, images, *more)
+
+    for count in (1, 16):
+        frames = FRAMES | {"floodlit_frames": count}
+        rfpipe.acquire(rig(coaxial()), Noting(), patterns=13, **frames)
+    assert spread[1] == pytest.approx(spread[0] / 16, rel=0.1)
