@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import helpers
 from tests.buckets import use
 from tests.serving import serving
-from typer.testing import CliRunner
 
 import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.cli import app
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
@@ -209,9 +208,7 @@ def test_what_a_published_folder_on_a_web_server_lacks_is_found(tmp_path: Path) 
 
 
 def verified(path: Path | str, status: int = 0) -> str:
-    result = CliRunner().invoke(app, ["verify", str(path)], catch_exceptions=False)
-    assert result.exit_code == status, result.output
-    return result.output
+    return helpers.run("verify", path, status=status)
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
