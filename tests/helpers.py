@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
+from rfpipe.cli import app
 from rfpipe.config import Config, parse_config
 from rfpipe.methods import Method
 from rfpipe.scenes import reference_scene
@@ -52,6 +54,13 @@ def settings_of_a_plane(**others: Any) -> Config:
     """Return the settings of a run of one white plane, and others that are given."""
     scenes = {"plane": {"kind": "plane", "surfaces": ["white"]}}
     return parse_config({"scenes": scenes, **others}, "the test")
+
+
+def run(*arguments: object, status: int = 0) -> str:
+    """Run a command of rfpipe in this process; return what it says. What it raises is raised."""
+    result = CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False)
+    assert result.exit_code == status, result.output
+    return result.output
 
 
 def contents(path: Path) -> dict[str, bytes]:

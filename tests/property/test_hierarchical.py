@@ -78,18 +78,6 @@ def test_it_is_the_linear_operator_of_its_dense_matrix(shape, channels, seed):
     np.testing.assert_array_equal(batch[0], batch[-1])
 
 
-@settings(max_examples=25, deadline=None)
-@given(shape=shapes, channels=st.sampled_from([1, 3]), seed=st.integers(0, 2**32 - 1))
-def test_truncation_keeps_every_row_and_column_sum(shape, channels, seed):
-    transport, matrices = random_transport(shape, channels, seed)
-    on = np.ones(shape)
-    scale = np.abs(matrices).max() * matrices.shape[1]
-    for level in range(transport.tree.n_levels):
-        truncated = transport.truncate(level)
-        assert max(leaves.level for leaves in truncated.leaf_sets) <= level
-        np.testing.assert_allclose(truncated.relight(on), transport.relight(on), atol=1e-5 * scale)
-
-
 def collapsed(tree, matrix, level):
     """Return what one channel's rank-1 nodes of `level` are, of row and column sums of `matrix`."""
     starts, within = tree.starts[level], matrix[np.ix_(tree.order, tree.order)]

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from tests.collections_ import acquire_item
-from typer.testing import CliRunner
+from tests.helpers import run
 
-from rfpipe.cli import app
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue
 from rfpipe.store.files import hidden_sibling
@@ -26,8 +25,7 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("catalogue")
     rows = [f"{name},plane,texture,6 x 8,3,<{name}> & co\n" for name in STATES]
     (folder / "scenes.csv").write_text(HEADER + "".join(rows))
-    run = "collection: scenes.csv\nmethods: {hadamard: {}}\n"
-    (folder / "run.yaml").write_text(run)
+    (folder / "run.yaml").write_text("collection: scenes.csv\nmethods: {hadamard: {}}\n")
     results = folder / "results"
     acquire_item(load_config(folder / "run.yaml"), "done", "hadamard", results)
     for name in ("failed", "running", "stopped"):
@@ -46,12 +44,9 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         lock.write("78 node4\n")
         lock.flush()
-        told = CliRunner().invoke(
-            app, ["catalogue", str(folder / "run.yaml"), "--folder", str(results)]
-        )
-    assert told.exit_code == 0
+        told = run("catalogue", folder / "run.yaml", "--folder", results)
     for name in STATES:
-        assert f"1 {name}" in told.output
+        assert f"1 {name}" in told
     return results / CATALOGUE
 
 

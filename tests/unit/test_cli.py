@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
+from tests.helpers import run
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.cli import app, main
+from rfpipe.cli import main
 from rfpipe.config import Config
 from rfpipe.config.schema import schema_of
 from rfpipe.pictures.images import read_image, write_image
@@ -45,12 +45,6 @@ def transport(tmp_path: Path, factors: NDArray[np.float32]) -> Path:
 def picture(path: Path, weights: NDArray[np.float32]) -> Path:
     write_image(path, weights.reshape(*weights.shape[:2], -1))
     return path
-
-
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(app, [str(part) for part in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 @pytest.fixture

@@ -5,10 +5,9 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from tests.helpers import run
 
 import rfpipe
-from rfpipe.cli import app
 from rfpipe.environment import LIGHT_FILES
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image
@@ -17,10 +16,6 @@ RANDOM = np.random.default_rng(5)
 COUNT, SHAPE = 11, (6, 7)
 LIGHTS = RANDOM.normal(size=(COUNT, 3)).astype(np.float32)
 PICTURES = RANDOM.random((COUNT, *SHAPE, 3), np.float32)
-
-
-def run(*arguments: object) -> str:
-    return CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False).output
 
 
 def fitted(folder: Path, name: str = "dome.lp", lights=LIGHTS, *options: object):

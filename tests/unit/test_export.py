@@ -7,9 +7,8 @@ import av
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
+from tests.helpers import run
 
-from rfpipe.cli import app
 from rfpipe.errors import InputError, RfpipeError, StoreError
 from rfpipe.export import (
     moving_light,
@@ -39,15 +38,9 @@ def stored(tmp_path: Path) -> Path:
     return tmp_path / "transport.zarr"
 
 
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 def refused(*arguments: object) -> str:
     with pytest.raises(RfpipeError) as caught:
-        CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False)
+        run(*arguments)
     return str(caught.value)
 
 

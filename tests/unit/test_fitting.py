@@ -10,11 +10,9 @@ import OpenImageIO as oiio
 import pytest
 import yaml
 from scipy.linalg import hadamard
-from tests.helpers import dense, picture_error
-from typer.testing import CliRunner
+from tests.helpers import dense, picture_error, run
 
 from rfpipe import open_transport
-from rfpipe.cli import app
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
 from rfpipe.export import photographs
@@ -87,11 +85,10 @@ def test_fit_writes_nothing_that_is_worth_nothing(
     seen = series(patterns.reshape(count, RAYS)).radiance
     for index, taken in enumerate([*takes, *range(4, count)]):
         write(tmp_path / f"{index}.exr", np.moveaxis(seen[taken], 0, -1).reshape(*SHAPE, 3))
-    arguments = ["fit", str(tmp_path), "-o", str(tmp_path / "t.zarr")]
     with pytest.raises(InputError, match=message):
-        CliRunner().invoke(app, arguments, catch_exceptions=False)
+        run("fit", tmp_path, "-o", tmp_path / "t.zarr")
     assert not (tmp_path / "t.zarr").exists()
-    assert CliRunner().invoke(app, [*arguments, "--anyway"]).exit_code == 0
+    run("fit", tmp_path, "-o", tmp_path / "t.zarr", "--anyway")
 
 
 def write(path: Path, pixels: np.ndarray, seconds: float | None = None) -> None:
@@ -108,10 +105,9 @@ def test_a_foreign_folder_of_single_lights(tmp_path: Path) -> None:
     for index, light in enumerate(lights):
         write(tmp_path / "stage" / f"light_{index}.exr", light)
     output = tmp_path / "out.zarr"
-    arguments = ["fit", str(tmp_path / "stage"), "-o", str(output), "--lights", "1", "7"]
-    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    assert "7 pictures of 7 projector rays (complete)" in done.output
-    assert "no error is known" in done.output
+    told = run("fit", tmp_path / "stage", "-o", output, "--lights", 1, 7)
+    assert "7 pictures of 7 projector rays (complete)" in told
+    assert "no error is known" in told
     transport = open_transport(output)
     assert (transport.camera_shape, transport.projector_shape) == (SHAPE, (1, 7))
     weights = np.array([[0, 1, 0, 0, 0.5, 0, 0]], np.float32)
@@ -136,9 +132,8 @@ def test_brackets_of_a_known_camera_bring_their_variance(tmp_path: Path) -> None
     deviation = (found.radiance[:, 0] - matrix.T) / np.sqrt(found.variance[:, 0])
     assert 0.7 < deviation.std() < 1.4
     (tmp_path / "c.yaml").write_text(yaml.safe_dump({"scenes": {"a": WALL}, "camera": numbers}))
-    arguments = ["fit", str(tmp_path), "-o", str(tmp_path / "t.zarr")]
-    done = CliRunner().invoke(app, [*arguments, "--settings", str(tmp_path / "c.yaml")])
-    assert "6 pictures of 6 projector rays (complete)" in done.output
+    told = run("fit", tmp_path, "-o", tmp_path / "t.zarr", "--settings", tmp_path / "c.yaml")
+    assert "6 pictures of 6 projector rays (complete)" in told
 
 
 def test_exposure_times_and_transfer_of_plain_pictures(tmp_path: Path) -> None:
@@ -169,10 +164,6 @@ def test_what_is_wrong_with_a_folder_is_said(tmp_path: Path, change, message: st
 
 
 # --- pictures of other programs: parts of an EXR file, folders of papers
-
-
-def run(*arguments: object) -> str:
-    return CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False).output
 
 
 @pytest.fixture(scope="module")

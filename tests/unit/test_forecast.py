@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
+from tests.helpers import run
 
-from rfpipe.cli import app
 from rfpipe.config import Config
 from rfpipe.stages.forecast import forecast
 from rfpipe.stages.jobs import workers
@@ -42,16 +41,15 @@ def test_the_command_says_what_does_not_fit(
     config = tmp_path / "config.yaml"
     scene = "{kind: wedge, surfaces: [white, white]}"
     config.write_text(f"scenes: {{one: {scene}, other: {scene}}}\nmethods: {{dual: {{}}}}")
-    result = CliRunner().invoke(app, ["plan", str(config), "--folder", str(tmp_path / "results")])
-    assert result.exit_code == 0
-    assert result.output.count("dual") == 2
-    assert "One after the other: 4:54:08" in result.output
-    assert "may not fit" not in result.output
-    assert "of memory, and this machine" not in result.output
+    told = run("plan", config, "--folder", tmp_path / "results")
+    assert told.count("dual") == 2
+    assert "One after the other: 4:54:08" in told
+    assert "may not fit" not in told
+    assert "of memory, and this machine" not in told
 
     monkeypatch.setattr(workers, "machine_memory_mb", lambda: 128)
     monkeypatch.setattr(files, "free_bytes", lambda _folder: 10)
-    result = CliRunner().invoke(app, ["plan", str(config)])
-    assert "may not fit" in result.output
-    assert "by dual is likely to take" in result.output
-    assert "of memory, and this machine has 128 MB" in result.output
+    told = run("plan", config)
+    assert "may not fit" in told
+    assert "by dual is likely to take" in told
+    assert "of memory, and this machine has 128 MB" in told

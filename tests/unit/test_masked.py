@@ -81,6 +81,7 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
     else:
         assert bad.patterns <= 1.5 * good.patterns
     assert error(bad, matrix) < 1.25 * error(good, matrix)
+    assert sum(row["patterns"] for row in bad.transport.level_rows) == bad.patterns
     found, mask = dense(bad.transport)[0], BAD.ravel()
     assert np.isfinite(found).all()
     rows, columns = found[np.ix_(mask, ~mask)], found[np.ix_(~mask, mask)].T

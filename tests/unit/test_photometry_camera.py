@@ -61,18 +61,6 @@ def test_full_well_is_full_scale_and_darkness_is_the_black_level() -> None:
     assert camera.expose(half, 0, (0, 0)).mean() == pytest.approx(expected, rel=1e-3)
 
 
-def test_noise_depends_on_seed_key_and_exposure_alone() -> None:
-    camera = CameraModel()
-    image = np.linspace(0, 0.02, 60, dtype=np.float32).reshape(4, 5, 3)
-    frames = camera.expose(image, 1, (4, 7))
-    camera.expose(2 * image, 1, (4, 8))
-    np.testing.assert_array_equal(camera.expose(image.copy(), 1, (4, 7)), frames)
-    others = [camera.expose(image, *given) for given in ((2, (4, 7)), (1, (4, 8)), (1, (7, 4)))]
-    assert all((other != frames).any() for other in others)
-    alone = replace(camera, exposures=camera.exposures[:1])
-    np.testing.assert_array_equal(alone.expose(image, 1, (4, 7))[0], frames[0])
-
-
 @pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
 def test_mosaic_samples_each_photosite_in_its_colour(pattern: str) -> None:
     image = np.arange(4 * 6 * 3, dtype=np.float32).reshape(4, 6, 3)

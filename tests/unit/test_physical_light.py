@@ -9,7 +9,6 @@ from rfpipe.errors import InputError
 from rfpipe.scenes.sight import Pinhole
 from rfpipe_mitsuba.parts import (
     ball,
-    body,
     box,
     glass,
     lettering,
@@ -204,16 +203,3 @@ def test_a_plane_behind_a_plate_of_glass(tmp_path: Path) -> None:
     passed = (1 - REFLECTED) / (1 + REFLECTED)  # with what is reflected to and fro within it
     nearer = away / (away - thick * (1 - 1 / 1.5))
     assert seen / expected == pytest.approx(passed**2 * nearer**2, rel=0.02)
-
-
-def test_a_body_that_absorbs_dims_what_is_behind_it(tmp_path: Path) -> None:
-    wall = sheet((0, 0, -1), (2, 0, 0), (0, 2, 0), matt(0.8))
-    narrow = view((0, 0, 6), (0, 0, 0), 4)
-    free_path, depth = 0.8, 0.6
-    slab = body(box((0, 0, 0), (2, 2, depth), 0, {}), free_path, 0.0, 0.0)
-    scenes = [
-        scene_of(tmp_path, world(*shapes, camera=narrow), 1024)
-        for shapes in ((slab, wall), (wall,))
-    ]
-    dimmed, clear = (flood(scene).mean() / scene.recording.scale for scene in scenes)
-    assert dimmed / clear == pytest.approx(np.exp(-2 * depth / free_path), rel=0.01)

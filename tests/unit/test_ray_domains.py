@@ -12,6 +12,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.scenes import ONE_VIEW, relighting_patterns, room_scene
 from rfpipe.scenes.matrix import MatrixScene
+from rfpipe.stages.evaluate import relative_rms
 from rfpipe.stages.relight import one_view_at_a_time, relit_arrays
 from rfpipe.transport import open_transport, save_transport
 
@@ -52,6 +53,7 @@ def test_pictures_of_arranged_views_are_those_of_a_stack(matrix):
         of_light = matrix.reshape(48, 4, 12)[:, light].sum(axis=1)
         found = arrays["views_truth"][light].reshape(-1)
         np.testing.assert_allclose(found, of_light, rtol=1e-5)
+    assert relative_rms(arrays["views_relit"], arrays["views_truth"]) < 0.02
 
 
 def test_patterns_light_the_same_rays_however_views_are_arranged():

@@ -6,7 +6,6 @@ import pytest
 from rfpipe.config import SceneSettings
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import (
-    ONE_VIEW,
     relighting_patterns,
     scene_from_config,
 )
@@ -43,29 +42,6 @@ def test_all_images_agree_with_the_scenes_matrix(transports, method):
     np.testing.assert_allclose(arrays["levels_relit"][-1], arrays["relit"][0], atol=1e-6)
     assert len(arrays["levels_relit"]) == len(transports[method].known_levels)
     assert all(np.isfinite(array).all() for array in arrays.values())
-
-
-def test_a_stack_of_views_is_relit_from_each_in_the_light_of_each():
-    room = SceneSettings.of(
-        "room", surfaces=("texture", "white", "white"), shape=(6, 9), views=(2, 2)
-    )
-    scene = scene_from_config(room)
-    transport = acquire(SimulatedRig(scene), "symmetric", tolerance=1e-3, progress=False).transport
-    arrays = relit_arrays(transport, scene)
-    assert arrays["relit"].shape == (6, 4, 6, 9, 3)
-    assert arrays["floodlit_truth"].shape == (4, 6, 9, 3)
-    assert arrays["views_truth"].shape == (4, 4, 6, 9, 3)
-    assert not {"line_relit", "line_levels", "half_relit"} & set(arrays)
-    matrix = scene.dense(1).reshape(4, 54, 4, 54)
-    for light in range(4):
-        for view in range(4):
-            expected = matrix[view, :, light].sum(axis=1).reshape(6, 9)
-            found = arrays["views_truth"][light, view, :, :, 1]
-            np.testing.assert_allclose(found, expected, rtol=1e-5)
-    one_view = list(relighting_patterns(scene.shape)).index(ONE_VIEW)
-    np.testing.assert_allclose(arrays["truth"][one_view], arrays["views_truth"][0], rtol=1e-6)
-    assert relative_rms(arrays["views_relit"], arrays["views_truth"]) < 0.02
-    np.testing.assert_allclose(arrays["levels_relit"][-1], arrays["relit"][0], atol=1e-6)
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual"])

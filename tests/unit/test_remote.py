@@ -8,17 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import helpers
 from tests.buckets import use
+from tests.property.test_hierarchical import random_transport
 from tests.serving import serving
-from typer.testing import CliRunner
 
 import rfpipe
-from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.cli import app
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.transport import save_transport
-from rfpipe.transport.hierarchical.leaves import LeafSet
-from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe_publish.run import files_below
 from rfpipe_publish.writing import write_zip
 
@@ -31,17 +28,7 @@ SHELF = "results/shelf/symmetric/transport.zarr"
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two transports of several levels, and a zip file of the first, published."""
     folder = tmp_path_factory.mktemp("run")
-    draw = np.random.default_rng(8)
-    tree = BlockTree(RayDomain(SHAPE))
-    sets = []
-    for level in (1, 2):
-        n = tree.n_blocks(level)
-        a, b = np.triu_indices(n, 1)
-        sizes = np.diff(tree.starts[level])
-        values = draw.random((3, int((sizes[a] + sizes[b]).sum())), np.float32)
-        sets.append(LeafSet(level, a.astype(np.int32), b.astype(np.int32), values))
-    rows = [{"level": level, "patterns": 1} for level in range(3)]
-    transport = HierarchicalTransport.from_leaf_sets(tree, 3, rows, sets)
+    transport, _ = random_transport(SHAPE, 3, seed=8)
     for name in (DESK, SHELF):
         (folder / name).parent.mkdir(parents=True)
         save_transport(transport, folder / name, "uint8")
@@ -209,9 +196,7 @@ def test_what_a_published_folder_on_a_web_server_lacks_is_found(tmp_path: Path) 
 
 
 def verified(path: Path | str, status: int = 0) -> str:
-    result = CliRunner().invoke(app, ["verify", str(path)], catch_exceptions=False)
-    assert result.exit_code == status, result.output
-    return result.output
+    return helpers.run("verify", path, status=status)
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

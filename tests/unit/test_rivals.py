@@ -9,7 +9,6 @@ from benchmarks.rivals.low_rank import LowRank
 from tests.helpers import acquire_matrix, dense
 
 from rfpipe import OperatorRig, acquire
-from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import Method
 from rfpipe.scenes import reference_scene
@@ -33,14 +32,6 @@ class TestCompressive(MethodContract):
         return Compressive()
 
 
-def sparse(rows: int, rays: int, entries: int, seed: int = 0) -> np.ndarray:
-    random = np.random.default_rng(seed)
-    matrix = np.zeros((rows, rays))
-    for row in matrix:
-        row[random.choice(rays, entries, replace=False)] = 0.2 + random.random(entries)
-    return matrix
-
-
 def of_rank(rank: int, rays: int = 256, seed: int = 0) -> np.ndarray:
     factors = np.random.default_rng(seed).random((rank, rays))
     return factors.T @ factors / rays
@@ -48,19 +39,6 @@ def of_rank(rank: int, rays: int = 256, seed: int = 0) -> np.ndarray:
 
 def relative(found: np.ndarray, matrix: np.ndarray) -> float:
     return float(np.linalg.norm(found - matrix) / np.linalg.norm(matrix))
-
-
-@pytest.mark.parametrize(("camera", "projector"), [((16, 16), (16, 16)), ((3, 4), (13, 17))])
-def test_a_sparse_matrix_is_recovered_from_a_quarter_of_its_columns(
-    camera: tuple[int, ...], projector: tuple[int, ...]
-) -> None:
-    matrix = sparse(RayDomain(camera).size, RayDomain(projector).size, 4)
-    rig = OperatorRig(matrix, camera, projector)
-    result = acquire(rig, COMPRESSIVE, progress=False, patterns=64)
-    assert result.patterns == 64
-    assert relative(dense(result.transport)[0], matrix) < 1e-4
-    few = acquire(rig, COMPRESSIVE, progress=False, patterns=12)
-    assert relative(dense(few.transport)[0], matrix) > 0.1
 
 
 @pytest.mark.parametrize("method", [COMPRESSIVE, LOW_RANK])

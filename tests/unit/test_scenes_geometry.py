@@ -24,7 +24,6 @@ from rfpipe.scenes.geometries import (
 )
 from rfpipe.scenes.surfaces import is_hidden
 
-ROOMS = tuple(GEOMETRIES)[2:]
 SQUARE = Occluder((0, 0, 1), (0.5, 0, 0), (0, 0.5, 0))  # in the plane z = 1
 
 

@@ -69,18 +69,6 @@ def test_a_uniformly_lit_screen_has_no_ripples():
     assert max(np.abs(part).max() for part in second) < 0.02
 
 
-def test_each_bounce_adds_light(small):
-    matrices = [
-        room_scene(SURFACES, (8, 12), views=(2, 2), bounces=bounces).dense(1)
-        for bounces in (1, 2, 3)
-    ]
-    assert (matrices[1] >= matrices[0]).all()
-    assert (matrices[2] >= matrices[1]).all()
-    floodlit = [matrix.sum() for matrix in matrices]
-    assert 1.02 < floodlit[1] / floodlit[0] < floodlit[2] / floodlit[0] < 1.5
-    assert np.array_equal(matrices[2], small.dense(1))
-
-
 @pytest.mark.parametrize("shape", [(8, 12), (26, 40)])
 def test_no_light_is_made_and_the_default_camera_takes_it(shape):
     scene = room_scene(SURFACES, shape, views=(3, 3))

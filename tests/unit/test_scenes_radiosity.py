@@ -21,7 +21,6 @@ from rfpipe.scenes import (
     scene_from_config,
     surface_points,
 )
-from rfpipe.scenes.formfactors import facing_pairs
 from rfpipe.scenes.geometries import WHITE, names_of
 from rfpipe.scenes.radiosity import FormFactors
 
@@ -63,46 +62,6 @@ def test_matrix_follows_the_formulas_entry_by_entry():
     expected = np.diag(albedo / points.areas) + reflect @ geometry @ reflect
     expected += reflect @ geometry @ np.diag(albedo * points.areas) @ geometry @ reflect
     assert scene.dense() == pytest.approx(points.mean_area * expected, rel=1e-6, abs=1e-12)
-
-
-def test_bounces_add_light_where_they_should():
-    shape = (10, 12)
-    direct, second, third, fourth = (textured(shape, bounces=n).dense(0) for n in (1, 2, 3, 4))
-    left = textured(shape).points.surface == 0
-    between, within = np.ix_(left, ~left), np.ix_(left, left)
-    assert np.array_equal(direct, np.diag(np.diag(direct)))
-    assert (second[between] > 0).all()
-    assert np.array_equal(second[within], direct[within])
-    assert (third[within] > direct[within]).all()
-    assert third[between] == pytest.approx(second[between], rel=1e-12)
-    assert (fourth[between] > third[between]).all()
-
-
-def lambert(point, normal, polygon):
-    """Form factor from a surface element to a polygon [Lambert 1760], in closed form."""
-    rays = (polygon - point) / np.linalg.norm(polygon - point, axis=1)[:, None]
-    following = np.roll(rays, -1, axis=0)
-    normals = np.cross(rays, following)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    angles = np.arccos(np.clip((rays * following).sum(1), -1, 1))
-    return abs((angles * (normals @ normal)).sum()) / (2 * np.pi)
-
-
-def test_form_factors_add_up_to_lamberts_closed_form():
-    points = surface_points((60, 70), GEOMETRIES["wedge"])
-    (pair,) = facing_pairs(points)
-    received = pair.block() @ points.areas[pair.indices[1]]
-    end = 70 / 60 / 2
-    near = 3 / (1 + end)
-    right = np.array(
-        [[0, -1.5, 3], [end * near, -near / 2, near], [end * near, near / 2, near], [0, 1.5, 3]]
-    )
-    for row, column in ((30, 2), (30, 15), (5, 20), (55, 25), (0, 0)):
-        i = 70 * row + column
-        expected = lambert(points.positions[i], points.surfaces[0].unit_normal, right)
-        assert received[np.flatnonzero(pair.indices[0] == i)[0]] == pytest.approx(
-            expected, rel=3e-3
-        )
 
 
 @pytest.mark.parametrize("geometry", [each for each in GEOMETRIES if each != "plane"])

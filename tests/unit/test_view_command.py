@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.helpers import run
 from tests.viewers import transport_of
-from typer.testing import CliRunner
 
-from rfpipe.cli import app
 from rfpipe.errors import RfpipeError
 from rfpipe.pictures.images import write_image
 from rfpipe.transport import save_transport
@@ -29,14 +28,8 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "results"
 
 
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(app, ["view", *map(str, arguments)], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 def test_a_page_says_what_it_shows_and_needs_nothing_from_elsewhere(results: Path) -> None:
-    said = run(results / "corner" / "symmetric")
+    said = run("view", results / "corner" / "symmetric")
     text = Path("corner_symmetric.html").read_text("utf-8")
     assert said.startswith("corner_symmetric.html: ")
     assert "<h1>corner by symmetric</h1>" in text
@@ -47,17 +40,17 @@ def test_a_page_says_what_it_shows_and_needs_nothing_from_elsewhere(results: Pat
 
 def test_another_transport_or_a_picture_is_compared(results: Path, tmp_path: Path) -> None:
     store, page = results / "corner" / "symmetric" / "transport.zarr", tmp_path / "a.html"
-    run(store, "-o", page, "--compare", results / "corner" / "near_far", "--title", "A & B")
+    run("view", store, "-o", page, "--compare", results / "corner" / "near_far", "--title", "A & B")
     text = page.read_text("utf-8")
     assert "Compare with corner by near_far" in text
     assert "<h1>A &amp; B</h1>" in text
     write_image(tmp_path / "truth.exr", transport_of("symmetric").relight(np.ones(SHAPE)))
-    run(store, "-o", page, "--compare", tmp_path / "truth.exr")
+    run("view", store, "-o", page, "--compare", tmp_path / "truth.exr")
     assert "Compare with truth.exr" in page.read_text("utf-8")
 
 
 def test_a_large_one_has_the_last_level_alone(results: Path) -> None:
-    said = run(results / "corner" / "symmetric", "--largest", 0.01)
+    said = run("view", results / "corner" / "symmetric", "--largest", 0.01)
     assert re.search(r"levels \d+\n", said)
 
 
@@ -73,7 +66,7 @@ def test_a_large_one_has_the_last_level_alone(results: Path) -> None:
 def test_what_is_wrong_is_said(results: Path, arguments: list[str], message: str) -> None:
     write_image(Path("small.exr"), np.ones((3, 4, 3), np.float32))
     with pytest.raises(RfpipeError, match=message):
-        CliRunner().invoke(app, ["view", *arguments], catch_exceptions=False)
+        run("view", *arguments)
 
 
 def test_a_run_s_page_compares_with_another_method_again_the_same(results: Path) -> None:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from tests.workflow.harness import GLASS, Workflow
 
-from rfpipe import acquire, open_transport
+from rfpipe import open_transport
 from rfpipe.config import SceneSettings, parse_config
 from rfpipe.errors import ConfigError
-from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
 from rfpipe.testing import SceneContract
 
@@ -40,13 +39,6 @@ def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> N
     expected = made().apply(spot[None])[0].reshape(6, 8, 1)
     assert np.count_nonzero(expected > 0.01 * expected.max()) > 9
     np.testing.assert_allclose(relit.relight(spot), expected, atol=5e-3 * expected.max())
-
-
-def test_it_runs_in_process() -> None:
-    result = acquire(SimulatedRig(made()), "symmetric", tolerance=1e-4, progress=False)
-    pattern = np.random.default_rng(0).random((6, 8)).astype(np.float32)
-    expected = made().apply(pattern[None])[0].reshape(6, 8, 1)
-    np.testing.assert_allclose(result.transport.relight(pattern), expected, rtol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ class DeviceRig(Closing):
         return 0 if self._sequencer is None else self._sequencer.most
 
     def show_sequence(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Show patterns by sequences; see `rfpipe.rigs.base.SequenceRig`."""
+        """Show patterns by sequences; see `rfpipe.rigs.base.sequence_patterns`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)
         is_binary = ((patterns == 0) | (patterns == 1)).all()
         can_show = is_binary or getattr(self.projector, "sequence_levels", None) != 2

@@ -71,7 +71,7 @@ class Contents(NamedTuple):
 def write_matrix(
     matrix: MatrixAlgebra, path: Path, rows: Rays, columns: Rays, limit_bytes: int
 ) -> None:
-    """Write a matrix, see `rfpipe.transport.base.Light.save`."""
+    """Write a matrix, see `rfpipe.transport.light.Light.save`."""
     write = MATRIX_FILES.get(path.suffix.lower())
     if write is None:
         raise InputError(

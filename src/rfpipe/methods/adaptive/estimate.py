@@ -33,7 +33,7 @@ Double = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Estimate:
-    """Errors of relit pictures, see `rfpipe.relighting.relative_error`.
+    """Errors of relit pictures, see `rfpipe.relighting.relative_errors`.
 
     Attributes
     ----------
