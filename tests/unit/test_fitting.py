@@ -18,6 +18,7 @@ from rfpipe.errors import InputError
 from rfpipe.export import photographs
 from rfpipe.fitting import Series, fit_transport, read_series
 from rfpipe.photometry import CameraModel
+from rfpipe.pictures import read_picture
 from rfpipe.scenes import planes_scene, relighting_patterns
 from rfpipe.transport.arrays import DenseTransport
 
@@ -229,6 +230,8 @@ def test_parts_of_other_programs_keep_their_order_or_are_refused(tmp_path: Path)
     np.testing.assert_allclose(found.radiance[2], pictures[2].reshape(20, 3).T, rtol=1e-3)
     with pytest.raises(InputError, match="3 pictures of 4 patterns"):
         read_series(file, lights=(2, 2))
+    with pytest.raises(InputError, match="holds 3 pictures, as parts"):
+        read_picture(file)
     write_them(np.where(np.arange(3)[:, None, None, None] == 1, np.nan, pictures))
     with pytest.raises(InputError, match="part fill: holds NaN"):
         read_series(file)

@@ -47,6 +47,10 @@ def opened(path: Path) -> Any:
     picture = oiio.ImageBuf(str(path))
     if not picture.read(0, 0, True):  # not through a cache in float
         raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
+    if path.suffix.lower() == ".exr" and picture.nsubimages > 1:
+        raise InputError(
+            f"{path}: holds {picture.nsubimages} pictures, as parts of one file; expected one here"
+        )
     return picture
 
 
