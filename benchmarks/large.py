@@ -24,7 +24,8 @@ from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, scene_from_config
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan, plan_of
-from rfpipe.store import open_arrays, read_manifest
+from rfpipe.stages.verification import compared
+from rfpipe.store import open_arrays
 from rfpipe.transport.filling import fill_from_transpose
 
 SETTINGS = Path("config/large.yaml").absolute()
@@ -79,7 +80,6 @@ def curve(
     plan.settle(folder)
     masked = np.zeros(np.prod(scene.camera_shape), np.bool_)
     dark = patterns == 0 if config.scenes[name].is_coaxial else None
-    verified = read_manifest(folder.path / "verification.json")["mean_error"]
     for behind in [*list(folder.levels())[1:], None]:
         state = plan.state_before(folder, behind)
         transport = fill_from_transpose(plan.method.transport(state), masked)
@@ -91,6 +91,7 @@ def curve(
         )
         errors, indirect = picture_errors(relit, truth, patterns, floodlit, dark)
         history = pd.DataFrame(transport.level_rows)
+        verified = np.nan if behind is not None else compared(folder, transport).mean_error
         yield {
             "scene": name,
             "method": method,
@@ -101,7 +102,7 @@ def curve(
             "mean_error": float(errors.mean()),
             "worst_error": float(errors.max()),
             "mean_indirect": float(np.nanmean(indirect)) if dark is not None else np.nan,
-            "verified": verified if behind is None else np.nan,
+            "verified": verified,
             "grain": scene.recorded["grain"]["whole"],
         }
 

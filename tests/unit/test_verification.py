@@ -13,6 +13,7 @@ import rfpipe
 from rfpipe.config import parse_config
 from rfpipe.errors import ConfigError, InputError, VerificationError
 from rfpipe.photometry import CameraModel
+from rfpipe.photometry.camera import UNKNOWN_DEVIATION
 from rfpipe.provenance import generator
 from rfpipe.stages.verification import check_bound, compare
 
@@ -61,6 +62,18 @@ def test_noise_alone_is_no_error() -> None:
     errors, spread = off.table["error"], off.table["standard_error"]
     assert errors.mean() == pytest.approx(0.2, rel=0.02)
     assert np.std((errors - 0.2) / spread) == pytest.approx(1, abs=0.2)
+
+
+def test_a_glint_hides_no_error() -> None:
+    """Saturated samples are taken for more uncertain than any error of the others."""
+    truth = generator(1).random((3, 6, 7, 1)).astype(np.float32)
+    variance = np.full_like(truth, 1e-6)
+    truth[:2, 2, 3] = 2
+    variance[:2, 2, 3] = (UNKNOWN_DEVIATION * 2) ** 2
+    floodlit = np.zeros((2, 6, 7, 1), np.float32)
+    relit = truth * np.float32(1.02)
+    found = compare(truth[..., 0], (truth, variance), relit, np.ones(1), floodlit)
+    assert found.mean_error == pytest.approx(0.02, rel=0.2)
 
 
 def test_a_spot_next_to_black_is_not_off_by_all_its_light() -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.patterns import Schedule
+from rfpipe.photometry.camera import are_saturated
 
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
@@ -133,10 +134,17 @@ class Pictures:
         return np.asarray(np.isfinite(self.variance[0]).all(axis=0))
 
     @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Pixels that are known and not saturated in any picture, (M,)."""
+        saturated = are_saturated(self.radiance, self.variance).any(axis=(0, 1))
+        return self.known & ~saturated
+
+    @property
     def noise(self) -> float:
         """The floodlit image's noise over its light; 1 of what is darker than that."""
-        light = np.square(self.radiance[0][:, self.known], dtype=np.float64).sum()
-        noise = self.variance[0][:, self.known].sum(dtype=np.float64)
+        measured = self.measured
+        light = np.square(self.radiance[0][:, measured], dtype=np.float64).sum()
+        noise = self.variance[0][:, measured].sum(dtype=np.float64)
         return float(np.sqrt(noise / light)) if light > noise else 1.0
 
     def shine(self) -> bool:

@@ -346,6 +346,18 @@ def merge_bracket(
     return estimate, variance, saturated
 
 
+def are_saturated(radiance: Float, variance: Float) -> NDArray[np.bool_]:
+    """Tell which samples of pictures of one scene were saturated in every exposure.
+
+    They are as bright as the brightest one, and as uncertain as `UNKNOWN_DEVIATION` says, up to a
+    tenth: of all other samples, only dark ones are. What isn't finite isn't told.
+    """
+    known = np.isfinite(radiance) & np.isfinite(variance)
+    brightest = radiance.max(initial=0, where=known)
+    uncertain = variance > np.square(0.9 * UNKNOWN_DEVIATION * radiance)
+    return np.asarray(known & uncertain & (radiance > 0.9 * brightest))
+
+
 def electrons_of_counts(camera: CameraModel) -> Float:
     """Return the electrons above the nominal black level behind each count, float32."""
     span = camera.white_level - camera.black_level_counts

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import VerificationError
 from rfpipe.patterns import Schedule
+from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
 from rfpipe.stages import merge
@@ -105,11 +106,12 @@ def compare(
     With ``d = relit - captured`` and the variance v of each sample, ``sum d^2`` is expected to be
     ``sum (error^2 + v)``: the noise's share is known, and is taken off. The rest has the standard
     deviation ``sqrt(sum (2 v^2 + 4 v error^2))``. The noise of the transport itself is part of its
-    error.
+    error. Of saturated samples neither is known: they don't count.
     """
     import pandas as pd
 
     known = np.isfinite(captured[0]) & np.isfinite(captured[1])
+    judged = known & ~are_saturated(*captured)
     observed, relit = np.where(known, captured[0], 0), np.where(known, relit, 0)
     seen = np.where(np.isfinite(floodlit[0]) & np.isfinite(floodlit[1]), floodlit, 0).astype(
         np.float64
@@ -117,8 +119,8 @@ def compare(
     full = float((np.square(seen[0]) - seen[1]).sum())
     rows = []
     for index, pattern in enumerate(patterns):
-        v = np.where(known[index], captured[1][index], 0).astype(np.float64)
-        squares = np.square(relit[index].astype(np.float64) - observed[index])
+        v = np.where(judged[index], captured[1][index], 0).astype(np.float64)
+        squares = np.square(relit[index].astype(np.float64) - observed[index]) * judged[index]
         noise = float(v.sum())
         own = np.square(observed[index], dtype=np.float64).sum() - noise
         light = float(reference_light(own, full * np.square(pattern, dtype=np.float64).mean()))

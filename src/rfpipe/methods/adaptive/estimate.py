@@ -130,7 +130,7 @@ def error_of(transport: Transport, held: Pictures, floodlit: Float, dark: Bools)
     """Compare a transport's pictures with the held-out ones, each part where it is brightest.
 
     What noise adds is taken off: that of the pictures' variances, times the scale that the two
-    pictures of the first pattern tell. Pixels that aren't known don't count.
+    pictures of the first pattern tell. Pixels that aren't known, or saturated, don't count.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def error_of(transport: Transport, held: Pictures, floodlit: Float, dark: Bools)
     """
     parts = held_out_parts(transport.projector_shape)
     predicted = [relit(transport, each) for each in parts]
-    known = held.known
+    known = held.measured
     taken, variance = (
         each[..., known].astype(np.float64) for each in (held.radiance, held.variance)
     )
