@@ -98,7 +98,7 @@ def curve(
             "rays": int(np.prod(scene.projector_shape)),
             "patterns": int(history["patterns"].sum()),
             "megabytes": transport.nbytes / 1e6,
-            "estimated_error": _last(history, "estimated_error"),
+            "estimated_error": estimated(history),
             "mean_error": float(errors.mean()),
             "worst_error": float(errors.max()),
             "mean_indirect": float(np.nanmean(indirect)) if dark is not None else np.nan,
@@ -154,8 +154,10 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
     return figure
 
 
-def _last(history: pd.DataFrame, column: str) -> float:
-    return float(history[column].iloc[-1]) if column in history else float("nan")
+def estimated(history: pd.DataFrame) -> float:
+    """Return the last error that a method estimated, or NaN."""
+    known = history.get("estimated_error", pd.Series(dtype=float)).dropna()
+    return float(known.iloc[-1]) if len(known) else float("nan")
 
 
 if __name__ == "__main__":
