@@ -134,7 +134,9 @@ class Compressive(BruteForce):
             measured = np.concatenate([floodlit, 2 * measured - floodlit], axis=1)
             # the floodlit image's noise is common to all and the least by far; not its rounding
             variance = 4 * variance + rounding(floodlit)
-            variance = np.concatenate([state.variance[:, None], variance], axis=1)
+            # which is known so well that no sparse signal would fit it: it weighs as one of them
+            first = np.maximum(state.variance, variance.mean(axis=1))[:, None]
+            variance = np.concatenate([first, variance], axis=1)
             signs = np.concatenate(
                 [np.ones((1, rays), np.float32), random_signs(count, rays, _SEED, state.level)]
             )

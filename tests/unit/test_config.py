@@ -72,8 +72,9 @@ def test_thesis_file_has_the_scenes_of_fig_2_1_and_a_light_field() -> None:
         for file in (thesis, load_config(FOLDER / "figures.yaml")):
             assert (file.scenes[name].kind, file.scenes[name].surfaces) == (kind, surfaces)
         assert thesis.scenes[name].ray_shape == (310, 350)
-    planes = {(name, "near_far") for name in thesis.scenes if name.startswith("planes")}
-    assert set(thesis.acquisitions) == planes | {(name, "symmetric") for name in thesis.scenes}
+    methods = {"near_far", "near_far_fine", "symmetric"}
+    assert all(set(thesis.methods_of(name)) == methods for name in list(thesis.scenes)[:4])
+    assert set(thesis.methods_of("light_field")) == {"auto", "symmetric"}
     assert thesis.camera == RUN.camera
     assert thesis.scenes["light_field"].ray_shape == (9, 130, 200)
 
