@@ -225,7 +225,9 @@ def _large(rows: pd.DataFrame) -> str:
 
 
 def _stages(rows: pd.DataFrame) -> str:
-    """Return processor minutes and peak memory of the stages of these acquisitions."""
+    """Return processor minutes and peak memory of stages that took half a minute in any."""
+    longest = rows.groupby("stage")["processor_s"].transform("max")
+    rows = rows[longest >= 30].copy()
     rows["cell"] = [
         f"{row.processor_s / 60:.1f} min, {row.memory_gib:.1f} GiB" for row in rows.itertuples()
     ]
