@@ -136,8 +136,9 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
         truth, relit = shown.read("truth")[0], shown.read("relit")[0]
         floodlit = shown.read("floodlit_truth")
         white = float(np.percentile(floodlit, 99.5))
-        titles = f"{name}, floodlit", "under a bar of light", "relit, auto"
-        for axis, image, title in zip(row, (floodlit, truth, relit), titles, strict=False):
+        titles = f"{name}, floodlit", "under a bar of light, x 4", "relit, auto, x 4"
+        images = floodlit, 4 * truth, 4 * relit
+        for axis, image, title in zip(row, images, titles, strict=False):
             axis.imshow(np.clip(image / white, 0, 1) ** (1 / 2.2))
             axis.set_title(title)
             axis.axis("off")
