@@ -26,7 +26,7 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan, plan_of
 from rfpipe.stages.verification import compared
 from rfpipe.store import open_arrays
-from rfpipe.transport.filling import fill_from_transpose
+from rfpipe.transport.base import estimates
 
 SETTINGS = Path("config/large.yaml").absolute()
 TABLES, PICTURE = Path("docs/measured").absolute(), Path("docs/images/large.png").absolute()
@@ -78,11 +78,10 @@ def curve(
     folder = AcquisitionFolder(Path("results") / name / method)
     plan = Plan(**plan_of(config, name, method))
     plan.settle(folder)
-    masked = np.zeros(np.prod(scene.camera_shape), np.bool_)
     dark = patterns == 0 if config.scenes[name].is_coaxial else None
     for behind in [*list(folder.levels())[1:], None]:
         state = plan.state_before(folder, behind)
-        transport = fill_from_transpose(plan.method.transport(state), masked)
+        transport = plan.method.transport(state)
         relit = np.concatenate(
             [
                 transport.relight_batch(patterns[first : first + _AT_A_TIME])
@@ -90,15 +89,15 @@ def curve(
             ]
         )
         errors, indirect = picture_errors(relit, truth, patterns, floodlit, dark)
-        history = pd.DataFrame(transport.level_rows)
+        known = estimates(transport.level_rows)
         verified = np.nan if behind is not None else compared(folder, transport).mean_error
         yield {
             "scene": name,
             "method": method,
             "rays": int(np.prod(scene.projector_shape)),
-            "patterns": int(history["patterns"].sum()),
+            "patterns": sum(row["patterns"] for row in transport.level_rows),
             "megabytes": transport.nbytes / 1e6,
-            "estimated_error": estimated(history),
+            "estimated_error": known[-1]["estimated_error"] if known else np.nan,
             "mean_error": float(errors.mean()),
             "worst_error": float(errors.max()),
             "mean_indirect": float(np.nanmean(indirect)) if dark is not None else np.nan,
@@ -153,12 +152,6 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
         row[3].legend()
     figure.tight_layout()
     return figure
-
-
-def estimated(history: pd.DataFrame) -> float:
-    """Return the last error that a method estimated, or NaN."""
-    known = history.get("estimated_error", pd.Series(dtype=float)).dropna()
-    return float(known.iloc[-1]) if len(known) else float("nan")
 
 
 if __name__ == "__main__":

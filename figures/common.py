@@ -26,7 +26,7 @@ _FILLED = 0.8  # of the full well, at most, by the floodlit picture
 
 @dataclass(frozen=True)
 class Size:
-    """How large and how exact the figures are: `figures/reduced.yaml` and `full.yaml`."""
+    """How large and how exact the figures are: `figures/figures.yaml` and `figures_full.yaml`."""
 
     side: int = 48  # pixels of the square pictures
     samples: int = 4096  # paths of light a pixel

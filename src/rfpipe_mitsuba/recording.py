@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -118,15 +118,30 @@ class Recording:
 
 def product(pieces: list[Piece], coaxial: bool, weights: Double, rays: int) -> Double:
     """Return radiance (rays, b, C) of the recorded matrix under weights (N, b)."""
-    channels = len(pieces[0].entries)
-    out = np.zeros((rays, weights.shape[1], channels))
+    out = np.zeros((rays, weights.shape[1], len(pieces[0].entries)))
+    for piece, share, by_row in _terms(pieces, coaxial):
+        piece.add_product(weights, share, by_row, out)
+    return out
+
+
+def dense(pieces: list[Piece], coaxial: bool, channel: int, shape: tuple[int, int]) -> Double:
+    """Return one channel of the recorded matrix, of a shape (M, N)."""
+    out = np.zeros(shape)
+    for piece, share, by_row in _terms(pieces, coaxial):
+        block = share * piece.entries[channel].toarray().astype(np.float64)
+        own = out if by_row else out.T
+        own[piece.first : piece.last] += block
+    return out
+
+
+def _terms(pieces: list[Piece], coaxial: bool) -> Iterator[tuple[Piece, float, bool]]:
+    """Yield what the matrix is the sum of: shares of pieces, as rows or as columns."""
     for piece in pieces:
         if coaxial:
-            piece.add_product(weights, 0.5, True, out)
-            piece.add_product(weights, 0.5, False, out)
+            yield piece, 0.5, True
+            yield piece, 0.5, False
         else:
-            piece.add_product(weights, 1.0, piece.by_row, out)
-    return out
+            yield piece, 1.0, piece.by_row
 
 
 def record(
@@ -252,7 +267,8 @@ def _traced(
     trace, others = getattr(tracer, kind), tracer.others(kind)
     length = max(1, _DENSE_BYTES // (others * 3 * 8))
     parts, unlit = [], []
-    half_lit = np.zeros((2, tracer.camera_rays, 3), np.float32)
+    seen = tracer.others("columns")
+    half_lit = np.zeros((2, seen, 3), np.float32)
     for start in range(first, last, length):
         end = min(start + length, last)
         traced = [trace(half, start, end) for half in (0, 1)]
@@ -263,7 +279,7 @@ def _traced(
             shape = end - start, others
             entries = tuple(csr_array((each, columns, starts), shape=shape) for each in own)
             piece = Piece(kind == "rows", start, end, entries)
-            half_lit[half] += product([piece], coaxial, pattern, tracer.camera_rays)[:, 0]
+            half_lit[half] += product([piece], coaxial, pattern, seen)[:, 0]
         parts.append(((values[0] + values[1]) / 2, columns, np.diff(starts)))
         if kind == "rows":
             direct = tracer.direct(start, end)

@@ -17,7 +17,7 @@ from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe_mitsuba.recording import Piece, Recording, product, record
+from rfpipe_mitsuba.recording import Piece, Recording, dense, product, record
 from rfpipe_mitsuba.variant import need_llvm
 from rfpipe_mitsuba.views import Side, View
 from rfpipe_mitsuba.world import Light, World, load_scene, world_of_file
@@ -201,6 +201,5 @@ class MitsubaScene(Scene):
 
     def dense(self, channel: int = 0) -> Double:
         """The whole matrix (M, N) of one channel."""
-        identity = np.eye(self.projector.rays)
-        pieces = [piece._replace(entries=piece.entries[channel:][:1]) for piece in self._pieces]
-        return product(pieces, self.recording.coaxial, identity, self.camera.rays)[..., 0]
+        shape = self.camera.rays, self.projector.rays
+        return dense(self._pieces, self.recording.coaxial, channel, shape)

@@ -48,11 +48,6 @@ class Tracer:
         self.is_whole = light.caustics or not self._bends
         self._ends: dict[int, Ends | None] = {}
 
-    @property
-    def camera_rays(self) -> int:
-        """Number of camera pixels."""
-        return self._rig.camera.side.rays
-
     def others(self, kind: str) -> int:
         """Length of ``rows``, or of ``columns``, in pixels."""
         sides = {"rows": self._rig.projector, "columns": self._rig.camera}

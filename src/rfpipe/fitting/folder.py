@@ -174,9 +174,9 @@ def read_series(
                 f"{folder}: holds one picture; expected EXR with a part for each light"
             )
         directions = lights_in(folder, [bracket[0].name for bracket in brackets])
-        if folder.is_file() or (directions is not None and not [*folder.glob("patterns*")]):
-            lights = lights or (1, len(brackets))
-        weights, validation = _weights(folder, lights, curve), np.zeros(len(brackets), np.bool_)
+        row = len(brackets) if folder.is_file() or directions is not None else 0
+        weights = _weights(folder, lights, row, curve)
+        validation = np.zeros(len(brackets), np.bool_)
         if directions is not None:
             count = prod(weights.shape[1:3])
             as_directions(directions, f"{folder}: its file of lights", count)
@@ -252,19 +252,21 @@ def _brackets(place: Path, step: int) -> list[list[Part]]:
     return [parts[first : first + step] for first in range(0, len(parts), step)]
 
 
-def _weights(folder: Path, lights: tuple[int, int] | None, curve: Curve) -> NDArray[Any]:
-    """Return patterns as (K, H, W), or (K, H, W, 3)."""
-    if lights:
-        return np.eye(prod(lights), dtype=np.float32).reshape(-1, *lights)
+def _weights(folder: Path, lights: tuple[int, int] | None, row: int, curve: Curve) -> NDArray[Any]:
+    """Return patterns as (K, H, W), or (K, H, W, 3); without any, those of a row of lights."""
     subfolder, array = folder / "patterns", folder / "patterns.npy"
-    if array.is_file():
-        return np.asarray(np.load(array, allow_pickle=False))
-    if not subfolder.is_dir():
+    if not lights:
+        if array.is_file():
+            return np.asarray(np.load(array, allow_pickle=False))
+        if subfolder.is_dir():
+            return _patterns(picture_files(subfolder, _OTHERS), curve)
+        lights = 1, row
+    if not prod(lights):
         raise InputError(
             f"{folder}: has no patterns; expected a folder {subfolder.name} of pictures, or "
             f"{array.name}, or, for one light at a time, --lights or a file of their directions"
         )
-    return _patterns(picture_files(subfolder, _OTHERS), curve)
+    return np.eye(prod(lights), dtype=np.float32).reshape(-1, *lights)
 
 
 def _patterns(files: list[Path], curve: Curve) -> NDArray[Any]:
