@@ -187,7 +187,12 @@ class MitsubaScene(Scene):
         Raises InputError where no light comes back to the camera, or it can't be recorded here.
         """
         return apply_in_batches(
-            self._recorded, patterns, self.projector_shape, self.channels, self.camera.rays
+            self._recorded,
+            patterns,
+            self.projector_shape,
+            self.channels,
+            self.camera.rays,
+            padded=False,
         )
 
     def _recorded(self, weights: Double) -> Double:

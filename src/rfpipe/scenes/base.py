@@ -112,17 +112,19 @@ def apply_in_batches(
     shape: tuple[int, ...],
     channels: int,
     camera_rays: int | None = None,
+    *,
+    padded: bool = True,
 ) -> NDArray[np.float32]:
     """Put patterns through an operator, always the same number at a time.
 
-    A matrix product may round differently for another number of columns. With a fixed number a
-    pattern's radiance is the same whichever patterns stand beside it, and a capture that is resumed
-    repeats its bytes.
+    A product with a dense matrix may round differently for another number of columns. With a fixed
+    number a pattern's radiance is the same whichever patterns stand beside it, and a capture that
+    is resumed repeats its bytes.
 
     Parameters
     ----------
     radiance
-        The operator: weights float64 (N, b) to radiance float64 (M, b, C), b fixed.
+        The operator: weights float64 (N, b) to radiance float64 (M, b, C).
     patterns
         (B, N) or (B, *shape): weights of the rays, in image order.
     shape
@@ -131,6 +133,8 @@ def apply_in_batches(
         Number of colour channels, C.
     camera_rays
         Number of the camera's rays, M; N where None.
+    padded
+        Whether the operator needs it: a sparse matrix rounds the same for any number.
 
     Returns
     -------
@@ -145,9 +149,9 @@ def apply_in_batches(
     out = np.empty((len(weights), camera_rays or rays, channels), dtype=np.float32)
     for start in range(0, len(weights), _PATTERNS_AT_A_TIME):
         part = weights[start : start + _PATTERNS_AT_A_TIME]
-        padded = np.zeros((rays, _PATTERNS_AT_A_TIME))
-        padded[:, : len(part)] = part.T
-        out[start : start + len(part)] = radiance(padded).transpose(1, 0, 2)[: len(part)]
+        columns = np.zeros((rays, _PATTERNS_AT_A_TIME if padded else len(part)))
+        columns[:, : len(part)] = part.T
+        out[start : start + len(part)] = radiance(columns).transpose(1, 0, 2)[: len(part)]
     return out
 
 
