@@ -95,7 +95,9 @@ def test_weights_are_the_best_of_those_that_are_not_negative(seed: int) -> None:
     certainty = random.uniform(1, 1e4, (1, 9)).astype(np.float32)
     ridge, expected = random.uniform(0.1, 10, (2, 12)).astype(np.float32)
     rays = np.arange(12, dtype=np.int32)
-    found = solve_weights(np.array([0, 12]), rays, ridge, expected, lit, certainty, seen, 0.0)
+    start = np.maximum(0, random.normal(0, 1, 12)).astype(np.float32) * (seed > 0)
+    given = rays, ridge, expected, start, lit, certainty, seen
+    found = solve_weights(np.array([0, 12]), *given, 0.0)
     rows = [lit.T * np.sqrt(certainty.T), np.diag(np.sqrt(ridge))]
     goal = [(seen * np.sqrt(certainty))[0], expected * np.sqrt(ridge)]
     best, _ = nnls(np.concatenate(rows), np.concatenate(goal))

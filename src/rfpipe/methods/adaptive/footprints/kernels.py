@@ -38,12 +38,13 @@ def solve_weights(
     rays: Int32,
     ridge: Float,
     expected: Float,
+    start: Float,
     lit: Float,
     certainty: Float,
     seen: Float,
     least: float,
 ) -> Float:
-    """Return each pixel's non-negative least-squares weights.
+    """Return each pixel's non-negative least-squares weights, the sooner the better their `start`.
 
     Weights lie about what is `expected`, with inverse variances `ridge`, (candidates,) each.
     Pictures are what is `seen`, with inverse variances `certainty`, (pixels, M). Weights that
@@ -65,27 +66,22 @@ def solve_weights(
         for a in range(count):
             stiff[a, a] += ridge[first + a]
             goal[a] += ridge[first + a] * expected[first + a]
-        estimate = _not_negative(stiff, goal)
+        estimate = _not_negative(stiff, goal, start[first:last].astype(np.float64))
         if estimate @ (2 * seen_goal - gram @ estimate) >= least:
             weights[first:last] = estimate
     return weights
 
 
 @njit(cache=True, nogil=True)
-def _not_negative(stiff: Double, goal: Double) -> Double:
-    """Solve ``stiff x = goal`` for x of at least 0, by active sets (Lawson and Hanson, 1974).
+def _not_negative(stiff: Double, goal: Double, estimate: Double) -> Double:
+    """Solve ``stiff x = goal`` for x of at least 0, from an `estimate` that is written over.
 
-    Descent by coordinates would leave all to the first of places whose patterns are the same.
+    By active sets (Lawson and Hanson, 1974): descent by coordinates would leave all to the first of
+    places whose patterns are the same.
     """
-    estimate, free = np.zeros(len(goal)), np.zeros(len(goal), np.bool_)
+    free = estimate > 0
     for _ in range(3 * len(goal)):
-        slope = goal - stiff @ estimate
-        slope[free] = 0
-        best = np.argmax(slope)
-        if slope[best] <= _FINE * goal.max():
-            break
-        free[best] = True
-        while True:
+        while free.any():
             where = np.flatnonzero(free)
             before = estimate[where]
             after = np.linalg.solve(stiff[where][:, where], goal[where])
@@ -99,6 +95,12 @@ def _not_negative(stiff: Double, goal: Double) -> Double:
                 break
             estimate[where[share == step]] = 0
             free[where[share == step]] = False
+        slope = goal - stiff @ estimate
+        slope[free] = 0
+        best = np.argmax(slope)
+        if slope[best] <= _FINE * goal.max():
+            break
+        free[best] = True
     return estimate
 
 
