@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ _FLARE = 0.03  # of a pixel's light, that the aperture spreads over a star
 _ARMS = 6
 _TIGHT, _LOOSE = 1e-4, 3e-3
 _HIGHLIGHTS = 97.0  # percentile of brightness
+_SIDE = 64  # pixels at most: a tight threshold takes half a pattern a pixel
 
 
 class _Flared:
@@ -72,7 +74,7 @@ def items(size: Size) -> Items:
     """Acquire gloss and rough metal in a box, its right half lit afterwards."""
     from scipy.ndimage import binary_dilation
 
-    scene = physical(size, "glossy_metal")
+    scene = physical(replace(size, side=min(size.side, _SIDE)), "glossy_metal")
     flared = _Flared(scene)
     pattern = white(scene.projector_shape)
     pattern[:, : pattern.shape[1] // 2] = 0

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.footprints.matching import Templates, coarse_light
@@ -50,13 +51,14 @@ class Candidates:
         """Return where each camera pixel's candidates begin, (pixels + 1,)."""
         return np.searchsorted(self.keys, np.arange(pixels + 1) * rays)
 
-    def matrix(self, pixels: int, rays: int) -> csr_array[np.float32]:
-        """Return the weights as a sparse matrix (pixels, rays)."""
+    def matrix(self, pixels: int, rays: int, values: NDArray[Any] | None = None) -> csr_array[Any]:
+        """Return the weights, or other values, as a sparse matrix (pixels, rays)."""
         from scipy.sparse import csr_array
 
+        values = self.weights if values is None else values
         columns = (self.keys % rays).astype(np.int32)
         starts = self.starts(pixels, rays).astype(np.int32)
-        return csr_array((self.weights, columns, starts), shape=(pixels, rays))
+        return csr_array((values, columns, starts), shape=(pixels, rays))
 
     def uncertain(self, series: Series, part: float, part_of_all: float) -> Candidates:
         """Return them with deviations of parts of the weight and of the floodlit image, squared."""
@@ -103,11 +105,13 @@ class Candidates:
         least = np.square(1e-4 * floodlit[self.pixels(rays)])
         # a black pixel's candidate, which only the other way has, has no deviation at all
         ridge = (1 / np.maximum(self.variance + least, _TINY)).astype(np.float32)
-        pictures = [np.ascontiguousarray(each) for each in (lit, certainty, observed)]
+        lit, certainty, observed = map(np.ascontiguousarray, (lit, certainty, observed))
         ray = (self.keys % rays).astype(np.int32)
         starts = self.starts(len(observed), rays)
         about = np.zeros_like(ridge) if expected is None else expected
-        weights = solve_weights(starts, ray, ridge, about, self.weights, *pictures, _EVIDENCE)
+        weights = solve_weights(
+            starts, ray, ridge, about, self.weights, lit, certainty, observed, _EVIDENCE
+        )
         return replace(self, weights=weights)
 
 
@@ -338,9 +342,10 @@ def _both_ways(found: Candidates, rays: int) -> tuple[Candidates, Float]:
 
     The larger variance counts.
     """
-    back = found.keys % rays * rays + found.keys // rays
-    order = np.argsort(back)
-    back, weights, spread = back[order], found.weights[order], found.variance[order]
+    numbers = found.matrix(rays, rays, np.arange(len(found.keys), dtype=np.int32))
+    order = numbers.tocsc().data
+    back = (found.keys % rays * rays + found.keys // rays)[order]
+    weights, spread = found.weights[order], found.variance[order]
     keys = distinct(np.concatenate([found.keys, back[weights > 0]]))
     place, other = np.searchsorted(keys, found.keys), np.searchsorted(keys, back)
     known = keys[np.minimum(other, len(keys) - 1)] == back
