@@ -106,6 +106,7 @@ bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	  python -m "benchmarks.$$(basename "$$script" .py)"; done
 
 measured: $(INSTALLED) ## make the tables of docs/measured.md and README anew, a night
+	@python -m figures.opening docs/images/bottle.png
 	@rfpipe run
 	@rfpipe run --directory thesis --configfile config/thesis.yaml
 	@rfpipe run --directory large --configfile config/large.yaml

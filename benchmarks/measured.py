@@ -88,11 +88,11 @@ def written(text: str, folder: Path) -> str:
         "methods": lambda: _methods(pd.read_csv(folder / "default_run.csv")),
         "sides": lambda: _of_sides(rows),
         "errors": lambda: _of_planes(rows),
-        "thesis": lambda: _of_thesis(_thesis_run(folder), "planes_i"),
+        "thesis": lambda: _of_thesis(pd.read_csv(folder / "thesis_run.csv")),
         "beaten": lambda: _beaten(_thesis_run(folder)),
         "large": lambda: _large(_ends(folder / "large.csv")),
         "stages": lambda: _stages(pd.read_csv(folder / "large_stages.csv")),
-        "thesis, two": lambda: _of_thesis(_thesis_run(folder), "planes_iv"),
+        "thesis, two": lambda: _of_thesis(pd.read_csv(folder / "thesis_run.csv"), last=2),
     }
     for name, make in makers.items():
         begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
@@ -165,18 +165,18 @@ def _thesis_run(folder: Path) -> pd.DataFrame:
     return found[found["scene"].isin(THESIS) & (found["method"] != "dual")]
 
 
-def _of_thesis(rows: pd.DataFrame, first: str) -> str:
-    """Return acquisitions of the planes, from a first one on, beside Table 5.1 of the thesis."""
-    own = rows[(rows["scene"] >= first) & rows["scene"].str.startswith("planes")]
+def _of_thesis(rows: pd.DataFrame, last: int | None = None) -> str:
+    """Return acquisitions of all scenes of `make thesis`, or of the last ones, beside Table 5.1."""
+    scenes = list(rows["scene"].unique())[-last if last else None :]
     lines = []
-    for row in own.sort_values(["scene", "patterns"]).itertuples():
+    for row in rows[rows["scene"].isin(scenes)].itertuples():
         title, patterns, megabytes = THESIS[str(row.scene)]
         lines.append(
-            [title, f"`{row.method}`", f"{row.patterns} ({patterns:,})",
-             f"{row.megabytes:.1f} ({megabytes})",
+            [title, f"`{row.method}`", f"{row.patterns:,} ({patterns:,})",
+             f"{row.megabytes:.1f} ({megabytes:,})",
              *map(_percent, (row.mean_error, row.worst_error, row.mean_indirect))]
         )  # fmt: skip
-    head = ["scene, 108,500 rays", "method", "patterns (thesis)", "MB stored (thesis)",
+    head = ["scene", "method", "patterns (thesis)", "MB stored (thesis)",
             "mean error, %", "largest, %", "of indirect light, %"]  # fmt: skip
     return markdown(head, lines)
 

@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import typer
 import yaml
@@ -64,6 +65,12 @@ def test_tables_are_made_of_the_measured_files(page: Path) -> None:
     text = (ROOT / page).read_text("utf-8")
     assert len(re.findall(r"^<!-- /", text, re.M)) >= 2
     assert written(text, ROOT / FOLDER) == text
+
+
+def test_the_room_of_the_opening_page_is_the_measured_one() -> None:
+    room = pd.read_csv(ROOT / FOLDER / "default_run.csv").set_index("scene").loc["room"]
+    caption = f"{room.patterns} patterns to {100 * room.mean_error:.2f} %"
+    assert caption in (ROOT / "README.md").read_text("utf-8")
 
 
 def test_all_that_is_registered_stands_beside_its_tests() -> None:
