@@ -23,9 +23,9 @@ def items(_size: Size) -> Items:
     for manifest in sorted(Path("results").glob("*/*/relight.json")):
         stored = open_arrays(manifest.with_suffix(".zarr"))
         if "views_relit" in stored.names:
-            of = f"{manifest.parent.parent.name}, by {manifest.parent.name}."
+            scene, method = manifest.parts[-3:-1]
             pictures = (stored.read(f"views_{name}") for name in ("relit", "truth"))
-            yield from arrays_of_views(*pictures, of, f"_{manifest.parent.parent.name}")
+            yield from arrays_of_views(*pictures, f"{scene}, by {method}.", f"_{scene}_{method}")
 
 
 def arrays_of_views(relit: Float, truth: Float, told: str, suffix: str = "") -> Items:
