@@ -254,11 +254,13 @@ def reconcile(divided):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def weigh_pairs(pairs, sums, spread, chosen, significant, energy):  # type: ignore[no-untyped-def]
+def weigh_pairs(  # type: ignore[no-untyped-def]
+    pairs, sums, spread, chosen, least, significant, energy, clear
+):
     """Combine the two sums of chosen pairs by their variances, and tell light from noise.
 
     On the diagonal both are the same one. `energy`, float64 (C, n), is 0 where the sum is no more
-    than `significant` squared standard deviations.
+    than `least` squared standard deviations; it is `clear`, bool (C, n), above `significant` ones.
     """
     pair_a, pair_b, _, _ = pairs
     for n in numba.prange(chosen.shape[0]):
@@ -270,8 +272,9 @@ def weigh_pairs(pairs, sums, spread, chosen, significant, energy):  # type: igno
                 share, second = 1.0, 0.0
             light = share * sums[c, 0, pair] + (1.0 - share) * sums[c, 1, pair]
             variance = share * share * first + (1.0 - share) * (1.0 - share) * second
-            clear = light > 0.0 and light * light > significant * variance
-            energy[c, n] = light if clear else 0.0
+            square = light * light if light > 0.0 else 0.0
+            energy[c, n] = light if square > least * variance else 0.0
+            clear[c, n] = square > significant * variance
 
 
 @numba.njit(cache=True)

@@ -40,7 +40,7 @@ class Limits:
         Mean squared difference that the user's tolerance allows in the image of one child, in
         squared radiance.
     significance : float
-        Standard deviations that make one measured light significant.
+        Standard deviations that make one measured light count.
     tests : int
         How many of them are measured at this level.
     """
@@ -51,7 +51,7 @@ class Limits:
 
     @property
     def significant(self) -> float:
-        """Squared standard deviations that make any of the level's measurements significant.
+        """Squared standard deviations that make any of the level's measurements worth patterns.
 
         The tail of n normal deviates beyond t is about ``n exp(-t^2 / 2)``: with this t, that noise
         is taken for light anywhere in the level is as unlikely as it is for one measurement.
@@ -133,8 +133,14 @@ def classify(
     from rfpipe.methods.symmetric import kernels
 
     energy = np.empty((len(pieces.values), len(chosen)))
+    clear = np.empty(energy.shape, np.bool_)
     pairs = pieces.pairs
-    kernels.weigh_pairs(pairs, pieces.sums, pieces.doubt, chosen, limits.significant, energy)
+    kernels.weigh_pairs(
+        pairs, pieces.sums, pieces.doubt, chosen,
+        limits.significance**2, limits.significant, energy, clear,
+    )  # fmt: skip
+    # of faint pairs more patterns would tell nothing, but their light adds up
+    settled = settled | ~clear.any(axis=0)
     full: NDArray[np.bool_] = np.any(energy, axis=0)
     empty = len(full) - int(np.count_nonzero(full))
     chosen, node, settled = chosen[full], node[full], settled[full]
