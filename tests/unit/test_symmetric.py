@@ -1,5 +1,7 @@
 """Symmetric photography on transports that are known exactly (thesis ch. 5)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.helpers import acquire_matrix, dense, picture_error
@@ -8,6 +10,7 @@ import rfpipe
 from rfpipe.errors import CaptureError
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
+from rfpipe.scenes import reference_scene
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluate import relative_rms
 
@@ -95,6 +98,14 @@ def test_camera_noise_does_not_make_it_subdivide_noise():
     result = acquire(np.diag(albedo), (32, 32), 1e-6, CameraModel())
     assert result.patterns < 60
     assert relative_error(result.transport, np.diag(albedo)) < 0.02
+
+
+def test_a_dim_rig_loses_little_indirect_light():
+    matrix, camera = reference_scene("III", (24, 24), channels=1).dense(0), CameraModel()
+    dim = replace(camera, electrons_per_radiance=camera.electrons_per_radiance / 64)
+    left = np.broadcast_to(np.arange(24) < 12, (24, 24)).astype(np.float32)
+    relit = acquire(matrix, (24, 24), 1e-4, dim).transport.relight(left)[left == 0].sum()
+    assert relit == pytest.approx((matrix @ left.ravel())[left.ravel() == 0].sum(), rel=0.01)
 
 
 def test_a_glint_that_saturates_the_camera_spoils_its_own_pixel_alone():
