@@ -115,7 +115,7 @@ def apply_in_batches(
     *,
     padded: bool = True,
 ) -> NDArray[np.float32]:
-    """Put patterns through an operator, always the same number at a time.
+    """Put patterns through an operator, some at a time: always the same number if `padded`.
 
     A product with a dense matrix may round differently for another number of columns. With a fixed
     number a pattern's radiance is the same whichever patterns stand beside it, and a capture that
@@ -134,7 +134,7 @@ def apply_in_batches(
     camera_rays
         Number of the camera's rays, M; N where None.
     padded
-        Whether the operator needs it: a sparse matrix rounds the same for any number.
+        Whether to fill up with dark patterns. Sparse matrices round alike for any number.
 
     Returns
     -------
