@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.fitting.folder import Series
 from rfpipe.fitting.linear import solve_linear, strange_pictures
+from rfpipe.fitting.series import Series
 from rfpipe.methods.adaptive.residual import Canvas, residual_of
 from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.images import Pictures

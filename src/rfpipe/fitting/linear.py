@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.folder import Float, Series
+from rfpipe.fitting.series import Float, Series
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport

@@ -1,0 +1,116 @@
+"""Pictures of one scene under known light, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import ray_shape
+from rfpipe.errors import InputError
+
+Float = NDArray[np.float32]
+
+_ARRAYS = ("patterns", "radiance", "variance")
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Pictures of one scene under known light.
+
+    Parameters
+    ----------
+    camera_shape, projector_shape : tuple of int
+        Of M and of N rays; lights that stand in no grid are a row, (1, N).
+    patterns : ndarray of float32, shape (K, 1, N) or (K, C, N); (K, N) is taken, too
+        Light of each ray in each picture, finite, at least 0: white, or one for each channel.
+    radiance : ndarray of float32, shape (K, C, M)
+        Linear, without the light of anything else; finite.
+    variance : ndarray of float32, shape (K, C, M)
+        Of `radiance`, at least 0; 0 where nothing is known of it.
+    names : sequence of K str
+        Of the pictures; empty where they have none.
+    lights : ndarray of float32, shape (N, 3), optional
+        Directions of the projector's rays, where these are single lights.
+    validation : ndarray of bool, shape (K,), or empty
+        Pictures that no fit sees and that tell its error.
+
+    Raises
+    ------
+    InputError
+        When shapes don't fit together or a value is out of range.
+    """
+
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, ...]
+    patterns: Float = field(repr=False)
+    radiance: Float = field(repr=False)
+    variance: Float = field(repr=False)
+    names: Sequence[str] = ()
+    lights: Float | None = None
+    validation: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
+
+    def __post_init__(self) -> None:
+        rays = prod(ray_shape(self.camera_shape, "camera_shape"))
+        lights = prod(ray_shape(self.projector_shape, "projector_shape"))
+        count = len(self.patterns)
+        pictures = (count, self.channels, rays)
+        patterns = np.asarray(self.patterns)
+        if patterns.ndim == 2:
+            object.__setattr__(self, "patterns", patterns[:, None])
+        shown = (count, 1 if patterns.shape[1:-1] in ((), (1,)) else self.channels, lights)
+        for name, shape in (
+            ("patterns", shown), ("radiance", pictures), ("variance", pictures)
+        ):  # fmt: skip
+            values = np.asarray(getattr(self, name))  # of other libraries, too
+            object.__setattr__(self, name, values)
+            if values.shape != shape:
+                raise InputError(f"{name} has the shape {values.shape}; expected {shape}")
+            if not np.isfinite(values).all() or (name != "radiance" and (values < 0).any()):
+                raise InputError(f"{name} should be finite and not negative, every value")
+        if self.channels not in (1, 3):
+            raise InputError(f"pictures have {self.channels} channels; expected 1 or 3")
+        if not self.patterns.any(axis=(0, 2)).all():
+            raise InputError("all patterns are dark, or there are none: they tell nothing of light")
+
+    @property
+    def channels(self) -> int:
+        """Colour channels."""
+        return int(self.radiance.shape[1])
+
+    def by_light(self) -> list[Series]:
+        """Return what is lit alike: all channels, or of coloured patterns each by itself."""
+        if self.patterns.shape[1] == 1:
+            return [self]
+        return [
+            replace(self, **{name: getattr(self, name)[:, [channel]] for name in _ARRAYS})
+            for channel in range(self.channels)
+        ]
+
+    @property
+    def rank(self) -> int:
+        """Number of independent patterns, of coloured ones in the channel that has the fewest."""
+        patterns = np.moveaxis(self.patterns, 1, 0).astype(np.float64)
+        values = np.linalg.eigvalsh(patterns @ patterns.swapaxes(1, 2))
+        return int(np.count_nonzero(values > 1e-10 * values[:, -1:], axis=1).min())
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the patterns tell of each ray by itself."""
+        lights = self.patterns.shape[-1]
+        return bool(len(self.patterns) >= lights and self.rank == lights)
+
+    def some(self, chosen: NDArray[np.int64]) -> Series:
+        """Return some of the pictures, none of them for validation."""
+        parts = {name: getattr(self, name)[chosen] for name in _ARRAYS}
+        names = [self.names[index] for index in chosen] if self.names else ()
+        return replace(self, **parts, names=names, validation=np.zeros(0, np.bool_))
+
+    @property
+    def training(self) -> Series:
+        """The pictures that aren't for validation."""
+        every = np.arange(len(self.patterns))
+        return self.some(np.setdiff1d(every, np.flatnonzero(self.validation)))
