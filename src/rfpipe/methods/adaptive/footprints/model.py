@@ -56,13 +56,27 @@ from rfpipe.transport.multiscale import (
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A basis does not grow beyond so many unknowns.
-_MOST_UNKNOWNS = 1_500_000
 # Camera rays that fits of a light field look at, of more.
 _ENOUGH = 4096
 
 Views = tuple[Series, ...]
 Channel = tuple[Candidates, Exchange]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Limits of the fits of indirect light.
+
+    Attributes
+    ----------
+    camera_rays : int
+        Camera rays in the fits, at most; a random subset of more.
+    unknowns : int
+        Unknowns of the finest basis, at most.
+    """
+
+    camera_rays: int
+    unknowns: int = 1_500_000
 
 
 @dataclass(frozen=True)
@@ -79,11 +93,13 @@ def find(
     grey: Views,
     channels: Iterable[Views],
     before: Candidates | None,
+    effort: Effort | None = None,
 ) -> Model:
     """Find the model.
 
     Footprints are searched for twice when nothing is known, once in later rounds, where `before` is
-    an earlier model's `Model.grey`. `grey` is the sum of the channels, pictures of patterns on each
+    an earlier model's `Model.grey`. By default the fits of indirect light use 4,096 camera rays for
+    a projector of several views, else all of them. `grey` is the sum of the channels, pictures of patterns on each
     of the projector's views; of `channels` each is fitted before the next is asked for, none where
     the sum is the only channel.
     """
@@ -94,15 +110,16 @@ def find(
         density = np.sqrt(rays / max(1.0, float(series.shining.sum()) / camera.views))
         templates.append(Templates.of(view, series.lit, float(density)))
     fresh, looked_at = before is None, None
-    if len(grey) > 1 and camera.size > _ENOUGH:
+    effort = effort or Effort(_ENOUGH if len(grey) > 1 else camera.size)
+    if camera.size > effort.camera_rays:
         random = generator(SEED, camera.size)
-        looked_at = np.sort(random.permutation(camera.size)[:_ENOUGH])
+        looked_at = np.sort(random.permutation(camera.size)[: effort.camera_rays])
     found = before
     if found is None:
         pairs = zip(grey, templates, strict=True)
         found = joined([first_footprints(each, camera, template) for each, template in pairs], rays)
     for number in range(2 if fresh else 1):
-        exchange = _refined(camera, projector, grey, found, looked_at)
+        exchange = _refined(camera, projector, grey, found, looked_at, effort.unknowns)
         found = _searched(camera, grey, found, exchange.indirect(), templates, looked_at)
         if exchange.shares_rays:
             found = with_other_way(found, projector.size)
@@ -219,7 +236,12 @@ def _floodlit(series: Views) -> Float:
 
 
 def _refined(
-    camera: RayDomain, projector: RayDomain, series: Views, found: Candidates, chosen: Int64 | None
+    camera: RayDomain,
+    projector: RayDomain,
+    series: Views,
+    found: Candidates,
+    chosen: Int64 | None,
+    most_unknowns: int,
 ) -> Exchange:
     """Add functions, scale by scale, where pictures differ from the model beyond noise."""
     direct, floodlit = found.matrix(camera.size, projector.size), _floodlit(series)
@@ -257,7 +279,7 @@ def _refined(
             wanted[:] = True
         on_camera.append(functions_over(finer, wanted))
         more = functions()
-        if more.count > _MOST_UNKNOWNS:
+        if more.count > most_unknowns:
             break
         exchange = _from_nothing(replace(exchange, functions=more), expected, mean)
     return exchange.fitted(exchange.learned(), FULLY)
