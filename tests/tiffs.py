@@ -15,6 +15,7 @@ _BYTE, _ASCII, _SHORT, _LONG, _UNDEFINED, _SRATIONAL = 1, 2, 3, 4, 7, 10
 _RATIONAL = 5
 _FORMATS = {"u": 1, "i": 2, "f": 3}
 _EXIF = 34665
+_SIGNED = (37377, 37379, 37380)  # shutter speed, brightness, exposure bias
 
 Tags = Mapping[int, int | float | bytes | str]
 
@@ -25,6 +26,7 @@ def tiff_bytes(
     extra_samples: Sequence[int] = (),
     tags: Tags | None = None,
     exif: Tags | None = None,
+    page_tags: Mapping[int, Tags] | None = None,
     bits: int | None = None,
 ) -> bytes:
     """Return a little-endian TIFF file of pages that are not compressed, one strip each.
@@ -38,14 +40,16 @@ def tiff_bytes(
     extra_samples : sequence of int
         0 unspecified, 1 associated alpha, 2 unassociated alpha.
     tags, exif : mapping, optional
-        Further tags of each page and of its Exif directory: whole numbers, rationals (signed where
-        negative), text, or bytes.
+        Further tags of each page and of its Exif directory: whole numbers, rationals, text, or
+        bytes.
+    page_tags : mapping, optional
+        Further tags of single pages, by number.
     bits : int, optional
         Bits per sample that the file states; those of the array's type by default.
     """
     file = bytearray(struct.pack("<2sHI", b"II", 42, 0))
     link = 4
-    for page in pages:
+    for number, page in enumerate(pages):
         samples = np.atleast_3d(page)
         height, width, channels = samples.shape
         data = np.ascontiguousarray(samples, samples.dtype.newbyteorder("<")).tobytes()
@@ -69,7 +73,7 @@ def tiff_bytes(
             entries[338] = _shorts(extra_samples)
         if exif:
             entries[_EXIF] = (_LONG, 1, struct.pack("<I", _directory(file, exif)))
-        entries |= dict(tags or {})
+        entries |= {**(tags or {}), **(page_tags or {}).get(number, {})}
         directory = _directory(file, entries)
         struct.pack_into("<I", file, link, directory)
         link = len(file) - 4
@@ -84,7 +88,7 @@ def _directory(file: bytearray, tags: Mapping[int, Any]) -> int:
     """Append a directory of tags, and return its place in the file."""
     entries = []
     for tag, value in sorted(tags.items()):
-        kind, count, data = _encoded(value)
+        kind, count, data = _encoded(value, tag in _SIGNED)
         if len(data) > 4:
             place = len(file)
             file += data + b"\0" * (len(data) % 2)
@@ -95,7 +99,7 @@ def _directory(file: bytearray, tags: Mapping[int, Any]) -> int:
     return start
 
 
-def _encoded(value: Any) -> tuple[int, int, bytes]:
+def _encoded(value: Any, is_signed: bool) -> tuple[int, int, bytes]:
     """Return the kind, count and bytes of a tag's value."""
     if isinstance(value, tuple):
         return value
@@ -104,8 +108,7 @@ def _encoded(value: Any) -> tuple[int, int, bytes]:
     if isinstance(value, str):
         return _ASCII, len(value) + 1, value.encode() + b"\0"
     if isinstance(value, float):
-        signed = "<2i" if value < 0 else "<2I"
-        kind = _SRATIONAL if value < 0 else _RATIONAL
-        return kind, 1, struct.pack(signed, round(value * 2**20), 2**20)
+        kind, code = (_SRATIONAL, "<2i") if is_signed else (_RATIONAL, "<2I")
+        return kind, 1, struct.pack(code, round(value * 2**20), 2**20)
     kind, code = (_SHORT, "<H") if value < 2**16 else (_LONG, "<I")
     return kind, 1, struct.pack(code, value)

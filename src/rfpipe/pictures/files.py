@@ -144,7 +144,7 @@ def _picture(stored: Stored, reading: Reading) -> Picture:
         )
     kind = np.float32 if stored.is_light else np.uint16 if stored.white < 2**16 else np.uint32
     corrected = reading.correct(pixels)
-    return Picture(reading.header, np.ascontiguousarray(corrected, kind), stored.white)
+    return Picture(reading.header, np.ascontiguousarray(corrected, kind), reading.white)
 
 
 def natural(name: str) -> list[tuple[int, int, str]]:

@@ -5,6 +5,7 @@ A reader raises InputError for pictures that rfpipe can't turn into light.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -32,22 +33,38 @@ _LONGEST_LINE, _MOST_LINES = 4096, 1000
 
 
 class Reading(NamedTuple):
-    """A picture's header, and the correction of its stored samples."""
+    """A picture's header, the correction of its stored samples, and full scale after it."""
 
     header: Header
+    white: int
     correct: Correction = unchanged
 
 
 def read_plain(stored: Stored) -> Reading:
-    """Read a format whose samples need no correction: PNM, PFM, TGA, BMP and others."""
-    return Reading(header_of(stored, profile_encoding(stored)))
+    """Read a format whose samples need no correction: PFM, TGA, BMP and others."""
+    return Reading(header_of(stored, profile_encoding(stored)), stored.white)
+
+
+def read_pnm(stored: Stored) -> Reading:
+    """Read PGM or PPM of any full scale, which OpenImageIO stretches to 8 or 16 bits; or PFM."""
+    with stored.path.open("rb") as file:
+        tokens = re.sub(rb"#[^\n]*", b"", file.read(_LONGEST_LINE)).split(maxsplit=4)
+    if tokens[0] not in (b"P2", b"P3", b"P5", b"P6"):
+        return read_plain(stored)
+    white, stretched = int(tokens[3]), stored.white
+
+    def restore(pixels: NDArray[Any]) -> NDArray[Any]:
+        counts = -(-pixels.astype(np.int64) * white // stretched)  # it rounds down, this rounds up
+        return counts.astype(pixels.dtype)
+
+    return Reading(header_of(stored, None), white, restore)
 
 
 def read_jpeg(stored: Stored) -> Reading:
     """Read JPEG, GIF or WebP: sRGB unless a profile states another curve. CMYK is refused."""
     if (colors := stored.attribute("jpeg:ColorSpace")) is not None and colors != "YCbCr":
         raise InputError(f"{stored.path}: holds {colors} colours; expected gray or R, G and B")
-    return Reading(header_of(stored, profile_encoding(stored) or "srgb"))
+    return Reading(header_of(stored, profile_encoding(stored) or "srgb"), stored.white)
 
 
 def read_png(stored: Stored) -> Reading:
@@ -69,7 +86,7 @@ def read_png(stored: Stored) -> Reading:
         gamma = struct.unpack(">I", chunks[b"gAMA"])[0] / 100_000
         is_linear, is_srgb = abs(gamma - 1) < 0.01, abs(gamma - 1 / 2.2) < 0.01
         encoding = "linear" if is_linear else "srgb" if is_srgb else "other"
-    return Reading(header_of(stored, encoding))
+    return Reading(header_of(stored, encoding), stored.white)
 
 
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
@@ -89,7 +106,10 @@ def _png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
 
 
 def read_tiff(stored: Stored) -> Reading:
-    """Read TIFF: MinIsWhite is inverted. Colours that are neither gray nor R, G, B are refused."""
+    """Read TIFF: MinIsWhite is inverted, and 9 to 15 bits are not stretched to 16.
+
+    Colours that are neither gray nor R, G and B are refused.
+    """
     photometric = int(stored.number("tiff:PhotometricInterpretation") or 0)
     channels = stored.spec.nchannels
     is_color = photometric in (_RGB, _PALETTE, _YCBCR)
@@ -102,16 +122,23 @@ def read_tiff(stored: Stored) -> Reading:
             "the bands that you mean as a picture"
         )
     header = header_of(stored, profile_encoding(stored))
-    # OpenImageIO inverts samples of up to 8 bits, unsigned
-    if photometric != _MIN_IS_WHITE or str(stored.spec.format) == "uint8":
-        return Reading(header)
+    bits = int(stored.number("oiio:BitsPerSample") or 0)
+    is_packed = str(stored.spec.format) == "uint16" and 8 < bits < 16
+    shift, white = (16 - bits, 2**bits - 1) if is_packed else (0, stored.white)
+    # OpenImageIO inverts unsigned samples of up to 8 bits
+    is_inverted = photometric == _MIN_IS_WHITE and str(stored.spec.format) != "uint8"
+    if not is_inverted:
+        return Reading(header, white, lambda pixels: pixels >> shift if shift else pixels)
     if stored.is_light:
         raise InputError(
             f"{stored.path}: holds floats whose 0 is white (MinIsWhite), and does not say what is "
             "black. Save it as MinIsBlack"
         )
-    white = stored.white
-    return Reading(header, lambda pixels: (white - pixels.astype(np.int64)).astype(pixels.dtype))
+
+    def invert(pixels: NDArray[Any]) -> NDArray[Any]:
+        return (white - (pixels.astype(np.int64) >> shift)).astype(pixels.dtype)
+
+    return Reading(header, white, invert)
 
 
 def read_exr(stored: Stored) -> Reading:
@@ -121,7 +148,7 @@ def read_exr(stored: Stored) -> Reading:
     top, left = spec.y - spec.full_y, spec.x - spec.full_x
     header = header_of(stored, None if not stored.is_light else "linear", size)
     if (top, left, *size) == (0, 0, spec.height, spec.width):
-        return Reading(header)
+        return Reading(header, stored.white)
     rows = slice(max(top, 0), min(top + spec.height, size[0]))
     columns = slice(max(left, 0), min(left + spec.width, size[1]))
     if rows.start >= rows.stop or columns.start >= columns.stop:
@@ -136,7 +163,7 @@ def read_exr(stored: Stored) -> Reading:
         placed[rows, columns] = inside[:, columns.start - left : columns.stop - left]
         return placed
 
-    return Reading(header, place)
+    return Reading(header, stored.white, place)
 
 
 def read_hdr(stored: Stored) -> Reading:
@@ -158,7 +185,9 @@ def read_hdr(stored: Stored) -> Reading:
     if order[0][1:] == "X":
         height, width = width, height
     header = header_of(stored, "linear", (height, width))
-    return Reading(header, partial(_radiance, order=(order[0], order[2]), factor=factor))
+    return Reading(
+        header, stored.white, partial(_radiance, order=(order[0], order[2]), factor=factor)
+    )
 
 
 def _radiance_lines(path: Path) -> list[str]:
@@ -203,6 +232,7 @@ READERS: dict[str, Callable[[Stored], Reading]] = {
     "jpeg": read_jpeg,
     "openexr": read_exr,
     "png": read_png,
+    "pnm": read_pnm,
     "tiff": read_tiff,
     "webp": read_jpeg,
 }

@@ -109,7 +109,6 @@ class Stored:
         with _open(self.path) as file:
             if not file.seek_subimage(self.index, 0):
                 raise InputError(f"{self.path}: can't be read as a picture: {_message(file)}")
-            file.geterror()  # messages about the header alone
             samples = file.read_image(self.index, 0, 0, self.spec.nchannels, self.spec.format)
             if (fault := _message(file)) or samples is None:
                 raise InputError(
