@@ -271,17 +271,17 @@ def _is_linear(profile: bytes) -> bool:
     """Test whether an ICC profile has a linear curve for red, or gray (ICC.1, 10.6 and 10.18)."""
     try:
         (count,) = struct.unpack_from(">I", profile, 128)
-        for index in range(min(count, 100)):
-            tag, offset, _ = struct.unpack_from(">4sII", profile, 132 + 12 * index)
-            if tag in (b"rTRC", b"kTRC"):
-                kind, number, value = struct.unpack_from(">4s4xIH", profile, offset)
-                if kind == b"curv":
-                    return bool(number == 0 or (number == 1 and value == 1 << 8))
-                (gamma,) = struct.unpack_from(">i", profile, offset + 12)
-                return bool(number >> 16 == 0 and gamma == 1 << 16)
-    except struct.error:
-        pass
-    return False
+        entries = [
+            struct.unpack_from(">4sI", profile, 132 + 12 * index) for index in range(min(count, 99))
+        ]
+        offset = next((place for tag, place in entries if tag in (b"rTRC", b"kTRC")), len(profile))
+        kind, number, value = struct.unpack_from(">4s4xIH", profile, offset)
+        if kind == b"curv":
+            return bool(number == 0 or (number == 1 and value == 1 << 8))
+        (gamma,) = struct.unpack_from(">i", profile, offset + 12)
+        return bool(number >> 16 == 0 and gamma == 1 << 16)
+    except struct.error:  # cut, or without a curve
+        return False
 
 
 Correction = Callable[[NDArray[Any]], NDArray[Any]]
