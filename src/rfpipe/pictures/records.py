@@ -85,7 +85,8 @@ class Picture:
         """Counts over full scale, or light as stored; float32, shape (H, W, channels)."""
         if self.header.kind == "light":
             return self.pixels
-        return np.asarray(self.pixels / self.white, np.float32)
+        kind = np.float32 if self.white < 2**24 else np.float64  # exact for all counts
+        return np.asarray(np.divide(self.pixels, self.white, dtype=kind), np.float32)
 
 
 class Part(NamedTuple):
