@@ -111,14 +111,12 @@ def read_tiff(stored: Stored) -> Reading:
     Colours that are neither gray nor R, G and B are refused.
     """
     photometric = int(stored.number("tiff:PhotometricInterpretation") or 0)
-    channels = stored.spec.nchannels
     is_color = photometric in (_RGB, _PALETTE, _YCBCR)
     if (space := stored.attribute("tiff:ColorSpace")) in ("CMYK", "CIELAB", "ICCLAB", "ITULAB"):
         raise InputError(f"{stored.path}: holds {space} colours; expected gray or R, G and B")
-    if channels > 4 or (channels == 4 and not is_color):
-        names = ", ".join(stored.spec.channelnames) if is_color else "not R, G, B and alpha"
+    if stored.spec.nchannels == 4 and not is_color:
         raise InputError(
-            f"{stored.path}: has {channels} bands ({names}); expected one, or R, G and B. Save "
+            f"{stored.path}: has 4 bands, not R, G, B and alpha; expected one, or R, G and B. Save "
             "the bands that you mean as a picture"
         )
     header = header_of(stored, profile_encoding(stored))
