@@ -238,12 +238,17 @@ def test_parts_of_other_programs_keep_their_order_or_are_refused(tmp_path: Path)
     write(file, np.ones((4, 5, 3), np.float32))
     with pytest.raises(InputError, match="holds one picture"):
         read_series(file)
-    for odd in (oiio.ImageSpec(3, 4, 3, "half"), oiio.ImageSpec(5, 4, 1, "half")):
-        odd.full_width, specs[1] = 5, odd
-        odd.attribute("oiio:subimagename", "fill")
-        write_them([np.ones((spec.height, spec.width, 3)) for spec in specs])
-        with pytest.raises(InputError, match=r"part fill: is Header.*All should be alike"):
-            read_series(file)
+    cropped = oiio.ImageSpec(3, 4, 3, "half")
+    cropped.x, cropped.full_width, specs[1] = 2, 5, cropped
+    cropped.attribute("oiio:subimagename", "fill")
+    write_them([np.ones((spec.height, spec.width, 3)) for spec in specs])
+    columns = read_series(file).radiance[1, 0].reshape(4, 5)
+    np.testing.assert_array_equal(columns, np.broadcast_to([0, 0, 1, 1, 1], (4, 5)))
+    specs[1] = oiio.ImageSpec(5, 4, 1, "half")
+    specs[1].attribute("oiio:subimagename", "fill")
+    write_them([np.ones((spec.height, spec.width, 3)) for spec in specs])
+    with pytest.raises(InputError, match=r"part fill: is Header.*All should be alike"):
+        read_series(file)
 
 
 @pytest.mark.parametrize(("form", "error"), [("exr", 1e-5), ("png", 0.01)])

@@ -230,6 +230,23 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
     np.testing.assert_allclose(seen, mean.ravel(), rtol=1e-6)
 
 
+def test_a_raw_file_of_another_mosaic_is_refused(tmp_path: Path) -> None:
+    """Red and blue would be exchanged, and the mosaic of X-Trans sensors taken for gray."""
+    scenes = {"desk": {"kind": "captured", "shape": [36, 48], "channels": 3}}
+    changes = {"scenes": scenes, "camera": {**QUIET, "bayer": "RGGB"}}
+    path = settings_file(tmp_path, **changes, offline={"projector_shape": [72, 96]})
+    command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
+    (sheet,) = sheets(tmp_path / "p")
+    counts = np.full((36, 48), 900, np.uint16)
+    x_trans = "GBGGRGRGRBGBGBGGRGGRGGBGBGBRGRGRGGBG"
+    for mosaic, message in (("BGGR", "colour mosaic BGGR"), (x_trans, "colour mosaic X-Trans")):
+        (sheet / "pictures").mkdir(exist_ok=True)
+        (sheet / "pictures" / "IMG_0.dng").write_bytes(dng_bytes(counts, 0.25, mosaic))
+        told = command("import", sheet, fails=True)
+        assert message in told
+        assert "camera.bayer is RGGB" in told
+
+
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:
     mosaic = np.random.default_rng(1).integers(0, 60000, (32, 48)).astype(np.uint16)
     (tmp_path / "a.dng").write_bytes(dng_bytes(mosaic, 0.25))
