@@ -16,7 +16,7 @@ from rfpipe import errors
 
 if TYPE_CHECKING:
     from rfpipe.environment import environment_weights as environment_weights
-    from rfpipe.environment import read_lights as read_lights
+    from rfpipe.light_files import read_lights as read_lights
     from rfpipe.photometry import CameraModel as CameraModel
     from rfpipe.relighting import picture_errors as picture_errors
     from rfpipe.relighting import relighting_pictures as relighting_pictures
@@ -44,7 +44,7 @@ _HOMES = {
     "open_transport": "rfpipe.transport",
     "picture_errors": "rfpipe.relighting",
     "picture_weights": "rfpipe.weights",
-    "read_lights": "rfpipe.environment",
+    "read_lights": "rfpipe.light_files",
     "read_matrix": "rfpipe.transport.matrix_in",
     "relighting_pictures": "rfpipe.relighting",
 }

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.environment import as_directions, lights_in
+from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
+from rfpipe.light_files import lights_in
 from rfpipe.pictures.files import Part, picture_files, read_parts
 from rfpipe.weights import Curve, picture_weights
 
