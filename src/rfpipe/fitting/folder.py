@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import prod
 from pathlib import Path
@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
-from rfpipe.light_files import lights_in
+from rfpipe.fitting.names import SortedPictures, sort_pictures
+from rfpipe.light_files import intensities_in, light_names_in, lights_in
 from rfpipe.pictures.files import Part, picture_files, read_parts
-from rfpipe.weights import Curve, picture_weights
+from rfpipe.weights import Curve, as_weights, picture_weights
 
 Float = NDArray[np.float32]
 
-_OTHERS = (".bmp", ".hdr", ".jpeg", ".jpg", ".pfm")
+_OTHERS = (".bmp", ".hdr", ".jpeg", ".jpg", ".pfm", ".pgm", ".ppm", ".tga")
+_FULL_SCALES = (255, 1023, 4095, 16383, 65535)
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,13 @@ class Patterns:
         Height and width in projector pixels.
     readers : sequence of callable
         Each returns one pattern: weights, at least 0, shape (H, W) or (H, W, 3).
+    largest : float
+        Largest weight in an array; pictures and single lights have at most 1.
     """
 
     shape: tuple[int, int]
     readers: Sequence[Callable[[], NDArray[Any]]] = field(repr=False)
+    largest: float = 1.0
 
     def __len__(self) -> int:
         """Return the number of patterns."""
@@ -44,15 +49,29 @@ class Patterns:
 
     @classmethod
     def of_array(cls, weights: NDArray[Any], name: str) -> Patterns:
-        """Take patterns from an array (K, H, W) or (K, H, W, 3); InputError for another shape."""
+        """Take patterns from an array (K, H, W) or (K, H, W, 3) of weights, 1 for fully on.
+
+        Raises InputError for another shape, for weights that are negative or not finite, and for
+        counts of a picture, such as 0 to 255.
+        """
         if weights.ndim not in (3, 4) or (weights.ndim == 4 and weights.shape[3] not in (1, 3)):
             raise InputError(
                 f"{name}: an array {weights.shape}; expected (pictures, H, W) or "
                 "(pictures, H, W, 3)"
             )
-        return cls(
-            weights.shape[1:3], [partial(weights.__getitem__, k) for k in range(len(weights))]
-        )
+        weights = as_weights(weights, name)
+        if not (np.isfinite(weights).all() and (weights >= 0).all()):
+            raise InputError(
+                f"{name}: patterns should be finite and not negative, every weight; 1 is fully on"
+            )
+        largest = float(weights.max(initial=0))
+        if largest in _FULL_SCALES and (weights == np.rint(weights)).all():
+            raise InputError(
+                f"{name}: has whole numbers up to {largest:g}, the counts of a picture; weights "
+                f"are fractions, 1 for fully on: divide them by {largest:g}"
+            )
+        readers = [partial(weights.__getitem__, k) for k in range(len(weights))]
+        return cls(weights.shape[1:3], readers, largest)
 
     @classmethod
     def of_files(cls, files: Sequence[Path], curve: Curve) -> Patterns:
@@ -88,9 +107,15 @@ class Listing:
     validation : ndarray of bool, shape (K,)
         Pictures that are kept from all fits.
     dark : sequence of sequences of Part
-        Brackets without light, beside those of black patterns.
+        Brackets without the projector's light, beside those of black patterns.
     directions : ndarray of float32, shape (K, 3), or None
         Directions of lights, one for each picture.
+    intensities : ndarray of float32, shape (K, 1) or (K, 3), or None
+        Intensities of lights, one for each picture, by which its linear light is to be divided.
+    mask : Part or None
+        Mask of the object.
+    notes : sequence of str
+        Roles of files that are no pictures of patterns, for the user.
     """
 
     brackets: Sequence[Sequence[Part]]
@@ -98,6 +123,9 @@ class Listing:
     validation: NDArray[np.bool_]
     dark: Sequence[Sequence[Part]] = ()
     directions: Float | None = None
+    intensities: Float | None = None
+    mask: Part | None = None
+    notes: Sequence[str] = ()
 
 
 def list_pictures(
@@ -136,29 +164,82 @@ def list_pictures(
     """
     photographs = [at for at in (folder / "cam/raw", folder / "cam/warp") if at.is_dir()]
     curve = curve or default_curve(folder)
-    directions = None
-    if photographs and not lights:
-        brackets, patterns, validation = _of_papers(folder, photographs[0], exposures, curve)
-    else:
-        subfolder = folder / "pictures"
-        brackets = _brackets(subfolder if subfolder.is_dir() else folder, exposures)
-        if folder.is_file() and len(brackets) < 2:
-            raise InputError(
-                f"{folder}: holds one picture; expected EXR with a part for each light"
-            )
-        directions = lights_in(folder, [bracket[0].name for bracket in brackets])
-        row = len(brackets) if folder.is_file() or directions is not None else 0
-        patterns = _patterns(folder, lights, row, curve)
-        validation = np.zeros(len(brackets), np.bool_)
-        if directions is not None:
-            as_directions(directions, f"{folder}: its file of lights", prod(patterns.shape))
-    if len(patterns) != len(brackets):
-        raise InputError(
-            f"{folder}: holds {len(brackets)} pictures of {len(patterns)} patterns; "
-            "expected one of each"
-        )
     dark = _brackets(black, exposures) if black else []
-    return Listing(brackets, patterns, validation, dark, directions)
+    if folder.is_file():
+        listing = _list_parts(folder, lights, exposures, dark)
+    elif photographs and not lights:
+        listing = Listing(*_of_papers(folder, photographs[0], exposures, curve), dark)
+    else:
+        listing = _list_folder(folder, lights, exposures, black, curve)
+        listing = replace(listing, dark=[*dark, *listing.dark])
+        if listing.patterns.largest > 1:
+            note = f"{folder / 'patterns.npy'}: has weights up to {listing.patterns.largest:g}"
+            listing = replace(listing, notes=[*listing.notes, f"{note}; 1 is fully on"])
+    if len(listing.patterns) != len(listing.brackets):
+        raise InputError(
+            f"{folder}: holds {len(listing.brackets)} pictures of {len(listing.patterns)} "
+            "patterns; expected one of each"
+        )
+    return listing
+
+
+def _list_parts(
+    file: Path, lights: tuple[int, int] | None, exposures: int, dark: Sequence[Sequence[Part]]
+) -> Listing:
+    """List the parts of an EXR file, one light each."""
+    brackets = _brackets(file, exposures)
+    if len(brackets) < 2:
+        raise InputError(f"{file}: holds one picture; expected EXR with a part for each light")
+    patterns = Patterns.single_lights(*(lights or (1, len(brackets))))
+    return Listing(brackets, patterns, np.zeros(len(brackets), np.bool_), dark)
+
+
+def _list_folder(
+    folder: Path,
+    lights: tuple[int, int] | None,
+    exposures: int,
+    black: Path | None,
+    curve: Curve,
+) -> Listing:
+    """List the pictures in a folder, except `black`, and their patterns or lights."""
+    subfolder = folder / "pictures"
+    files = picture_files(subfolder if subfolder.is_dir() else folder, _OTHERS)
+    files = [file for file in files if black is None or file.absolute() != black.absolute()]
+    patterns = None if lights else _patterns(folder, curve)
+    is_by_light = patterns is None
+    # a file of lights for several objects lies in the folder that contains theirs
+    above = is_by_light and lights is None
+    light_names = light_names_in(folder, [file.name for file in files], parent=above)
+    files_by_role = sort_pictures(files, light_names)
+    brackets = _brackets_of(folder, files_by_role.pictures, exposures)
+    names = [bracket[0].name for bracket in brackets]
+    directions = lights_in(folder, names, parent=above)
+    if lights or directions is not None:
+        patterns = patterns or Patterns.single_lights(*(lights or (1, len(brackets))))
+    if patterns is None:
+        raise InputError(
+            f"{folder}: has no patterns; expected a folder patterns of pictures, or patterns.npy, "
+            "or, for one light at a time, --lights or a file of their directions"
+        )
+    if directions is not None:
+        as_directions(directions, f"{folder}: its file of lights", prod(patterns.shape))
+    return Listing(
+        brackets,
+        patterns,
+        np.zeros(len(brackets), np.bool_),
+        _brackets_of(folder, files_by_role.ambient, exposures),
+        directions,
+        intensities_in(folder, names, parent=above) if is_by_light else None,
+        None if files_by_role.mask is None else read_parts(files_by_role.mask)[0],
+        _notes(files_by_role),
+    )
+
+
+def _notes(files: SortedPictures) -> list[str]:
+    """Roles of files that show no pattern."""
+    notes = [] if files.mask is None else [f"{files.mask}: taken as the mask, by its name"]
+    notes += [f"{file}: subtracted as ambient light, by its name" for file in files.ambient]
+    return notes + [f"{file}: left out, a result by its name" for file in files.ignored]
 
 
 def default_curve(folder: Path) -> Curve:
@@ -209,6 +290,11 @@ def _of_papers(
 def _brackets(place: Path, exposures: int) -> list[list[Part]]:
     """List the pictures of a folder, or of a file, in brackets."""
     files = [place] if place.is_file() else picture_files(place, _OTHERS)
+    return _brackets_of(place, files, exposures)
+
+
+def _brackets_of(place: Path, files: Sequence[Path], exposures: int) -> list[list[Part]]:
+    """List the pictures in files in brackets."""
     parts = [part for file in files for part in read_parts(file)]
     if len(parts) % exposures:
         raise InputError(
@@ -218,18 +304,15 @@ def _brackets(place: Path, exposures: int) -> list[list[Part]]:
     return [parts[first : first + exposures] for first in range(0, len(parts), exposures)]
 
 
-def _patterns(folder: Path, lights: tuple[int, int] | None, row: int, curve: Curve) -> Patterns:
-    """Return a folder's patterns; without any, those of a row of lights."""
-    subfolder, array = folder / "patterns", folder / "patterns.npy"
-    if not lights:
-        if array.is_file():
-            return Patterns.of_array(np.load(array, allow_pickle=False), str(array))
-        if subfolder.is_dir():
-            return Patterns.of_files(picture_files(subfolder, _OTHERS), curve)
-        lights = 1, row
-    if not prod(lights):
-        raise InputError(
-            f"{folder}: has no patterns; expected a folder {subfolder.name} of pictures, or "
-            f"{array.name}, or, for one light at a time, --lights or a file of their directions"
-        )
-    return Patterns.single_lights(*lights)
+def _patterns(folder: Path, curve: Curve) -> Patterns | None:
+    """Patterns in a folder, or None."""
+    subfolder, file = folder / "patterns", folder / "patterns.npy"
+    if file.is_file():
+        try:
+            weights = np.load(file, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise InputError(f"{file}: can't be read as an array of patterns: {error}") from None
+        return Patterns.of_array(weights, f"{file}")
+    if subfolder.is_dir():
+        return Patterns.of_files(picture_files(subfolder, _OTHERS), curve)
+    return None
