@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from functools import partial
@@ -28,6 +29,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.stages.plan import Plan, plan_of, stages_of
+from rfpipe.store import read_manifest, write_manifest
 
 SHAPE = (4, 5)
 SETTINGS: dict[str, Any] = {
@@ -216,6 +218,45 @@ def test_a_sheet_with_other_pictures_is_not_replaced(level_0: Path) -> None:
     assert "move them away" in output
     with pytest.raises(InputError, match="rfpipe patterns"):
         read_sheet(root)
+
+
+@pytest.mark.parametrize("is_renamed", [False, True])
+def test_a_copied_run_imports_into_its_own_results(level_0: Path, is_renamed: bool) -> None:
+    root = level_0.parents[1]
+    other = root.with_name(f"{root.name}_other")
+    shutil.move(root, other) if is_renamed else shutil.copytree(root, other)
+    assert "brackets imported" in command("import", other / level_0.relative_to(root))
+    assert list(other.glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+    assert not list(root.glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+    assert str(root) + "/" not in (sheets(other / "p")[-1] / "patterns.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("lacking", "message"), [("mine.yaml", "settings should be at"), ("r", "results should be at")]
+)
+def test_a_sheet_apart_from_its_run_is_refused(level_0: Path, lacking: str, message: str) -> None:
+    root = level_0.parents[1]
+    moved = root / "elsewhere"
+    (root / lacking).rename(moved)
+    output = command("import", level_0, fails=True)
+    assert re.search(rf"patterns\.json: the run's {message} \.\./\.\./{lacking}.*", output)
+    assert "write the patterns again" in output
+    settings = moved if lacking == "mine.yaml" else root / "mine.yaml"
+    results = moved if lacking == "r" else root / "r"
+    command("patterns", settings, "-o", root / "p", "--results", results)
+    assert "brackets imported" in command("import", level_0)
+    assert list(results.glob("desk/symmetric/L00/reference.zarr/c.*"))
+
+
+def test_a_sheet_with_absolute_paths_is_refused(level_0: Path) -> None:
+    root = level_0.parents[1]
+    manifest = level_0 / "patterns.json"
+    stated = read_manifest(manifest)
+    stated["about"]["results"] = str(root / "r")
+    write_manifest(manifest, stated)
+    assert "absolute path" in command("import", level_0, fails=True)
+    command("patterns", root / "mine.yaml", "-o", root / "p", "--results", root / "r")
+    assert "brackets imported" in command("import", level_0)
 
 
 def test_rays_in_a_part_of_larger_pictures() -> None:
