@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from rfpipe import errors
+from rfpipe.caches import ensure_cache_folders as _ensure_cache_folders
 
 if TYPE_CHECKING:
     from rfpipe.environment import environment_weights as environment_weights
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from rfpipe.transport.rays import crop as crop
     from rfpipe.version import __version__ as __version__
     from rfpipe.weights import picture_weights as picture_weights
+
+_ensure_cache_folders()  # before any library looks for its own
 
 _HOMES = {
     "CameraModel": "rfpipe.photometry",
