@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
-from rfpipe.errors import StoreError
+from rfpipe.errors import InputError, StoreError
 from rfpipe.store import read_manifest, write_manifest
 
 RUN = "run.json"
@@ -26,6 +26,18 @@ def program(name: str) -> str:
     """Return the path of a program that is installed beside this Python, or its name."""
     beside = Path(sys.executable).with_name(name)
     return str(beside) if beside.exists() else shutil.which(name) or name
+
+
+def check_no_braces(name: str, path: str | Path) -> None:
+    """Refuse a path that Snakemake can't have: it takes braces in it for wildcards.
+
+    Of a run's folder, Snakemake then finds no locks or those of other folders. Raises InputError.
+    """
+    if any(brace in str(path) for brace in "{}"):
+        raise InputError(
+            f"{name} is {path}; Snakemake takes braces in a path for wildcards. Use a folder "
+            "without braces in its name and in those above it"
+        )
 
 
 def write_run(
