@@ -1,9 +1,11 @@
 """Files of a folder by their names: pictures, mask, ambient light, results; and patterns.npy."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.dng import dng_bytes
 
 from rfpipe.errors import InputError
 from rfpipe.fitting.folder import list_pictures
@@ -15,8 +17,8 @@ LIGHTS = "a.jpg 0 0 1\nb.jpg 0 1 1\nc.jpg 1 0 1\n"
 
 def folder_of(folder: Path, *names: str, lights: str | None = LIGHTS) -> Path:
     folder.mkdir(exist_ok=True)
-    for name in names:
-        write_image(folder / name, np.full((4, 5, 3), 0.5, np.float32))
+    for index, name in enumerate(names):
+        write_image(folder / name, np.random.default_rng(index).random((4, 5, 3), np.float32))
     if lights:
         (folder / "dome.lp").write_text(lights)
     return folder
@@ -79,6 +81,25 @@ def test_the_black_picture_may_lie_beside_the_others(tmp_path: Path) -> None:
     assert len(listing.brackets) == 3
     with pytest.raises(InputError, match=r"no line for the picture dark\.png"):
         list_pictures(folder)
+
+
+def test_doubled_pictures_are_noted_or_refused(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "a.png", "b.png", lights="a 0 0 1\nb 0 1 1\nc 1 0 1\n")
+    shutil.copy(folder / "a.png", folder / "c.png")
+    (note,) = list_pictures(folder).notes
+    assert "a.png, c.png: are the same picture" in note
+    write_image(folder / "c.exr", np.ones((4, 5, 3), np.float32))
+    with pytest.raises(InputError, match=r"c\.png: has the name of c\.exr with another suffix"):
+        list_pictures(folder)
+
+
+@pytest.mark.parametrize(("develop_raw", "channels"), [(False, 1), (True, 3)])
+def test_raw_files_are_developed_without_a_camera(tmp_path, develop_raw, channels) -> None:
+    for index in range(2):
+        mosaic = np.full((32, 48), 1000 * (index + 1), np.uint16)
+        (tmp_path / f"{index}.dng").write_bytes(dng_bytes(mosaic, 0.25))
+    listing = list_pictures(tmp_path, lights=(1, 2), develop_raw=develop_raw)
+    assert [part.header.channels for [part] in listing.brackets] == [channels] * 2
 
 
 def test_lights_of_two_objects_in_the_folder_that_contains_them(tmp_path: Path) -> None:

@@ -16,12 +16,12 @@ from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
 from rfpipe.fitting.names import SortedPictures, sort_pictures
 from rfpipe.light_files import intensities_in, light_names_in, lights_in
-from rfpipe.pictures.files import Part, picture_files, read_parts
+from rfpipe.pictures import Part, check_sequence, picture_files, read_parts
 from rfpipe.weights import Curve, as_weights, picture_weights
 
 Float = NDArray[np.float32]
 
-_OTHERS = (".bmp", ".hdr", ".jpeg", ".jpg", ".pfm", ".pgm", ".ppm", ".tga")
+_OTHERS = (".hdr", ".jpeg", ".jpg")
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)
 
 
@@ -128,6 +128,30 @@ class Listing:
     notes: Sequence[str] = ()
 
 
+@dataclass(frozen=True)
+class _Brackets:
+    """Reader of pictures in brackets of some exposures; raw files are developed, or mosaics."""
+
+    exposures: int
+    develop_raw: bool
+
+    def of_place(self, place: Path) -> list[list[Part]]:
+        """List the pictures of a folder, or of a file, in brackets."""
+        files = [place] if place.is_file() else picture_files(place, _OTHERS)
+        return self.of_files(place, files)
+
+    def of_files(self, place: Path, files: Sequence[Path]) -> list[list[Part]]:
+        """List the pictures in files in brackets; InputError, by `place`, where one lacks some."""
+        parts = [part for file in files for part in read_parts(file, develop_raw=self.develop_raw)]
+        if len(parts) % self.exposures:
+            raise InputError(
+                f"{place}: holds {len(parts)} pictures, no multiple of the {self.exposures} "
+                "exposures of the settings' camera"
+            )
+        starts = range(0, len(parts), self.exposures)
+        return [parts[first : first + self.exposures] for first in starts]
+
+
 def list_pictures(
     folder: Path,
     *,
@@ -135,6 +159,7 @@ def list_pictures(
     exposures: int = 1,
     black: Path | None = None,
     curve: Curve | None = None,
+    develop_raw: bool = False,
 ) -> Listing:
     """List the pictures in a folder and pair them with their patterns.
 
@@ -156,22 +181,25 @@ def list_pictures(
         A picture without light, or a folder of some.
     curve : {"linear", "srgb"}, optional
         Transfer curve of pictures of patterns; by default sRGB with ``cam``, else linear.
+    develop_raw : bool
+        Read raw files as linear colours, for pictures without a model of their camera; else as
+        mosaics.
 
     Raises
     ------
     InputError
-        When a file is missing or can't be read, or numbers of pictures and patterns differ.
+        When a file is missing or can't be read, numbers of pictures and patterns differ, or names
+        are those of several pictures, or do not sort in the order of taking.
     """
     photographs = [at for at in (folder / "cam/raw", folder / "cam/warp") if at.is_dir()]
     curve = curve or default_curve(folder)
-    dark = _brackets(black, exposures) if black else []
+    read = _Brackets(exposures, develop_raw)
     if folder.is_file():
-        listing = _list_parts(folder, lights, exposures, dark)
+        listing = _list_parts(folder, lights, read)
     elif photographs and not lights:
-        listing = Listing(*_of_papers(folder, photographs[0], exposures, curve), dark)
+        listing = Listing(*_of_papers(folder, photographs[0], read, curve))
     else:
-        listing = _list_folder(folder, lights, exposures, black, curve)
-        listing = replace(listing, dark=[*dark, *listing.dark])
+        listing = _list_folder(folder, lights, read, black, curve)
         if listing.patterns.largest > 1:
             note = f"{folder / 'patterns.npy'}: has weights up to {listing.patterns.largest:g}"
             listing = replace(listing, notes=[*listing.notes, f"{note}; 1 is fully on"])
@@ -180,24 +208,23 @@ def list_pictures(
             f"{folder}: holds {len(listing.brackets)} pictures of {len(listing.patterns)} "
             "patterns; expected one of each"
         )
-    return listing
+    dark = read.of_place(black) if black else []
+    return replace(listing, dark=[*dark, *listing.dark])
 
 
-def _list_parts(
-    file: Path, lights: tuple[int, int] | None, exposures: int, dark: Sequence[Sequence[Part]]
-) -> Listing:
+def _list_parts(file: Path, lights: tuple[int, int] | None, read: _Brackets) -> Listing:
     """List the parts of an EXR file, one light each."""
-    brackets = _brackets(file, exposures)
+    brackets = read.of_place(file)
     if len(brackets) < 2:
         raise InputError(f"{file}: holds one picture; expected EXR with a part for each light")
     patterns = Patterns.single_lights(*(lights or (1, len(brackets))))
-    return Listing(brackets, patterns, np.zeros(len(brackets), np.bool_), dark)
+    return Listing(brackets, patterns, np.zeros(len(brackets), np.bool_))
 
 
 def _list_folder(
     folder: Path,
     lights: tuple[int, int] | None,
-    exposures: int,
+    read: _Brackets,
     black: Path | None,
     curve: Curve,
 ) -> Listing:
@@ -211,7 +238,8 @@ def _list_folder(
     above = is_by_light and lights is None
     light_names = light_names_in(folder, [file.name for file in files], parent=above)
     files_by_role = sort_pictures(files, light_names)
-    brackets = _brackets_of(folder, files_by_role.pictures, exposures)
+    notes = check_sequence(files_by_role.pictures, ordered=not light_names)
+    brackets = read.of_files(folder, files_by_role.pictures)
     names = [bracket[0].name for bracket in brackets]
     directions = lights_in(folder, names, parent=above)
     if lights or directions is not None:
@@ -227,11 +255,11 @@ def _list_folder(
         brackets,
         patterns,
         np.zeros(len(brackets), np.bool_),
-        _brackets_of(folder, files_by_role.ambient, exposures),
+        read.of_files(folder, files_by_role.ambient),
         directions,
         intensities_in(folder, names, parent=above) if is_by_light else None,
         None if files_by_role.mask is None else read_parts(files_by_role.mask)[0],
-        _notes(files_by_role),
+        [*_notes(files_by_role), *(f"{folder}: {note}" for note in notes)],
     )
 
 
@@ -250,17 +278,16 @@ def default_curve(folder: Path) -> Curve:
 def linear_light(part: Part, curve: Curve) -> Float:
     """Read a picture as linear light, (H, W) or (H, W, 3); integers go from 0 to 1."""
     picture = part.read()
+    light = picture.fractions
     if picture.header.kind == "counts":
-        light = picture_weights(picture.pixels.astype(f"uint{picture.bits}"), curve)
-    else:
-        light = np.asarray(picture.pixels, np.float32)
-        if not np.isfinite(light).all():
-            raise InputError(f"{part}: holds NaN or infinite light; every value should be finite")
+        light = picture_weights(light, curve)
+    elif not np.isfinite(light).all():
+        raise InputError(f"{part}: holds NaN or infinite light; every value should be finite")
     return light[..., 0] if light.shape[-1] == 1 else light
 
 
 def _of_papers(
-    folder: Path, photographs: Path, exposures: int, curve: Curve
+    folder: Path, photographs: Path, read: _Brackets, curve: Curve
 ) -> tuple[list[list[Part]], Patterns, NDArray[np.bool_]]:
     """List reference, training and validation pictures, their patterns, and which validate."""
     above = (folder, *folder.absolute().parents[:3])
@@ -271,7 +298,7 @@ def _of_papers(
         taken = photographs / name
         if name != "train" and not (taken.is_dir() and shown.is_dir()):
             continue
-        some, patterns = _brackets(taken, exposures), picture_files(shown, _OTHERS)
+        some, patterns = read.of_place(taken), picture_files(shown, _OTHERS)
         if name == "ref" and len(some) != len(patterns):
             continue  # those of a setup may be others
         if not shown.is_relative_to(folder):
@@ -287,23 +314,6 @@ def _of_papers(
     return brackets, Patterns.of_files(files, curve), np.array(validation)
 
 
-def _brackets(place: Path, exposures: int) -> list[list[Part]]:
-    """List the pictures of a folder, or of a file, in brackets."""
-    files = [place] if place.is_file() else picture_files(place, _OTHERS)
-    return _brackets_of(place, files, exposures)
-
-
-def _brackets_of(place: Path, files: Sequence[Path], exposures: int) -> list[list[Part]]:
-    """List the pictures in files in brackets."""
-    parts = [part for file in files for part in read_parts(file)]
-    if len(parts) % exposures:
-        raise InputError(
-            f"{place}: holds {len(parts)} pictures, no multiple of the {exposures} exposures of "
-            "the settings' camera"
-        )
-    return [parts[first : first + exposures] for first in range(0, len(parts), exposures)]
-
-
 def _patterns(folder: Path, curve: Curve) -> Patterns | None:
     """Patterns in a folder, or None."""
     subfolder, file = folder / "patterns", folder / "patterns.npy"
@@ -314,5 +324,7 @@ def _patterns(folder: Path, curve: Curve) -> Patterns | None:
             raise InputError(f"{file}: can't be read as an array of patterns: {error}") from None
         return Patterns.of_array(weights, f"{file}")
     if subfolder.is_dir():
-        return Patterns.of_files(picture_files(subfolder, _OTHERS), curve)
+        files = picture_files(subfolder, _OTHERS)
+        check_sequence(files)
+        return Patterns.of_files(files, curve)
     return None

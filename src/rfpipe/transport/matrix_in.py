@@ -180,14 +180,15 @@ def _channels(held: Any, camera: Shape, projector: Shape, name: str, order: RayO
         if shapes != (camera, projector):
             raise _misfit(name, tuple(map(prod, shapes)), camera, projector)
         return [held.channel(index) for index in range(held.channels)]
-    dtype = held.dtype if sparse.issparse(held) else np.asarray(held).dtype
+    is_sparse = bool(sparse.issparse(held))
+    dtype: Any = held.dtype if is_sparse else np.asarray(held).dtype
     if dtype.kind not in "fiub":
         raise InputError(
             f"{name}: holds {dtype}; light transport is real numbers. Save the real part, or the "
             "absolute values, as an array of numbers"
         )
-    if sparse.issparse(held):
-        matrices: list[Any] = [sparse.csr_array(held)]  # type: ignore[call-overload]
+    if is_sparse:
+        matrices: list[Any] = [sparse.csr_array(held)]
     else:
         array = np.asarray(held)
         array = array[None] if array.ndim == 2 else array
