@@ -36,7 +36,7 @@ def ensure_cache_folders() -> None:
 
 
 def _is_usable(name: str) -> bool:
-    """Whether a folder can be written, or created."""
+    """Test whether a folder can be written, or created."""
     try:
         path = Path(name).expanduser()
         place = next(place for place in (path, *path.parents) if place.exists())

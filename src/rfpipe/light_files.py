@@ -40,6 +40,14 @@ class _Lights:
     directions: Float
 
 
+def light_file_in(folder: Path, *, parent: bool = False) -> Path | None:
+    """Path of the file of lights that `lights_in` reads, or None. Parameters as `lights_in`.
+
+    InputError if there are several.
+    """
+    return _file_in(folder, LIGHT_FILES, parent)
+
+
 def lights_in(folder: Path, pictures: Sequence[str], *, parent: bool = False) -> Float | None:
     """Read the directions of lights from the file of `LIGHT_FILES` that lies beside pictures.
 
@@ -62,7 +70,7 @@ def lights_in(folder: Path, pictures: Sequence[str], *, parent: bool = False) ->
     InputError
         If there are several files, and as `read_lights`.
     """
-    path = _light_file(folder, parent)
+    path = light_file_in(folder, parent=parent)
     return None if path is None else read_lights(path, pictures)
 
 
@@ -74,7 +82,7 @@ def light_names_in(
     Empty where there is no such file, or it names no pictures. Parameters and errors as
     `lights_in`.
     """
-    path = _light_file(folder, parent)
+    path = light_file_in(folder, parent=parent)
     return () if path is None else _read(path, pictures).names
 
 
@@ -140,7 +148,7 @@ def intensities_in(folder: Path, pictures: Sequence[str], *, parent: bool = Fals
             f"{path}: an array {values.shape} of values from {values.min():g} to "
             f"{values.max():g}; expected intensities above 0, 1 or 3 a line"
         )
-    file = _light_file(folder, parent)
+    file = light_file_in(folder, parent=parent)
     lights = _Lights(path, (), values) if file is None else _read(file, pictures)
     if len(lights.directions) != len(values):
         raise InputError(
@@ -160,10 +168,6 @@ def _order(lights: _Lights, pictures: Sequence[str]) -> NDArray[np.int64]:
             "pictures, and no names of pictures; expected one for each"
         )
     return np.arange(len(pictures))
-
-
-def _light_file(folder: Path, parent: bool) -> Path | None:
-    return _file_in(folder, LIGHT_FILES, parent)
 
 
 def _file_in(folder: Path, names: Sequence[str], parent: bool) -> Path | None:

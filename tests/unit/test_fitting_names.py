@@ -105,7 +105,9 @@ def test_raw_files_are_developed_without_a_camera(tmp_path, develop_raw, channel
 def test_lights_of_two_objects_in_the_folder_that_contains_them(tmp_path: Path) -> None:
     (tmp_path / "lights.txt").write_text("3\n0 0 1\n0 1 1\n1 0 1\n")
     cat = folder_of(tmp_path / "cat", "cat.0.png", "cat.1.png", "cat.2.png", lights=None)
-    assert list_pictures(cat).directions.tolist() == [[0, 0, 1], [0, 1, 1], [1, 0, 1]]
+    listing = list_pictures(cat)
+    assert listing.directions.tolist() == [[0, 0, 1], [0, 1, 1], [1, 0, 1]]
+    assert f"from the folder above, {tmp_path / 'lights.txt'}" in listing.notes[-1]
     np.save(cat / "patterns.npy", np.ones((3, 2, 2)))
     assert list_pictures(cat).directions is None
     gray = folder_of(tmp_path / "gray", "gray.0.png", "gray.1.png", lights=None)

@@ -119,8 +119,8 @@ def test_directions_of_length_1_settle_which_numbers_they_are(tmp_path: Path) ->
     before = "".join(f"{i + 7} {x} {y} {z}\n" for i, (x, y, z) in enumerate(lights))
     after = "".join(f"{x} {y} {z} {i + 7}\n" for i, (x, y, z) in enumerate(lights))
     for text in (before, after):
-        found = rfpipe.read_lights(written(tmp_path, text))
-        np.testing.assert_allclose(found, lights, rtol=1e-6)
+        result = rfpipe.read_lights(written(tmp_path, text))
+        np.testing.assert_allclose(result, lights, rtol=1e-6)
     named = written(tmp_path, "".join(f"img {i} 3 4 5\n" for i in range(3)))
     pictures = [f"img {index}.tif" for index in range(3)]
     assert (rfpipe.read_lights(named, pictures) == (3, 4, 5)).all()
@@ -139,8 +139,8 @@ def test_places_of_lists(tmp_path: Path, name: str, below: str) -> None:
     assert lights_in(folder, PICTURES, parent=True) is None
     written(folder / below, "3\n.5 .3 .8\n0 0 1\n.6 .8 0\n", name)
     written(folder, "3", "._dome.lp")
-    found = lights_in(folder, PICTURES, parent=True)
-    np.testing.assert_array_equal(found, np.float32([A, B, C]))
+    result = lights_in(folder, PICTURES, parent=True)
+    np.testing.assert_array_equal(result, np.float32([A, B, C]))
     assert (lights_in(folder, PICTURES) is None) == (below == "..")
     written(folder / below, "3\n1 0 0\n0 1 0\n0 0 1\n", "light_DIRECTIONS.txt")
     written(folder / below, "3\n1 0 0\n0 1 0\n0 0 1\n", "other.lp")
@@ -151,8 +151,8 @@ def test_places_of_lists(tmp_path: Path, name: str, below: str) -> None:
 def test_a_list_of_pictures_orders_lights_without_names(tmp_path: Path) -> None:
     written(tmp_path, ".5 .3 .8\n0 0 1\n.6 .8 0\n", "light_directions.txt")
     written(tmp_path, "b.png\nc.png\na.png\n", "filenames.txt")
-    found = lights_in(tmp_path, PICTURES)
-    np.testing.assert_array_equal(found, np.float32([C, A, B]))
+    result = lights_in(tmp_path, PICTURES)
+    np.testing.assert_array_equal(result, np.float32([C, A, B]))
     written(tmp_path, "b.png\nc.png\n", "filenames.txt")
     with pytest.raises(InputError, match=r"filenames\.txt: lists 2 pictures for 3 lights"):
         lights_in(tmp_path, PICTURES)
@@ -179,8 +179,8 @@ def test_intensities_in_the_order_of_the_lights(tmp_path: Path, text: str, expec
     written(tmp_path, text, "light_intensities.txt")
     np.testing.assert_array_equal(intensities_in(tmp_path, PICTURES), np.float32(expected))
     written(tmp_path, "c 0 0 1\na 0 1 1\nb 1 0 1\n")
-    found = intensities_in(tmp_path, PICTURES)
-    np.testing.assert_array_equal(found, np.float32(expected)[[1, 2, 0]])
+    result = intensities_in(tmp_path, PICTURES)
+    np.testing.assert_array_equal(result, np.float32(expected)[[1, 2, 0]])
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
 from rfpipe.fitting.names import SortedPictures, sort_pictures
-from rfpipe.light_files import intensities_in, light_names_in, lights_in
+from rfpipe.light_files import intensities_in, light_file_in, light_names_in, lights_in
 from rfpipe.pictures import Part, check_sequence, picture_files, read_parts
 from rfpipe.weights import Curve, as_weights, picture_weights
 
@@ -239,6 +239,9 @@ def _list_folder(
     light_names = light_names_in(folder, [file.name for file in files], parent=above)
     files_by_role = sort_pictures(files, light_names)
     notes = check_sequence(files_by_role.pictures, ordered=not light_names)
+    light_file = light_file_in(folder, parent=above)
+    if light_file and light_file.parent == folder.absolute().parent:
+        notes.append(f"takes the directions of lights from the folder above, {light_file}")
     brackets = read.of_files(folder, files_by_role.pictures)
     names = [bracket[0].name for bracket in brackets]
     directions = lights_in(folder, names, parent=above)

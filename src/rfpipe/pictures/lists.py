@@ -196,7 +196,7 @@ def _columns(path: Path, rows: Sequence[list[str]], pictures: set[str]) -> int:
 
 
 def _are_unit(rows: Sequence[list[str]], columns: int) -> bool:
-    """Whether the first three of so many columns are directions of length 1 on all lines."""
+    """Test whether the first three of some columns are directions of length 1 on all lines."""
     starts = [len(words) - columns for words in rows]
     values = [
         [_value(word) for word in words[start : start + 3]]

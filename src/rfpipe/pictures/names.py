@@ -22,7 +22,7 @@ _ENDING = re.compile(
 
 
 def is_picture_name(name: str) -> bool:
-    """Whether a name ends as those of pictures do, whether rfpipe reads them or not."""
+    """Test whether a name ends as a picture's, of a format that rfpipe reads or another one."""
     return _ENDING.search(name) is not None
 
 

@@ -253,21 +253,26 @@ def write_sheet(
                 f"{pictures}: holds pictures of patterns that aren't asked for any more, since "
                 "settings or code changed; move them away, then write the patterns again"
             )
-    try:
-        pictures.mkdir(parents=True, exist_ok=True)
-        (folder / MANIFEST).unlink(missing_ok=True)
-        for old in folder.glob("[0-9]*_*.png"):
-            old.unlink()
-    except OSError as error:
-        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
+    _clear(folder)
     for each, (_, _, pattern) in zip(sheet.shown, patterns, strict=True):
         write_code_picture(folder / each.file, rig.picture(pattern), gamma)
     _write_manifest(sheet)
     return sheet
 
 
+def _clear(folder: Path) -> None:
+    """Make a sheet's folder, or remove an older sheet from it; StoreError where that fails."""
+    try:
+        (folder / PICTURES).mkdir(parents=True, exist_ok=True)
+        (folder / MANIFEST).unlink(missing_ok=True)
+        for old in folder.glob("[0-9]*_*.png"):
+            old.unlink()
+    except OSError as error:
+        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
+
+
 def _is_same(previous: Sheet, sheet: Sheet) -> bool:
-    """Whether sheets differ at most in the paths of their run."""
+    """Test whether sheets differ at most in the paths of their run."""
     paths = {name: sheet.about[name] for name in RUN_PATHS}
     return previous.model_copy(update={"about": previous.about | paths}) == sheet
 
