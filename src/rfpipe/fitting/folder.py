@@ -2,96 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
+from rfpipe.fitting.codes import code_patterns
 from rfpipe.fitting.names import SortedPictures, sort_pictures
+from rfpipe.fitting.patterns import Patterns, linear_light
 from rfpipe.light_files import intensities_in, light_file_in, light_names_in, lights_in
 from rfpipe.pictures import Part, check_sequence, picture_files, read_parts
-from rfpipe.weights import Curve, as_weights, picture_weights
+from rfpipe.weights import Curve
 
 Float = NDArray[np.float32]
 
 _OTHERS = (".hdr", ".jpeg", ".jpg")
-_FULL_SCALES = (255, 1023, 4095, 16383, 65535)
-
-
-@dataclass(frozen=True)
-class Patterns:
-    """Patterns of one size, read one at a time.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width in projector pixels.
-    readers : sequence of callable
-        Each returns one pattern: weights, at least 0, shape (H, W) or (H, W, 3).
-    largest : float
-        Largest weight in an array; pictures and single lights have at most 1.
-    """
-
-    shape: tuple[int, int]
-    readers: Sequence[Callable[[], NDArray[Any]]] = field(repr=False)
-    largest: float = 1.0
-
-    def __len__(self) -> int:
-        """Return the number of patterns."""
-        return len(self.readers)
-
-    @classmethod
-    def of_array(cls, weights: NDArray[Any], name: str) -> Patterns:
-        """Take patterns from an array (K, H, W) or (K, H, W, 3) of weights, 1 for fully on.
-
-        Raises InputError for another shape, for weights that are negative or not finite, and for
-        counts of a picture, such as 0 to 255.
-        """
-        if weights.ndim not in (3, 4) or (weights.ndim == 4 and weights.shape[3] not in (1, 3)):
-            raise InputError(
-                f"{name}: an array {weights.shape}; expected (pictures, H, W) or "
-                "(pictures, H, W, 3)"
-            )
-        weights = as_weights(weights, name)
-        if not (np.isfinite(weights).all() and (weights >= 0).all()):
-            raise InputError(
-                f"{name}: patterns should be finite and not negative, every weight; 1 is fully on"
-            )
-        largest = float(weights.max(initial=0))
-        if largest in _FULL_SCALES and (weights == np.rint(weights)).all():
-            raise InputError(
-                f"{name}: has whole numbers up to {largest:g}, the counts of a picture; weights "
-                f"are fractions, 1 for fully on: divide them by {largest:g}"
-            )
-        readers = [partial(weights.__getitem__, k) for k in range(len(weights))]
-        return cls(weights.shape[1:3], readers, largest)
-
-    @classmethod
-    def of_files(cls, files: Sequence[Path], curve: Curve) -> Patterns:
-        """Take patterns from picture files of one size; InputError where sizes differ."""
-        parts = [part for file in files for part in read_parts(file)]
-        for part in parts:
-            if part.header.size != parts[0].header.size:
-                raise InputError(f"{part} has another size than {parts[0]}; patterns have one")
-        return cls(parts[0].header.size, [partial(linear_light, part, curve) for part in parts])
-
-    @classmethod
-    def single_lights(cls, rows: int, columns: int) -> Patterns:
-        """Take one light at a time, of lights in rows and columns."""
-
-        def light(index: int) -> Float:
-            lit = np.zeros(rows * columns, np.float32)
-            lit[index] = 1
-            return lit.reshape(rows, columns)
-
-        return cls((rows, columns), [partial(light, index) for index in range(rows * columns)])
 
 
 @dataclass(frozen=True)
@@ -116,6 +46,8 @@ class Listing:
         Mask of the object.
     notes : sequence of str
         Roles of files that are no pictures of patterns, for the user.
+    are_single_lights : bool
+        Whether each pattern is one light.
     """
 
     brackets: Sequence[Sequence[Part]]
@@ -126,6 +58,7 @@ class Listing:
     intensities: Float | None = None
     mask: Part | None = None
     notes: Sequence[str] = ()
+    are_single_lights: bool = False
 
 
 @dataclass(frozen=True)
@@ -156,8 +89,10 @@ def list_pictures(
     folder: Path,
     *,
     lights: tuple[int, int] | None = None,
+    patterns: str | None = None,
     exposures: int = 1,
     black: Path | None = None,
+    ambient: Path | None = None,
     curve: Curve | None = None,
     develop_raw: bool = False,
 ) -> Listing:
@@ -175,10 +110,13 @@ def list_pictures(
     lights : (int, int), optional
         Rows and columns of lights, of which one is on in each picture. By default the parts of an
         EXR file, and the pictures beside a file of lights, are one light each.
+    patterns : str, optional
+        Name of a code, whose patterns the pictures show, as for
+        `rfpipe.fitting.codes.code_patterns`.
     exposures : int
         Pictures of each pattern.
-    black : Path, optional
-        A picture without light, or a folder of some.
+    black, ambient : Path, optional
+        A picture without the projector's light, or a folder of some.
     curve : {"linear", "srgb"}, optional
         Transfer curve of pictures of patterns; by default sRGB with ``cam``, else linear.
     develop_raw : bool
@@ -194,12 +132,13 @@ def list_pictures(
     photographs = [at for at in (folder / "cam/raw", folder / "cam/warp") if at.is_dir()]
     curve = curve or default_curve(folder)
     read = _Brackets(exposures, develop_raw)
+    unlit = [path for path in (black, ambient) if path]
     if folder.is_file():
         listing = _list_parts(folder, lights, read)
-    elif photographs and not lights:
+    elif photographs and not lights and not patterns:
         listing = Listing(*_of_papers(folder, photographs[0], read, curve))
     else:
-        listing = _list_folder(folder, lights, read, black, curve)
+        listing = _list_folder(folder, lights or patterns, read, unlit, curve)
         if listing.patterns.largest > 1:
             note = f"{folder / 'patterns.npy'}: has weights up to {listing.patterns.largest:g}"
             listing = replace(listing, notes=[*listing.notes, f"{note}; 1 is fully on"])
@@ -208,7 +147,7 @@ def list_pictures(
             f"{folder}: holds {len(listing.brackets)} pictures of {len(listing.patterns)} "
             "patterns; expected one of each"
         )
-    dark = read.of_place(black) if black else []
+    dark = [bracket for path in unlit for bracket in read.of_place(path)]
     return replace(listing, dark=[*dark, *listing.dark])
 
 
@@ -218,24 +157,29 @@ def _list_parts(file: Path, lights: tuple[int, int] | None, read: _Brackets) -> 
     if len(brackets) < 2:
         raise InputError(f"{file}: holds one picture; expected EXR with a part for each light")
     patterns = Patterns.single_lights(*(lights or (1, len(brackets))))
-    return Listing(brackets, patterns, np.zeros(len(brackets), np.bool_))
+    validation = np.zeros(len(brackets), np.bool_)
+    return Listing(brackets, patterns, validation, are_single_lights=True)
 
 
 def _list_folder(
     folder: Path,
-    lights: tuple[int, int] | None,
+    light: tuple[int, int] | str | None,
     read: _Brackets,
-    black: Path | None,
+    unlit: Sequence[Path],
     curve: Curve,
 ) -> Listing:
-    """List the pictures in a folder, except `black`, and their patterns or lights."""
+    """List the pictures in a folder, except `unlit` ones, and their patterns or lights.
+
+    `light` is the rows and columns of single lights, or the name of a code.
+    """
     subfolder = folder / "pictures"
     files = picture_files(subfolder if subfolder.is_dir() else folder, _OTHERS)
-    files = [file for file in files if black is None or file.absolute() != black.absolute()]
-    patterns = None if lights else _patterns(folder, curve)
-    is_by_light = patterns is None
+    excluded = {path.absolute() for path in unlit}
+    files = [file for file in files if file.absolute() not in excluded]
+    patterns = None if light else _patterns(folder, curve)
+    is_by_light = patterns is None and not isinstance(light, str)
     # a file of lights for several objects lies in the folder that contains theirs
-    above = is_by_light and lights is None
+    above = is_by_light and light is None
     light_names = light_names_in(folder, [file.name for file in files], parent=above)
     files_by_role = sort_pictures(files, light_names)
     notes = check_sequence(files_by_role.pictures, ordered=not light_names)
@@ -245,12 +189,15 @@ def _list_folder(
     brackets = read.of_files(folder, files_by_role.pictures)
     names = [bracket[0].name for bracket in brackets]
     directions = lights_in(folder, names, parent=above)
-    if lights or directions is not None:
-        patterns = patterns or Patterns.single_lights(*(lights or (1, len(brackets))))
+    if isinstance(light, str):
+        patterns = code_patterns(light, [_mean_light(bracket, curve) for bracket in brackets])
+    elif light or directions is not None:
+        patterns = patterns or Patterns.single_lights(*(light or (1, len(brackets))))
     if patterns is None:
         raise InputError(
             f"{folder}: has no patterns; expected a folder patterns of pictures, or patterns.npy, "
-            "or, for one light at a time, --lights or a file of their directions"
+            "or --patterns with the name of a code, or, for one light at a time, --lights or a "
+            "file of their directions"
         )
     if directions is not None:
         as_directions(directions, f"{folder}: its file of lights", prod(patterns.shape))
@@ -263,7 +210,13 @@ def _list_folder(
         intensities_in(folder, names, parent=above) if is_by_light else None,
         None if files_by_role.mask is None else read_parts(files_by_role.mask)[0],
         [*_notes(files_by_role), *(f"{folder}: {note}" for note in notes)],
+        is_by_light,
     )
+
+
+def _mean_light(bracket: Sequence[Part], curve: Curve) -> float:
+    """Return the mean light of a bracket's brightest exposure."""
+    return max(float(linear_light(part, curve).mean()) for part in bracket)
 
 
 def _notes(files: SortedPictures) -> list[str]:
@@ -276,17 +229,6 @@ def _notes(files: SortedPictures) -> list[str]:
 def default_curve(folder: Path) -> Curve:
     """Return the transfer curve of a folder's pictures: sRGB with ``cam``, else linear."""
     return "srgb" if any((folder / "cam" / name).is_dir() for name in ("raw", "warp")) else "linear"
-
-
-def linear_light(part: Part, curve: Curve) -> Float:
-    """Read a picture as linear light, (H, W) or (H, W, 3); integers go from 0 to 1."""
-    picture = part.read()
-    light = picture.fractions
-    if picture.header.kind == "counts":
-        light = picture_weights(light, curve)
-    elif not np.isfinite(light).all():
-        raise InputError(f"{part}: holds NaN or infinite light; every value should be finite")
-    return light[..., 0] if light.shape[-1] == 1 else light
 
 
 def _of_papers(
