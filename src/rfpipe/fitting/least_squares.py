@@ -111,7 +111,7 @@ def _not_negative(basis: _Basis, penalty: Double, patterns: Float, pictures: Flo
     A fast iterative shrinkage-thresholding algorithm, 2009].
     """
     matrix = np.maximum(basis.solution(pictures, penalty), 0)
-    step = np.float32(1 / max(np.linalg.norm(patterns, 2) ** 2, _TINY))
+    step = np.float32(1 / max(float(np.linalg.norm(patterns, 2)) ** 2, _TINY))
     ahead, momentum = matrix, 1.0
     for _ in range(_GRADIENTS):
         gradient = (patterns @ ahead.T - pictures).T @ patterns

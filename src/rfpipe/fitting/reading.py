@@ -287,14 +287,16 @@ def _bins(
     if listing.are_single_lights:
         proposed = Bins(proposed.camera if listing.directions is None else 1, 1)
     bins = Bins(asked[0] or proposed.camera, asked[1] or proposed.projector)
-    if bins == Bins(1, 1) or None not in asked:
-        return bins, []
-    note = (
-        f"pictures are averaged over {bins.camera} x {bins.camera} pixels, patterns over "
-        f"{bins.projector} x {bins.projector}, so that the fit stays within {memory_gib:g} GiB. "
-        "--camera-bin and --projector-bin choose other sizes, --memory-gib another limit"
-    )
-    return bins, [note]
+    chosen = [
+        f"{title} are averaged over {side} x {side} pixels (--{option} chooses another size)"
+        for title, option, wish, side in (
+            ("pictures", "camera-bin", asked[0], bins.camera),
+            ("patterns", "projector-bin", asked[1], bins.projector),
+        )
+        if wish is None and side > 1
+    ]
+    limit = f", so that the fit stays within {memory_gib:g} GiB (--memory-gib)"
+    return bins, [", ".join(chosen) + limit] if chosen else []
 
 
 def _binned_patterns(listing: Listing, side: int) -> Float:
