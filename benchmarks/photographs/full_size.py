@@ -48,7 +48,7 @@ def write_pictures(folder: Path, spec: str, count: int, seed: int = 0) -> NDArra
     folder.mkdir()
     means = np.linspace(0.5, 0.4, count)
     means[-2:] = 1, 0  # white and black come last
-    for index, read in enumerate(code_patterns(spec, means).readers):
+    for index, read in enumerate(code_patterns(spec, count, means).readers):
         pattern = gaussian_filter(np.asarray(read(), np.float32), 0.5)
         direct = map_coordinates(pattern, places - 0.5, order=1, mode="constant")
         light = albedo * (0.5 * direct + 0.1 * pattern.mean()) + 0.02

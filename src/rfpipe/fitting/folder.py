@@ -190,7 +190,8 @@ def _list_folder(
     names = [bracket[0].name for bracket in brackets]
     directions = lights_in(folder, names, parent=above)
     if isinstance(light, str):
-        patterns = code_patterns(light, [_mean_light(bracket, curve) for bracket in brackets])
+        means = [_mean_light(bracket, curve) for bracket in brackets]
+        patterns = code_patterns(light, len(brackets), means)
     elif light or directions is not None:
         patterns = patterns or Patterns.single_lights(*(light or (1, len(brackets))))
     if patterns is None:
