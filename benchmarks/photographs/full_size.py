@@ -35,7 +35,7 @@ def write_pictures(folder: Path, spec: str, count: int, seed: int = 0) -> NDArra
         Row and column of the projector, in pixels, of each camera pixel.
     """
     random = np.random.default_rng(seed)
-    height, width = CAMERA
+    height = CAMERA[0]
     row, column = np.indices(CAMERA) / height - 0.5
     depth = 0.06 * np.sin(5 * row + 1) * np.cos(4 * column) + 0.05 * (column > 0.35)
     places = np.stack(
