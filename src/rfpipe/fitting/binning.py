@@ -55,17 +55,21 @@ def bin_image(
     -------
     ndarray of float32, shape (ceil(H / side), ceil(W / side)[, C])
     """
-    if side == 1 and known is None:
-        return np.asarray(image, np.float32)
-    weight = np.ones(image.shape[:2]) if known is None else known.astype(np.float64)
-    total = _sums(image * weight.reshape(weight.shape + (1,) * (image.ndim - 2)), side)
-    count = _sums(weight, side).reshape(*total.shape[:2], *(1,) * (image.ndim - 2))
-    return np.divide(total, count, out=np.zeros_like(total), where=count > 0).astype(np.float32)
+    image = np.asarray(image, np.float32)
+    if known is None or known.all():
+        known = np.ones(image.shape[:2], np.bool_)
+    else:
+        image = image * known.reshape(known.shape + (1,) * (image.ndim - 2))
+    count = count_known(known, side).reshape(
+        *binned_shape(known.shape, side), *[1] * (image.ndim - 2)
+    )
+    total = _sums(image, side)
+    return np.divide(total, count, out=np.zeros_like(total), where=count > 0, dtype=np.float32)
 
 
 def count_known(known: NDArray[np.bool_], side: int) -> NDArray[np.int64]:
     """Count the known pixels of each square, int64 (ceil(H / side), ceil(W / side))."""
-    return np.rint(_sums(known.astype(np.float64), side)).astype(np.int64)
+    return np.rint(_sums(known.astype(np.float32), side)).astype(np.int64)
 
 
 def proposed_bins(
@@ -97,7 +101,9 @@ def _side(shape: tuple[int, int], most: float) -> int:
     return side
 
 
-def _sums(image: NDArray[np.floating], side: int) -> NDArray[np.float64]:
+def _sums(image: Float, side: int) -> Float:
     """Sum over squares of pixels."""
-    rows = np.add.reduceat(image, np.arange(0, image.shape[0], side), axis=0, dtype=np.float64)
+    if side == 1:
+        return image
+    rows = np.add.reduceat(image, np.arange(0, image.shape[0], side), axis=0)
     return np.add.reduceat(rows, np.arange(0, image.shape[1], side), axis=1)

@@ -14,7 +14,7 @@ from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
 from rfpipe.fitting.codes import code_patterns
 from rfpipe.fitting.names import SortedPictures, sort_pictures
-from rfpipe.fitting.patterns import Patterns, linear_light
+from rfpipe.fitting.patterns import Patterns
 from rfpipe.light_files import intensities_in, light_file_in, light_names_in, lights_in
 from rfpipe.pictures import Part, check_sequence, picture_files, read_parts
 from rfpipe.weights import Curve
@@ -190,7 +190,7 @@ def _list_folder(
     names = [bracket[0].name for bracket in brackets]
     directions = lights_in(folder, names, parent=above)
     if isinstance(light, str):
-        means = [_mean_light(bracket, curve) for bracket in brackets]
+        means = [_mean_light(bracket) for bracket in brackets]
         patterns = code_patterns(light, len(brackets), means)
     elif light or directions is not None:
         patterns = patterns or Patterns.single_lights(*(light or (1, len(brackets))))
@@ -215,9 +215,9 @@ def _list_folder(
     )
 
 
-def _mean_light(bracket: Sequence[Part], curve: Curve) -> float:
-    """Return the mean light of a bracket's brightest exposure."""
-    return max(float(linear_light(part, curve).mean()) for part in bracket)
+def _mean_light(bracket: Sequence[Part]) -> float:
+    """Return the mean of a bracket's brightest exposure, in counts or light."""
+    return max(float(part.read().pixels.mean()) for part in bracket)
 
 
 def _notes(files: SortedPictures) -> list[str]:

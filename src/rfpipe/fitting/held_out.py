@@ -16,10 +16,11 @@ Numbers = NDArray[np.int64]
 _ALIKE = 0.98
 # Groups of pictures from which on an eighth is left out, of fewer half; pictures at most.
 _MANY, _PART, _MOST = 8, 8, 16
-# Patterns whose detail is at least this part of the finest one's may be left out; the width in
-# pixels below which structure is detail. A coarse pattern of a code says what no others say, while
-# coarser patterns and neighbours predict a fine one.
-_FINE, _DETAIL = 0.8, 2.0
+# The finest patterns of a code are left out: coarser ones and neighbours predict them, while
+# nothing predicts a coarse one. Detail is narrower than a width in pixels; patterns whose share of
+# detail is at least a part of the largest share may be left out, if their contrast is at least a
+# part of the largest contrast: binning makes the very finest ones even.
+_DETAIL, _FINE, _CONTRAST = 2.0, 0.9, 0.5
 _CHOICES = 8
 
 
@@ -62,9 +63,12 @@ def held_out_pictures(series: Series) -> Numbers:
         return np.zeros(0, np.int64)
     count = -(-len(names) // _PART) if len(names) >= _MANY else len(names) // 2
     if not series.is_complete:
-        detail = _detail(series)
-        finest = np.array([detail[labels == name].max() for name in names])
-        return _members(labels, names[finest >= _FINE * finest.max()], count, 0)
+        detail, contrast = (
+            np.array([values[labels == name].max() for name in names])
+            for values in _structure(series)
+        )
+        share = np.where(contrast >= _CONTRAST * contrast.max(), detail / contrast, 0)
+        return _members(labels, names[share >= _FINE * share.max()], count, 0)
     for seed in range(_CHOICES):
         chosen = _members(labels, names, count, seed)
         remaining = np.setdiff1d(np.arange(len(labels)), chosen)
@@ -117,14 +121,14 @@ def mean_picture(training: Series, patterns: Float) -> Float:
     return predicted
 
 
-def _detail(series: Series) -> NDArray[np.float64]:
-    """Return the contrast of each pattern's fine structure, (K,)."""
+def _structure(series: Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the contrast of each pattern's detail, and of all its structure, (K,) each."""
     from scipy.ndimage import gaussian_filter
 
     stack = RayDomain(series.projector_shape).stack_shape
-    detail = np.empty(len(series.patterns))
+    detail, contrast = np.empty((2, len(series.patterns)))
     for index, pattern in enumerate(series.patterns):
         image = pattern.reshape(-1, *stack)
         smooth = gaussian_filter(image, (0, 0, _DETAIL, _DETAIL))
-        detail[index] = float(np.std(image - smooth))
-    return detail
+        detail[index], contrast[index] = float(np.std(image - smooth)), float(np.std(image))
+    return detail, contrast

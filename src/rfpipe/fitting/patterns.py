@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.pictures.files import Part, read_parts
+from rfpipe.pictures.files import Part, Picture, read_parts
 from rfpipe.weights import Curve, as_weights, picture_weights
 
 Float = NDArray[np.float32]
@@ -91,9 +91,13 @@ class Patterns:
 
 def linear_light(part: Part, curve: Curve) -> Float:
     """Read a picture as linear light, float32 (H, W, C); integers go from 0 to 1."""
-    picture = part.read()
+    return light_of(part.read(), curve, str(part))
+
+
+def light_of(picture: Picture, curve: Curve, name: str) -> Float:
+    """Return a picture as linear light, float32 (H, W, C); integers go from 0 to 1."""
     if picture.header.kind == "counts":
         return picture_weights(picture.fractions, curve)
     if not np.isfinite(picture.pixels).all():
-        raise InputError(f"{part}: holds NaN or infinite light; every value should be finite")
+        raise InputError(f"{name}: holds NaN or infinite light; every value should be finite")
     return picture.fractions

@@ -20,13 +20,13 @@ from rfpipe.errors import InputError
 from rfpipe.fitting.binning import Bins, bin_image, binned_shape, count_known, proposed_bins
 from rfpipe.fitting.black import check_black
 from rfpipe.fitting.folder import Listing, default_curve, list_pictures
-from rfpipe.fitting.patterns import linear_light
+from rfpipe.fitting.patterns import light_of, linear_light
 from rfpipe.fitting.series import Float, Series
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.pictures import check_mosaic, encoding_note, relative_exposures
 from rfpipe.pictures.files import Header, Part
 from rfpipe.units import SATURATION_FRACTION
-from rfpipe.weights import Curve, picture_weights
+from rfpipe.weights import Curve, curve_slope
 
 if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
@@ -41,12 +41,13 @@ MOST_SATURATED = 0.01
 
 @dataclass(frozen=True)
 class Light:
-    """Linear light of one pattern.
+    """Linear light of one pattern, averaged over squares of pixels.
 
     Attributes
     ----------
-    radiance : ndarray of float32, shape (H, W, C)
-    variance : ndarray of float32, shape (H, W, C)
+    radiance : ndarray of float32, shape (h, w, C)
+    variance : ndarray of float32, shape (h, w, C)
+        Mean variance of the pixels of each square.
     """
 
     radiance: Float
@@ -59,8 +60,8 @@ class Development(Protocol):
     def saturated(self, brackets: Iterator[Bracket]) -> Mask:
         """Return the pixels that saturate in any of the pictures, bool (H, W)."""
 
-    def light(self, bracket: Bracket) -> Light:
-        """Return the light of one pattern."""
+    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
+        """Return the light of one pattern, averaged over the known pixels of squares."""
 
 
 def read_series(
@@ -158,13 +159,13 @@ class SingleExposures:
     curve : {"linear", "srgb"}
     divisors : dict of str to ndarray of float64, shape (1,) or (3,)
         Exposure times the intensity of the light, by the picture's name.
-    black : ndarray of float32, shape (H, W, C), or float
+    black : ndarray of float32, shape (H, W, C), or None
         Light of pictures without light, over their exposures.
     """
 
     curve: Curve
     divisors: dict[str, NDArray[np.float64]]
-    black: Float | float
+    black: Float | None
 
     @classmethod
     def of(cls, listing: Listing, curve: Curve) -> SingleExposures:
@@ -185,7 +186,7 @@ class SingleExposures:
         for (part,) in listing.dark:
             scale = check_black(part.header, parts[0].header, (str(part), str(parts[0])))
             dark.append(linear_light(part, curve) * scale / exposures[0])
-        black: Any = np.mean(dark, axis=0, dtype=np.float64) if dark else 0.0
+        black: Any = np.mean(dark, axis=0, dtype=np.float64) if dark else None
         return cls(curve, dict(zip(map(str, parts), divisors, strict=True)), black)
 
     def saturated(self, brackets: Iterator[Bracket]) -> Mask:
@@ -199,19 +200,17 @@ class SingleExposures:
                 white = np.inf
         return np.asarray((highest >= np.ceil(SATURATION_FRACTION * white)).any(axis=-1))
 
-    def light(self, bracket: Bracket) -> Light:
+    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
         """Return a picture's light over its exposure; its variance is that of rounding."""
         (part,) = bracket
         divisor, picture = self.divisors[str(part)], part.read()
-        light = linear_light(part, self.curve)
-        radiance = (light / divisor - self.black).astype(np.float32)
-        if picture.header.kind == "light":
-            return Light(radiance, np.zeros_like(radiance))
-        step = 1 / picture.white
-        upper = picture_weights(np.minimum(picture.fractions + np.float32(step), 1), self.curve)
-        least = picture_weights(np.float32(step), self.curve)  # of the darkest count
-        steps = np.maximum(upper - light, least) / divisor
-        return Light(radiance, (np.square(steps) / 12).astype(np.float32))
+        light = bin_image(light_of(picture, self.curve, str(part)), side, known)
+        radiance = light / divisor
+        if self.black is not None:
+            radiance -= bin_image(self.black, side, known)
+        step = 0.0 if picture.header.kind == "light" else 1 / picture.white
+        rounding = np.square(curve_slope(light, self.curve) * step / divisor) / 12
+        return Light(radiance.astype(np.float32), rounding.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -257,9 +256,9 @@ class MergedBrackets:
         masks = [are_saturated(*self._merged(bracket)).any(axis=-1) for bracket in brackets]
         return np.asarray(np.logical_or.reduce(masks))
 
-    def light(self, bracket: Bracket) -> Light:
+    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
         """Return the merged light of a bracket, with its variance."""
-        return Light(*self._merged(bracket))
+        return Light(*(bin_image(image, side, known) for image in self._merged(bracket)))
 
     def _merged(self, bracket: Bracket) -> tuple[Float, Float]:
         merged = self.merge(_frames(bracket, self.frame_shape)[None])
@@ -317,9 +316,9 @@ def _binned_light(
     count = count_known(known, side)
     radiance, variance = [], []
     for bracket in brackets:
-        light = development.light(bracket)
-        radiance.append(_planar(bin_image(light.radiance, side, known)))
-        spread = bin_image(light.variance, side, known) / np.maximum(count, 1)[..., None]
+        light = development.light(bracket, known, side)
+        radiance.append(_planar(light.radiance))
+        spread = light.variance / np.maximum(count, 1)[..., None]
         variance.append(_planar(np.where(count[..., None] > 0, spread, np.inf)))
     return np.stack(radiance), np.stack(variance)
 
