@@ -6,6 +6,7 @@ few projector rays light each camera ray directly, and indirect light is smooth.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.series import Float, Series
+from rfpipe.fitting.surfaces import expected_boxes, smoothed, surfaces_of
 from rfpipe.methods.adaptive.footprints.method import transport_arrays
 from rfpipe.methods.adaptive.footprints.model import Effort, find
 from rfpipe.methods.adaptive.footprints.series import Series as FootprintSeries
@@ -76,7 +78,22 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
 
     count = series.channels
     channels = [pictures_of(slice(index, index + 1)) for index in range(count)] if count > 1 else []
-    model = find(camera, projector, pictures_of(slice(None)), channels, None, _EFFORT)
+    grey = pictures_of(slice(None))
+    model = find(camera, projector, grey, channels, None, _EFFORT)
+    pictures = [series for (series,) in channels or [grey]]
+    indirect = [exchange.indirect()[0] for _, exchange in model.channels]
+    brightest = int(np.argmax([series.floodlit.sum() for series in pictures]))
+    surfaces = surfaces_of(model.grey, camera, projector)
+    boxes = expected_boxes(
+        surfaces, model.channels[brightest][0], projector, pictures[brightest], indirect[brightest]
+    )
+    smooth = [
+        (smoothed(series, candidates, light, boxes), exchange)
+        for series, light, (candidates, exchange) in zip(
+            pictures, indirect, model.channels, strict=True
+        )
+    ]
+    model = replace(model, channels=tuple(smooth))
     arrays = transport_arrays(model, camera, projector, unit)
     return FootprintTransport(camera.shape, projector.shape, count, rows, arrays)
 
