@@ -157,8 +157,7 @@ def _turning(
             )
     for turn, angle in enumerate(angles):
         name = f"{environment.stem}_{turn:04d}" if turns > 1 else environment.stem
-        options = {"turned": angle, "mirrored": mirrored}
-        yield name, partial(light.relight_environment, panorama, **options)
+        yield name, partial(light.relight_environment, panorama, None, angle, mirrored)
 
 
 def _lit(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:

@@ -62,7 +62,7 @@ def write_lights(
     beside = file.with_suffix(".lp")
     beside.unlink(missing_ok=True)
     if light.lights is not None:
-        directions = members[chosen] @ unit(light.lights)
+        directions = np.asarray(members[chosen] @ unit(light.lights))
         lines = [
             f"{name} {x:.7g} {y:.7g} {z:.7g}\n"
             for name, (x, y, z) in zip(names, directions.tolist(), strict=True)

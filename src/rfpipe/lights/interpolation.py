@@ -269,7 +269,7 @@ def _averaged(compared: _Compared, models: list[Model]) -> _Averaged:
     best = [one for one in scored[:12] if one[0] <= least * (1 + 3 * _TEMPERATURE)]
     shares = np.exp(-(np.array([error for error, _, _ in best]) / least - 1) / _TEMPERATURE)
     shares /= shares.sum()
-    mean = np.tensordot(shares, np.array([residual for _, _, residual in best]), 1)
+    mean: Double = np.tensordot(shares, np.array([residual for _, _, residual in best]), 1)
     error = float(compared.errors(mean).mean())
     return _Averaged([model for _, model, _ in best], shares.tolist(), mean, error)
 
@@ -335,7 +335,7 @@ def _shading_models() -> Iterator[Model]:
 def covariance(angles: Double, model: Model) -> Double:
     """Return the covariance of a model at angles in radians, without its nugget."""
     if not model.scale:
-        values = np.zeros_like(angles)
+        values: Double = np.zeros_like(angles)
     elif model.form == "exponential":
         values = np.exp(-angles / model.scale)
     else:
@@ -387,7 +387,8 @@ def nearest_light(lights: Double, directions: Double) -> tuple[Double, NDArray[n
     from scipy.spatial import cKDTree
 
     chord, nearest = cKDTree(lights).query(directions)
-    return 2 * np.arcsin(np.clip(chord / 2, 0, 1)), nearest
+    angle: Double = 2 * np.arcsin(np.clip(chord / 2, 0, 1))
+    return angle, np.asarray(nearest, np.intp)
 
 
 def light_spacing(directions: Double) -> float:
@@ -402,5 +403,5 @@ def light_spacing(directions: Double) -> float:
     single = np.delete(directions, sorted(double), axis=0)
     if len(single) < 2:
         return float(np.pi)
-    chord = cKDTree(single).query(single, k=2)[0][:, 1]
+    chord = np.asarray(cKDTree(single).query(single, k=2)[0])[:, 1]
     return float(np.quantile(2 * np.arcsin(np.clip(chord / 2, 0, 1)), 0.9))

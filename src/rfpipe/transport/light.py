@@ -115,7 +115,7 @@ class Light(MatrixAlgebra):
         from rfpipe.environment import Sky, as_directions
         from rfpipe.lights.interpolation import unit
 
-        towards = unit(as_directions([direction], "direction"))
+        towards = unit(as_directions(np.asarray(direction, np.float32)[None], "direction"))
         sky = Sky(towards, np.ones((1, self.channels)))
         return self._lights_between(None).relight(self, sky)
 
@@ -178,7 +178,7 @@ class Light(MatrixAlgebra):
         """
         from rfpipe.transport.normals import normals_of
 
-        return normals_of(self)
+        return normals_of(self, self.lights)
 
     def pattern_for(self, picture: NDArray[Any]) -> Compensation:
         """Return the pattern of weights between 0 and 1 that makes the scene look like a picture.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import prod
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,6 @@ from rfpipe.environment import Sky
 from rfpipe.lights.interpolation import MOST_LIGHTS, Interpolation, between, interpolate
 from rfpipe.lights.shading import fit_shading, shaded
 from rfpipe.transport.algebra import MEMORY_BUDGET, MatrixAlgebra
-
-if TYPE_CHECKING:
-    from rfpipe.transport.light import Light
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -44,22 +40,24 @@ class LightsBetween:
     interpolation: Interpolation
     vectors: Float | None
 
-    def relight(self, transport: Light, sky: Sky) -> Float:
+    def relight(self, transport: MatrixAlgebra, sky: Sky) -> Float:
         """Return the picture (*camera_shape, channels) under light from some directions."""
         weights, share, shading = self.interpolation.weights(sky.directions)
-        planes = (weights.T @ sky.light).T.reshape(-1, *transport.projector_shape)
-        if transport.channels == 1 or len(planes) == 1:
-            image = np.concatenate([transport.relight(plane) for plane in planes], axis=-1)
+        colours = range(transport.channels)
+        planes = (weights.T @ sky.light).T.astype(np.float32)
+        if len(colours) == 1:
+            image = transport.forward(planes[:, None], colours)[:, 0]
         else:
-            image = transport.relight(np.moveaxis(planes, 0, -1))
+            planar = np.broadcast_to(planes, (len(colours), planes.shape[1]))
+            image = transport.forward(np.ascontiguousarray(planar)[None], colours)[0]
         if self.vectors is not None:
-            lights = self.interpolation.directions
-            directions = np.vstack([sky.directions, lights])
+            directions = np.vstack([sky.directions, self.interpolation.directions])
             light = np.vstack([share[:, None] * sky.light, -(shading.T @ sky.light)])
-            used = np.abs(light).max(axis=1) > 1e-9 * max(float(np.abs(light).max()), 1e-30)
-            matt = _matt(self.vectors, directions[used], light[used])
-            image = image + matt.T.reshape(image.shape)
-        return np.maximum(image, 0).astype(np.float32)
+            strength = np.abs(light).max(axis=1)
+            used = strength > 1e-9 * max(float(strength.max()), 1e-30)
+            image = image + _matt(self.vectors, directions[used], light[used])
+        positive = np.maximum(image, 0).astype(np.float32)
+        return np.moveaxis(positive, 0, -1).reshape(*transport.camera_shape, len(positive))
 
 
 def lights_between(transport: MatrixAlgebra, directions: Float) -> LightsBetween:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import prod
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +15,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.lights.interpolation import unit
 from rfpipe.lights.shading import fit_shading, shaded
-
-if TYPE_CHECKING:
-    from rfpipe.transport.light import Light
+from rfpipe.transport.algebra import MatrixAlgebra
 
 Float = NDArray[np.float32]
 
@@ -58,8 +55,10 @@ class Normals:
     mask: NDArray[np.bool_]
 
 
-def normals_of(transport: Light) -> Normals:
+def normals_of(transport: MatrixAlgebra, lights: Float | None) -> Normals:
     """Estimate normals and albedo from the pictures of a transport of single lights.
+
+    `lights` are their directions, float32 (rays, 3), or None where unknown.
 
     Normals are fitted to the mean of the channels, the albedo of each channel to its pictures.
 
@@ -69,12 +68,12 @@ def normals_of(transport: Light) -> Normals:
         If the lights' directions are unknown, there are fewer than three, or they lie in one plane
         with the scene; if the pictures take more than the memory budget.
     """
-    if transport.lights is None:
+    if lights is None:
         raise InputError(
             "the transport has no directions of its lights: fit it from a folder with a file of "
             "their directions, or set transport.lights, one direction for each ray"
         )
-    directions = unit(transport.lights)
+    directions = unit(lights)
     if np.linalg.svd(directions, compute_uv=False)[_FEWEST - 1 :].sum() < 0.05:
         raise InputError(
             f"{len(directions)} lights: normals need at least three lights whose directions do not "
