@@ -83,7 +83,7 @@ def test_mirror_and_the_share_of_light_that_lights_reach(tmp_path: Path) -> None
     lights = np.abs(LIGHTS) * [1, 1, 3]
     transport = fitted(tmp_path, "dome.lp", lights)
     sky = np.zeros((32, 64, 3), np.float32)
-    sky[12:16, 22:26], sky[16, :4] = 1, 0.5  # before the object, and behind it
+    sky[12:16, 38:42], sky[16, :4] = 1, 0.5  # before the object, and behind it
     write_image(tmp_path / "sky.exr", sky)
     command = ["relight", tmp_path / "dome.zarr", "--environment", tmp_path / "sky.exr"]
     said = run(*command, "--mirror", "-o", tmp_path / "a.exr")

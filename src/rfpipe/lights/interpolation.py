@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -269,7 +270,8 @@ def _averaged(compared: _Compared, models: list[Model]) -> _Averaged:
     best = [one for one in scored[:12] if one[0] <= least * (1 + 3 * _TEMPERATURE)]
     shares = np.exp(-(np.array([error for error, _, _ in best]) / least - 1) / _TEMPERATURE)
     shares /= shares.sum()
-    mean: Double = np.tensordot(shares, np.array([residual for _, _, residual in best]), 1)
+    residuals = np.array([residual for _, _, residual in best])
+    mean: Double = np.asarray(np.tensordot(shares, residuals, 1), np.float64)
     error = float(compared.errors(mean).mean())
     return _Averaged([model for _, model, _ in best], shares.tolist(), mean, error)
 
@@ -309,12 +311,11 @@ def _solution(model: Model, directions: Double) -> Double:
 
 def _linear_models(directions: Double) -> Iterator[Model]:
     """Yield the models that are linear in the pictures."""
-    for form in ("exponential", "matern"):
-        for scale in np.radians([8, 15, 30, 60, 120]):
-            for lambertian in (0, 2, 20):
-                for nugget in (0.01, 0.05, 0.2, 0.6):
-                    for name in ("none", "constant", "linear"):
-                        yield Model(name, lambertian, float(scale), nugget, form)
+    forms, scales = ("exponential", "matern"), np.radians([8, 15, 30, 60, 120]).tolist()
+    nuggets, names = (0.01, 0.05, 0.2, 0.6), ("none", "constant", "linear")
+    for form, scale, a, nugget in product(forms, scales, (0, 2, 20), nuggets):
+        for name in names:
+            yield Model(name, a, scale, nugget, form)
     for name in ("linear", "harmonics2", "harmonics3"):
         if 1.5 * trend(name, directions).shape[1] < len(directions):
             yield Model(name, 0, 0, 1, "exponential")
@@ -350,7 +351,7 @@ def covariance(angles: Double, model: Model) -> Double:
 def trend(name: str, directions: Double) -> Double:
     """Return the trend functions at unit vectors (D, 3), shape (D, functions)."""
     x, y, z = directions.T
-    one = np.ones_like(x)
+    one: Double = np.ones(len(directions))
     if name == "constant":
         return one[:, None]
     if name == "linear":
@@ -366,7 +367,8 @@ def trend(name: str, directions: Double) -> Double:
         functions += [1.62 * y * (5 * z * z - 1), 1.32 * z * (5 * z * z - 3)]
         functions += [1.62 * x * (5 * z * z - 1), 5.12 * z * (x * x - y * y)]
         functions += [2.09 * x * (x * x - 3 * y * y)]
-    return np.stack(functions, axis=1)
+    harmonics: Double = np.stack(functions, axis=1)
+    return harmonics
 
 
 def unit(vectors: NDArray[np.floating]) -> Double:

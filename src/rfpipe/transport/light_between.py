@@ -55,8 +55,9 @@ class LightsBetween:
             light = np.vstack([share[:, None] * sky.light, -(shading.T @ sky.light)])
             strength = np.abs(light).max(axis=1)
             used = strength > 1e-9 * max(float(strength.max()), 1e-30)
-            image = image + _matt(self.vectors, directions[used], light[used])
-        positive = np.maximum(image, 0).astype(np.float32)
+            matt = _matt(self.vectors, directions[used], light[used])
+            image = (image + matt).astype(np.float32)
+        positive = np.maximum(image, 0)
         return np.moveaxis(positive, 0, -1).reshape(*transport.camera_shape, len(positive))
 
 
