@@ -92,7 +92,7 @@ def environment_coverage(
     A direction is covered if it is within twice the lights' spacing of a light. The spacing is the
     angle from a light to its nearest other, at most that for nine lights in ten.
 
-    Parameters and errors are those of `environment_weights`.
+    For parameters and errors see `environment_weights`.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def sky_of(environment: ArrayLike, turned: float = 0.0, mirrored: bool = False) 
     """Return a panorama's light in cells of at most 64 rows and 128 columns.
 
     Each cell has one direction, the mean of its pixels' directions weighted by their light. Cells
-    without light are left out. Parameters and errors are those of `environment_weights`.
+    without light are left out. For parameters and errors see `environment_weights`.
     """
     panorama = as_panorama(environment)
     height, width, channels = panorama.shape

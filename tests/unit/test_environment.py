@@ -83,12 +83,14 @@ def test_mirror_and_the_share_of_light_that_lights_reach(tmp_path: Path) -> None
     lights = np.abs(LIGHTS) * [1, 1, 3]
     transport = fitted(tmp_path, "dome.lp", lights)
     sky = np.zeros((32, 64, 3), np.float32)
-    sky[12:16, 38:42], sky[16, :4] = 1, 0.5  # before the object, and behind it
+    sky[10:14, 36:40], sky[16, :4] = 1, 0.5  # before the object, and behind it
     write_image(tmp_path / "sky.exr", sky)
     command = ["relight", tmp_path / "dome.zarr", "--environment", tmp_path / "sky.exr"]
     said = run(*command, "--mirror", "-o", tmp_path / "a.exr")
     missing = 1 - rfpipe.environment_coverage(sky, lights, mirrored=True)
-    assert 0.05 < missing < 0.3
+    area = np.cos(np.pi * ((np.arange(32) + 0.5) / 32 - 0.5))
+    behind = 0.5 * 4 * area[16]
+    assert missing == pytest.approx(behind / (behind + 4 * area[10:14].sum()), rel=1e-3)
     assert f"{missing:.1%} of its light comes from farther" in said
     expected = transport.relight_environment(sky, mirrored=True)
     np.testing.assert_allclose(read_image(tmp_path / "a.exr"), expected, rtol=1e-5)

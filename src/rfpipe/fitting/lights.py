@@ -110,8 +110,8 @@ def check_lights(
     towards = unit(directions)
     if not len(chosen):
         return LightsCheck(np.nan, np.full(count, np.nan), ("all pictures are black",))
-    some = np.linspace(0, len(chosen) - 1, max(1, _SAMPLES // channels)).astype(int)
-    y = np.asarray(pictures[:, :, chosen[np.unique(some)]], np.float64).reshape(count, -1)
+    samples = np.linspace(0, len(chosen) - 1, max(1, _SAMPLES // channels)).astype(int)
+    y = np.asarray(pictures[:, :, chosen[np.unique(samples)]], np.float64).reshape(count, -1)
     dead = np.flatnonzero(_dead(pictures[:, :, chosen]))
     faults = [f"{names[i]} is dark: its lamp gave no light" for i in dead]
     alive = np.setdiff1d(np.arange(count), dead)
@@ -137,7 +137,7 @@ def _dead(pictures: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def _doubled(y: Double, directions: Double) -> list[tuple[int, int, str]]:
-    """Return pairs of lights with one picture or direction, and what is wrong with each pair."""
+    """Return pairs of lights with one picture or direction, and the fault of each pair."""
     if len(y) < 3:
         return []
     angles = angles_between(directions, directions) + 10 * np.eye(len(y))
@@ -195,11 +195,11 @@ def _misfits(y: Double, angles: Double, trusted: NDArray[np.bool_]) -> Double:
     products = y @ y.T
     misfit = np.ones((count, count))
     for i in np.flatnonzero(trusted):
-        others = np.flatnonzero(trusted & (np.arange(count) != i))
-        inverse = np.linalg.inv(system[np.ix_(others, others)])
-        weights = covariance(angles[:, others], _MODEL) @ inverse
-        squares = ((weights @ products[np.ix_(others, others)]) * weights).sum(axis=1)
-        along = weights @ products[others, i]
+        training = np.flatnonzero(trusted & (np.arange(count) != i))
+        inverse = np.linalg.inv(system[np.ix_(training, training)])
+        weights = covariance(angles[:, training], _MODEL) @ inverse
+        squares = ((weights @ products[np.ix_(training, training)]) * weights).sum(axis=1)
+        along = weights @ products[training, i]
         cosine = along / np.sqrt(np.maximum(squares * products[i, i], 1e-30))
         misfit[i] = np.sqrt(np.maximum(1 - np.clip(cosine, 0, 1) ** 2, 1e-12))
     return misfit

@@ -13,7 +13,7 @@ symbol                 name           meaning
 ``v``                  shading        weights of those models, which krige what the trend leaves
 =====================  =============  ======================================================
 
-The weights are a mean of those of several models. Each model is universal kriging [N. Cressie,
+The weights are averaged over several models. Each model is universal kriging [N. Cressie,
 Statistics for Spatial Data, 1993, section 3.4] with a trend and a covariance over the angle ``t``
 between two lights::
 
@@ -96,7 +96,7 @@ class Interpolation:
 
     @property
     def has_shading(self) -> bool:
-        """Whether some models have the Lambertian trend of each pixel."""
+        """True if some models have the Lambertian trend of each pixel."""
         return any(model.trend == "shading" for model in self.models)
 
     def covered(self, directions: Double) -> Bools:
@@ -183,20 +183,20 @@ def interpolate(
     simple = between(directions)
     if not simple.models or np.count_nonzero(norms) < 4:
         return simple
-    some = np.unique(np.linspace(0, len(y) - 1, _LIGHTS_COMPARED).astype(int))
-    some = some[norms[some] > 0]
-    folds = np.unique(np.linspace(0, len(some) - 1, most_folds).astype(int))
-    compared = _Compared.of(y[some], directions[some], folds)
+    subset = np.unique(np.linspace(0, len(y) - 1, _LIGHTS_COMPARED).astype(int))
+    subset = subset[norms[subset] > 0]
+    folds = np.unique(np.linspace(0, len(subset) - 1, most_folds).astype(int))
+    compared = _Compared.of(y[subset], directions[subset], folds)
     linear = _averaged(compared, list(_linear_models(compared.directions)))
     matt = _averaged(compared, list(_shading_models())) if with_shading else linear
     share = (
         1.0
         if not with_shading
-        else _linear_share(linear.error * (1 + _OPTIMISM / len(some)), matt.error)
+        else _linear_share(linear.error * (1 + _OPTIMISM / len(subset)), matt.error)
     )
     residual = share * linear.residual + (1 - share) * matt.residual
     errors = np.full(len(y), np.nan)
-    errors[some[folds]] = compared.errors(residual)
+    errors[subset[folds]] = compared.errors(residual)
     terms = [(m, share * s) for m, s in zip(linear.models, linear.shares, strict=True)]
     terms += [(m, (1 - share) * s) for m, s in zip(matt.models, matt.shares, strict=True)]
     models = tuple(model for model, s in terms if s > 0)
@@ -230,10 +230,10 @@ class _Compared(NamedTuple):
         """Fit the shading without each of the lights that are left out."""
         products = []
         for fold in folds:
-            others = np.delete(np.arange(len(y)), fold)
-            b = fit_shading(y[others], directions[others]).vectors
-            both = np.vstack([y, shaded(b, directions)])
-            products.append(both @ both.T)
+            training = np.delete(np.arange(len(y)), fold)
+            b = fit_shading(y[training], directions[training]).vectors
+            stacked = np.vstack([y, shaded(b, directions)])
+            products.append(stacked @ stacked.T)
         return cls(directions, folds, np.array(products), np.linalg.norm(y[folds], axis=1))
 
     def errors(self, residual: Double) -> Double:
@@ -261,13 +261,13 @@ def _averaged(compared: _Compared, models: list[Model]) -> _Averaged:
         alike = model._replace(trend="")
         if alike not in inverses:
             system = covariance(angles, model) + model.nugget * np.eye(len(angles))
-            inverses[alike] = np.linalg.inv(system)
+            inverses[alike] = np.asarray(np.linalg.inv(system), np.float64)
         residual = _residuals(model, inverses[alike], compared)
         if residual is not None:
             scored.append((float(compared.errors(residual).mean()), model, residual))
-    scored.sort(key=lambda one: one[0])
+    scored.sort(key=lambda score: score[0])
     least = max(scored[0][0], 1e-9)
-    best = [one for one in scored[:12] if one[0] <= least * (1 + 3 * _TEMPERATURE)]
+    best = [score for score in scored[:12] if score[0] <= least * (1 + 3 * _TEMPERATURE)]
     shares = np.exp(-(np.array([error for error, _, _ in best]) / least - 1) / _TEMPERATURE)
     shares /= shares.sum()
     residuals = np.array([residual for _, _, residual in best])
@@ -289,7 +289,8 @@ def _residuals(model: Model, inverse: Double, compared: _Compared) -> Double | N
         if functions.shape[1] > count - 2:
             return None
         explained = inverse @ functions
-        inverse = inverse - explained @ np.linalg.pinv(functions.T @ explained) @ explained.T
+        projection = explained @ np.linalg.pinv(functions.T @ explained) @ explained.T
+        inverse = np.asarray(inverse - projection, np.float64)
     diagonal = np.diag(inverse)
     if diagonal.min() <= 1e-9 * diagonal.max():
         return None
@@ -351,15 +352,15 @@ def covariance(angles: Double, model: Model) -> Double:
 def trend(name: str, directions: Double) -> Double:
     """Return the trend functions at unit vectors (D, 3), shape (D, functions)."""
     x, y, z = directions.T
-    one: Double = np.ones(len(directions))
+    constant: Double = np.ones(len(directions))
     if name == "constant":
-        return one[:, None]
+        return constant[:, None]
     if name == "linear":
         return directions
     if name not in ("harmonics2", "harmonics3"):
         return np.empty((len(directions), 0))
     # real spherical harmonics, each of the root mean square 1
-    functions = [one, 1.73 * x, 1.73 * y, 1.73 * z]
+    functions = [constant, 1.73 * x, 1.73 * y, 1.73 * z]
     functions += [3.87 * x * y, 3.87 * y * z, 3.87 * x * z, 1.94 * (x * x - y * y)]
     functions += [1.12 * (3 * z * z - 1)]
     if name == "harmonics3":
