@@ -23,7 +23,7 @@ facing = np.maximum(normals @ lights.T, 0)
 pictures = inside[..., None] * facing * (0.2 + 2 * np.maximum(normals @ halfway.T, 0) ** 60)
 rig = rfpipe.OperatorRig(pictures.reshape(-1, 60), (side, side), (1, 60))
 transport = rfpipe.acquire(rig, "brute_force", progress=False).transport
-transport.lights = lights  # as `rfpipe fit` keeps them of a folder of pictures
+transport.lights = lights  # as `rfpipe fit` sets them from a folder of pictures
 
 up, right = np.meshgrid(np.linspace(90, -90, 64), np.linspace(-180, 180, 128), indexing="ij")
 sky = np.where(up[..., None] > 0, [0.3, 0.45, 0.8], [0.25, 0.2, 0.15])

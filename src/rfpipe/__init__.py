@@ -3,10 +3,11 @@
 ``open_transport`` opens what a run stored, ``open_collection`` that of all its scenes, ``coarser``
 lowers a transport's resolution, ``crop`` takes a view or a part of one, ``picture_weights`` makes a
 pattern of a picture, ``environment_weights`` of a panorama the weights of lights, whose directions
-``read_lights`` reads; ``acquire`` runs a whole acquisition in this process; ``OperatorRig`` is a
-rig made from a matrix or linear operator, which ``read_matrix`` finds in files of other programs,
-and ``CameraModel`` the camera that it may be given; ``errors`` are all that rfpipe raises on
-purpose. All but these are imported when they are first used, so that ``import rfpipe`` stays quick.
+``read_lights`` reads, ``environment_coverage`` the share of its light that they cover; ``acquire``
+runs a whole acquisition in this process; ``OperatorRig`` is a rig made from a matrix or linear
+operator, which ``read_matrix`` finds in files of other programs, and ``CameraModel`` the camera
+that it may be given; ``errors`` are all that rfpipe raises on purpose. All but these are imported
+when they are first used, so that ``import rfpipe`` stays quick.
 """
 
 from importlib import import_module
@@ -16,6 +17,7 @@ from rfpipe import errors
 from rfpipe.caches import ensure_cache_folders as _ensure_cache_folders
 
 if TYPE_CHECKING:
+    from rfpipe.environment import environment_coverage as environment_coverage
     from rfpipe.environment import environment_weights as environment_weights
     from rfpipe.light_files import read_lights as read_lights
     from rfpipe.photometry import CameraModel as CameraModel
@@ -42,6 +44,7 @@ _HOMES = {
     "acquire": "rfpipe.stages.acquire",
     "coarser": "rfpipe.transport",
     "crop": "rfpipe.transport.rays",
+    "environment_coverage": "rfpipe.environment",
     "environment_weights": "rfpipe.environment",
     "open_collection": "rfpipe.transport.collection",
     "open_transport": "rfpipe.transport",

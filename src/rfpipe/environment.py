@@ -1,13 +1,19 @@
-"""What lights make of a panorama of the light around: for transports of one light at a time."""
+"""Panoramas of the light around a scene, as weights of lights in known directions."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.lights.interpolation import between, unit
 
 Float = NDArray[np.float32]
+
+_SKY_ROWS = 64
+"""Rows of cells into which the pixels of a panorama are joined."""
 
 
 def as_directions(lights: ArrayLike, name: str = "lights", count: int | None = None) -> Float:
@@ -41,39 +47,107 @@ def as_panorama(environment: ArrayLike, name: str = "the panorama") -> NDArray[n
     return panorama.reshape(*shape[:2], -1)
 
 
-def environment_weights(environment: ArrayLike, lights: ArrayLike, turned: float = 0.0) -> Float:
-    """Return the weights of lights that stand for a panorama, (lights, channels).
+def environment_weights(
+    environment: ArrayLike, lights: ArrayLike, turned: float = 0.0, mirrored: bool = False
+) -> Float:
+    """Return the weights of lights that together light a scene as a panorama does.
 
-    Each light takes the panorama's light from all directions to which it is the nearest, so that
-    all weights add up to the integral of radiance over the sphere.
+    The weights depend on directions alone. `Light.relight_environment` also adapts them to the
+    pictures. For a map of constant radiance they add up to that radiance times the solid angle
+    that the lights cover, 4 pi for lights all around.
 
     Parameters
     ----------
     environment : array, shape (H, 2 H) or (H, 2 H, channels)
-        Radiance by latitude and longitude: the upper row is +y, the middle +z, its right +x.
+        Radiance by latitude and longitude, as in OpenEXR and USD: the upper row is +y, the centre
+        +z, and +x is left of the centre, a quarter of the width from the left edge.
     lights : array, shape (lights, 3)
         Directions from the scene, of any length.
     turned : float
-        Degrees by which the panorama turns to the right.
+        Degrees by which the panorama turns to the right, about +y.
+    mirrored : bool
+        Whether +x is right of the centre instead, as in some other programs.
+
+    Returns
+    -------
+    ndarray of float32, shape (lights, channels)
+        Some may be negative. Light from farther than twice the lights' spacing from any light is
+        left out, see `environment_coverage`.
 
     Raises
     ------
     InputError
         For other shapes, values that aren't finite, negative radiance, a light without a direction.
     """
-    from scipy.spatial import cKDTree
+    sky = sky_of(environment, turned, mirrored)
+    weights = between(as_directions(lights)).weights(sky.directions)[0]
+    return (weights.T @ sky.light).astype(np.float32)
 
-    panorama, directions = as_panorama(environment), as_directions(lights).astype(np.float64)
+
+def environment_coverage(
+    environment: ArrayLike, lights: ArrayLike, turned: float = 0.0, mirrored: bool = False
+) -> float:
+    """Return the share of a panorama's light that comes from directions that lights cover.
+
+    A direction is covered if it is within twice the lights' spacing of a light. The spacing is the
+    angle from a light to its nearest other, at most that for nine lights in ten.
+
+    For parameters and errors see `environment_weights`.
+
+    Returns
+    -------
+    float
+        0 to 1; 1 for a black panorama.
+    """
+    sky = sky_of(environment, turned, mirrored)
+    covered = between(as_directions(lights)).covered(sky.directions)
+    total = float(sky.light.sum())
+    return float(sky.light[covered].sum()) / total if total else 1.0
+
+
+class Sky(NamedTuple):
+    """A panorama as light from D directions.
+
+    Attributes
+    ----------
+    directions : ndarray of float64, shape (D, 3)
+        Unit vectors from the scene.
+    light : ndarray of float64, shape (D, channels)
+        Radiance times solid angle.
+    """
+
+    directions: NDArray[np.float64]
+    light: NDArray[np.float64]
+
+
+def sky_of(environment: ArrayLike, turned: float = 0.0, mirrored: bool = False) -> Sky:
+    """Return a panorama's light in cells of at most 64 rows and 128 columns.
+
+    Each cell has one direction, the mean of its pixels' directions weighted by their light. Cells
+    without light are left out. For parameters and errors see `environment_weights`.
+    """
+    panorama = as_panorama(environment)
     height, width, channels = panorama.shape
     up = np.pi / 2 - (np.arange(height)[:, None] + 0.5) * np.pi / height
     right = (np.arange(width) + 0.5 - height) * np.pi / height + np.radians(turned)
-    way = np.stack(
-        [np.cos(up) * np.sin(right), np.sin(up) + 0 * right, np.cos(up) * np.cos(right)], axis=-1
+    side = 1 if mirrored else -1
+    directions = np.stack(
+        [side * np.cos(up) * np.sin(right), np.sin(up) + 0 * right, np.cos(up) * np.cos(right)],
+        axis=-1,
     )
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    nearest = cKDTree(directions).query(way.reshape(-1, 3))[1]
     edges = np.sin(np.pi / 2 - np.arange(height + 1) * np.pi / height)
-    angle = np.repeat(-np.diff(edges) * np.pi / height, width)
-    light = panorama.reshape(-1, channels) * angle[:, None]
-    weights = [np.bincount(nearest, plane, len(directions)) for plane in light.T]
-    return np.stack(weights, axis=1).astype(np.float32)
+    light = panorama * (-np.diff(edges) * np.pi / height)[:, None, None]
+    step = -(-height // _SKY_ROWS)
+    row, column = np.arange(height) // step, np.arange(width) // step
+    cell = (row[:, None] * (column[-1] + 1) + column).ravel()
+
+    def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        planes = values.reshape(-1, values.shape[-1]).T
+        return np.stack([np.bincount(cell, plane) for plane in planes], axis=1)
+
+    total = light.sum(axis=-1, keepdims=True)
+    cells, means = summed(light), summed(directions * total)
+    lit = np.linalg.norm(means, axis=1) > 0
+    if not lit.any():
+        return Sky(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, channels)))
+    return Sky(unit(means[lit]), cells[lit])

@@ -40,18 +40,76 @@ def test_a_folder_s_file_of_lights_stays_with_the_transport(tmp_path: Path, name
     assert transport.T.lights is rfpipe.coarser(transport, 2).lights is None
 
 
-def test_a_map_that_shines_from_one_light_gives_its_picture(tmp_path: Path) -> None:
-    transport, height = fitted(tmp_path), 40
-    for row, column in ((3, 50), (20, 0), (39, 79)):
-        panorama = np.zeros((height, 2 * height, 3), np.float32)
-        panorama[row, column] = radiance = (3, 2, 1)
-        down, right = np.pi * (row + 0.5) / height, np.pi * ((column + 0.5) / height - 1)
-        way = [np.sin(down) * np.sin(right), np.cos(down), np.sin(down) * np.cos(right)]
-        light = np.argmax(LIGHTS @ way / np.linalg.norm(LIGHTS, axis=1))
-        around = 2 * np.pi * np.diff(-np.cos(np.pi * np.array([row, row + 1]) / height))
-        expected = PICTURES[light] * radiance * around / (2 * height)
-        found = transport.relight_environment(np.roll(panorama, 20, 1), turned=-90)
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * expected.max())
+def sun(direction, height: int, *, mirrored: bool = False):
+    """Return a panorama with one lit pixel, in OpenEXR's convention, and the pixel's direction."""
+    x, y, z = np.asarray(direction) / np.linalg.norm(direction)
+    longitude = np.arctan2(x, z)  # 0 in the centre, pi / 2, +x, left of it
+    row = int(np.arccos(y) / np.pi * height)
+    column = int((0.5 - (-1 if mirrored else 1) * longitude / (2 * np.pi)) * 2 * height)
+    panorama = np.zeros((height, 2 * height, 3), np.float32)
+    panorama[row, column] = 3, 2, 1
+    solid_angle = np.pi / height * -np.diff(np.cos(np.pi * np.array([row, row + 1]) / height))
+    return panorama, solid_angle
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("turned", [0, -90])
+def test_a_lone_sun_at_a_light_gives_its_picture(tmp_path: Path, mirrored, turned) -> None:
+    transport, height = fitted(tmp_path), 400
+    for light in (0, 4, 7):
+        panorama, solid_angle = sun(LIGHTS[light], height, mirrored=mirrored)
+        panorama = np.roll(panorama, -2 * height * turned // 360, axis=1)
+        image = transport.relight_environment(panorama, turned=turned, mirrored=mirrored)
+        expected = PICTURES[light] * [3, 2, 1] * np.abs(solid_angle)
+        np.testing.assert_allclose(image, expected, rtol=1e-4, atol=1e-5 * expected.max())
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "axis"),
+    [(8, 8, 0), (8, 24, 3), (0, 5, 1), (15, 5, 4), (8, 16, 2), (8, 0, 5)],
+    ids=["left", "right", "top", "bottom", "centre", "edge"],
+)
+def test_panoramas_have_the_orientation_of_openexr(row: int, column: int, axis: int) -> None:
+    # latitude pi/2 and longitude pi in the upper left; longitude 0 is +z, pi/2 is +x
+    lights = np.concatenate([np.eye(3), -np.eye(3)])
+    panorama = np.zeros((16, 32))
+    panorama[row, column] = 1
+    for mirrored, expected in ((False, axis), (True, {0: 3, 3: 0}.get(axis, axis))):
+        weights = rfpipe.environment_weights(panorama, lights, mirrored=mirrored)
+        assert weights[:, 0].argmax() == expected
+
+
+def test_mirror_and_the_share_of_light_that_lights_reach(tmp_path: Path) -> None:
+    lights = np.abs(LIGHTS) * [1, 1, 3]
+    transport = fitted(tmp_path, "dome.lp", lights)
+    sky = np.zeros((32, 64, 3), np.float32)
+    sky[10:14, 36:40], sky[16, :4] = 1, 0.5  # before the object, and behind it
+    write_image(tmp_path / "sky.exr", sky)
+    command = ["relight", tmp_path / "dome.zarr", "--environment", tmp_path / "sky.exr"]
+    said = run(*command, "--mirror", "-o", tmp_path / "a.exr")
+    missing = 1 - rfpipe.environment_coverage(sky, lights, mirrored=True)
+    area = np.cos(np.pi * ((np.arange(32) + 0.5) / 32 - 0.5))
+    behind = 0.5 * 4 * area[16]
+    assert missing == pytest.approx(behind / (behind + 4 * area[10:14].sum()), rel=1e-3)
+    assert f"{missing:.1%} of its light comes from farther" in said
+    expected = transport.relight_environment(sky, mirrored=True)
+    np.testing.assert_allclose(read_image(tmp_path / "a.exr"), expected, rtol=1e-5)
+    assert not np.allclose(transport.relight_environment(sky), expected, rtol=1e-2)
+
+
+def test_exported_lights_keep_their_directions(tmp_path: Path) -> None:
+    transport = fitted(tmp_path)
+    (tmp_path / "out").mkdir()
+    run("export", tmp_path / "dome.zarr", "-o", tmp_path / "out/olat.exr")
+    run("fit", tmp_path / "out", "-o", tmp_path / "again.zarr")
+    again = rfpipe.open_transport(tmp_path / "again.zarr")
+    unit = LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
+    np.testing.assert_allclose(again.lights, unit, atol=1e-6)
+    np.testing.assert_allclose(again.toarray(), transport.toarray(), atol=1e-6)
+    transport.lights = None
+    transport.save(tmp_path / "dome.zarr")
+    run("export", tmp_path / "dome.zarr", "-o", tmp_path / "out/olat.exr")
+    assert not (tmp_path / "out/olat.lp").exists()
 
 
 def test_a_map_that_shines_alike_keeps_its_energy_as_it_turns() -> None:
@@ -103,7 +161,7 @@ def test_maps_and_transports_that_don_t_fit_are_refused(tmp_path: Path) -> None:
         (np.ones((8, 8, 3)), "sky.exr: an array .* twice as wide as high"),
         (np.full((8, 16, 3), np.nan), "sky.exr: holds NaN"),
         (-np.ones((8, 16, 3)), "sky.exr: .* negative"),
-        (np.ones((8, 16, 3)), "doesn't know where its lights are"),
+        (np.ones((8, 16, 3)), "has no directions of its lights"),
     ):
         write_image(sky, panorama)
         with pytest.raises(InputError, match=message):

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     Float = NDArray[np.float32]
 
 
+_COMPLETE = 0.999
+"""Share of a panorama's light above which no note is printed."""
+
+
 def relight(
     path: TransportPath,
     output: Annotated[
@@ -58,9 +62,13 @@ def relight(
         Path | None,
         typer.Option(
             help="The light instead: a panorama, twice as wide as high, .hdr, .exr or a picture of "
-            "linear values, around a transport of single lights that knows their directions."
+            "linear values, around a transport of single lights in known directions. Its centre is "
+            "+z, +x is left of it, as in OpenEXR and USD."
         ),
     ] = None,
+    mirror: Annotated[
+        bool, typer.Option("--mirror", help="In the panorama, +x is right of the centre instead.")
+    ] = False,
     turns: Annotated[
         int, typer.Option(min=1, help="So many pictures while the panorama turns once, rightward.")
     ] = 1,
@@ -83,10 +91,13 @@ def relight(
     from rfpipe.export.photographs import write_picture
     from rfpipe.store.files import whole_file
 
-    if bool(pattern) == bool(environment) or (pattern and turns > 1):
-        raise InputError("give --pattern, or --environment, which alone has --turns")
+    if bool(pattern) == bool(environment) or (pattern and (turns > 1 or mirror)):
+        raise InputError("give --pattern, or --environment, which alone has --turns and --mirror")
     light = opened(path, dual, level, view)
-    lit = list(_turning(environment, turns, light) if environment else _lit(pattern or (), light))
+    if environment:
+        lit = list(_turning(environment, turns, light, mirror))
+    else:
+        lit = list(_lit(pattern or (), light))
     names = [name for name, _ in lit]
     count, shape = len(names), RayDomain(light.camera_shape).picture_shape
 
@@ -125,16 +136,28 @@ def relight(
 
 
 def _turning(
-    environment: Path, turns: int, light: Light
+    environment: Path, turns: int, light: Light, mirrored: bool
 ) -> Iterator[tuple[str, Callable[[], Float]]]:
-    """Yield the pictures under a panorama that turns: their names, and what makes them."""
-    from rfpipe.environment import as_panorama
+    """Yield the name of each picture under a panorama that turns, and a function that relights it.
+
+    Before the first, print the least share of the panorama's light that the lights cover.
+    """
+    from rfpipe.environment import as_panorama, environment_coverage
     from rfpipe.pictures.images import read_image
 
     panorama = as_panorama(read_image(environment), str(environment))
-    for turn in range(turns):
+    angles = [360 * turn / turns for turn in range(turns)]
+    if light.lights is not None:
+        covered = [environment_coverage(panorama, light.lights, at, mirrored) for at in angles]
+        if min(covered) < _COMPLETE:
+            typer.echo(
+                f"{environment}: {1 - min(covered):.1%} of its light comes from farther than twice "
+                "the lights' spacing from any light, and is left out",
+                err=True,
+            )
+    for turn, angle in enumerate(angles):
         name = f"{environment.stem}_{turn:04d}" if turns > 1 else environment.stem
-        yield name, partial(light.relight_environment, panorama, turned=360 * turn / turns)
+        yield name, partial(light.relight_environment, panorama, None, angle, mirrored)
 
 
 def _lit(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:

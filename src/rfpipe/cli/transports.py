@@ -97,7 +97,8 @@ def export(
             "--output",
             "-o",
             help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3); .exr, in which each "
-            "projector ray's picture is a part; or the folder of --photographs.",
+            "projector ray's picture is a part, with the lights' directions in an .lp beside it; "
+            "or the folder of --photographs.",
         ),
     ],
     rows: Annotated[
@@ -136,13 +137,23 @@ def export(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the patterns of --photographs.")] = 0,
     form: Form = "png",
+    normals: Annotated[
+        bool,
+        typer.Option(
+            "--normals",
+            help="Write surface normals by photometric stereo instead, from one light at a time: "
+            ".exr has the parts normals, albedo and uncertainty (degrees), .png a normal map.",
+        ),
+    ] = False,
 ) -> None:
-    """Write the transport matrix T, or some of its rows and columns; or photographs.
+    """Write the transport matrix T, or some of its rows and columns; photographs; or normals.
 
     T is (channels, camera rays, projector rays), written part by part, in little memory.
     docs/export.md tells how MATLAB, numpy and others read it.
     """
-    from rfpipe.export import write_lights, write_photographs
+    import numpy as np
+
+    from rfpipe.export import write_lights, write_normals, write_photographs
     from rfpipe.transport import coarser
     from rfpipe.transport.matrix_out import write_matrix
 
@@ -153,7 +164,16 @@ def export(
     is_exr = output.suffix.lower() == ".exr"
     if (is_exr and rows) or (photographs and (rows or columns)):
         raise InputError("pictures are of all camera rays, photographs under all projector rays")
-    if photographs:
+    if normals:
+        if photographs or rows or columns or dual or joined > 1:
+            raise InputError("--normals are of all pixels and lights; leave the other options out")
+        surface = write_normals(light, output)
+        off = np.median(surface.uncertainty[surface.mask]) if surface.mask.any() else np.nan
+        typer.echo(
+            f"{output}: normals of {surface.mask.mean():.0%} of the pixels, uncertain by {off:.2g} "
+            "degrees in the median, without errors of the lights' directions"
+        )
+    elif photographs:
         white = write_photographs(joint, output, *photographs, seed=seed, form=form)
         typer.echo(f"{output}: {sum(photographs)} photographs, white is {white:.4g}")
     elif is_exr:

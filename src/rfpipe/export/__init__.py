@@ -4,7 +4,7 @@ The matrix itself is written by `rfpipe.transport.Transport.save`.
 """
 
 from rfpipe.export.movies import PATHS, moving_light, relit_movie, relit_pictures, write_movie
-from rfpipe.export.photographs import write_lights, write_photographs
+from rfpipe.export.photographs import write_lights, write_normals, write_photographs
 from rfpipe.export.rays import rays_at
 
 __all__ = [
@@ -15,5 +15,6 @@ __all__ = [
     "relit_pictures",
     "write_lights",
     "write_movie",
+    "write_normals",
     "write_photographs",
 ]

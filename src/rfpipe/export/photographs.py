@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.export.movies import relit_pictures
-from rfpipe.pictures.images import write_image, write_parts
+from rfpipe.lights.interpolation import unit
+from rfpipe.pictures.images import write_code_picture, write_image, write_parts
 from rfpipe.provenance import generator
 from rfpipe.relighting import shapes
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, whole_file
 from rfpipe.transport.algebra import Rays, chosen_rays, refuse_larger
 from rfpipe.transport.light import LIMIT, Light
+from rfpipe.transport.normals import Normals
 from rfpipe.transport.rays import squares
 from rfpipe.weights import picture_weights
 
@@ -27,6 +29,10 @@ def write_lights(
     light: Light, file: Path, rays: Rays = None, *, side: int = 1, limit_bytes: int = LIMIT
 ) -> int:
     """Write the pictures under one light at a time (OLAT) as parts of an EXR file, return how many.
+
+    Where the transport has the directions of its lights, they are written beside the file, in one
+    of the same name that ends in ``.lp``: a line for each part, its name and x, y, z. Of joined
+    rays it is the mean direction. ``rfpipe fit`` reads both.
 
     Parameters
     ----------
@@ -53,7 +59,52 @@ def write_lights(
     patterns = (members[[ray]].toarray().reshape(light.projector_shape) for ray in chosen)
     with storage_errors(file, "writing", resumes=False), whole_file(file) as partial:
         write_parts(partial, names, shape, relit_pictures(light, patterns))
+    beside = file.with_suffix(".lp")
+    beside.unlink(missing_ok=True)
+    if light.lights is not None:
+        directions = np.asarray(members[chosen] @ unit(light.lights))
+        lines = [
+            f"{name} {x:.7g} {y:.7g} {z:.7g}\n"
+            for name, (x, y, z) in zip(names, directions.tolist(), strict=True)
+        ]
+        with storage_errors(beside, "writing", resumes=False), whole_file(beside) as partial:
+            partial.write_text(f"{len(lines)}\n{''.join(lines)}", encoding="utf-8")
     return len(names)
+
+
+def write_normals(light: Light, file: Path) -> Normals:
+    """Write normals, albedo and uncertainty, and return them.
+
+    Parameters
+    ----------
+    light : Light
+        One light at a time, with the lights' directions.
+    file : path
+        ``.exr`` has the parts ``normals`` (x, y, z, each -1 to 1), ``albedo`` and ``uncertainty``
+        (degrees), float32; ``.png`` is a normal map of 8 bits, ``(n + 1) / 2``, black outside the
+        mask.
+
+    Raises
+    ------
+    InputError
+        As `rfpipe.transport.normals.normals_of`, or if the file has another suffix.
+    """
+    suffix = file.suffix.lower()
+    if suffix not in (".exr", ".png"):
+        raise InputError(f"{file}: expected a name that ends in .exr or .png")
+    result = light.normals()
+    shape = RayDomain(light.camera_shape).picture_shape
+    normals = result.normals.reshape(*shape, 3)
+    with storage_errors(file, "writing", resumes=False), whole_file(file) as partial:
+        if suffix == ".png":
+            codes = (normals / 2 + 0.5) * result.mask.reshape(*shape, 1)
+            write_code_picture(partial, codes)
+        else:
+            albedo = np.broadcast_to(result.albedo.reshape(*shape, -1), (*shape, 3))
+            uncertainty = np.broadcast_to(result.uncertainty.reshape(*shape, 1), (*shape, 3))
+            parts = {"normals": normals, "albedo": albedo, "uncertainty": uncertainty}
+            write_parts(partial, list(parts), (*shape, 3), parts.values())
+    return result
 
 
 def write_photographs(

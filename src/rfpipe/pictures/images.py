@@ -142,11 +142,11 @@ def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.
 
 
 def write_code_picture(path: Path, light: NDArray[Any], gamma: float = 1.0) -> None:
-    """Write weights (H, W), 0 to 1, as a grey PNG for a projector of light ``code**gamma``."""
+    """Write weights (H, W) or (H, W, 3), 0 to 1, as a PNG whose light is ``code**gamma``."""
     import OpenImageIO as oiio
 
     codes = np.rint(255 * np.clip(light, 0, 1) ** (1 / gamma)).astype(np.uint8)
-    _write(path, oiio.ImageBuf(np.ascontiguousarray(codes[..., None])), "uint8")
+    _write(path, oiio.ImageBuf(np.ascontiguousarray(np.atleast_3d(codes))), "uint8")
 
 
 def _write(path: Path, picture: Any, kind: str) -> None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from rfpipe.transport.compensation import Compensation
     from rfpipe.transport.correspondence import Correspondence
+    from rfpipe.transport.light_between import LightsBetween
+    from rfpipe.transport.normals import Normals
     from rfpipe.transport.separation import Separation
 
 LIMIT = 8 * 2**30
@@ -29,6 +31,7 @@ class Light(MatrixAlgebra):
     """What can be relit: a transport, its dual, or either between coarser rays."""
 
     _lights: Float | None = None
+    _between: LightsBetween | None = None
 
     @property
     def T(self) -> Light:  # noqa: N802 - as in scipy and numpy
@@ -48,6 +51,7 @@ class Light(MatrixAlgebra):
         from rfpipe.environment import as_directions
 
         self._lights = None if lights is None else as_directions(lights, count=self.shape[2])
+        self._between = None
 
     def relight(self, pattern: NDArray[Any]) -> Float:
         """Return the image under a pattern, ``c = T p`` (eq. 2.11).
@@ -86,30 +90,95 @@ class Light(MatrixAlgebra):
 
         return correspondence_of(self)
 
-    def relight_environment(
-        self, environment: ArrayLike, lights: ArrayLike | None = None, turned: float = 0.0
-    ) -> Float:
-        """Relight with a panorama of the light around; the projector's rays are single lights.
+    def light_from(self, direction: ArrayLike) -> Float:
+        """Return the picture under one light from any direction, interpolated between lights.
 
-        Parameters are those of `rfpipe.environment.environment_weights`; `lights`, one for each
-        ray, are by default its own. Returns (*camera_shape, channels), in colour if either is.
+        At a light's direction it is that light's picture. Elsewhere the pictures of the lights are
+        interpolated, see `rfpipe.lights.interpolation`.
 
-        Raises InputError as there, or if there are no directions, or more or fewer than lights.
+        Parameters
+        ----------
+        direction : array, shape (3,)
+            From the scene to the light, of any length.
+
+        Returns
+        -------
+        ndarray of float32, shape (*camera_shape, channels)
+            Radiance, 0 or more; black if the direction is farther from all lights than twice their
+            spacing.
+
+        Raises
+        ------
+        InputError
+            If the direction is 0 or not finite, or the lights' directions are unknown.
         """
-        from rfpipe.environment import as_directions, environment_weights
+        from rfpipe.environment import Sky, as_directions
+        from rfpipe.lights.interpolation import unit
 
-        lights = self.lights if lights is None else lights
-        if lights is None:
+        towards = unit(as_directions(np.asarray(direction, np.float32)[None], "direction"))
+        sky = Sky(towards, np.ones((1, self.channels)))
+        return self._lights_between(None).relight(self, sky)
+
+    def relight_environment(
+        self,
+        environment: ArrayLike,
+        lights: ArrayLike | None = None,
+        turned: float = 0.0,
+        mirrored: bool = False,
+    ) -> Float:
+        """Return the picture under a panorama; the projector's rays are single lights.
+
+        It is the sum of `light_from` over the panorama's directions. Light from directions that no
+        light covers is left out: `rfpipe.environment_coverage` is the share of the others.
+
+        Parameters
+        ----------
+        environment, turned, mirrored
+            See `rfpipe.environment_weights`.
+        lights : array, shape (lights, 3), optional
+            Directions, one for each ray; by default those of the transport.
+
+        Returns
+        -------
+        ndarray of float32, shape (*camera_shape, channels)
+            In colour if the transport or the panorama is.
+
+        Raises
+        ------
+        InputError
+            As `rfpipe.environment_weights`, or if the lights' directions are unknown, or their
+            number isn't that of the projector's rays.
+        """
+        from rfpipe.environment import sky_of
+
+        sky = sky_of(environment, turned, mirrored)
+        return self._lights_between(lights).relight(self, sky)
+
+    def _lights_between(self, lights: ArrayLike | None) -> LightsBetween:
+        """Return the interpolation between lights, by default the transport's, which is kept."""
+        from rfpipe.environment import as_directions
+        from rfpipe.transport.light_between import lights_between
+
+        if lights is not None:
+            return lights_between(self, as_directions(lights, count=self.shape[2]))
+        if self.lights is None:
             raise InputError(
-                "the transport doesn't know where its lights are: fit it from a folder with a file "
+                "the transport has no directions of its lights: fit it from a folder with a file "
                 "of their directions, or set transport.lights, one direction for each ray"
             )
-        directions = as_directions(lights, count=self.shape[2])
-        weights = environment_weights(environment, directions, turned)
-        planes = weights.T.reshape(-1, *self.projector_shape)
-        if self.channels == 1 or len(planes) == 1:
-            return np.concatenate([self.relight(plane) for plane in planes], axis=-1)
-        return self.relight(np.moveaxis(planes, 0, -1))
+        if self._between is None:
+            self._between = lights_between(self, self.lights)
+        return self._between
+
+    def normals(self) -> Normals:
+        """Estimate surface normals and albedo by photometric stereo, from one light at a time.
+
+        See `rfpipe.transport.normals`. InputError if the lights' directions are unknown, or fewer
+        than three.
+        """
+        from rfpipe.transport.normals import normals_of
+
+        return normals_of(self, self.lights)
 
     def pattern_for(self, picture: NDArray[Any]) -> Compensation:
         """Return the pattern of weights between 0 and 1 that makes the scene look like a picture.

@@ -1,0 +1,132 @@
+"""Pictures of a transport of single lights under light from between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.environment import Sky
+from rfpipe.lights.interpolation import MOST_LIGHTS, Interpolation, between, interpolate
+from rfpipe.lights.shading import fit_shading, shaded
+from rfpipe.transport.algebra import MEMORY_BUDGET, MatrixAlgebra
+
+Float = NDArray[np.float32]
+Double = NDArray[np.float64]
+
+_SAMPLES = 1024
+"""Values of each picture from which the interpolation is chosen."""
+
+_FEW_DIRECTIONS = 64
+"""Directions of light up to which shading is summed for each pixel, else read from a table."""
+
+_TABLE_ROWS = 91
+"""Normals from pole to pole in the table of shading."""
+
+
+@dataclass(frozen=True, eq=False)
+class LightsBetween:
+    """Interpolation between the lights of a transport.
+
+    Attributes
+    ----------
+    interpolation : Interpolation
+    vectors : ndarray of float32, shape (channels, camera rays, 3), or None
+        Albedo times normal, where the interpolation has the Lambertian trend.
+    """
+
+    interpolation: Interpolation
+    vectors: Float | None
+
+    def relight(self, transport: MatrixAlgebra, sky: Sky) -> Float:
+        """Return the picture (*camera_shape, channels) under light from some directions."""
+        weights, share, shading = self.interpolation.weights(sky.directions)
+        colours = range(transport.channels)
+        planes = (weights.T @ sky.light).T.astype(np.float32)
+        if len(colours) == 1:
+            image = transport.forward(planes[:, None], colours)[:, 0]
+        else:
+            planar = np.broadcast_to(planes, (len(colours), planes.shape[1]))
+            image = transport.forward(np.ascontiguousarray(planar)[None], colours)[0]
+        if self.vectors is not None:
+            directions = np.vstack([sky.directions, self.interpolation.directions])
+            light = np.vstack([share[:, None] * sky.light, -(shading.T @ sky.light)])
+            strength = np.abs(light).max(axis=1)
+            used = strength > 1e-9 * max(float(strength.max()), 1e-30)
+            matt = _matt(self.vectors, directions[used], light[used])
+            image = (image + matt).astype(np.float32)
+        positive = np.maximum(image, 0)
+        return np.moveaxis(positive, 0, -1).reshape(*transport.camera_shape, len(positive))
+
+
+def lights_between(transport: MatrixAlgebra, directions: Float) -> LightsBetween:
+    """Choose the interpolation between the lights of a transport from its pictures.
+
+    Parameters
+    ----------
+    transport : Light
+        Its projector's rays are single lights.
+    directions : ndarray of float32, shape (lights, 3)
+
+    Notes
+    -----
+    Where all pictures take more than the memory budget, the models with a Lambertian trend, which
+    are fitted to all pixels, are left out.
+    """
+    lights = len(directions)
+    if lights > MOST_LIGHTS:
+        return LightsBetween(between(directions), None)
+    white = np.ones((1, 1, lights), np.float32).repeat(transport.channels, axis=1)
+    seen = np.flatnonzero(transport.forward(white, range(transport.channels))[0].any(axis=0))
+    if not len(seen):
+        return LightsBetween(between(directions), None)
+    chosen = np.linspace(0, len(seen) - 1, -(-_SAMPLES // transport.channels)).astype(int)
+    rays = seen[np.unique(chosen)]
+    samples = np.moveaxis(transport.toarray(rays), -1, 0).reshape(lights, -1)
+    fits = 4 * prod(transport.shape) <= MEMORY_BUDGET
+    interpolation = interpolate(samples, directions, with_shading=fits)
+    if not interpolation.has_shading:
+        return LightsBetween(interpolation, None)
+    vectors = [
+        fit_shading(pictures.T, interpolation.directions).vectors
+        for pictures in transport.toarray()
+    ]
+    return LightsBetween(interpolation, np.stack(vectors))
+
+
+def _matt(vectors: Float, directions: Double, light: Double) -> Double:
+    """Return Lambertian shading (channels, rays) of vectors (C, rays, 3) under lights (D, C')."""
+    channels = np.broadcast_to(np.arange(len(vectors)), max(len(vectors), light.shape[1]))
+    lit = np.broadcast_to(np.arange(light.shape[1]), len(channels))
+    pairs = zip(channels, lit, strict=True)
+    if len(directions) <= _FEW_DIRECTIONS:
+        return np.stack([light[:, k] @ shaded(vectors[c], directions) for c, k in pairs])
+    table = _table(directions, light)
+    return np.stack([_looked_up(vectors[c], table[..., k]) for c, k in pairs])
+
+
+def _table(directions: Double, light: Double) -> Double:
+    """Return the shading of albedo 1 by latitude and longitude of the normal, (H, W, channels)."""
+    up = np.linspace(np.pi / 2, -np.pi / 2, _TABLE_ROWS)[:, None]
+    around = np.linspace(-np.pi, np.pi, 2 * _TABLE_ROWS - 1)
+    normals = np.stack(
+        [np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0 * around], axis=-1
+    )
+    rows = [shaded(row, directions).T @ light for row in normals]
+    return np.stack(rows)
+
+
+def _looked_up(vectors: Float, table: Double) -> Double:
+    """Return a table's values (H, W) at the directions of vectors (rays, 3), times their length."""
+    from scipy.ndimage import map_coordinates
+
+    b = vectors.astype(np.float64)
+    length = np.linalg.norm(b, axis=1)
+    up = np.arcsin(np.clip(b[:, 2] / np.maximum(length, 1e-30), -1, 1))
+    around = np.arctan2(b[:, 1], b[:, 0])
+    step = np.pi / (_TABLE_ROWS - 1)
+    places = np.stack([(np.pi / 2 - up) / step, (around + np.pi) / step])
+    values: Double = length * map_coordinates(table, places, order=1, mode="nearest")
+    return values
