@@ -40,9 +40,9 @@ _TIED = 1.02  # ratio of misfits up to which two exchanges explain the pictures 
 _CLEARER = 3.0  # ratio of jumps mended to jumps made by which undoing an exchange smooths the map
 _TORN = 20.0  # jumps, at least, that undoing it mends
 _MOST = 8  # exchanges, at most, that are listed
-_TESTED = 20_000_000  # pixels times exchanges that are decoded, at most
-_TABLE_BITS = 22  # of codewords that are looked up in a table
-_MOST_BITS = 62
+_TESTED = 10_000_000  # pixels times exchanges that are decoded, at most
+_TABLE_BITS = 22  # bits up to which codewords are looked up in a table
+_MOST_BITS = 62  # bits of an integer
 _BLUR = 1.0  # camera pixels: standard deviation of the filter before derivatives
 _MOVED, _STEADY = 0.1, 5.0  # camera pixels, and standard errors, above which a shift is motion
 _FLICKER = 0.02  # relative standard deviation of pictures' light from which it is listed
@@ -148,7 +148,8 @@ class _Sums:
         scatter = variance[:, None] + variance + 2 * covariance  # of the sum of two patterns
         opposite = (scatter < 1e-4) & (np.abs(mean[:, None] + mean - 1) < 1e-2)
         opposite &= ~is_even[:, None] & ~is_even
-        pairs, free = [], set(range(len(mean)))
+        pairs: list[tuple[int, int]] = []
+        free = set(range(len(mean)))
         for first, second in sorted(np.argwhere(np.triu(opposite)).tolist(), key=_distance):
             if {first, second} <= free:
                 pairs.append((first, second))
@@ -173,6 +174,8 @@ class _Code:
         white light takes the complement's place.
     words : ndarray of int64, shape (W,)
         Codewords that exist, ascending.
+    table : ndarray of int64, shape (2**bits,) or (0,)
+        Index of each codeword in `words`, W where it doesn't exist; empty for too many bits.
     places : ndarray of float32, shape (W + 1, 2)
         Mean row and column of each codeword's rays; NaN where these lie apart, and in the last
         row, of codewords that don't exist.
@@ -180,6 +183,7 @@ class _Code:
 
     bits: tuple[tuple[int, int], ...]
     words: Order
+    table: Order
     places: Float
 
     @classmethod
@@ -190,7 +194,8 @@ class _Code:
         if sums.white:
             alone = set(range(len(patterns))) - paired - set(sums.white)
             candidates += [(picture, -1) for picture in sorted(alone)]
-        bits, word = [], np.zeros(patterns.shape[1], np.int64)
+        bits: list[tuple[int, int]] = []
+        word = np.zeros(patterns.shape[1], np.int64)
         for bit in candidates[:_MOST_BITS]:
             contrast = patterns[bit[0]] - (0.5 if bit[1] < 0 else patterns[bit[1]])
             if (np.abs(contrast) > 0.05).mean() > 0.9:
@@ -204,7 +209,17 @@ class _Code:
             spread = np.sqrt(np.maximum(np.bincount(inverse, index**2.0) / count - mean**2, 0))
             places[:-1, axis] = np.where(spread < 2, mean, np.nan)
         places[np.isnan(places).any(axis=1)] = np.nan
-        return cls(tuple(bits), words, places)
+        table = np.full(1 << len(bits) if len(bits) <= _TABLE_BITS else 0, len(words))
+        if table.size:
+            table[words] = np.arange(len(words))
+        return cls(tuple(bits), words, table, places)
+
+    def places_of(self, word: Order) -> Float:
+        """Return the places (..., 2) of codewords (...), NaN where there is none."""
+        if self.table.size:
+            return self.places[self.table[word]]
+        index = np.minimum(np.searchsorted(self.words, word), len(self.words) - 1)
+        return self.places[np.where(self.words[index] == word, index, len(self.words))]
 
     def exchanges(self) -> list[Exchange]:
         """Return the exchanges that sums can't show: of a bit's pictures, and of two bits."""
@@ -267,16 +282,15 @@ class _View:
 
     def _bit(self, order: Order, first: int, second: int) -> Order:
         complement = self.half if second < 0 else self.pictures[order[second]]
-        return (self.pictures[order[first]] > complement).astype(np.int64)
+        bit: Order = (self.pictures[order[first]] > complement).astype(np.int64)
+        return bit
 
     def jumps(self, word: Order, most: float = np.inf) -> Float:
         """Return distances in rays between neighbours' places, at most `most`.
 
         NaN where a pixel isn't lit, infinity (or `most`) where a codeword doesn't exist.
         """
-        words, places = self.code.words, self.code.places
-        index = np.minimum(np.searchsorted(words, word), len(words) - 1)
-        place = places[np.where(words[index] == word, index, len(words))]
+        place = self.code.places_of(word)
         steps = []
         for axis in (1, 2):
             step = np.abs(np.diff(place, axis=axis)).sum(axis=-1)
@@ -324,7 +338,8 @@ def _gram(pictures: Float) -> Double:
     brightest = np.percentile(mean, _BRIGHTEST)
     lit = mean > _LIT * brightest
     relative = pictures[:, lit] / mean[lit]
-    return np.asarray(relative @ relative.T, np.float64) / max(1, lit.sum())
+    gram: Double = np.asarray(relative @ relative.T, np.float64) / max(1, lit.sum())
+    return gram
 
 
 def _misfits(null: Double, gram: Double) -> Double:
@@ -334,8 +349,7 @@ def _misfits(null: Double, gram: Double) -> Double:
     change = 2 * (product + product.T - mixed[:, None] - mixed)
     change -= 2 * (b[:, None] - null) * (gram - g[:, None]) + 2 * (null - b) * (g - gram)
     change += (b[:, None] - b) * (g - g[:, None])
-    misfits: Double = np.sum(null * gram) + change
-    return misfits
+    return np.asarray(change + np.sum(null * gram), dtype=np.float64)
 
 
 def _explaining(null: Double, gram: Double) -> list[tuple[int, int, float]]:
@@ -346,12 +360,12 @@ def _explaining(null: Double, gram: Double) -> list[tuple[int, int, float]]:
     model = np.eye(len(null)) - null
     candidates: list[tuple[int, int, float]] = []
     for i, j in zip(first[best].tolist(), second[best].tolist(), strict=True):
+        misfit = float(misfits[i, j])
+        if misfit >= total or (candidates and misfit > _TIED * candidates[0][2]):
+            break
         order = _apply(np.arange(len(null)), ((i, j),))
         ideal = model @ gram[np.ix_(order, order)] @ model
         expected = float((null * ideal[np.ix_(order, order)]).sum())
-        misfit = float(misfits[i, j])
-        if candidates and misfit > _TIED * candidates[0][2]:
-            break
         if expected > _VISIBLE * total and total - misfit > _EXPLAINED * expected:
             candidates.append((i, j, misfit))
     return candidates
@@ -444,15 +458,19 @@ class _Steadiness:
     pictures : list of tuple of int
         Pictures of each sum, in the order in which they were taken.
     gains : ndarray of float64, shape (S,)
+        Mean of the gains of a picture and its complement.
     shifts : ndarray of float64, shape (S, 2)
         Along rows and columns, in camera pixels.
-    errors : ndarray of float64, shape (S, 3)
-        Standard errors of gains and shifts.
+    differences : ndarray of float64, shape (S,)
+        Half of the difference of these gains.
+    errors : ndarray of float64, shape (S, 4)
+        Standard errors of gains, shifts and differences.
     """
 
-    pictures: list[tuple[int, ...]]
+    pictures: list[tuple[int, int]]
     gains: Double
     shifts: Double
+    differences: Double
     errors: Double
 
 
@@ -473,52 +491,64 @@ def _unsteady(
 
 
 def _measure_steadiness(pictures: Float, shape: tuple[int, int], sums: _Sums) -> _Steadiness:
-    """Fit gain and shift of white to each sum of a picture and its complement."""
-    groups = sorted([*sums.pairs, *((white,) for white in sums.white)])
-    light = np.stack([pictures[list(group)].sum(axis=0) for group in groups])
-    reference = light[[len(group) == 1 for group in groups]]
-    white = reference.mean(axis=0) if len(reference) else np.median(light, axis=0)
-    fits = [_gain_and_shift(each.reshape(shape), white.reshape(shape)) for each in light]
-    pairs = [index for index, group in enumerate(groups) if len(group) == 2]
-    values = np.array([fits[index][0] for index in pairs])
-    errors = np.array([fits[index][1] for index in pairs])
-    return _Steadiness([groups[index] for index in pairs], values[:, 0], values[:, 1:], errors)
+    """Fit gains and shift to each sum of a picture and its complement."""
+    images = pictures.reshape(len(pictures), *shape)
+    if sums.white:
+        white = images[list(sums.white)].mean(axis=0)
+    else:
+        white = np.median([images[a] + images[b] for a, b in sums.pairs], axis=0)
+    fits = [_gains_and_shift(images[a], images[b], white) for a, b in sums.pairs]
+    values, errors = (np.array(part) for part in zip(*fits, strict=True))
+    return _Steadiness([*sums.pairs], values[:, 0], values[:, 1:3], values[:, 3], errors)
 
 
-def _gain_and_shift(image: Float, white: Float) -> tuple[Double, Double]:
-    """Fit ``image(x) = gain * white(x - shift)`` and return (gain, shift) and standard errors.
+def _gains_and_shift(picture: Float, complement: Float, white: Float) -> tuple[Double, Double]:
+    """Fit the sum of a picture and its complement by white, moved, and by their difference.
 
-    Gauss-Newton on blurred images: white is moved by the current shift, and the rest of the shift
-    follows from a linear regression on white and its derivatives.
+    ``y + y' = a w(x - s) + b (y - y')``, where the picture's gain is a + b and the complement's
+    a - b: light flickers from one to the other. Gauss-Newton on blurred images: white is moved by
+    the current shift s, and the rest of the shift follows from a linear regression on white and
+    its derivatives.
+
+    Returns
+    -------
+    values, errors : ndarray of float64, shape (4,)
+        a, s along rows and columns, and b; their standard errors, infinite where the scene has
+        too few lit pixels or too little texture.
     """
     from scipy.ndimage import gaussian_filter, shift
 
     margin = 6
     inside = (slice(margin, -margin),) * 2
-    smooth, target = gaussian_filter(white, _BLUR), gaussian_filter(image, _BLUR)[inside].ravel()
-    lit = smooth[inside].ravel() > _LIT * np.percentile(smooth, _BRIGHTEST)
-    gain, moved, errors = 1.0, np.zeros(2), np.full(3, np.inf)
+    smooth, total, difference = (
+        gaussian_filter(image, _BLUR)
+        for image in (white, picture + complement, picture - complement)
+    )
+    lit = smooth[inside] > _LIT * np.percentile(smooth, _BRIGHTEST)
+    target = total[inside][lit]
+    values, errors = np.array([1.0, 0, 0, 0]), np.full(4, np.inf)
     for _ in range(4):
-        source = shift(smooth, moved, order=1, mode="nearest") if moved.any() else smooth
-        terms = np.stack([each[inside].ravel() for each in (source, *np.gradient(source))])[:, lit]
+        source = shift(smooth, values[1:3], order=1, mode="nearest")
+        images = (source, *np.gradient(source), difference)
+        terms = np.stack([image[inside][lit] for image in images])
         normal = np.asarray(terms @ terms.T, np.float64)
-        if lit.sum() < 100 or np.linalg.cond(normal) > 1e10:
-            return np.array([gain, *moved]), errors
+        if lit.sum() < 100 or np.linalg.cond(normal) > 1e8:
+            return values, np.full(4, np.inf)
         inverse = np.linalg.inv(normal)
-        solution = inverse @ np.asarray(terms @ target[lit], np.float64)
-        residual = target[lit] - solution @ terms
+        solution = inverse @ np.asarray(terms @ target, np.float64)
         # blur makes about 4 pi blur^2 neighbouring pixels share their noise
-        scale = np.sqrt(residual.var() * 4 * np.pi * _BLUR**2)
-        gain = float(solution[0])
-        errors = scale * np.sqrt(np.diag(inverse)) / np.array([1, gain, gain])
-        step = np.clip(-solution[1:] / gain, -2, 2)
-        moved = np.clip(moved + step, -margin / 2, margin / 2)
+        variance = (target - solution @ terms).var() * 4 * np.pi * _BLUR**2
+        gain = solution[0]
+        errors = np.sqrt(variance * np.diag(inverse)) / np.array([1, gain, gain, 1])
+        step = np.clip(-solution[1:3] / gain, -2, 2)
+        moved = np.clip(values[1:3] + step, -margin / 2, margin / 2)
+        values = np.array([gain, *moved, solution[3]])
         if np.abs(step).max() < 0.1:
             break
-    return np.array([gain, *moved]), errors
+    return values, errors
 
 
-def _stripes(patterns: Float, shape: tuple[int, int], groups: Iterable[tuple[int, ...]]) -> Double:
+def _stripes(patterns: Float, shape: tuple[int, int], groups: Iterable[tuple[int, int]]) -> Double:
     """Return the mean contrast of neighbouring rays of each group's patterns."""
     contrast = []
     for first, *_ in groups:
@@ -531,13 +561,13 @@ def _stripes(patterns: Float, shape: tuple[int, int], groups: Iterable[tuple[int
 def _motion(steadiness: _Steadiness, names: Sequence[str]) -> list[Fault]:
     """Find the picture from which the camera's view is shifted against the previous pictures."""
     shifts, count = steadiness.shifts, len(steadiness.shifts)
-    usable = np.isfinite(steadiness.errors).all()
+    usable = np.isfinite(steadiness.errors[:, :3]).all()
     splits = range(2, count - 1) if usable else range(0)
     best, leap, error = 0, np.zeros(2), np.inf
     for split in splits:
         groups = shifts[:split], shifts[split:]
         within = sum(((group - group.mean(axis=0)) ** 2).sum() for group in groups)
-        noise = max(within / (2 * count - 4), float((steadiness.errors[:, 1:] ** 2).mean()))
+        noise = max(within / (2 * count - 4), float((steadiness.errors[:, 1:3] ** 2).mean()))
         deviation = np.sqrt(noise * (1 / split + 1 / (count - split)))
         change = groups[1].mean(axis=0) - groups[0].mean(axis=0)
         if np.hypot(*change) / deviation > np.hypot(*leap) / error:
@@ -561,19 +591,25 @@ def _motion(steadiness: _Steadiness, names: Sequence[str]) -> list[Fault]:
 def _flicker(steadiness: _Steadiness, stripes: Double) -> list[Fault]:
     """Find flicker: gains that scatter, apart from what the fineness of stripes takes."""
     # fine stripes are darker than white, where a projector's pixels affect their neighbours
-    terms = np.stack([np.ones_like(stripes), stripes], axis=1)
-    gains = steadiness.gains
+    terms = np.stack([np.ones_like(stripes), stripes, stripes**2], axis=1)
+    gains, errors = steadiness.gains, steadiness.errors
+    if not np.isfinite(errors[:, 0]).all():
+        return []
     residual = gains - terms @ np.linalg.lstsq(terms, gains, rcond=None)[0]
-    variance = float((residual**2).sum()) / max(1, len(gains) - 2)
-    variance -= float((steadiness.errors[:, 0] ** 2).mean())
-    # the mean of two pictures scatters less than each of them
+    # uncertain where the camera sees one side of the stripes, or stripes finer than its blur
+    certain = errors[:, 3] < 2 * np.median(errors[:, 3])
+    scatter = np.concatenate([residual, steadiness.differences[certain]])
+    noise = np.concatenate([errors[:, 0], errors[certain, 3]])
+    variance = float((scatter**2).sum()) / max(1, scatter.size - terms.shape[1])
+    variance -= float((noise**2).mean())
+    # half of the sum and half of the difference of two pictures have half of their variance
     flicker = np.sqrt(2 * max(variance, 0.0)) / max(float(np.median(gains)), 1e-6)
-    if not np.isfinite(flicker) or flicker < _FLICKER:
+    if flicker < _FLICKER:
         return []
     pictures = tuple(sorted(picture for group in steadiness.pictures for picture in group))
     message = (
-        f"lamp flicker of {100 * flicker:.0f} %: the light of pictures and their complements "
-        f"together scatters by {100 * np.sqrt(variance):.1f} %. Expose for a whole number of the "
-        "lamp's periods, or let the projector warm up"
+        f"lamp flicker of {100 * flicker:.0f} %: the light of the pictures has this standard "
+        "deviation against white. Expose for a whole number of the lamp's periods, let the "
+        "projector warm up, and switch off the camera's automatic exposure"
     )
     return [Fault("flicker", pictures, message)]
