@@ -1,6 +1,6 @@
 """Structured light by its name: Gray code and shifted sinusoids, as ``gray:1920x1080``.
 
-A code's pictures come in a fixed order: those of the columns, then those of the rows.
+A code's pictures have a fixed order: first the codes of columns, then the codes of rows.
 
 - ``gray``: the bits from the most significant one, each followed by its complement, as
   ``cv2.structured_light.GrayCodePattern`` of OpenCV generates them; ``plain`` omits complements.
@@ -42,7 +42,7 @@ _SAME = 0.1  # share of the range of means up to which a picture is as bright as
 _CLEARER = 3.0  # ratio of scatters from which one order of pictures is clearly better
 _LEAST_STEPS = 3  # sinusoids from which a phase can be computed
 
-Place = int | None  # index of a picture from 0, None where there is no such picture
+Place = int | None  # index of a picture from 0, None without such a picture
 Line = tuple[int, Float]  # axis (1 for columns, 0 for rows) and weights along it
 
 
@@ -194,7 +194,7 @@ def _candidates(
     Parameters
     ----------
     pictures, boundary : int
-        Number of all pictures; of those of the first axis.
+        Number of all pictures, and of pictures that code the first axis.
     white, black : int or None
         Stated places.
     missing : {"", "white", "black", "either"}
@@ -284,10 +284,12 @@ def _layout(code: _Code, pictures: int) -> tuple[list[Line], int]:
     """
     choices = (True, False) if code.complements is None else (code.complements,)
     places = (code.white, code.black)
-    least = sum(place not in ("", "none") for place in places)
-    most = sum(place != "none" for place in places)
+    smallest = sum(place not in ("", "none") for place in places)
+    largest = sum(place != "none" for place in places)
     layouts = [
-        (lines, extras) for lines in map(code.lines, choices) for extras in range(least, most + 1)
+        (lines, extras)
+        for lines in map(code.lines, choices)
+        for extras in range(smallest, largest + 1)
     ]
     fitting = [layout for layout in layouts if sum((len(layout[0]), layout[1])) == pictures]
     if len(fitting) == 1:
@@ -337,7 +339,7 @@ def _places(
 def _check_sums(code: _Code, light: Double, white: Place, black: Place) -> None:
     """Refuse means (K,) of Gray code with complements whose white or black was exchanged.
 
-    A picture and its complement have white's light together. Where white or black is by itself at
+    A picture and its complement have white's light together. Where one of white and black is at
     an unusual place, these sums scatter less after its exchange with one of the last two pictures.
     """
     ends = {len(light) - 2, len(light) - 1}
@@ -364,7 +366,7 @@ def _check_sums(code: _Code, light: Double, white: Place, black: Place) -> None:
 
 
 def _index(code: _Code, place: str, pictures: int) -> int:
-    """Return the index from 0 of a stated place; InputError if there is no such picture."""
+    """Return the index from 0 of a stated place; InputError if it doesn't exist."""
     number = {"first": "1", "last": str(pictures)}.get(place, place)
     if not number.isdecimal() or not 1 <= int(number) <= pictures:
         raise _malformed(code.name, f"{place!r} isn't one of its {pictures} pictures")

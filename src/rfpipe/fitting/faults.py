@@ -31,7 +31,7 @@ Exchange = tuple[tuple[int, int], ...]  # pairs of places whose pictures change 
 
 _NULL = 1e-6  # eigenvalues of P P^T up to this share of the largest are 0
 _LIT = 0.2  # share of the brightest pixels' light from which pixels count
-_BRIGHTEST = 99  # percentile of pixels whose light is that of the brightest
+_BRIGHTEST = 99  # percentile of light that defines the brightest pixels
 _EXPLAINED = 0.25
 # Share of the misfit expected of an exchange that undoing it removes. Over 8 simulated and real
 # sets it was 0.42 to 1 for exchanged pictures whose stripes the camera resolves, at most 0.08 for
@@ -193,8 +193,8 @@ class _Code:
         paired = {picture for pair in sums.pairs for picture in pair}
         candidates = [*sums.pairs]
         if sums.white:
-            alone = set(range(len(patterns))) - paired - set(sums.white)
-            candidates += [(picture, -1) for picture in sorted(alone)]
+            unpaired = set(range(len(patterns))) - paired - set(sums.white)
+            candidates += [(picture, -1) for picture in sorted(unpaired)]
         bits: list[tuple[int, int]] = []
         word = np.zeros(patterns.shape[1], np.int64)
         for bit in candidates[:_MOST_BITS]:
@@ -286,18 +286,18 @@ class _View:
         bit: Order = (self.pictures[order[first]] > complement).astype(np.int64)
         return bit
 
-    def jumps(self, word: Order, most: float = np.inf) -> Float:
-        """Return distances in rays between neighbours' places, at most `most`.
+    def jumps(self, word: Order, limit: float = np.inf) -> Float:
+        """Return distances in rays between neighbours' places, at most `limit`.
 
-        NaN where a pixel isn't lit, infinity (or `most`) where a codeword doesn't exist.
+        NaN where a pixel isn't lit, infinity (or `limit`) where a codeword doesn't exist.
         """
         place = self.code.places_of(word)
         steps = []
         for axis in (1, 2):
             step = np.abs(np.diff(place, axis=axis)).sum(axis=-1)
             step = np.where(np.isnan(step), np.inf, step)
-            both = np.logical_and(*(np.delete(self.lit, edge, axis) for edge in (0, -1)))
-            steps.append(np.minimum(step, most)[both])
+            visible = np.logical_and(*(np.delete(self.lit, edge, axis) for edge in (0, -1)))
+            steps.append(np.minimum(step, limit)[visible])
         return np.concatenate(steps)
 
 
@@ -385,14 +385,14 @@ def _smoothest(
         return exchanges[0], list(exchanges[1:])
     word = view.words(order)
     changed = [view.exchanged(word, order, exchange) for exchange in exchanges]
-    smoothest = min(changed, key=lambda each: float(view.jumps(each, 8.0).sum()))
-    most = _largest(view.jumps(smoothest))
-    jumps = [view.jumps(each, most) for each in changed]
+    smoothest = min(changed, key=lambda word: float(view.jumps(word, 8.0).sum()))
+    limit = _largest(view.jumps(smoothest))
+    jumps = [view.jumps(word, limit) for word in changed]
     best = min(range(len(jumps)), key=lambda index: float(jumps[index].sum()))
     tied = [
         exchange
         for exchange, jump in zip(exchanges, jumps, strict=True)
-        if exchange != exchanges[best] and not _is_smoother(jumps[best], jump, most)
+        if exchange != exchanges[best] and not _is_smoother(jumps[best], jump, limit)
     ]
     return exchanges[best], tied
 
@@ -403,9 +403,9 @@ def _largest(jumps: Float) -> float:
     return max(4.0, 4 * float(np.median(usual))) if usual.size else 4.0
 
 
-def _is_smoother(after: Float, before: Float, most: float) -> bool:
+def _is_smoother(after: Float, before: Float, limit: float) -> bool:
     """Decide whether jumps after an exchange are clearly less than before."""
-    change = (before - after) / most
+    change = (before - after) / limit
     mended = float(change[change > 0].sum())
     return mended >= _TORN and mended > _CLEARER * float(-change[change < 0].sum())
 
@@ -419,12 +419,12 @@ def _exchanged_by_code(
     for _ in range(_MOST if exchanges else 0):
         word = view.words(order)
         jumps = view.jumps(word)
-        most = _largest(jumps)
-        jumps = np.minimum(jumps, most)
+        limit = _largest(jumps)
+        jumps = np.minimum(jumps, limit)
         gains: dict[Exchange, float] = {}
         for exchange in exchanges:
-            after = view.jumps(view.exchanged(word, order, exchange), most)
-            if _is_smoother(after, jumps, most):
+            after = view.jumps(view.exchanged(word, order, exchange), limit)
+            if _is_smoother(after, jumps, limit):
                 gains[exchange] = float(jumps.sum() - after.sum())
         if not gains:
             break
