@@ -173,6 +173,15 @@ def test_white_at_an_unusual_place_must_be_stated(means: np.ndarray, message: st
         code_patterns("gray:5x3", 12, means)
 
 
+@pytest.mark.parametrize(("place", "end"), [(0, 10), (0, 11), (6, 10)])
+def test_a_picture_exchanged_endwhite_or_black_is_named(place: int, end: int) -> None:
+    order = [*TEN, "W", "B"]
+    order[place], order[end] = order[end], order[place]
+    means = light(order)
+    with pytest.raises(InputError, match=f"{place + 1}"):
+        code_patterns("gray:5x3", 12, means)
+
+
 def test_a_missing_white_is_not_identified() -> None:
     order = [*TEN, "B"]
     black = array("gray:5x3,white=none", 11, light(order))[10]

@@ -1,6 +1,6 @@
 """Structured light by its name: Gray code and shifted sinusoids, as ``gray:1920x1080``.
 
-A code's pictures come in a fixed order: those of the columns, then those of the rows.
+A code's pictures have a fixed order: first the codes of columns, then the codes of rows.
 
 - ``gray``: the bits from the most significant one, each followed by its complement, as
   ``cv2.structured_light.GrayCodePattern`` of OpenCV generates them; ``plain`` omits complements.
@@ -26,6 +26,7 @@ from rfpipe.fitting.patterns import Patterns
 from rfpipe.gray_code import gray_bits, gray_code
 
 Float = NDArray[np.float32]
+Double = NDArray[np.float64]
 
 SYNTAX = (
     "gray:WIDTHxHEIGHT[,complements|plain] or phase:WIDTHxHEIGHT,period=P[+P...],steps=N, both "
@@ -38,9 +39,10 @@ SYNTAX = (
 _NAME = re.compile(r"(gray|phase):([1-9]\d{0,4})x([1-9]\d{0,4})((?:,[^,]+)*)")
 _AXES = {"both": (1, 0), "columns": (1,), "rows": (0,)}
 _SAME = 0.1  # share of the range of means up to which a picture is as bright as the brightest
+_CLEARER = 3.0  # ratio of scatters from which one order of pictures is clearly better
 _LEAST_STEPS = 3  # sinusoids from which a phase can be computed
 
-Place = int | None  # index of a picture from 0, None where there is no such picture
+Place = int | None  # index of a picture from 0, None without such a picture
 Line = tuple[int, Float]  # axis (1 for columns, 0 for rows) and weights along it
 
 
@@ -118,6 +120,14 @@ def code_patterns(name: str, pictures: int, means: ArrayLike | None = None) -> P
     lines, extras = _layout(code, pictures)
     boundary = sum(axis == code.axes[0] for axis, _ in lines)
     white, black = _places(code, pictures, extras, boundary, means)
+    stated = bool(code.white and code.black)
+    if (
+        means is not None
+        and not stated
+        and len(lines) > 1
+        and (lines[0][1] + lines[1][1] == 1).all()
+    ):
+        _check_sums(code, np.asarray(means, np.float64), white, black)
     readers = [partial(_spread, line, axis, code.shape) for axis, line in lines]
     for place, weight in sorted((p, w) for p, w in ((white, 1), (black, 0)) if p is not None):
         line = np.full(code.shape[1], weight, np.float32)
@@ -184,7 +194,7 @@ def _candidates(
     Parameters
     ----------
     pictures, boundary : int
-        Number of all pictures; of those of the first axis.
+        Number of all pictures, and of pictures that code the first axis.
     white, black : int or None
         Stated places.
     missing : {"", "white", "black", "either"}
@@ -274,10 +284,12 @@ def _layout(code: _Code, pictures: int) -> tuple[list[Line], int]:
     """
     choices = (True, False) if code.complements is None else (code.complements,)
     places = (code.white, code.black)
-    least = sum(place not in ("", "none") for place in places)
-    most = sum(place != "none" for place in places)
+    smallest = sum(place not in ("", "none") for place in places)
+    largest = sum(place != "none" for place in places)
     layouts = [
-        (lines, extras) for lines in map(code.lines, choices) for extras in range(least, most + 1)
+        (lines, extras)
+        for lines in map(code.lines, choices)
+        for extras in range(smallest, largest + 1)
     ]
     fitting = [layout for layout in layouts if sum((len(layout[0]), layout[1])) == pictures]
     if len(fitting) == 1:
@@ -324,8 +336,37 @@ def _places(
         raise InputError(f"--patterns {code.name}: {error}") from None
 
 
+def _check_sums(code: _Code, light: Double, white: Place, black: Place) -> None:
+    """Refuse means (K,) of Gray code with complements whose white or black was exchanged.
+
+    A picture and its complement have white's light together. Where one of white and black is at
+    an unusual place, these sums scatter less after its exchange with one of the last two pictures.
+    """
+    ends = {len(light) - 2, len(light) - 1}
+    if white is None or black is None or not {white, black} & ends or {white, black} <= ends:
+        return
+    odd = white if white not in ends else black
+    [usual] = ends - {white, black}
+    exchanged = light.copy()
+    exchanged[[odd, usual]] = exchanged[[usual, odd]]
+
+    def scatter(means: Double, places: list[int]) -> float:
+        """Return the relative scatter of sums, without white and black."""
+        sums = np.delete(means, places).reshape(-1, 2).sum(axis=1)
+        return float(sums.std() / sums.mean())
+
+    present, without = scatter(light, [white, black]), scatter(exchanged, list(ends))
+    if present > _CLEARER * without:
+        raise InputError(
+            f"--patterns {code.name}: picture {odd + 1} seems exchanged with {usual + 1}: the mean "
+            f"light of pictures and their complements scatters by {100 * present:.1f} %, after "
+            f"their exchange by {100 * without:.1f} %. Mend the order, or state both places, as "
+            f"white={white + 1},black={black + 1}"
+        )
+
+
 def _index(code: _Code, place: str, pictures: int) -> int:
-    """Return the index from 0 of a stated place; InputError if there is no such picture."""
+    """Return the index from 0 of a stated place; InputError if it doesn't exist."""
     number = {"first": "1", "last": str(pictures)}.get(place, place)
     if not number.isdecimal() or not 1 <= int(number) <= pictures:
         raise _malformed(code.name, f"{place!r} isn't one of its {pictures} pictures")

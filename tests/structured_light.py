@@ -1,0 +1,89 @@
+"""Simulated pictures of a Gray code: a bent wall with a step before it, blur, indirect light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates, shift
+
+from rfpipe.fitting.codes import code_patterns
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Patterns (K, N) without black ones, and pictures (K, M) minus black."""
+
+    patterns: np.ndarray
+    pictures: np.ndarray
+    camera_shape: tuple[int, int]
+    projector_shape: tuple[int, int]
+    names: list[str]
+
+    def arguments(self) -> tuple:
+        return (self.patterns, self.pictures, self.camera_shape, self.projector_shape, self.names)
+
+
+def shot(
+    projector: tuple[int, int],
+    camera: tuple[int, int],
+    seed: int,
+    *,
+    name: str = "gray:{1}x{0},white=last",
+    count: int | None = None,
+    indirect: float = 0.15,
+    noise: float = 0.01,
+    blur: float = 0.5,
+    darkening: float = 0.0,
+    moved: tuple[int, float, float] = (0, 0.0, 0.0),
+    flicker: float = 0.0,
+) -> Shot:
+    """Simulate pictures in 8 bits.
+
+    Parameters
+    ----------
+    projector, camera : (int, int)
+        Sizes in pixels.
+    indirect : float
+        Share of light that comes from everywhere.
+    noise : float
+        Standard deviation over the brightest pixel.
+    blur : float
+        Of the projector, in its pixels.
+    darkening : float
+        Share that the finest stripes lack against coarse ones: a projector that isn't linear.
+    moved : (int, float, float)
+        First picture after the camera moved, and by how many rows and columns.
+    flicker : float
+        Standard deviation of the lamp's light, relative.
+    """
+    random = np.random.default_rng(seed)
+    spec = name.format(*projector)
+    if count is None:
+        axes = sum((extent - 1).bit_length() for extent in projector)
+        count = axes * (1 if "plain" in name else 2) + ("white=last" in name)
+    stack = np.stack([read() for read in code_patterns(spec, count).readers])
+    row, column = np.indices(camera) / np.reshape(camera, (2, 1, 1)) - 0.5
+    bend = 0.04 * np.sin(5 * row + random.uniform(0, 6)) + 0.03 * np.cos(4 * column)
+    before = np.hypot(row - random.uniform(-0.2, 0.2), column - random.uniform(-0.2, 0.2)) < 0.22
+    turn = random.uniform(-0.15, 0.15) + random.choice([0, np.pi / 2, np.pi])
+    size = random.uniform(0.8, 1.2)
+    across = size * (np.cos(turn) * column - np.sin(turn) * row) + bend + 0.06 * before
+    down = size * (np.sin(turn) * column + np.cos(turn) * row) + bend * 0.5
+    place = np.stack([(down + 0.5) * projector[0] - 0.5, (across + 0.5) * projector[1] - 0.5])
+    white = random.uniform(0.3, 1) * gaussian_filter(random.uniform(0.2, 1, camera), 4)
+    white /= white.max() / 0.9
+    pictures = np.empty((count, *camera), np.float32)
+    for index, pattern in enumerate(stack):
+        blurred = gaussian_filter(pattern, blur)
+        edges = np.abs(np.diff(pattern, axis=0)).mean() + np.abs(np.diff(pattern, axis=1)).mean()
+        direct = map_coordinates(blurred, place, order=1, mode="constant")
+        light = white * ((1 - indirect) * direct + indirect * pattern.mean())
+        light *= 1 - 2 * darkening * edges
+        if index >= moved[0]:
+            light = shift(light, moved[1:], order=1, mode="nearest")
+        light = light * (1 + flicker * random.standard_normal())
+        light = light + noise * random.standard_normal(camera)
+        pictures[index] = np.clip(np.round(255 * (light + 0.05)), 0, 255) / 255 - 0.05
+    names = [f"{index + 1:02d}.png" for index in range(count)]
+    return Shot(stack.reshape(count, -1), pictures.reshape(count, -1), camera, projector, names)
