@@ -29,6 +29,7 @@ class Light(MatrixAlgebra):
     """What can be relit: a transport, its dual, or either between coarser rays."""
 
     _lights: Float | None = None
+    _noise: Float | None = None
 
     @property
     def T(self) -> Light:  # noqa: N802 - as in scipy and numpy
@@ -48,6 +49,19 @@ class Light(MatrixAlgebra):
         from rfpipe.environment import as_directions
 
         self._lights = None if lights is None else as_directions(lights, count=self.shape[2])
+
+    @property
+    def noise(self) -> Float | None:
+        """Standard deviation of one picture, float32 (*camera_shape), if known.
+
+        Radiance, of the sum of the channels; infinite at camera pixels that no picture shows.
+        Setting it raises InputError for another shape, NaN or negative values.
+        """
+        return self._noise
+
+    @noise.setter
+    def noise(self, noise: ArrayLike | None) -> None:
+        self._noise = None if noise is None else _as_noise(noise, self.camera_shape)
 
     def relight(self, pattern: NDArray[Any]) -> Float:
         """Return the image under a pattern, ``c = T p`` (eq. 2.11).
@@ -302,3 +316,16 @@ def planar_patterns(
     if not np.isfinite(patterns).all():
         raise InputError(f"{name} holds NaN or infinite weights; all weights must be finite")
     return planar
+
+
+def _as_noise(noise: ArrayLike, camera_shape: tuple[int, ...]) -> Float:
+    """Check standard deviations of a picture; float32 (*camera_shape)."""
+    deviations = np.asarray(noise, np.float32)
+    if deviations.shape != tuple(camera_shape):
+        raise InputError(
+            f"noise has the shape {deviations.shape}; expected that of the camera's rays, "
+            f"{tuple(camera_shape)}: one standard deviation for each"
+        )
+    if not (deviations >= 0).all():
+        raise InputError("noise holds NaN or negative values; standard deviations are 0 or more")
+    return deviations

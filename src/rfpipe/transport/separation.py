@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.transport.algebra import MatrixAlgebra
 from rfpipe.transport.correspondence import correspondence_of
+
+if TYPE_CHECKING:
+    from rfpipe.transport.light import Light
 
 Float = NDArray[np.float32]
 Places = NDArray[np.floating[Any]]
@@ -33,7 +35,7 @@ class Separation:
     far: Float
 
 
-def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) -> Separation:
+def separated(transport: Light, light: Float, direct: int, near: float) -> Separation:
     """Return the picture under planar light (channels, projector rays), see `Light.separate`."""
     shape = transport.projector_shape
     if not (direct >= 0 and direct == int(direct) and 0 < near <= 1):
@@ -57,7 +59,7 @@ def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) 
     return Separation(*(it.T.reshape(*transport.camera_shape, -1) for it in parts))
 
 
-def _places(transport: MatrixAlgebra) -> Places:
+def _places(transport: Light) -> Places:
     """Return each camera ray's place, row and column, (M, 2)."""
     from scipy.ndimage import distance_transform_edt
 
