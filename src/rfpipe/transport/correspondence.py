@@ -22,16 +22,14 @@ The confidence is a logistic model of the probability that a place is within one
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-
-if TYPE_CHECKING:
-    from rfpipe.transport.light import Light
+from rfpipe.transport.algebra import MatrixAlgebra
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -45,7 +43,7 @@ _NEAR = 2  # pixels around the brightest entry whose mean place is taken
 # Further terms (light over noise, light of a second place, extent of the light, distance from the
 # picture's edge, squares) lower the loss on scenes left out by at most 6 %.
 _WITH_NOISE = (7.08, 2.07, 2.54)
-_WITHOUT_NOISE = (7.05, 2.60, 3.42)
+_WITHOUT_NOISE = (6.98, 2.65, 3.43)
 _LEAST_SHARE = 0.03  # smaller shares count as this
 
 _LEAST_CONFIDENCE = 0.5  # in the mask
@@ -82,13 +80,15 @@ class Correspondence:
     mask: Mask
 
 
-def correspondence_of(transport: Light) -> Correspondence:
+def correspondence_of(transport: MatrixAlgebra, noise: Float | None = None) -> Correspondence:
     """Compute the place of the projector that lights each camera pixel directly.
 
     Parameters
     ----------
-    transport : Light
-        Its projector has one picture. Its `noise`, if known, separates lit from dark pixels.
+    transport : MatrixAlgebra
+        Its projector has one picture.
+    noise : ndarray of float32, shape (*camera_shape), optional
+        Standard deviation of one picture, see `Light.noise`. It separates lit from dark pixels.
 
     Raises
     ------
@@ -104,8 +104,8 @@ def correspondence_of(transport: Light) -> Correspondence:
     coarse = [_coordinate(transport, floodlit, axis) for axis in (0, 1)]
     places, light = _mean_places(_around(transport, coarse), coarse)
     lit, coefficients = (floodlit > _DARK * floodlit.max()) & (light > 0), _WITHOUT_NOISE
-    if transport.noise is not None:
-        lit &= floodlit > _DEVIATIONS * transport.noise.ravel()
+    if noise is not None:
+        lit &= floodlit > _DEVIATIONS * noise.ravel()
         coefficients = _WITH_NOISE
     share = np.divide(light, floodlit, out=np.zeros_like(light), where=lit)
     camera, stack = transport.camera_shape, RayDomain(transport.camera_shape).stack_shape
@@ -133,12 +133,12 @@ def _mean_places(entries: Float, coarse: list[NDArray[np.int64]]) -> tuple[Doubl
     places, light : ndarray of float64, shapes (camera rays, 2) and (camera rays,)
     """
     # light from everywhere is equal in all dots
-    entries = entries - np.median(entries, axis=(0, 1))
+    contrast = entries - np.median(entries, axis=(0, 1))
     offset = np.arange(_APART) - _APART // 2
-    best = np.argmax(entries.reshape(_APART**2, -1), axis=0)
+    best = np.argmax(contrast.reshape(_APART**2, -1), axis=0)
     brightest = [offset[index] for index in np.unravel_index(best, (_APART, _APART))]
     near = [np.abs(offset[:, None] - index) <= _NEAR for index in brightest]
-    weight = np.maximum(entries, 0) * near[0][:, None] * near[1][None]
+    weight = np.maximum(contrast, 0) * near[0][:, None] * near[1][None]
     light = weight.sum(axis=(0, 1), dtype=np.float64)
     places = [
         middle + 0.5 + np.tensordot(offset, weight.sum(axis=1 - axis), 1) / np.maximum(light, 1e-30)
@@ -184,7 +184,7 @@ def _agreement(places: Double, lit: Mask) -> Double:
     within = np.pad(np.ones_like(lit), border)
     agreeing, available = np.zeros(lit.shape), np.zeros(lit.shape)
 
-    def moved(array: NDArray[np.generic], step: tuple[int, int]) -> NDArray[np.generic]:
+    def moved(array: NDArray[Any], step: tuple[int, int]) -> NDArray[Any]:
         down, right = step
         return array[:, 2 + down : 2 + down + height, 2 + right : 2 + right + width]
 
@@ -198,7 +198,7 @@ def _agreement(places: Double, lit: Mask) -> Double:
     return (agreeing + 0.5) / (available + 1)
 
 
-def _relit(transport: Light, patterns: Float) -> Float:
+def _relit(transport: MatrixAlgebra, patterns: Float) -> Float:
     """Relight with patterns (P, *projector_shape); pictures (P, camera rays), channels summed."""
     channels = range(transport.channels)
     planar = patterns.reshape(len(patterns), 1, -1).repeat(len(channels), axis=1)
@@ -206,7 +206,7 @@ def _relit(transport: Light, patterns: Float) -> Float:
     return images
 
 
-def _coordinate(transport: Light, floodlit: Float, axis: int) -> NDArray[np.int64]:
+def _coordinate(transport: MatrixAlgebra, floodlit: Float, axis: int) -> NDArray[np.int64]:
     """Decode rows (axis 0) or columns (axis 1) of the places to one pixel, (camera rays,)."""
     shape = transport.projector_shape[-2:]
     place = np.arange(shape[axis] + 1)
@@ -227,7 +227,7 @@ def _coordinate(transport: Light, floodlit: Float, axis: int) -> NDArray[np.int6
     return np.minimum(place_of, shape[axis] - 1)
 
 
-def _around(transport: Light, coarse: list[NDArray[np.int64]]) -> Float:
+def _around(transport: MatrixAlgebra, coarse: list[NDArray[np.int64]]) -> Float:
     """Read the transport's entries around each coarse place, (rows, columns, camera rays)."""
     shape = transport.projector_shape[-2:]
     row, column = np.indices(shape)

@@ -98,7 +98,7 @@ class Light(MatrixAlgebra):
         """
         from rfpipe.transport.correspondence import correspondence_of
 
-        return correspondence_of(self)
+        return correspondence_of(self, self.noise)
 
     def relight_environment(
         self, environment: ArrayLike, lights: ArrayLike | None = None, turned: float = 0.0
@@ -176,7 +176,7 @@ class Light(MatrixAlgebra):
         from rfpipe.transport.separation import separated
 
         light = planar_patterns(np.asarray(pattern)[None], self.projector_shape, self.channels)
-        return separated(self, light[0], direct, near)
+        return separated(self, light[0], direct, near, self.noise)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
