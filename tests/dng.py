@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from math import isqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +31,12 @@ def dng_bytes(
     seconds : float
         Exposure time.
     bayer : str
-        Colour mosaic from the upper left corner.
+        Colour mosaic from the upper left corner, 2 x 2 or 6 x 6, row by row.
     black, white : int
         Levels in counts that the file names.
     """
     height, width = mosaic.shape
+    period = isqrt(len(bayer))
     identity = b"".join(struct.pack("<2i", value, 1) for value in np.eye(3, dtype=int).ravel())
     # tag, kind, count, and the value or, longer than four bytes, what stands beside
     entries: list[tuple[int, int, int, int | bytes | None]] = [
@@ -51,8 +53,8 @@ def dng_bytes(
         (277, _SHORT, 1, 1),
         (278, _LONG, 1, height),
         (279, _LONG, 1, mosaic.nbytes),
-        (33421, _SHORT, 2, struct.pack("<2H", 2, 2)),
-        (33422, _BYTE, 4, bytes(_COLORS[color] for color in bayer)),
+        (33421, _SHORT, 2, struct.pack("<2H", period, period)),
+        (33422, _BYTE, period**2, bytes(_COLORS[color] for color in bayer)),
         (33434, _RATIONAL, 1, struct.pack("<2I", round(seconds * 2**20), 2**20)),
         (50706, _BYTE, 4, bytes([1, 4, 0, 0])),
         (50708, _ASCII, 4, b"One\0"),

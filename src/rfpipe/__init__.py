@@ -13,10 +13,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from rfpipe import errors
+from rfpipe.caches import ensure_cache_folders as _ensure_cache_folders
 
 if TYPE_CHECKING:
     from rfpipe.environment import environment_weights as environment_weights
-    from rfpipe.environment import read_lights as read_lights
+    from rfpipe.light_files import read_lights as read_lights
     from rfpipe.photometry import CameraModel as CameraModel
     from rfpipe.relighting import picture_errors as picture_errors
     from rfpipe.relighting import relighting_pictures as relighting_pictures
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from rfpipe.version import __version__ as __version__
     from rfpipe.weights import picture_weights as picture_weights
 
+_ensure_cache_folders()  # before any library looks for its own
+
 _HOMES = {
     "CameraModel": "rfpipe.photometry",
     "Collection": "rfpipe.transport.collection",
@@ -44,7 +47,7 @@ _HOMES = {
     "open_transport": "rfpipe.transport",
     "picture_errors": "rfpipe.relighting",
     "picture_weights": "rfpipe.weights",
-    "read_lights": "rfpipe.environment",
+    "read_lights": "rfpipe.light_files",
     "read_matrix": "rfpipe.transport.matrix_in",
     "relighting_pictures": "rfpipe.relighting",
 }

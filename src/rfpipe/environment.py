@@ -2,73 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path, PureWindowsPath
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 
 Float = NDArray[np.float32]
-
-LIGHT_FILES = ("[!.]*.lp", "light_directions.txt", "light_pos.npy", "lights.npy")
-"""How folders of pictures name the file of their lights."""
-
-
-def lights_in(folder: Path, pictures: Sequence[str]) -> Float | None:
-    """Read the one of `LIGHT_FILES` that lies in a folder or beside its pictures; None without it.
-
-    `pictures` and errors as `read_lights`; InputError if there are several.
-    """
-    patterns = [f"{place}{name}" for place in ("", "pictures/") for name in LIGHT_FILES]
-    files = [file for pattern in patterns for file in sorted(folder.glob(pattern))]
-    if len(files) > 1:
-        names = ", ".join(file.name for file in files)
-        raise InputError(f"{folder}: holds several files of lights, {names}; leave one there")
-    return read_lights(files[0], pictures) if files else None
-
-
-def read_lights(path: str | Path, pictures: Sequence[str] = ()) -> Float:
-    """Read the directions of lights from a file, or their positions around the scene, (lights, 3).
-
-    Parameters
-    ----------
-    path : path
-        A ``.npy`` array (lights, 3); or text, the last three words of each line being numbers, as
-        in the ``.lp`` files of RTI, whose first line is the number of lights.
-    pictures : sequence of str
-        Names of pictures of one light each. Where lines name them, their lights are returned, in
-        the pictures' order; else all in the file's.
-
-    Raises
-    ------
-    InputError
-        If the file isn't there, holds something else or another number of lights than it says; if
-        a light has no direction; if some of the pictures are named, but not all.
-    """
-    path, names = Path(path), list[str]()
-    try:
-        if path.suffix.lower() == ".npy":
-            lights = np.load(path, allow_pickle=False).astype(np.float32)
-        else:
-            text = path.read_text("utf-8-sig")
-            lines = [line.split() for line in text.splitlines() if line.strip()]
-            counted = int(lines.pop(0)[0]) if lines and len(lines[0]) == 1 else len(lines)
-            names = [" ".join(line[:-3]) for line in lines]
-            lights = np.array([line[-3:] for line in lines], np.float32)
-            if counted != len(lines):
-                raise ValueError(f"its first line counts {counted} lights, it has {len(lines)}")
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: no lights, three numbers a line: {error}") from None
-    lights = as_directions(lights, f"{path}: lights")
-    stems = {PureWindowsPath(name).stem.lower(): index for index, name in enumerate(names)}
-    unnamed = [name for name in pictures if Path(name).stem.lower() not in stems]
-    if len(unnamed) == len(pictures):
-        return lights
-    if unnamed:
-        raise InputError(f"{path}: names lights of pictures, but none of {unnamed[0]}")
-    return lights[[stems[Path(name).stem.lower()] for name in pictures]]
 
 
 def as_directions(lights: ArrayLike, name: str = "lights", count: int | None = None) -> Float:

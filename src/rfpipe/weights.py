@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["Curve", "as_weights", "picture_weights"]
+__all__ = ["Curve", "as_weights", "curve_slope", "picture_weights"]
 
 Curve = Literal["linear", "srgb"]
 """How a picture's numbers tell light: in proportion, or by the transfer curve of sRGB."""
@@ -95,3 +95,14 @@ def picture_weights(picture: ArrayLike, curve: Curve = "linear") -> NDArray[np.f
         low = weights <= 0.04045
         weights = np.where(low, weights / 12.92, ((weights + 0.055) / 1.055) ** 2.4)
     return weights.astype(np.float32)
+
+
+def curve_slope(light: NDArray[np.floating], curve: Curve) -> NDArray[np.floating]:
+    """Return the change of linear light per change of a picture's number, of the light's shape.
+
+    Both count from 0 to 1; `light` is linear.
+    """
+    if curve == "linear":
+        return np.ones_like(light)
+    steep = 2.4 / 1.055 * np.maximum(light, 0) ** (1 - 1 / 2.4)
+    return np.where(light <= 0.0031308, 1 / 12.92, steep)

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from rfpipe.config import Config, RigConfig, load_config, parse_config
+from rfpipe.config import Config, RigConfig, load_camera, load_config, parse_config
 from rfpipe.config.files import is_rig
 from rfpipe.config.schema import generated, schema_of
 from rfpipe.errors import ConfigError
@@ -127,6 +127,39 @@ def test_a_mistake_names_key_value_and_what_was_expected(case: str) -> None:
     (line,) = message({**BARE, **yaml.safe_load(text)}).splitlines()
     assert line.startswith("mine.yaml: ")
     assert re.search(re.escape(expected).replace(r"\.\*", ".*"), line), line
+
+
+CAMERAS = """
+{camera: {bits: 14, exposures: [0.5]}} -> 14
+{camera: {bits: 14}, scenes: {a: {kind: wegde}}, nonsense: 3} -> 14
+{camera: {}} -> 12
+{camera: null} -> None
+"""
+NO_CAMERAS = """
+{scenes: {}, seed: 3} -> has no section camera, only scenes, seed; expected 'camera:'
+{bits: 14} -> has no section camera, only bits
+{camera: {bitss: 3}} -> camera.bitss is unknown; did you mean bits?
+{camera: {bits: 99}} -> camera.bits is 99; it should be less than or equal to 16. (Bits of
+{camera: {exposures: [2, 1]}} -> camera: exposures is (2.0, 1.0); it should ascend
+{camera: 14 bits} -> camera is '14 bits'; it should be a group
+[camera] -> holds ['camera']; expected
+{camera: {bits: 14}, camera: {bits: 12}} -> the key 'camera' stands twice
+"""
+
+
+@pytest.mark.parametrize("case", CAMERAS.strip().splitlines())
+def test_the_camera_alone_is_read_from_settings(tmp_path: Path, case: str) -> None:
+    text, _, expected = case.partition(" -> ")
+    camera = load_camera(write(tmp_path, text))
+    assert str(camera and camera.bits) == expected
+
+
+@pytest.mark.parametrize("case", NO_CAMERAS.strip().splitlines())
+def test_a_camera_with_mistakes_is_refused(tmp_path: Path, case: str) -> None:
+    text, _, expected = case.partition(" -> ")
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError, match=f"{re.escape(str(path))}.*{re.escape(expected)}"):
+        load_camera(path)
 
 
 def test_a_scene_overrides_options_of_the_run() -> None:

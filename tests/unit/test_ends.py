@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
 
 from rfpipe.stages.jobs import ends
-from rfpipe.stages.jobs.ends import notify
+from rfpipe.stages.jobs.ends import notify, run_again, write_run
 
 
 @pytest.mark.parametrize(
@@ -34,3 +35,18 @@ def test_the_command_knows_how_the_run_ended(tmp_path: Path) -> None:
     notify(shlex.join([sys.executable, "-c", code, str(tmp_path / "told")]), "failed", "log")
     assert (tmp_path / "told").read_text() == "failed"
     notify(None, "done", "log")
+
+
+def test_a_copied_run_runs_again_with_its_own_settings(tmp_path: Path) -> None:
+    run, copy = tmp_path / "run", tmp_path / "a copy"
+    (run / "results").mkdir(parents=True)
+    files = [run / "mine.yaml", run / "more" / "mine.yaml", tmp_path / "lab.yaml"]
+    write_run(run / "results", tmp_path / "Snakefile", files, {"seed": 3})
+    shutil.copytree(run, copy)
+    for folder in (run, copy):
+        command = shlex.split(run_again(folder / "results"))
+        assert command[1:] == [
+            "run", "--directory", f"{folder}", "--snakefile", f"{tmp_path}/Snakefile",
+            "--configfile", f"{folder}/mine.yaml", f"{folder}/more/mine.yaml",
+            f"{tmp_path}/lab.yaml", "--config", "seed=3",
+        ]  # fmt: skip

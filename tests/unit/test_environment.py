@@ -8,8 +8,8 @@ import pytest
 from tests.helpers import run
 
 import rfpipe
-from rfpipe.environment import LIGHT_FILES
 from rfpipe.errors import InputError
+from rfpipe.light_files import LIGHT_FILES
 from rfpipe.pictures.images import read_image, write_image
 
 RANDOM = np.random.default_rng(5)
@@ -80,15 +80,11 @@ def test_a_panorama_that_turns_as_a_movie_and_as_pictures(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("lights", "options", "message"),
     [
-        (
-            LIGHTS[1:],
-            (),
-            "10 directions of lights for 11|but none of light_10.exr",
-        ),
-        (LIGHTS[1:], ("--lights", 1, 11), "10 directions of lights for 11|none of light_10.exr"),
+        (LIGHTS[1:], (), "10 directions of lights for 11|no line for the picture light_10"),
+        (LIGHTS[1:], ("--lights", 1, 11), "10 directions.* for 11|no line for .* light_10"),
         (np.where(np.eye(COUNT, 1, -4), 0, LIGHTS), (), "has no direction"),
         (np.where(np.eye(COUNT, 1, -4), np.nan, LIGHTS), (), "has no direction"),
-        (LIGHTS[:, :2], (), r"no lights|\(lights, 3\)"),
+        (LIGHTS[:, :2], (), r"three numbers|\(lights, 3\)"),
     ],
 )
 @pytest.mark.parametrize("name", ["dome.lp", "light_pos.npy"])

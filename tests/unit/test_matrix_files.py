@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -129,6 +130,62 @@ def test_what_is_wrong_is_said(tmp_path: Path, name: str, message: str) -> None:
     (tmp_path / "t.txt").touch()
     with pytest.raises(InputError, match=message):
         read(tmp_path / name)
+
+
+COMPLEX = T[0] + 1e-9j
+PAIR = np.zeros((20, 18), [("real", "f8"), ("imag", "f8")])
+SPARSE = [sparse.csr_array, sparse.coo_array, sparse.bsr_array, sparse.dia_array, sparse.csc_matrix]
+
+
+def write_hdf5(path: Path, data: np.ndarray, kind: bytes | None = None) -> None:
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("T", data=data)
+        if kind:
+            dataset.attrs["MATLAB_class"] = np.bytes_(kind)
+
+
+NOT_REAL = {
+    "dense.npy": lambda path: np.save(path, COMPLEX),
+    "structured.npy": lambda path: np.save(path, PAIR),
+    "objects.npy": lambda path: np.save(path, T.astype(object), allow_pickle=True),
+    "dates.npy": lambda path: np.save(path, np.zeros((20, 18), "M8[s]")),
+    "dense.npz": lambda path: np.savez(path, T=COMPLEX),
+    "objects.npz": lambda path: np.savez(path, T=T.astype(object)),
+    **{
+        f"{kind.__name__}.npz": lambda path, kind=kind: sparse.save_npz(path, kind(COMPLEX))
+        for kind in SPARSE
+    },
+    "dense.mat": lambda path: scipy.io.savemat(path, {"T": COMPLEX}),
+    "sparse.mat": lambda path: scipy.io.savemat(path, {"T": sparse.csc_array(COMPLEX)}),
+    "cells.mat": lambda path: scipy.io.savemat(path, {"T": np.array([T[0], None, ""], object)[:1]}),
+    "struct.mat": lambda path: scipy.io.savemat(path, {"T": {"a": T}}),
+    "text.mat": lambda path: scipy.io.savemat(path, {"T": "text"}),
+    "dense_73.mat": lambda path: write_hdf5(path, PAIR.T, b"double"),
+    "text_73.mat": lambda path: write_hdf5(path, np.ones((18, 20), "u2"), b"char"),
+    "dense.h5": lambda path: write_hdf5(path, COMPLEX),
+    "pair.h5": lambda path: write_hdf5(path, PAIR),
+    "empty.h5": lambda path: write_hdf5(path, h5py.Empty("f4")),
+    "dense.zarr": lambda path: zarr.open_group(path, mode="w").create_array("T", data=COMPLEX),
+}
+
+
+@pytest.mark.parametrize("name", NOT_REAL)
+@pytest.mark.filterwarnings("error")
+def test_matrices_that_are_not_real_are_refused(tmp_path: Path, name: str) -> None:
+    NOT_REAL[name](tmp_path / name)
+    expected = "real numbers|Object arrays cannot be loaded"
+    with pytest.raises(InputError, match=rf"{re.escape(name)}: .*(?:{expected})"):
+        read(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", ["bool", "uint8", "int32", "float16", ">f4", "longdouble"])
+def test_matrices_of_any_real_kind_are_read(tmp_path: Path, kind: str) -> None:
+    values = (4 * T[0]).astype(kind)
+    np.save(tmp_path / "dense.npy", values)
+    np.testing.assert_array_equal(read(tmp_path / "dense.npy")[0], values)
+    if kind not in ("float16", ">f4", "longdouble"):  # which sparse matrices don't have
+        sparse.save_npz(tmp_path / "sparse.npz", sparse.csr_array(values))
+        np.testing.assert_array_equal(read(tmp_path / "sparse.npz")[0], values)
 
 
 class TestMatrixScene(SceneContract):

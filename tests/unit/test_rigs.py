@@ -101,6 +101,8 @@ def test_impossible_entries_are_named(wrap: Any, value: float) -> None:
     [
         (np.ones((21, 20)), r"channel 0 has the shape \(21, 20\).*\(20 camera rays, 21 projector"),
         (MATRICES.astype(complex), "dtype complex128; expected real numbers"),
+        (sparse.csr_array(MATRICES[0].astype(complex)), "dtype complex128; expected real numbers"),
+        (aslinearoperator(MATRICES[0].astype(complex)), "dtype complex128; expected real"),
         ([], "no channels"),
         (MATRICES[:2], "2 channels; expected 1 or 3"),
         (np.moveaxis(MATRICES, 0, -1), r"shape \(21, 3\).*channels first"),

@@ -26,4 +26,4 @@ def test_an_installed_rfpipe_runs_its_workflow_anywhere(tmp_path: Path) -> None:
     subprocess.run(command, cwd=tmp_path, env=environment, check=True)
     assert (tmp_path / "results/tiny/brute_force/transport.zarr").is_dir()
     options = read_manifest(tmp_path / "results/run.json")["options"]
-    assert str(site / "rfpipe/_workflow/Snakefile") in options
+    assert "site/rfpipe/_workflow/Snakefile" in options  # relative: the run can be copied

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from functools import partial
@@ -28,6 +29,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.stages.plan import Plan, plan_of, stages_of
+from rfpipe.store import read_manifest, write_manifest
 
 SHAPE = (4, 5)
 SETTINGS: dict[str, Any] = {
@@ -218,6 +220,45 @@ def test_a_sheet_with_other_pictures_is_not_replaced(level_0: Path) -> None:
         read_sheet(root)
 
 
+@pytest.mark.parametrize("is_renamed", [False, True])
+def test_a_copied_run_imports_into_its_own_results(level_0: Path, is_renamed: bool) -> None:
+    root = level_0.parents[1]
+    other = root.with_name(f"{root.name}_other")
+    shutil.move(root, other) if is_renamed else shutil.copytree(root, other)
+    assert "brackets imported" in command("import", other / level_0.relative_to(root))
+    assert list(other.glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+    assert not list(root.glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+    assert str(root) + "/" not in (sheets(other / "p")[-1] / "patterns.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("lacking", "message"), [("mine.yaml", "settings should be at"), ("r", "results should be at")]
+)
+def test_a_sheet_apart_from_its_run_is_refused(level_0: Path, lacking: str, message: str) -> None:
+    root = level_0.parents[1]
+    moved = root / "elsewhere"
+    (root / lacking).rename(moved)
+    output = command("import", level_0, fails=True)
+    assert re.search(rf"patterns\.json: the run's {message} \.\./\.\./{lacking}.*", output)
+    assert "write the patterns again" in output
+    settings = moved if lacking == "mine.yaml" else root / "mine.yaml"
+    results = moved if lacking == "r" else root / "r"
+    command("patterns", settings, "-o", root / "p", "--results", results)
+    assert "brackets imported" in command("import", level_0)
+    assert list(results.glob("desk/symmetric/L00/reference.zarr/c.*"))
+
+
+def test_a_sheet_with_absolute_paths_is_refused(level_0: Path) -> None:
+    root = level_0.parents[1]
+    manifest = level_0 / "patterns.json"
+    stated = read_manifest(manifest)
+    stated["about"]["results"] = str(root / "r")
+    write_manifest(manifest, stated)
+    assert "absolute path" in command("import", level_0, fails=True)
+    command("patterns", root / "mine.yaml", "-o", root / "p", "--results", root / "r")
+    assert "brackets imported" in command("import", level_0)
+
+
 def test_rays_in_a_part_of_larger_pictures() -> None:
     corners = [[[2, 1], [12, 1], [12, 9], [2, 9]]]
     offline = {"picture_shape": [11, 15], "camera_corners": corners}
@@ -228,6 +269,23 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
     mean = picture[1:9, 2:12].reshape(4, 2, 5, 2).mean(axis=(1, 3))
     seen = rig.sensor.resampling.matrix @ picture.ravel()
     np.testing.assert_allclose(seen, mean.ravel(), rtol=1e-6)
+
+
+def test_a_raw_file_of_another_mosaic_is_refused(tmp_path: Path) -> None:
+    """Red and blue would be exchanged, and the mosaic of X-Trans sensors taken for gray."""
+    scenes = {"desk": {"kind": "captured", "shape": [36, 48], "channels": 3}}
+    changes = {"scenes": scenes, "camera": {**QUIET, "bayer": "RGGB"}}
+    path = settings_file(tmp_path, **changes, offline={"projector_shape": [72, 96]})
+    command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
+    (sheet,) = sheets(tmp_path / "p")
+    counts = np.full((36, 48), 900, np.uint16)
+    x_trans = "GBGGRGRGRBGBGBGGRGGRGGBGBGBRGRGRGGBG"
+    for mosaic, message in (("BGGR", "colour mosaic BGGR"), (x_trans, "colour mosaic X-Trans")):
+        (sheet / "pictures").mkdir(exist_ok=True)
+        (sheet / "pictures" / "IMG_0.dng").write_bytes(dng_bytes(counts, 0.25, mosaic))
+        told = command("import", sheet, fails=True)
+        assert message in told
+        assert "camera.bayer is RGGB" in told
 
 
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ if SETTINGS.rig_file is not None:
 
     RIG = load_rig_config(SETTINGS.rig_file)
     CALIBRATION = RIG.calibration or "calibration"
+    check_no_braces(f"{SETTINGS.rig_file}: calibration", CALIBRATION)
     CALIBRATION_STEPS = steps_of(RIG.calibrate)
 
     rule calibration_step:

@@ -1,11 +1,13 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
 from functools import cache, partial
+from pathlib import Path
 
 import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.errors import ConfigError
 from rfpipe.provenance import code_digest
+from rfpipe.stages.jobs.ends import check_no_braces
 from rfpipe.stages.jobs.workers import machine_memory_mb
 from rfpipe.stages.plan import code_of, plan_of, rig_of, stages_of
 
@@ -18,6 +20,9 @@ SETTINGS = parse_config(
 )
 # All settings but those that shape no result.
 SHAPING = SETTINGS.shaping()
+
+check_no_braces("the run's folder", Path.cwd())
+check_no_braces("the workflow's folder", Path(workflow.current_basedir))
 
 if workflow.storage_settings.default_storage_provider:
     raise ConfigError(

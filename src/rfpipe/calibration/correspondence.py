@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
+from rfpipe.gray_code import gray_bits, gray_code, gray_number
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
 from rfpipe.rigs.layout import Quadrilateral, apply_homography, homography, pixel_middles
 
@@ -45,15 +46,14 @@ class AxisCode:
     @property
     def bits(self) -> int:
         """Bits of the Gray code, whose cells are a quarter of a period."""
-        return max(1, (-(-self.extent // (self.period // _CELLS)) - 1).bit_length())
+        return max(1, gray_bits(-(-self.extent // (self.period // _CELLS))))
 
     def lines(self) -> list[Float]:
         """Return the weights along the axis of each picture: bits, each inverted; sinusoids."""
         pixel = np.arange(self.extent)
         cell = pixel // (self.period // _CELLS)
         lines = []
-        for bit in reversed(range(self.bits)):
-            code = ((cell ^ (cell >> 1)) >> bit & 1).astype(np.float32)
+        for code in gray_code(cell, self.bits).astype(np.float32):
             lines += [code, 1 - code]
         for period in (self.period, _COARSER * self.period):
             for step in range(_STEPS):
@@ -77,9 +77,7 @@ class AxisCode:
         bright, inverse = images[:split:2], images[1:split:2]
         spread = np.sqrt(variance[:split:2] + variance[1:split:2])
         weak = (np.abs(bright - inverse) <= _WEAK * spread).sum(axis=0)
-        binary = np.logical_xor.accumulate(bright > inverse, axis=0)
-        cell = np.tensordot(1 << np.arange(self.bits)[::-1], binary, 1)
-        coarse = (cell + 0.5) * (self.period // _CELLS)
+        coarse = (gray_number(bright > inverse) + 0.5) * (self.period // _CELLS)
         amplitude, phase = self._wave(images[split : split + _STEPS])
         smooth, _ = self._wave(images[split + _STEPS :])
         noise = np.sqrt(variance[split:].mean(axis=0) * 2 / _STEPS)

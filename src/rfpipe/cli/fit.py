@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,7 +28,15 @@ def fit(
             metavar="ROWS COLUMNS",
             help="One light at a time instead of patterns, OLAT: how the lights stand; 1 N for a "
             "light stage. Needless where a file of their directions or positions lies in FOLDER: "
-            "any .lp of RTI, light_directions.txt, light_pos.npy or lights.npy.",
+            "any .lp of RTI, light_directions.txt, lights.txt, light_pos.npy or lights.npy.",
+        ),
+    ] = None,
+    patterns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CODE",
+            help="Name of the code that the pictures show, such as gray:1920x1080 (OpenCV's Gray "
+            "code) or phase:1920x1080,period=32,steps=4; docs/photographs.md has all options.",
         ),
     ] = None,
     settings: Annotated[
@@ -40,12 +49,27 @@ def fit(
     black: Annotated[
         Path | None, typer.Option(help="A picture without light to subtract, or a folder of some.")
     ] = None,
+    ambient: Annotated[
+        Path | None, typer.Option(help="A picture of the room's light alone, to subtract as well.")
+    ] = None,
     transfer: Annotated[
         Literal["linear", "srgb"] | None,
         typer.Option(
-            help="What integers in pictures stand for; by default linear, beside cam/raw srgb."
+            help="Transfer curve of integers in pictures; by default linear, beside cam/raw srgb."
         ),
     ] = None,
+    camera_bin: Annotated[
+        int | None,
+        typer.Option(min=1, help="Average pictures over squares of so many pixels a side."),
+    ] = None,
+    projector_bin: Annotated[
+        int | None,
+        typer.Option(min=1, help="Average patterns over squares of so many pixels a side."),
+    ] = None,
+    memory_gib: Annotated[
+        float,
+        typer.Option(min=0.1, help="Memory that the fit may take; bins are chosen accordingly."),
+    ] = 2.0,
     coaxial: Annotated[
         bool, typer.Option("--coaxial", help="Camera and projector share their rays.")
     ] = False,
@@ -53,30 +77,41 @@ def fit(
         bool, typer.Option("--anyway", help="Write a transport that is worth nothing, too.")
     ] = False,
 ) -> None:
-    """Find the light transport behind pictures of patterns that were chosen elsewhere.
+    """Fit the light transport to pictures of patterns that were chosen elsewhere.
 
-    Patterns may be one light at a time, Hadamard, random or any others, as weights of light.
-    Where they tell of each projector ray by itself, the transport follows directly; where they are
-    few, from what is most probable, on a coaxial rig by the model of near_far. Coloured patterns
-    light each channel by itself. How far it is off is told by pictures that are left out, or are
-    there for validation. Nothing is written where pictures contradict the
-    others, or the patterns are too few to tell much more than their mean. The transport opens in
-    Python by rfpipe.open_transport, and relights by 'rfpipe relight'.
+    Patterns may be one light at a time, Gray code, Hadamard, random or any others, as weights of
+    light. Models are least squares, footprints with smooth light, and, on a coaxial rig, near/far;
+    the one that predicts left-out pictures best fits all of them. Its error is that of these
+    pictures, or of those that are there for validation. Coloured patterns light each channel by
+    itself. Nothing is written where pictures contradict each other, or where left-out ones are
+    predicted no better than by the mean picture. The transport opens in Python by
+    rfpipe.open_transport, and relights by 'rfpipe relight'.
     """
-    from rfpipe.config import load_config
+    from rfpipe.config import load_camera
     from rfpipe.errors import InputError
     from rfpipe.fitting import fit_transport, read_series
     from rfpipe.photometry import CameraModel, sensor_from_config
+    from rfpipe.stages.jobs.job import Progress
+    from rfpipe.steps import counted_by
     from rfpipe.transport import save_transport
 
     camera = None
     if settings is not None:
-        sensor = sensor_from_config(load_config(settings).camera)
+        sensor = sensor_from_config(load_camera(settings))
         if not isinstance(sensor, CameraModel):
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor
-    series = read_series(folder, lights=lights, camera=camera, black=black, transfer=transfer)
-    result = fit_transport(series, coaxial=coaxial, anyway=anyway)
+    series = read_series(
+        folder, lights=lights, patterns=patterns, camera=camera, black=black, ambient=ambient,
+        transfer=transfer, camera_bin=camera_bin, projector_bin=projector_bin,
+        memory_gib=memory_gib, progress=True,
+    )  # fmt: skip
+    for note in series.notes:
+        typer.echo(f"note: {note}", err=True)
+    with counted_by(partial(Progress, unit="step")):
+        result = fit_transport(series, coaxial=coaxial, anyway=anyway, memory_gib=memory_gib)
+    for note in result.notes[len(series.notes) :]:
+        typer.echo(f"note: {note}", err=True)
     save_transport(result.transport, output, scene=folder.name, method="fit")
     training = series.training
     count, *_, rays = training.patterns.shape
@@ -85,8 +120,9 @@ def fit(
         f"({'complete' if result.complete else f'{training.rank} independent'}), by {result.model}"
         f"{'' if series.lights is None else ', with the directions of lights'}"
     )
-    typer.echo(
-        "no error is known: each pattern is needed. A few more patterns would tell"
-        if result.error is None
-        else f"left-out pictures ({result.held_out}) are off by {result.error:.2%}"
-    )
+    if result.error is None:
+        typer.echo("no error is known: each pattern is needed. A few more patterns would tell")
+        return
+    typer.echo(f"left-out pictures ({result.held_out}) are off by {result.error:.2%}")
+    others = {name: error for name, error in result.errors.items() if name != result.model}
+    typer.echo("; ".join(f"by {name} {error:.2%}" for name, error in others.items()))

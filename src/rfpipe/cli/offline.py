@@ -69,12 +69,12 @@ def import_(
     from rfpipe.config import load_config
     from rfpipe.errors import CaptureError
     from rfpipe.pictures import picture_files
-    from rfpipe.rigs.offline import PICTURES, read_sheet
+    from rfpipe.rigs.offline import PICTURES, read_sheet, run_paths
     from rfpipe.stages.offline import OfflineAcquisition
 
     sheet = read_sheet(folder)
     about = sheet.about
-    config, results = Path(about["settings"]), Path(about["results"])
+    config, results = run_paths(sheet)
     scene, name = about["scene"], about["method"]
     acquisition = OfflineAcquisition(load_config(config), scene, name, results / scene / name)
     if take_back:

@@ -41,14 +41,17 @@ def run(context: typer.Context) -> None:
     files, folder = arguments.configfile, arguments.directory
     from rfpipe.config import load_config, read_yaml
     from rfpipe.provenance import workflow_folder
-    from rfpipe.stages.jobs.ends import program
+    from rfpipe.stages.jobs.ends import check_no_braces, program
 
+    check_no_braces("the run's folder", folder.absolute())
     for file in files:
         read_yaml(file)
     if len(files) == 1:
         with _working_in(folder, Path(files[0])) as settings:
             load_config(settings)
     is_named = arguments.snakefile or Path("Snakefile").is_file()
+    if not is_named:
+        check_no_braces("rfpipe's own folder", workflow_folder())
     own = [] if is_named else ["--snakefile", str(workflow_folder() / "Snakefile")]
     ended = _to_its_end([program("snakemake"), *own, *context.args])
     if ended:

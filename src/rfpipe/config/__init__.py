@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rfpipe.config.devices import BenchConfig as BenchConfig
     from rfpipe.config.devices import CalibrationConfig as CalibrationConfig
     from rfpipe.config.devices import RigConfig as RigConfig
+    from rfpipe.config.files import load_camera as load_camera
     from rfpipe.config.files import load_config as load_config
     from rfpipe.config.files import load_rig_config as load_rig_config
     from rfpipe.config.files import parse_config as parse_config
@@ -26,11 +27,13 @@ _MODULES = {
     "camera": ["CameraConfig"],
     "capture": ["OfflineConfig", "StorageConfig"],
     "devices": ["BenchConfig", "CalibrationConfig", "RigConfig"],
-    "files": ["load_config", "load_rig_config", "parse_config", "parse_rig_config"],
+    "files": [
+        "load_camera", "load_config", "load_rig_config", "parse_config", "parse_rig_config",
+    ],
     "model": ["Config"],
     "reading": ["read_yaml"],
     "scenes": ["SceneSettings"],
-}
+}  # fmt: skip
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import ConfigDict, ValidationError
 
-from rfpipe.config.base import Location, Settings, located, shown
+from rfpipe.config.base import Location, Settings, located, setting, shown
+from rfpipe.config.camera import CameraConfig
 from rfpipe.config.devices import RigConfig
 from rfpipe.config.model import DEFAULT_METHODS, Config
 from rfpipe.config.reading import Collection, read_collection, read_yaml
@@ -68,6 +69,42 @@ def _collection(data: Mapping[str, Any], folders: Sequence[Path]) -> Collection 
         place = f"{file}: {collection.places[scene]}"
         collection.problems.append(f"{place}: the settings have a scene {scene}, too")
     return collection
+
+
+class _CameraSection(Settings):
+    """The camera's section of a run's settings; others are not checked."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    camera: CameraConfig | None = setting(None, "Numbers of the camera; null for exact radiance.")
+
+
+def load_camera(path: str | Path) -> CameraConfig | None:
+    """Read the camera's numbers from the settings of a run, whatever its other sections.
+
+    Parameters
+    ----------
+    path : path
+        A YAML file with a section ``camera``, alone or among others.
+
+    Returns
+    -------
+    CameraConfig or None
+        None where the section is null, which stands for pictures of exact radiance.
+
+    Raises
+    ------
+    ConfigError
+        When the file can't be read, has no section ``camera``, or that has mistakes: with the
+        file, the key, the value and what was expected.
+    """
+    data = read_yaml(path)
+    if isinstance(data, Mapping) and "camera" not in data:
+        raise ConfigError(
+            f"{path}: has no section camera, only {', '.join(map(str, data))}; expected 'camera:' "
+            f"and below it the camera's numbers, such as {', '.join(CameraConfig.model_fields)}"
+        )
+    return _parsed(_CameraSection, data, str(path)).camera
 
 
 def load_rig_config(path: str | Path) -> RigConfig:

@@ -76,13 +76,14 @@ def write_photographs(
     Returns
     -------
     float
-        The radiance shown as white in a PNG: the brightest under white light.
+        The radiance shown as white in a PNG: a tenth more than the brightest under white light, so
+        that no pixel counts as saturated.
     """
     if training < 1 or validation < 0:
         raise InputError(f"{training} training and {validation} validation patterns; expected some")
     if folder.exists():
         raise InputError(f"{folder}: is there already; remove it, or name another folder")
-    white = float(light.relight(np.ones(light.projector_shape)).max())
+    white = 1.1 * float(light.relight(np.ones(light.projector_shape)).max())
     new = hidden_sibling(folder, "new")
     try:
         remove_tree(new)

@@ -1,23 +1,54 @@
-"""Which model predicts pictures that it didn't see best, and how well."""
+"""Choice of the model that predicts left-out pictures best."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import ceil, log2
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.fitting.linear import solve_linear, strange_pictures
+from rfpipe.fitting.footprints import LEAST_PICTURES, solve_footprints, unfit_for_footprints
+from rfpipe.fitting.held_out import dependents, held_out_pictures, mean_error, mean_picture
+from rfpipe.fitting.least_squares import solve_least_squares, strange_pictures
+from rfpipe.fitting.near_far import solve_near_far, unfit_for_near_far
+from rfpipe.fitting.noise import with_estimated_noise
 from rfpipe.fitting.series import Series
-from rfpipe.methods.adaptive.residual import Canvas, residual_of
-from rfpipe.methods.adaptive.smooth import as_transport, fit
-from rfpipe.methods.images import Pictures
-from rfpipe.methods.states import joined, level_row
-from rfpipe.provenance import generator
-from rfpipe.relighting import relative_errors
+from rfpipe.methods.states import level_row
 from rfpipe.transport.base import Transport
+
+Solve = Callable[[Series, list[dict[str, Any]]], Transport]
+
+# Camera rays that estimate the error of least squares, whose rows are independent, of more.
+_ENOUGH_RAYS = 2048
+# Share of the mean picture's error above which a note says that the transport is hardly better.
+_HARDLY_BETTER = 0.7
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model of the transport.
+
+    Attributes
+    ----------
+    name : str
+    solve : callable
+        Fits a Series; takes the transport's table of levels, too.
+    by_ray : bool
+        Whether each camera ray is fitted by itself.
+    """
+
+    name: str
+    solve: Solve
+    by_ray: bool = False
+
+
+LEAST_SQUARES = Model("least squares", solve_least_squares, by_ray=True)
+FOOTPRINTS = Model("footprints with smooth light", solve_footprints)
+NEAR_FAR = Model("near/far", solve_near_far)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +60,19 @@ class Fit:
     transport : Transport
         From all pictures. Its ``history`` has the error, where there is one.
     model : str
-        ``least squares`` or ``near/far``.
+        Name of the model.
     complete : bool
-        Whether the patterns tell of each projector ray by itself.
+        Whether the patterns determine each projector ray by themselves.
     error : float or None
         Mean error of pictures that were left out of a first fit, or that the series has for
         validation, relative to their norms, less the noise that they are known to have. None where
         each pattern is needed.
     held_out : int
-        These pictures.
+        Number of these pictures.
+    errors : dict of str to float
+        The same error of each model that was tried, and of ``the mean picture``.
+    notes : tuple of str
+        Remarks for the user.
     """
 
     transport: Transport
@@ -45,122 +80,166 @@ class Fit:
     complete: bool
     error: float | None
     held_out: int
+    errors: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
-def fit_transport(series: Series, *, coaxial: bool = False, anyway: bool = False) -> Fit:
-    """Find the light transport behind pictures.
+@dataclass(frozen=True)
+class _Trial:
+    """Errors of models on pictures that no fit uses.
+
+    Attributes
+    ----------
+    held_out : Series
+    errors : dict of str to float
+        By the model's name.
+    mean_picture : float
+        Error of the mean picture times the pattern's light.
+    """
+
+    held_out: Series
+    errors: dict[str, float]
+    mean_picture: float
+
+
+def fit_transport(
+    series: Series, *, coaxial: bool = False, anyway: bool = False, memory_gib: float = 2.0
+) -> Fit:
+    """Fit the light transport to pictures, by the model that predicts left-out ones best.
 
     Parameters
     ----------
     series : Series
     coaxial : bool
-        Whether camera and projector share their rays. Near/far's model is fitted, too, and taken
-        where it predicts pictures better that are left out of the fits.
+        Whether camera and projector share their rays: near/far's model is tried, too.
     anyway : bool
-        Whether to return a transport that is worth little, too.
+        Whether to return a transport whose pictures contradict each other, or that predicts
+        left-out pictures no better than their mean.
+    memory_gib : float
+        Memory that a transport by least squares may take, in GiB.
 
     Raises
     ------
     InputError
-        When the pictures of a coaxial rig don't allow near/far's model; when pictures contradict
-        the others, or the patterns tell of little more than the mean picture.
+        When the pictures of a coaxial rig don't allow near/far's model, contradict each other, or
+        determine too little.
     """
-    models = {"least squares": solve_linear}
-    if coaxial:
-        _check_coaxial(series)
-        models["near/far"] = _solve_near_far
-    training, validates = series.training, series.validation.any()
-    held = np.flatnonzero(series.validation) if validates else _held_out(series)
-    rest = series.some(np.setdiff1d(np.arange(len(series.patterns)), held))
-    complete, left_out = training.is_complete, series.some(held)
-    errors: dict[str, float] = {}
-    # of patterns that are just complete, one that is left out isn't told of by the others
-    if validates or (held.size and not (complete and not rest.is_complete)):
-        colours = range(series.channels)
-        shown = np.repeat(left_out.patterns, len(colours) // left_out.patterns.shape[1], axis=1)
-        errors = {
-            name: _error(solve(rest, []).forward(shown, colours), left_out)
-            for name, solve in models.items()
-        }
-    best = min(errors, key=lambda name: errors[name]) if errors else "least squares"
+    series = with_estimated_noise(series)
+    models = _models(series, coaxial)
+    trial = _trial(series, models)
+    training = series.training
+    notes = list(series.notes)
+    if doubts := _doubts(training, trial):
+        if not anyway:
+            raise InputError(f"{doubts} To write the transport all the same: --anyway")
+        notes.append(doubts)
+    errors = trial.errors if trial else {}
+    best = min(models, key=lambda model: errors.get(model.name, 0.0))
+    if best is LEAST_SQUARES:
+        _check_memory(series, memory_gib)
     row = level_row(0, len(training.patterns))
-    if errors:
-        row["estimated_error"] = errors[best]
-        doubts = _doubts(training, rest, left_out, errors[best])
-        if doubts and not anyway:
-            raise InputError(f"{doubts} To take them all the same: --anyway")
-    transport = models[best](training, [row])
+    if trial:
+        row["estimated_error"] = errors[best.name]
+        if errors[best.name] > _HARDLY_BETTER * trial.mean_picture:
+            notes.append(_few_pictures(training))
+    transport = best.solve(training, [row])
     transport.lights = series.lights
-    return Fit(transport, best, complete, errors.get(best), len(held) if errors else 0)
-
-
-def _doubts(series: Series, rest: Series, held: Series, error: float) -> str:
-    """Say which pictures contradict the others, or that the fit is hardly better than a mean."""
-    if (strange := strange_pictures(series)).size:
-        names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
-        worst = ", ".join(names[index] for index in strange[:4])
-        return f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"
-    light = rest.patterns.mean(axis=(0, 2), dtype=np.float64)
-    mean = rest.radiance.mean(axis=0, dtype=np.float64) / light[:, None]
-    by_mean = _error(held.patterns.mean(axis=2)[..., None] * mean, held)
-    if error <= 0.5 * by_mean:
-        return ""
-    rank, rays = series.rank, series.patterns.shape[-1]
-    return (
-        f"left-out pictures are off by {error:.0%}, by {by_mean:.0%} where each is taken for the "
-        f"mean one: {rank} independent patterns tell too little of {rays} rays. Take "
-        f"{max(rays - rank, 0)} more and in less noise, see that none are exchanged, or give "
-        "--coaxial where camera and projector share their rays."
+    return Fit(
+        transport,
+        best.name,
+        training.is_complete,
+        errors.get(best.name),
+        len(trial.held_out.patterns) if trial else 0,
+        {**errors, "the mean picture": trial.mean_picture} if trial else {},
+        tuple(notes),
     )
 
 
-def _check_coaxial(series: Series) -> None:
-    patterns, white = series.patterns, series.patterns.all(axis=-1)
-    if series.camera_shape != series.projector_shape:
-        raise InputError(
-            f"a coaxial rig has one shape of rays, not {series.camera_shape} camera and "
-            f"{series.projector_shape} projector rays"
+def _models(series: Series, coaxial: bool) -> list[Model]:
+    """Return the models that fit a rig and its pictures, the simplest first."""
+    models = [LEAST_SQUARES]
+    if not unfit_for_footprints(series.training):
+        models.append(FOOTPRINTS)
+    if coaxial:
+        if reason := unfit_for_near_far(series):
+            raise InputError(reason)
+        models.append(NEAR_FAR)
+    return models
+
+
+def _trial(series: Series, models: list[Model]) -> _Trial | None:
+    """Fit the models without some pictures and predict these; None where each one is needed."""
+    validation = np.flatnonzero(series.validation)
+    held = validation if validation.size else held_out_pictures(series)
+    unused = dependents(series, held)
+    remaining = series.some(np.setdiff1d(np.arange(len(series.patterns)), unused))
+    if not held.size or not len(remaining.patterns):
+        return None
+    # of patterns that are just complete, the others don't determine one that is left out
+    if not validation.size and series.is_complete and not remaining.is_complete:
+        return None
+    held_out = series.some(held)
+    errors = {}
+    for model in models:
+        if model is FOOTPRINTS and unfit_for_footprints(remaining):
+            continue
+        errors[model.name] = _error_of(model, remaining, held_out)
+    predicted = mean_picture(remaining, held_out.patterns)
+    return _Trial(held_out, errors, mean_error(predicted, held_out))
+
+
+def _error_of(model: Model, training: Series, held_out: Series) -> float:
+    """Return the error of pictures that a fit to others predicts."""
+    if model.by_ray:
+        rays = np.flatnonzero(training.known)
+        chosen = rays[np.unique(np.linspace(0, len(rays) - 1, _ENOUGH_RAYS).astype(np.int64))]
+        training, held_out = training.of_rays(chosen), held_out.of_rays(chosen)
+    channels = range(held_out.channels)
+    shown = np.repeat(held_out.patterns, len(channels) // held_out.patterns.shape[1], axis=1)
+    predicted: NDArray[np.float32] = model.solve(training, []).forward(shown, channels)
+    return mean_error(predicted, held_out)
+
+
+def _doubts(series: Series, trial: _Trial | None) -> str:
+    """Return what is wrong with pictures and how to mend it, or an empty string."""
+    if series.is_complete and (strange := strange_pictures(series)).size:
+        names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
+        worst = ", ".join(names[index] for index in strange[:4])
+        return f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"
+    if trial is None or min(trial.errors.values()) < trial.mean_picture:
+        return ""
+    return (
+        f"left-out pictures are off by {min(trial.errors.values()):.0%}, by "
+        f"{trial.mean_picture:.0%} where each is taken for the mean picture times its pattern's "
+        f"light. {_few_pictures(series)}"
+    )
+
+
+def _few_pictures(series: Series) -> str:
+    """Return how many pictures would help."""
+    height, width = series.projector_shape[-2:]
+    bits = sum(max(1, ceil(log2(length))) for length in (height, width))
+    code, rank = 2 * bits + 2, series.rank
+    rays = series.patterns.shape[2]
+    if rank < min(bits + 1, rays):
+        return (
+            f"{rank} independent patterns determine too little of {rays} rays: a Gray code of "
+            f"this projector has {code} pictures with complements, white and black; take at least "
+            f"{max(bits + 1 - rank, LEAST_PICTURES - rank, 1)} more"
         )
-    are_binary = patterns.shape[1] == 1 and ((patterns == 0) | (patterns == 1)).all()
-    if not are_binary or not white.any() or white.all():
+    return (
+        f"{rank} independent patterns would be enough for a Gray code of {rays} rays: see that the "
+        "pictures are in the patterns' order and that nothing moved; expose longer where they are "
+        f"dark, or average several; or take the {code} pictures of a Gray code with complements"
+    )
+
+
+def _check_memory(series: Series, memory_gib: float) -> None:
+    """Raise InputError where a transport by least squares takes more than a limit."""
+    needed = series.channels * series.radiance.shape[2] * series.patterns.shape[2] * 4 / 2**30
+    if needed > memory_gib:
         raise InputError(
-            "the model of coaxial rigs needs a picture of white light, and others of patterns "
-            "whose weights are 0 or 1; add them, or leave out --coaxial"
+            f"least squares takes {needed:.1f} GiB for {series.radiance.shape[2]:,} camera and "
+            f"{series.patterns.shape[2]:,} projector rays, more than {memory_gib:g}: give larger "
+            "--camera-bin or --projector-bin, or --memory-gib"
         )
-
-
-def _solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
-    """Return direct and smooth indirect light, and what they leave of the pictures."""
-    shape, lit = series.projector_shape, series.patterns[:, 0] > 0
-    white = lit.all(axis=1)
-    radiance = series.radiance[white].mean(axis=0, dtype=np.float64)[None].astype(np.float32)
-    spread = series.variance[white].mean(axis=0, dtype=np.float64)[None] / np.count_nonzero(white)
-    floodlit = Pictures(lit[white][:1], radiance, spread.astype(np.float32)).completed(shape)
-    others = Pictures(lit[~white], series.radiance[~white], series.variance[~white])
-    pictures = joined([floodlit, others], axis=0)
-    model = fit(shape, pictures)
-    canvas = Canvas.of(shape, pictures)
-    taken = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
-    residual = residual_of(canvas, taken, as_transport(shape, [], model, pictures))
-    return as_transport(shape, rows, model, pictures, [residual.transport(canvas, shape)])
-
-
-def _held_out(series: Series) -> NDArray[np.int64]:
-    """Choose an eighth of the pictures to leave out, 16 at most; of fewer than 8, half.
-
-    Neither white nor black ones, whose light others know.
-    """
-    patterns = series.patterns.max(axis=1)
-    free = np.flatnonzero(~(patterns.min(axis=1) > 0) & patterns.any(axis=1))
-    count = min(len(free) // (8 if len(free) >= 8 else 2), 16)
-    return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
-
-
-def _error(guess: NDArray[Any], held: Series) -> float:
-    """Return the mean error of a guess at pictures that aren't black, less their own noise."""
-    residual = guess - held.radiance
-    wrong = np.square(residual, dtype=np.float64).sum(axis=(1, 2))
-    wrong -= held.variance.sum(axis=(1, 2), dtype=np.float64)
-    light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
-    errors = relative_errors(wrong, light)[light > 0]
-    return float(errors.mean()) if errors.size else 0.0

@@ -2,76 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.environment import as_directions, lights_in
+from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
-from rfpipe.pictures.files import Part, picture_files, read_parts
-from rfpipe.weights import Curve, picture_weights
+from rfpipe.fitting.codes import code_patterns
+from rfpipe.fitting.names import SortedPictures, sort_pictures
+from rfpipe.fitting.patterns import Patterns
+from rfpipe.light_files import intensities_in, light_file_in, light_names_in, lights_in
+from rfpipe.pictures import Part, check_sequence, picture_files, read_parts
+from rfpipe.weights import Curve
 
 Float = NDArray[np.float32]
 
-_OTHERS = (".bmp", ".hdr", ".jpeg", ".jpg", ".pfm")
-
-
-@dataclass(frozen=True)
-class Patterns:
-    """Patterns of one size, read one at a time.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width in projector pixels.
-    readers : sequence of callable
-        Each returns one pattern: weights, at least 0, shape (H, W) or (H, W, 3).
-    """
-
-    shape: tuple[int, int]
-    readers: Sequence[Callable[[], NDArray[Any]]] = field(repr=False)
-
-    def __len__(self) -> int:
-        """Return the number of patterns."""
-        return len(self.readers)
-
-    @classmethod
-    def of_array(cls, weights: NDArray[Any], name: str) -> Patterns:
-        """Take patterns from an array (K, H, W) or (K, H, W, 3); InputError for another shape."""
-        if weights.ndim not in (3, 4) or (weights.ndim == 4 and weights.shape[3] not in (1, 3)):
-            raise InputError(
-                f"{name}: an array {weights.shape}; expected (pictures, H, W) or "
-                "(pictures, H, W, 3)"
-            )
-        return cls(
-            weights.shape[1:3], [partial(weights.__getitem__, k) for k in range(len(weights))]
-        )
-
-    @classmethod
-    def of_files(cls, files: Sequence[Path], curve: Curve) -> Patterns:
-        """Take patterns from picture files of one size; InputError where sizes differ."""
-        parts = [part for file in files for part in read_parts(file)]
-        for part in parts:
-            if part.header.size != parts[0].header.size:
-                raise InputError(f"{part} has another size than {parts[0]}; patterns have one")
-        return cls(parts[0].header.size, [partial(linear_light, part, curve) for part in parts])
-
-    @classmethod
-    def single_lights(cls, rows: int, columns: int) -> Patterns:
-        """Take one light at a time, of lights in rows and columns."""
-
-        def light(index: int) -> Float:
-            lit = np.zeros(rows * columns, np.float32)
-            lit[index] = 1
-            return lit.reshape(rows, columns)
-
-        return cls((rows, columns), [partial(light, index) for index in range(rows * columns)])
+_OTHERS = (".hdr", ".jpeg", ".jpg")
 
 
 @dataclass(frozen=True)
@@ -87,9 +37,17 @@ class Listing:
     validation : ndarray of bool, shape (K,)
         Pictures that are kept from all fits.
     dark : sequence of sequences of Part
-        Brackets without light, beside those of black patterns.
+        Brackets without the projector's light, beside those of black patterns.
     directions : ndarray of float32, shape (K, 3), or None
         Directions of lights, one for each picture.
+    intensities : ndarray of float32, shape (K, 1) or (K, 3), or None
+        Intensities of lights, one for each picture, by which its linear light is to be divided.
+    mask : Part or None
+        Mask of the object.
+    notes : sequence of str
+        Roles of files that are no pictures of patterns, for the user.
+    are_single_lights : bool
+        Whether each pattern is one light.
     """
 
     brackets: Sequence[Sequence[Part]]
@@ -97,15 +55,46 @@ class Listing:
     validation: NDArray[np.bool_]
     dark: Sequence[Sequence[Part]] = ()
     directions: Float | None = None
+    intensities: Float | None = None
+    mask: Part | None = None
+    notes: Sequence[str] = ()
+    are_single_lights: bool = False
+
+
+@dataclass(frozen=True)
+class _Brackets:
+    """Reader of pictures in brackets of some exposures; raw files are developed, or mosaics."""
+
+    exposures: int
+    develop_raw: bool
+
+    def of_place(self, place: Path) -> list[list[Part]]:
+        """List the pictures of a folder, or of a file, in brackets."""
+        files = [place] if place.is_file() else picture_files(place, _OTHERS)
+        return self.of_files(place, files)
+
+    def of_files(self, place: Path, files: Sequence[Path]) -> list[list[Part]]:
+        """List the pictures in files in brackets; InputError, by `place`, where one lacks some."""
+        parts = [part for file in files for part in read_parts(file, develop_raw=self.develop_raw)]
+        if len(parts) % self.exposures:
+            raise InputError(
+                f"{place}: holds {len(parts)} pictures, no multiple of the {self.exposures} "
+                "exposures of the settings' camera"
+            )
+        starts = range(0, len(parts), self.exposures)
+        return [parts[first : first + self.exposures] for first in starts]
 
 
 def list_pictures(
     folder: Path,
     *,
     lights: tuple[int, int] | None = None,
+    patterns: str | None = None,
     exposures: int = 1,
     black: Path | None = None,
+    ambient: Path | None = None,
     curve: Curve | None = None,
+    develop_raw: bool = False,
 ) -> Listing:
     """List the pictures in a folder and pair them with their patterns.
 
@@ -121,43 +110,121 @@ def list_pictures(
     lights : (int, int), optional
         Rows and columns of lights, of which one is on in each picture. By default the parts of an
         EXR file, and the pictures beside a file of lights, are one light each.
+    patterns : str, optional
+        Name of a code, whose patterns the pictures show, as for
+        `rfpipe.fitting.codes.code_patterns`.
     exposures : int
         Pictures of each pattern.
-    black : Path, optional
-        A picture without light, or a folder of some.
+    black, ambient : Path, optional
+        A picture without the projector's light, or a folder of some.
     curve : {"linear", "srgb"}, optional
         Transfer curve of pictures of patterns; by default sRGB with ``cam``, else linear.
+    develop_raw : bool
+        Read raw files as linear colours, for pictures without a model of their camera; else as
+        mosaics.
 
     Raises
     ------
     InputError
-        When a file is missing or can't be read, or numbers of pictures and patterns differ.
+        When a file is missing or can't be read, numbers of pictures and patterns differ, or names
+        are those of several pictures, or do not sort in the order of taking.
     """
     photographs = [at for at in (folder / "cam/raw", folder / "cam/warp") if at.is_dir()]
     curve = curve or default_curve(folder)
-    directions = None
-    if photographs and not lights:
-        brackets, patterns, validation = _of_papers(folder, photographs[0], exposures, curve)
+    read = _Brackets(exposures, develop_raw)
+    unlit = [path for path in (black, ambient) if path]
+    if folder.is_file():
+        listing = _list_parts(folder, lights, read)
+    elif photographs and not lights and not patterns:
+        listing = Listing(*_of_papers(folder, photographs[0], read, curve))
     else:
-        subfolder = folder / "pictures"
-        brackets = _brackets(subfolder if subfolder.is_dir() else folder, exposures)
-        if folder.is_file() and len(brackets) < 2:
-            raise InputError(
-                f"{folder}: holds one picture; expected EXR with a part for each light"
-            )
-        directions = lights_in(folder, [bracket[0].name for bracket in brackets])
-        row = len(brackets) if folder.is_file() or directions is not None else 0
-        patterns = _patterns(folder, lights, row, curve)
-        validation = np.zeros(len(brackets), np.bool_)
-        if directions is not None:
-            as_directions(directions, f"{folder}: its file of lights", prod(patterns.shape))
-    if len(patterns) != len(brackets):
+        listing = _list_folder(folder, lights or patterns, read, unlit, curve)
+        if listing.patterns.largest > 1:
+            note = f"{folder / 'patterns.npy'}: has weights up to {listing.patterns.largest:g}"
+            listing = replace(listing, notes=[*listing.notes, f"{note}; 1 is fully on"])
+    if len(listing.patterns) != len(listing.brackets):
         raise InputError(
-            f"{folder}: holds {len(brackets)} pictures of {len(patterns)} patterns; "
-            "expected one of each"
+            f"{folder}: holds {len(listing.brackets)} pictures of {len(listing.patterns)} "
+            "patterns; expected one of each"
         )
-    dark = _brackets(black, exposures) if black else []
-    return Listing(brackets, patterns, validation, dark, directions)
+    dark = [bracket for path in unlit for bracket in read.of_place(path)]
+    return replace(listing, dark=[*dark, *listing.dark])
+
+
+def _list_parts(file: Path, lights: tuple[int, int] | None, read: _Brackets) -> Listing:
+    """List the parts of an EXR file, one light each."""
+    brackets = read.of_place(file)
+    if len(brackets) < 2:
+        raise InputError(f"{file}: holds one picture; expected EXR with a part for each light")
+    patterns = Patterns.single_lights(*(lights or (1, len(brackets))))
+    validation = np.zeros(len(brackets), np.bool_)
+    return Listing(brackets, patterns, validation, are_single_lights=True)
+
+
+def _list_folder(
+    folder: Path,
+    light: tuple[int, int] | str | None,
+    read: _Brackets,
+    unlit: Sequence[Path],
+    curve: Curve,
+) -> Listing:
+    """List the pictures in a folder, except `unlit` ones, and their patterns or lights.
+
+    `light` is the rows and columns of single lights, or the name of a code.
+    """
+    subfolder = folder / "pictures"
+    files = picture_files(subfolder if subfolder.is_dir() else folder, _OTHERS)
+    excluded = {path.absolute() for path in unlit}
+    files = [file for file in files if file.absolute() not in excluded]
+    patterns = None if light else _patterns(folder, curve)
+    is_by_light = patterns is None and not isinstance(light, str)
+    # a file of lights for several objects lies in the folder that contains theirs
+    above = is_by_light and light is None
+    light_names = light_names_in(folder, [file.name for file in files], parent=above)
+    files_by_role = sort_pictures(files, light_names)
+    notes = check_sequence(files_by_role.pictures, ordered=not light_names)
+    light_file = light_file_in(folder, parent=above)
+    if light_file and light_file.parent == folder.absolute().parent:
+        notes.append(f"takes the directions of lights from the folder above, {light_file}")
+    brackets = read.of_files(folder, files_by_role.pictures)
+    names = [bracket[0].name for bracket in brackets]
+    directions = lights_in(folder, names, parent=above)
+    if isinstance(light, str):
+        means = [_mean_light(bracket) for bracket in brackets]
+        patterns = code_patterns(light, len(brackets), means)
+    elif light or directions is not None:
+        patterns = patterns or Patterns.single_lights(*(light or (1, len(brackets))))
+    if patterns is None:
+        raise InputError(
+            f"{folder}: has no patterns; expected a folder patterns of pictures, or patterns.npy, "
+            "or --patterns with the name of a code, or, for one light at a time, --lights or a "
+            "file of their directions"
+        )
+    if directions is not None:
+        as_directions(directions, f"{folder}: its file of lights", prod(patterns.shape))
+    return Listing(
+        brackets,
+        patterns,
+        np.zeros(len(brackets), np.bool_),
+        read.of_files(folder, files_by_role.ambient),
+        directions,
+        intensities_in(folder, names, parent=above) if is_by_light else None,
+        None if files_by_role.mask is None else read_parts(files_by_role.mask)[0],
+        [*_notes(files_by_role), *(f"{folder}: {note}" for note in notes)],
+        is_by_light,
+    )
+
+
+def _mean_light(bracket: Sequence[Part]) -> float:
+    """Return the mean of a bracket's brightest exposure, in counts or light."""
+    return max(float(part.read().pixels.mean()) for part in bracket)
+
+
+def _notes(files: SortedPictures) -> list[str]:
+    """Roles of files that show no pattern."""
+    notes = [] if files.mask is None else [f"{files.mask}: taken as the mask, by its name"]
+    notes += [f"{file}: subtracted as ambient light, by its name" for file in files.ambient]
+    return notes + [f"{file}: left out, a result by its name" for file in files.ignored]
 
 
 def default_curve(folder: Path) -> Curve:
@@ -165,20 +232,8 @@ def default_curve(folder: Path) -> Curve:
     return "srgb" if any((folder / "cam" / name).is_dir() for name in ("raw", "warp")) else "linear"
 
 
-def linear_light(part: Part, curve: Curve) -> Float:
-    """Read a picture as linear light, (H, W) or (H, W, 3); integers go from 0 to 1."""
-    picture = part.read()
-    if picture.header.kind == "counts":
-        light = picture_weights(picture.pixels.astype(f"uint{picture.bits}"), curve)
-    else:
-        light = np.asarray(picture.pixels, np.float32)
-        if not np.isfinite(light).all():
-            raise InputError(f"{part}: holds NaN or infinite light; every value should be finite")
-    return light[..., 0] if light.shape[-1] == 1 else light
-
-
 def _of_papers(
-    folder: Path, photographs: Path, exposures: int, curve: Curve
+    folder: Path, photographs: Path, read: _Brackets, curve: Curve
 ) -> tuple[list[list[Part]], Patterns, NDArray[np.bool_]]:
     """List reference, training and validation pictures, their patterns, and which validate."""
     above = (folder, *folder.absolute().parents[:3])
@@ -189,7 +244,7 @@ def _of_papers(
         taken = photographs / name
         if name != "train" and not (taken.is_dir() and shown.is_dir()):
             continue
-        some, patterns = _brackets(taken, exposures), picture_files(shown, _OTHERS)
+        some, patterns = read.of_place(taken), picture_files(shown, _OTHERS)
         if name == "ref" and len(some) != len(patterns):
             continue  # those of a setup may be others
         if not shown.is_relative_to(folder):
@@ -205,30 +260,17 @@ def _of_papers(
     return brackets, Patterns.of_files(files, curve), np.array(validation)
 
 
-def _brackets(place: Path, exposures: int) -> list[list[Part]]:
-    """List the pictures of a folder, or of a file, in brackets."""
-    files = [place] if place.is_file() else picture_files(place, _OTHERS)
-    parts = [part for file in files for part in read_parts(file)]
-    if len(parts) % exposures:
-        raise InputError(
-            f"{place}: holds {len(parts)} pictures, no multiple of the {exposures} exposures of "
-            "the settings' camera"
-        )
-    return [parts[first : first + exposures] for first in range(0, len(parts), exposures)]
-
-
-def _patterns(folder: Path, lights: tuple[int, int] | None, row: int, curve: Curve) -> Patterns:
-    """Return a folder's patterns; without any, those of a row of lights."""
-    subfolder, array = folder / "patterns", folder / "patterns.npy"
-    if not lights:
-        if array.is_file():
-            return Patterns.of_array(np.load(array, allow_pickle=False), str(array))
-        if subfolder.is_dir():
-            return Patterns.of_files(picture_files(subfolder, _OTHERS), curve)
-        lights = 1, row
-    if not prod(lights):
-        raise InputError(
-            f"{folder}: has no patterns; expected a folder {subfolder.name} of pictures, or "
-            f"{array.name}, or, for one light at a time, --lights or a file of their directions"
-        )
-    return Patterns.single_lights(*lights)
+def _patterns(folder: Path, curve: Curve) -> Patterns | None:
+    """Patterns in a folder, or None."""
+    subfolder, file = folder / "patterns", folder / "patterns.npy"
+    if file.is_file():
+        try:
+            weights = np.load(file, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise InputError(f"{file}: can't be read as an array of patterns: {error}") from None
+        return Patterns.of_array(weights, f"{file}")
+    if subfolder.is_dir():
+        files = picture_files(subfolder, _OTHERS)
+        check_sequence(files)
+        return Patterns.of_files(files, curve)
+    return None

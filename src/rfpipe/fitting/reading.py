@@ -1,44 +1,106 @@
-"""Linear light of listed pictures, as arrays."""
+"""Linear light of listed pictures, averaged over squares of pixels.
+
+Pictures are read twice, one at a time: once for the pixels that saturate in any of them, once for
+their light. A pixel that saturates anywhere is unknown in all pictures, so that what is averaged
+is the same in each.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from rfpipe.errors import InputError
-from rfpipe.fitting.folder import Listing, default_curve, linear_light, list_pictures
+from rfpipe.fitting.binning import Bins, bin_image, binned_shape, count_known, proposed_bins
+from rfpipe.fitting.black import check_black
+from rfpipe.fitting.folder import Listing, default_curve, list_pictures
+from rfpipe.fitting.patterns import light_of, linear_light
 from rfpipe.fitting.series import Float, Series
+from rfpipe.photometry.camera import are_saturated
+from rfpipe.pictures import check_mosaic, encoding_note, relative_exposures
 from rfpipe.pictures.files import Header, Part
-from rfpipe.weights import Curve
+from rfpipe.units import SATURATION_FRACTION
+from rfpipe.weights import Curve, curve_slope
 
 if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
+    from rfpipe.photometry.sensor import BracketMerge
+
+Mask = NDArray[np.bool_]
+Bracket = Sequence[Part]
+
+MOST_SATURATED = 0.01
+"""Share of saturated pixels above which a note is given."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """Linear light of one pattern, averaged over squares of pixels.
+
+    Attributes
+    ----------
+    radiance : ndarray of float32, shape (h, w, C)
+    variance : ndarray of float32, shape (h, w, C)
+        Mean variance of the pixels of each square.
+    """
+
+    radiance: Float
+    variance: Float
+
+
+class Development(Protocol):
+    """Way from files to linear light."""
+
+    def saturated(self, brackets: Iterator[Bracket]) -> Mask:
+        """Return the pixels that saturate in any of the pictures, bool (H, W)."""
+
+    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
+        """Return the light of one pattern, averaged over the known pixels of squares."""
 
 
 def read_series(
     folder: Path,
     *,
     lights: tuple[int, int] | None = None,
+    patterns: str | None = None,
     camera: CameraModel | None = None,
     black: Path | None = None,
+    ambient: Path | None = None,
     transfer: Curve | None = None,
+    camera_bin: int | None = None,
+    projector_bin: int | None = None,
+    memory_gib: float = 2.0,
+    progress: bool = False,
 ) -> Series:
     """Read pictures and their patterns.
 
     Parameters
     ----------
-    folder, lights, black
+    folder, lights, patterns, black, ambient
         As for `rfpipe.fitting.folder.list_pictures`. Pictures without light are subtracted.
     camera : CameraModel, optional
         Model of the camera, by which brackets are merged, with their variance. By default pictures
-        are light, one exposure of each pattern.
+        are light, one exposure of each pattern, divided by their files' exposures.
     transfer : {"linear", "srgb"}, optional
         Transfer curve of integers in pictures, and in pictures of patterns.
+    camera_bin, projector_bin : int, optional
+        Side in pixels of the squares that are averaged, at least 1. By default as small as
+        `memory_gib` allows; single lights are not averaged.
+    memory_gib : float
+        Memory that the fit may take, in GiB.
+    progress : bool
+        Whether to show a bar.
+
+    Returns
+    -------
+    Series
+        Its ``notes`` describe saturated pixels, bins, and files that may not be meant so.
 
     Raises
     ------
@@ -47,86 +109,240 @@ def read_series(
     """
     exposures = len(camera.exposures) if camera else 1
     curve = transfer or default_curve(folder)
-    listing = list_pictures(folder, lights=lights, exposures=exposures, black=black, curve=curve)
-    header = _common_header(listing)
-    patterns = _patterns_of(listing)
-    lit = np.asarray(patterns.any(axis=(1, 2)))
-    dark = [files for files, is_lit in zip(listing.brackets, lit, strict=True) if not is_lit]
-    dark += listing.dark
-    brackets = [files for files, is_lit in zip(listing.brackets, lit, strict=True) if is_lit]
-    if camera:
-        radiance, variance = _merged(camera, brackets, header, dark)
-    else:
-        seconds = [part.header.exposure_s or 0 for bracket in listing.brackets for part in bracket]
-        differ = min(seconds) > 0 and max(seconds) > 1.01 * min(seconds)
-        radiance = np.stack([_light(part, curve, differ) for [part] in brackets])
-        if dark:
-            darkness = [_light(part, curve, differ) for [part] in dark]
-            radiance -= np.mean(darkness, axis=0, dtype=np.float64).astype(np.float32)
-        variance = np.zeros_like(radiance)
-    names, shapes = [files[0].name for files in brackets], (header.size, listing.patterns.shape)
-    return Series(
-        *shapes, patterns[lit], radiance, variance, names, listing.directions,
-        listing.validation[lit],
+    listing = list_pictures(
+        folder, lights=lights, patterns=patterns, exposures=exposures, black=black, ambient=ambient,
+        curve=curve, develop_raw=camera is None,
     )  # fmt: skip
-
-
-def _common_header(listing: Listing) -> Header:
-    """Return the header that all pictures share, up to their exposure time; else InputError."""
     parts = [part for bracket in listing.brackets for part in bracket]
+    header = _common_header(parts)
+    chosen = None if curve == "linear" and transfer is None else curve
+    note = encoding_note([part.header for part in parts], [*map(str, parts)], chosen)
+    bins, notes = _bins(listing, header, (camera_bin, projector_bin), memory_gib)
+    notes = [*listing.notes, *([note] if note else []), *notes]
+    development: Development = (
+        MergedBrackets.of(listing, camera) if camera else SingleExposures.of(listing, curve)
+    )
+    weights = _binned_patterns(listing, bins.projector)
+    lit: Mask = np.asarray(weights.any(axis=(1, 2)))
+    brackets = [bracket for bracket, shines in zip(listing.brackets, lit, strict=True) if shines]
+
+    def shown(title: str) -> Iterator[Bracket]:
+        return iter(tqdm(brackets, title, unit="picture", disable=None if progress else True))
+
+    known = ~development.saturated(shown("saturated pixels"))
+    if not known.any():
+        raise InputError(f"{folder}: every pixel saturates in some picture; expose shorter")
+    if (share := 1 - known.mean()) > MOST_SATURATED:
+        notes.append(_saturation_note(share, known.size))
+    if listing.mask is not None:
+        known &= _mask(listing.mask, header)
+    radiance, variance = _binned_light(development, shown("light"), known, bins.camera)
+    return Series(
+        binned_shape(header.size, bins.camera),
+        binned_shape(listing.patterns.shape, bins.projector),
+        weights[lit],
+        radiance,
+        variance,
+        [bracket[0].name for bracket in brackets],
+        listing.directions,
+        listing.validation[lit],
+        tuple(notes),
+    )
+
+
+@dataclass(frozen=True)
+class SingleExposures:
+    """Pictures of one exposure a pattern.
+
+    Attributes
+    ----------
+    curve : {"linear", "srgb"}
+    divisors : dict of str to ndarray of float64, shape (1,) or (3,)
+        Exposure times the intensity of the light, by the picture's name.
+    black : ndarray of float32, shape (H, W, C), or None
+        Light of pictures without light, over their exposures.
+    """
+
+    curve: Curve
+    divisors: dict[str, NDArray[np.float64]]
+    black: Float | None
+
+    @classmethod
+    def of(cls, listing: Listing, curve: Curve) -> SingleExposures:
+        """Compute the divisors and the black picture of a listing."""
+        parts = [part for (part,) in listing.brackets]
+        exposures = relative_exposures([part.header for part in parts], [*map(str, parts)])
+        divisors = exposures[:, None]
+        if listing.intensities is not None:
+            intensities = listing.intensities.astype(np.float64)
+            if parts[0].header.channels == 1:
+                intensities = intensities.mean(axis=1, keepdims=True)
+            divisors = divisors * intensities
+        dark = [
+            linear_light(part, curve) / exposure
+            for part, exposure, read in zip(parts, exposures, listing.patterns.readers, strict=True)
+            if not read().any()
+        ]
+        for (part,) in listing.dark:
+            scale = check_black(part.header, parts[0].header, (str(part), str(parts[0])))
+            dark.append(linear_light(part, curve) * scale / exposures[0])
+        black: Any = np.mean(dark, axis=0, dtype=np.float64) if dark else None
+        return cls(curve, dict(zip(map(str, parts), divisors, strict=True)), black)
+
+    def saturated(self, brackets: Iterator[Bracket]) -> Mask:
+        """Return the pixels whose count is about the files' largest number in any picture."""
+        highest: Any = 0
+        white: float = 1
+        for (part,) in brackets:
+            picture = part.read()
+            highest, white = np.maximum(highest, picture.pixels), picture.white
+            if picture.header.kind == "light":
+                white = np.inf
+        return np.asarray((highest >= np.ceil(SATURATION_FRACTION * white)).any(axis=-1))
+
+    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
+        """Return a picture's light over its exposure; its variance is that of rounding."""
+        (part,) = bracket
+        divisor, picture = self.divisors[str(part)], part.read()
+        light = bin_image(light_of(picture, self.curve, str(part)), side, known)
+        radiance = light / divisor
+        if self.black is not None:
+            radiance -= bin_image(self.black, side, known)
+        step = 0.0 if picture.header.kind == "light" else 1 / picture.white
+        rounding = np.square(curve_slope(light, self.curve) * step / divisor) / 12
+        return Light(radiance.astype(np.float32), rounding.astype(np.float32))
+
+
+@dataclass(frozen=True)
+class MergedBrackets:
+    """Brackets of a known camera.
+
+    Attributes
+    ----------
+    frame_shape : tuple of int
+        Of one bracket, (E, H, W[, C]).
+    merge : callable
+        Merges brackets (B, E, H, W[, C]).
+    """
+
+    frame_shape: tuple[int, ...]
+    merge: BracketMerge
+
+    @classmethod
+    def of(cls, listing: Listing, camera: CameraModel) -> MergedBrackets:
+        """Prepare the merge of a listing's brackets, by the mean of its pictures without light."""
+        part = listing.brackets[0][0]
+        header = part.header
+        if header.kind != "counts":
+            raise InputError(f"{part}: holds light; the settings' camera counts")
+        check_mosaic(part.file, header, camera.bayer)
+        shape = camera.frame_shape(header.size, header.channels if camera.bayer is None else 3)
+        unlit = [
+            bracket
+            for bracket, read in zip(listing.brackets, listing.patterns.readers, strict=True)
+            if not read().any()
+        ]
+        for dark in listing.dark:
+            check_black(dark[0].header, header, (str(dark[0]), str(part)))
+        unlit += listing.dark
+        black: Any = np.full(shape, camera.black_level_counts, np.float32)
+        if unlit:
+            frames = [_frames(bracket, shape) for bracket in unlit]
+            black = np.mean(frames, axis=0, dtype=np.float64)
+        return cls(shape, camera.merging(black.astype(np.float32), max(1, len(unlit))))
+
+    def saturated(self, brackets: Iterator[Bracket]) -> Mask:
+        """Return the pixels that saturate in all exposures of any bracket."""
+        masks = [are_saturated(*self._merged(bracket)).any(axis=-1) for bracket in brackets]
+        return np.asarray(np.logical_or.reduce(masks))
+
+    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
+        """Return the merged light of a bracket, with its variance."""
+        return Light(*(bin_image(image, side, known) for image in self._merged(bracket)))
+
+    def _merged(self, bracket: Bracket) -> tuple[Float, Float]:
+        merged = self.merge(_frames(bracket, self.frame_shape)[None])
+        return np.atleast_3d(merged.radiance[0]), np.atleast_3d(merged.variance[0])
+
+
+def _common_header(parts: Sequence[Part]) -> Header:
+    """Return the header that all pictures share, up to their exposure; else InputError."""
     first = parts[0].header
     for part in parts:
-        if replace(part.header, exposure_s=None) != replace(first, exposure_s=None):
+        if not part.header.matches(first):
             raise InputError(
                 f"{part}: is {part.header}; {parts[0]} is {first}. All should be alike"
             )
     return first
 
 
-def _patterns_of(listing: Listing) -> Float:
-    """Return all patterns, (K, 1, N), or (K, 3, N) where any is coloured."""
-    shape = (*listing.patterns.shape, 3)
-    patterns = [
-        np.broadcast_to(weights if weights.ndim == 3 else weights[..., None], shape)
-        for weights in (read() for read in listing.patterns.readers)
+def _bins(
+    listing: Listing, header: Header, asked: tuple[int | None, int | None], memory_gib: float
+) -> tuple[Bins, list[str]]:
+    """Return the bins of a listing, and a note where they were chosen."""
+    samples = len(listing.brackets) * (header.channels + 1)
+    shapes = header.size, listing.patterns.shape
+    proposed = proposed_bins(*shapes, samples, memory_gib * 2**30)
+    if listing.are_single_lights:
+        proposed = Bins(proposed.camera if listing.directions is None else 1, 1)
+    bins = Bins(asked[0] or proposed.camera, asked[1] or proposed.projector)
+    chosen = [
+        f"{title} are averaged over {side} x {side} pixels (--{option} chooses another size)"
+        for title, option, wish, side in (
+            ("pictures", "camera-bin", asked[0], bins.camera),
+            ("patterns", "projector-bin", asked[1], bins.projector),
+        )
+        if wish is None and side > 1
     ]
-    stack = np.stack(patterns).reshape(len(patterns), -1, 3).astype(np.float32, copy=False)
-    is_coloured = np.ptp(stack, axis=-1).any()
-    return np.moveaxis(stack if is_coloured else stack[..., :1], -1, 1)
+    limit = f", so that the fit stays within {memory_gib:g} GiB (--memory-gib)"
+    return bins, [", ".join(chosen) + limit] if chosen else []
 
 
-def _light(part: Part, curve: Curve, over_time: bool) -> Float:
-    """Return a picture as light, (C, M), over its exposure time where requested."""
-    light = _planar(np.atleast_3d(linear_light(part, curve)))
-    return light / np.float32(part.header.exposure_s) if over_time else light
+def _binned_patterns(listing: Listing, side: int) -> Float:
+    """Return all patterns, (K, 1, N), or (K, 3, N) where any is coloured."""
+    patterns = [bin_image(read(), side) for read in listing.patterns.readers]
+    coloured = any(pattern.ndim == 3 for pattern in patterns)
+    shape = (*patterns[0].shape[:2], 3 if coloured else 1)
+    stack = np.stack([np.broadcast_to(np.atleast_3d(pattern), shape) for pattern in patterns])
+    if coloured and not np.ptp(stack, axis=-1).any():
+        stack = stack[..., :1]
+    return np.ascontiguousarray(np.moveaxis(stack.reshape(len(stack), -1, stack.shape[-1]), -1, 1))
+
+
+def _binned_light(
+    development: Development, brackets: Iterator[Bracket], known: Mask, side: int
+) -> tuple[Float, Float]:
+    """Return the light of all brackets and its variance, (K, C, M); unknown is infinite."""
+    count = count_known(known, side)
+    radiance, variance = [], []
+    for bracket in brackets:
+        light = development.light(bracket, known, side)
+        radiance.append(_planar(light.radiance))
+        spread = light.variance / np.maximum(count, 1)[..., None]
+        variance.append(_planar(np.where(count[..., None] > 0, spread, np.inf)))
+    return np.stack(radiance), np.stack(variance)
+
+
+def _saturation_note(share: float, size: int) -> str:
+    return (
+        f"{share:.0%} of the camera's {size:,} pixels are saturated in some picture and count as "
+        "unknown: expose shorter, or take brackets (--settings)"
+    )
+
+
+def _mask(part: Part, header: Header) -> Mask:
+    """Return the pixels of a mask, bool (H, W): those above half of its maximum."""
+    pixels = part.read().pixels.max(axis=-1)
+    if pixels.shape != header.size:
+        raise InputError(f"{part}: is a mask of {pixels.shape} pixels; pictures have {header.size}")
+    return np.asarray(pixels > np.max(pixels) / 2)
+
+
+def _frames(bracket: Bracket, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return the raw counts of a bracket, (E, H, W[, C])."""
+    return np.stack([part.read().pixels for part in bracket]).astype(np.uint16).reshape(shape)
 
 
 def _planar(image: Float) -> Float:
     """Return (C, M) of (H, W, C)."""
-    return np.ascontiguousarray(image.reshape(-1, image.shape[-1]).T)
-
-
-def _merged(
-    camera: CameraModel,
-    brackets: Sequence[Sequence[Part]],
-    header: Header,
-    dark: Sequence[Sequence[Part]],
-) -> tuple[Float, Float]:
-    """Return merged brackets and their variance, (K, C, M) each."""
-    if header.kind != "counts":
-        raise InputError(f"{brackets[0][0]}: holds light; the settings' camera counts")
-    shape = camera.frame_shape(header.size, header.channels if camera.bayer is None else 3)
-
-    def frames(parts: Sequence[Part]) -> NDArray[Any]:
-        return np.stack([part.read().pixels for part in parts]).reshape(shape)
-
-    black: Any = np.full(shape, camera.black_level_counts, np.float32)
-    if dark:
-        black = np.mean([frames(files) for files in dark], axis=0, dtype=np.float64)
-    merge = camera.merging(black.astype(np.float32), max(1, len(dark)))
-    merged = [merge(frames(files)[None]) for files in brackets]
-    radiance, variance = (
-        np.stack([_planar(getattr(image, name)[0]) for image in merged])
-        for name in ("radiance", "variance")
-    )
-    return radiance, variance
+    return np.ascontiguousarray(image.reshape(-1, image.shape[-1]).T, np.float32)

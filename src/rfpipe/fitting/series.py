@@ -30,13 +30,16 @@ class Series:
     radiance : ndarray of float32, shape (K, C, M)
         Linear, without the light of anything else; finite.
     variance : ndarray of float32, shape (K, C, M)
-        Of `radiance`, at least 0; 0 where nothing is known of it.
+        Variance of `radiance`, at least 0; 0 for exact light, and infinite in all pictures for a
+        camera ray that is unknown.
     names : sequence of K str
         Of the pictures; empty where they have none.
     lights : ndarray of float32, shape (N, 3), optional
         Directions of the projector's rays, where these are single lights.
     validation : ndarray of bool, shape (K,), or empty
-        Pictures that no fit sees and that tell its error.
+        Pictures that are kept from all fits, to estimate their error.
+    notes : tuple of str
+        Remarks on the pictures for the user.
 
     Raises
     ------
@@ -52,6 +55,7 @@ class Series:
     names: Sequence[str] = ()
     lights: Float | None = None
     validation: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         rays = prod(ray_shape(self.camera_shape, "camera_shape"))
@@ -69,7 +73,8 @@ class Series:
             object.__setattr__(self, name, values)
             if values.shape != shape:
                 raise InputError(f"{name} has the shape {values.shape}; expected {shape}")
-            if not np.isfinite(values).all() or (name != "radiance" and (values < 0).any()):
+            is_valid = np.isfinite(values) if name != "variance" else ~np.isnan(values)
+            if not is_valid.all() or (name != "radiance" and (values < 0).any()):
                 raise InputError(f"{name} should be finite and not negative, every value")
         if self.channels not in (1, 3):
             raise InputError(f"pictures have {self.channels} channels; expected 1 or 3")
@@ -80,6 +85,11 @@ class Series:
     def channels(self) -> int:
         """Colour channels."""
         return int(self.radiance.shape[1])
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Camera rays that the pictures show, bool (M,)."""
+        return np.asarray(np.isfinite(self.variance).all(axis=(0, 1)))
 
     def by_light(self) -> list[Series]:
         """Return what is lit alike: all channels, or of coloured patterns each by itself."""
@@ -102,6 +112,11 @@ class Series:
         """Whether the patterns tell of each ray by itself."""
         lights = self.patterns.shape[-1]
         return bool(len(self.patterns) >= lights and self.rank == lights)
+
+    def of_rays(self, chosen: NDArray[np.int64]) -> Series:
+        """Return the pictures of some camera rays, as a row of them."""
+        parts = {name: getattr(self, name)[..., chosen] for name in ("radiance", "variance")}
+        return replace(self, camera_shape=(1, len(chosen)), **parts)
 
     def some(self, chosen: NDArray[np.int64]) -> Series:
         """Return some of the pictures, none of them for validation."""

@@ -1,96 +1,57 @@
-"""Picture files as a camera's program leaves them: TIFF, PNG, EXR, and raw."""
+"""Picture files of cameras and other programs: pixels, exposure, and order."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.pictures.images import light_channels, opened, pixels_of
-from rfpipe.pictures.raw import read_raw
+from rfpipe.pictures.formats import READERS, Reading, read_plain
+from rfpipe.pictures.openimage import Stored, light_channels, stored_pictures
+from rfpipe.pictures.raw import RAW, developed, raw_header, raw_picture
+from rfpipe.pictures.records import Header, Part, Picture
 
-RAW = (
-    ".3fr", ".arw", ".cr2", ".cr3", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf",
-    ".raw", ".rw2", ".srw",
+__all__ = [
+    "RAW",
+    "Header",
+    "Part",
+    "Picture",
+    "natural",
+    "picture_files",
+    "read_header",
+    "read_parts",
+    "read_picture",
+]
+
+PLAIN = (
+    ".bmp", ".exr", ".pfm", ".pgm", ".pnm", ".png", ".ppm", ".tga", ".tif", ".tiff",
 )  # fmt: skip
-"""Names of raw files end so; rawpy reads them, as one colour mosaic."""
+"""Suffixes of files without lossy compression, which OpenImageIO reads."""
 
-_PLAIN = (".exr", ".png", ".tif", ".tiff")
-_EXPOSURE = ("ExposureTime", "Exif:ExposureTime", "expTime")
+_PAGED = ("openexr", "tiff")  # formats whose pictures are parts
 _DIGITS = re.compile(r"(\d+)")
 
 
-@dataclass(frozen=True)
-class Header:
-    """What a file says of its picture without its pixels.
-
-    Attributes
-    ----------
-    size : (int, int)
-        Height and width.
-    channels : int
-        1, or 3 for R, G and B; alpha isn't counted.
-    kind : str
-        ``counts`` (integers) or ``light`` (floats).
-    exposure_s : float or None
-        Exposure time in seconds, if it says.
-    """
-
-    size: tuple[int, int]
-    channels: int
-    kind: str
-    exposure_s: float | None
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture.
-
-    Attributes
-    ----------
-    header : Header
-    pixels : ndarray of uint16 or float32, shape (H, W, channels)
-        Counts as they stand in the file, whatever its bits; light as it stands.
-    bits : int
-        Of an integer in the file: 8 or 16; 32 of floats.
-    """
-
-    header: Header
-    pixels: NDArray[Any]
-    bits: int
-
-
-class Part(NamedTuple):
-    """A picture in a file, by the part's name or, where it holds one, the file's, yet to be read.
-
-    `read` returns it, or raises as `read_picture`.
-    """
-
-    file: Path
-    name: str
-    header: Header
-    read: Callable[[], Picture]
-
-    def __str__(self) -> str:
-        return f"{self.file}" + (f", part {self.name}" if self.name != self.file.name else "")
-
-
 def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
-    """Return the pictures in a folder, numbers in their names taken for numbers.
+    """List the pictures in a folder, sorted by name, with numbers in names in numerical order.
 
-    Names end as those of TIFF, PNG, EXR and raw files, or as in `more`. Raises InputError when
-    there is no such folder, or no picture in it.
+    Parameters
+    ----------
+    folder : Path
+    more : tuple of str
+        Suffixes besides those of `PLAIN` and `RAW`.
+
+    Raises
+    ------
+    InputError
+        When there is no such folder, or no picture in it.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; expected one of pictures")
-    suffixes = {*_PLAIN, *RAW, *more}
+    suffixes = {*PLAIN, *RAW, *more}
     files = [
         path
         for path in folder.iterdir()
@@ -99,86 +60,94 @@ def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
     if not files:
         raise InputError(
             f"{folder}: holds no pictures; expected files that end in "
-            f"{', '.join([*_PLAIN, *more])} or, raw, in {', '.join(RAW)}"
+            f"{', '.join(dict.fromkeys([*PLAIN, *more]))} or, raw, in {', '.join(RAW)}"
         )
     return sorted(files, key=lambda file: natural(file.name))
 
 
-def read_header(path: Path) -> Header:
-    """Read what a file says of its picture.
+def read_header(path: Path, *, develop_raw: bool = False) -> Header:
+    """Read the header of a file's only picture; parameters and errors as `read_picture`."""
+    return _only(path, develop_raw).header
+
+
+def read_picture(path: Path, *, develop_raw: bool = False) -> Picture:
+    """Read a file's only picture.
+
+    Parameters
+    ----------
+    path : Path
+    develop_raw : bool
+        Whether raw files are demosaiced, as `rfpipe.pictures.raw.developed`; otherwise their
+        photosites are one channel of counts.
+
+    Returns
+    -------
+    Picture
+        Pixels in the order of the sensor: Exif's orientation, which depends on how the camera was
+        held, is not applied.
 
     Raises
     ------
     InputError
-        When it can't be read as one, or has neither one channel nor R, G and B.
+        When the file is not a picture, is damaged or cut, holds several pictures, or has neither
+        one channel nor R, G and B.
+    """
+    return _only(path, develop_raw).read()
+
+
+def read_parts(path: Path, *, develop_raw: bool = False) -> list[Part]:
+    """List the pictures in a file: parts of EXR, pages of TIFF, or the only picture.
+
+    Layers within a part, as in the channel name ``left.R``, are ignored. Parameters and errors as
+    `read_picture`.
     """
     if path.suffix.lower() in RAW:
-        return read_picture(path).header
-    return _header(path, opened(path).spec())
-
-
-def read_picture(path: Path) -> Picture:
-    """Read a picture, of a raw file the photosites as they are; errors as `read_header`."""
-    if path.suffix.lower() in RAW:
-        raw = read_raw(path)
-        height, width = raw.counts.shape
-        return Picture(
-            Header((height, width), 1, "counts", raw.exposure_s), raw.counts[..., None], 16
+        read = partial(developed if develop_raw else raw_picture, path)
+        return [Part(path, path.name, raw_header(path, develop=develop_raw), read)]
+    stored = stored_pictures(path)
+    if len(stored) > 1 and stored[0].format_name not in _PAGED:
+        raise InputError(
+            f"{path}: holds {len(stored)} pictures, an animation or sizes of one picture; expected "
+            "one picture a file"
         )
-    picture = opened(path)
-    return _picture(path, picture.spec(), picture, picture.get_pixels)
+    if len(stored) == 1:
+        return [_part(stored[0], path.name)]
+    for each in stored:
+        each.spec.channelnames = [name.rpartition(".")[2] for name in each.spec.channelnames]
+    names = [each.attribute("oiio:subimagename") or f"{each.index}" for each in stored]
+    return [_part(each, name) for each, name in zip(stored, names, strict=True)]
 
 
-def read_parts(path: Path) -> list[Part]:
-    """Return the pictures in a file: the parts of an EXR file, in its order, or the only one.
-
-    Layers in channels' names, as in ``left.R``, are left out. Errors as `read_header`.
-    """
-    import OpenImageIO as oiio
-
-    file: Any = oiio.ImageInput.open(str(path)) if path.suffix.lower() == ".exr" else None
-    specs: list[Any] = []
-    while file and file.seek_subimage(len(specs), 0):
-        specs.append(file.spec(len(specs)))
-    if len(specs) < 2:
-        return [Part(path, path.name, read_header(path), partial(read_picture, path))]
-    parts = []
-    for index, spec in enumerate(specs):
-        spec.channelnames = [name.rpartition(".")[2] for name in spec.channelnames]
-        name = spec.getattribute("oiio:subimagename") or f"{index}"
-        pixels_as = partial(file.read_image, index, 0, 0, spec.nchannels)
-        read = partial(_picture, path, spec, file, pixels_as)
-        parts.append(Part(path, name, _header(path, spec), read))
-    return parts
+def _only(path: Path, develop_raw: bool) -> Part:
+    """Return the only picture of a file."""
+    parts = read_parts(path, develop_raw=develop_raw)
+    if len(parts) > 1:
+        raise InputError(
+            f"{path}: holds {len(parts)} pictures, as parts of one file; expected one here"
+        )
+    return parts[0]
 
 
-def _picture(path: Path, spec: Any, file: Any, pixels_as: Callable[[Any], Any]) -> Picture:
-    """Return the picture of OIIO's spec, whose file gives pixels as a kind of numbers."""
-    import OpenImageIO as oiio
-
-    header = _header(path, spec)
-    kind, bits = oiio.UINT16, 16
-    if header.kind == "light":
-        kind, bits = oiio.FLOAT, 32
-    elif spec.format == oiio.UINT8:
-        kind, bits = oiio.UINT8, 8
-    chosen = light_channels(path, list(spec.channelnames))
-    pixels = pixels_of(path, file, pixels_as(kind))[..., chosen]
-    dtype = np.float32 if header.kind == "light" else np.uint16
-    return Picture(header, np.ascontiguousarray(pixels, dtype), bits)
+def _part(stored: Stored, name: str) -> Part:
+    """Return a part that reads a stored picture on demand."""
+    reading = READERS.get(stored.format_name, read_plain)(stored)
+    return Part(stored.path, name, reading.header, partial(_picture, stored, reading))
 
 
-def _header(path: Path, spec: Any) -> Header:
-    channels = len(light_channels(path, list(spec.channelnames)))
-    is_light = str(spec.format) in ("float", "half", "double")
-    exposure = next(
-        (float(value) for name in _EXPOSURE if (value := spec.getattribute(name)) is not None), None
-    )
-    kind = "light" if is_light else "counts"
-    return Header((spec.height, spec.width), channels, kind, exposure or None)
+def _picture(stored: Stored, reading: Reading) -> Picture:
+    """Read the pixels of a stored picture."""
+    pixels = stored.pixels()[..., light_channels(stored)]
+    if pixels.dtype.kind == "i" and (least := int(pixels.min(initial=0))) < 0:
+        raise InputError(
+            f"{stored.path}: holds negative counts, down to {least}; counts start at 0. Add what "
+            "was subtracted, or save it as floats of linear light"
+        )
+    kind = np.float32 if stored.is_light else np.uint16 if stored.white < 2**16 else np.uint32
+    corrected = reading.correct(pixels)
+    return Picture(reading.header, np.ascontiguousarray(corrected, kind), reading.white)
 
 
 def natural(name: str) -> list[tuple[int, int, str]]:
-    """Return by what names sort as people count them: IMG_9 before IMG_10."""
+    """Return a sort key by which numbers in names count as numbers: IMG_9 before IMG_10."""
     parts = _DIGITS.split(name.lower())
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.pictures.files import read_picture
 
 _SUFFIXES = (".exr", ".png")
+
+UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    1: lambda pixels: pixels,
+    2: lambda pixels: pixels[:, ::-1],
+    3: lambda pixels: pixels[::-1, ::-1],
+    4: lambda pixels: pixels[::-1],
+    5: lambda pixels: np.swapaxes(pixels, 0, 1),
+    6: lambda pixels: np.rot90(pixels, -1),
+    7: lambda pixels: np.rot90(np.swapaxes(pixels, 0, 1), 2),
+    8: np.rot90,
+}
+"""Functions that turn pixels (H, W, C) upright, by the orientation of TIFF 6.0 and Exif."""
 
 
 def read_image(path: Path) -> NDArray[np.float32]:
@@ -19,56 +32,23 @@ def read_image(path: Path) -> NDArray[np.float32]:
 
     Parameters
     ----------
-    path
-        A file of any format that OpenImageIO reads. Integers are scaled to [0, 1]; no transfer
-        curve is undone. Alpha is left out.
+    path : Path
+        A file of any format that OpenImageIO reads, or a raw file. Integers are scaled to [0, 1];
+        no transfer curve is undone. Alpha is left out.
 
     Returns
     -------
     ndarray of float32, shape (H, W) or (H, W, 3)
+        Upright, as the file's orientation has it.
 
     Raises
     ------
     InputError
-        When the file can't be read, or has neither one channel nor R, G and B.
+        As `rfpipe.pictures.files.read_picture`.
     """
-    import OpenImageIO as oiio
-
-    picture = opened(path)
-    chosen = light_channels(path, list(picture.spec().channelnames))
-    pixels = pixels_of(path, picture, picture.get_pixels(oiio.FLOAT))
-    return pixels[..., chosen if len(chosen) == 3 else chosen[0]]
-
-
-def opened(path: Path) -> Any:
-    """Return a picture file read by OpenImageIO, its numbers as they stand; errors `read_image`."""
-    import OpenImageIO as oiio
-
-    picture = oiio.ImageBuf(str(path))
-    if not picture.read(0, 0, True):  # not through a cache in float
-        raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
-    if path.suffix.lower() == ".exr" and picture.nsubimages > 1:
-        raise InputError(
-            f"{path}: holds {picture.nsubimages} pictures, as parts of one file; expected one here"
-        )
-    return picture
-
-
-def pixels_of(path: Path, file: Any, pixels: NDArray[Any] | None) -> NDArray[Any]:
-    """Return pixels that OIIO has read of a file, (H, W, channels); InputError for None."""
-    if pixels is None:
-        raise InputError(f"{path}: can't be read as a picture: {file.geterror()}")
-    return pixels
-
-
-def light_channels(path: Path, names: list[str]) -> list[int]:
-    """Return the places of R, G and B, in any order, or of the one channel; else InputError."""
-    if {"R", "G", "B"} <= set(names):
-        return [names.index(name) for name in "RGB"]
-    light = [index for index, name in enumerate(names) if name != "A"]
-    if len(light) == 1:
-        return light
-    raise InputError(f"{path}: has the channels {names}; expected one channel, or R, G and B")
+    picture = read_picture(path, develop_raw=True)
+    pixels = UPRIGHT[picture.header.orientation](picture.fractions)
+    return pixels[..., 0] if picture.header.channels == 1 else pixels
 
 
 def write_image(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from math import prod
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,9 @@ MANIFEST = "patterns.json"
 
 PICTURES = "pictures"
 """Folder beside a sheet's patterns for what is taken of them."""
+
+RUN_PATHS = ("settings", "results")
+"""Keys of a sheet's paths: of the run's settings file and of its results' folder."""
 
 _NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random"}
 
@@ -186,7 +190,8 @@ class Sheet(BaseModel):
     ----------
     folder : Path
     about : dict
-        Plain data: settings file, results' folder, scene, method, level.
+        Plain data: scene, method, level, and the paths of the settings file and of the results'
+        folder, relative to the sheet's folder; see `run_paths`.
     exposures_s : tuple of float
         Of each bracket, ascending, in seconds.
     picture_size : (int, int)
@@ -240,24 +245,81 @@ def write_sheet(
     pictures = folder / PICTURES
     if (folder / MANIFEST).exists():
         is_whole = all((folder / each.file).is_file() for each in sheet.shown)
-        if is_whole and read_sheet(folder) == sheet:
+        if is_whole and _is_same(read_sheet(folder), sheet):
+            _write_manifest(sheet)  # the run may lie elsewhere now
             return sheet
         if pictures.is_dir() and any(pictures.iterdir()):
             raise InputError(
                 f"{pictures}: holds pictures of patterns that aren't asked for any more, since "
                 "settings or code changed; move them away, then write the patterns again"
             )
+    _clear(folder)
+    for each, (_, _, pattern) in zip(sheet.shown, patterns, strict=True):
+        write_code_picture(folder / each.file, rig.picture(pattern), gamma)
+    _write_manifest(sheet)
+    return sheet
+
+
+def _clear(folder: Path) -> None:
+    """Make a sheet's folder, or remove an older sheet from it; StoreError where that fails."""
     try:
-        pictures.mkdir(parents=True, exist_ok=True)
+        (folder / PICTURES).mkdir(parents=True, exist_ok=True)
         (folder / MANIFEST).unlink(missing_ok=True)
         for old in folder.glob("[0-9]*_*.png"):
             old.unlink()
     except OSError as error:
         raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
-    for each, (_, _, pattern) in zip(sheet.shown, patterns, strict=True):
-        write_code_picture(folder / each.file, rig.picture(pattern), gamma)
-    write_manifest(folder / MANIFEST, sheet.model_dump(mode="json", exclude={"folder"}))
-    return sheet
+
+
+def _is_same(previous: Sheet, sheet: Sheet) -> bool:
+    """Test whether sheets differ at most in the paths of their run."""
+    paths = {name: sheet.about[name] for name in RUN_PATHS}
+    return previous.model_copy(update={"about": previous.about | paths}) == sheet
+
+
+def _write_manifest(sheet: Sheet) -> None:
+    write_manifest(sheet.folder / MANIFEST, sheet.model_dump(mode="json", exclude={"folder"}))
+
+
+def relative_to_sheet(path: Path, folder: Path) -> str:
+    """Path of a file or folder of a run as the run's sheet in a folder has it: relative to it.
+
+    Sheet and run can then be copied or renamed together. Raises InputError if they lie on
+    different drives, between which there is no relative path.
+    """
+    try:
+        return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+    except ValueError as error:
+        raise InputError(f"{folder}: {error}; write the patterns to the drive of {path}") from None
+
+
+def run_paths(sheet: Sheet) -> tuple[Path, Path]:
+    """Absolute paths of the settings file and of the results' folder of a sheet's run.
+
+    Raises
+    ------
+    InputError
+        If one of them is not there, or the sheet has an absolute path, as sheets of early versions
+        do: it would be that of another run where this one is a copy.
+    """
+    again = "write the patterns again with 'rfpipe patterns', which keeps their pictures"
+    paths = []
+    for name, is_there in zip(RUN_PATHS, (Path.is_file, Path.is_dir), strict=True):
+        path = sheet.about[name]
+        if PurePosixPath(path).is_absolute() or PureWindowsPath(path).is_absolute():
+            raise InputError(
+                f"{sheet.folder / MANIFEST}: has the absolute path {path} of the {name}, which are "
+                f"another run's where this one was copied; {again}"
+            )
+        place = Path(os.path.normpath(sheet.folder.absolute() / path))
+        if not is_there(place):
+            raise InputError(
+                f"{sheet.folder / MANIFEST}: the run's {name} should be at {path}, relative to the "
+                f"sheet's folder, but {place} is not there. Copy or move sheet and run together, "
+                f"or {again}"
+            )
+        paths.append(place)
+    return paths[0], paths[1]
 
 
 def read_sheet(folder: Path) -> Sheet:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.pictures import Header, picture_files, read_header, read_picture
+from rfpipe.pictures import Header, check_mosaic, picture_files, read_header, read_picture
 from rfpipe.pictures.order import misplaced
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
@@ -150,6 +150,8 @@ def _checked_header(rig: OfflineRig, path: Path) -> Header:
             f"{rig.picture_shape[0]} x {rig.picture_shape[1]}. Where the rays lie in the picture "
             "is said by offline.calibration, or offline.picture_shape and offline.camera_corners"
         )
+    if isinstance(rig.camera_sensor, CameraModel):
+        check_mosaic(path, header, rig.camera_sensor.bayer)
     channels = 1 if _is_mosaic(rig) else rig.channels
     if header.channels != channels:
         raise CaptureError(
@@ -220,6 +222,7 @@ def _pixels(rig: OfflineRig, path: Path) -> NDArray[Any]:
                 f"{sensor.white_level}. Set camera.bits to those of the file: to 16 where it has "
                 "counts shifted to 16 bits, and camera.black_level_counts accordingly"
             )
+        pixels = pixels.astype(np.uint16, copy=False)  # camera.bits is at most 16
     elif not np.isfinite(pixels).all():
         raise CaptureError(f"{path}: holds NaN or infinity; light is finite. Take it again")
     return pixels[..., 0] if _is_mosaic(rig) else pixels

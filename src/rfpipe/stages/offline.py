@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, PicturesNeeded
-from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, write_sheet
+from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, relative_to_sheet, write_sheet
 from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
@@ -80,8 +80,8 @@ class OfflineAcquisition:
         """
         own = folder / f"{self.scene}_{self.name}_L{self._level:02d}"
         about = {
-            "settings": str(settings_file.absolute()),
-            "results": str(results.absolute()),
+            "settings": relative_to_sheet(settings_file, own),
+            "results": relative_to_sheet(results, own),
             "scene": self.scene,
             "method": self.name,
             "level": self._level,

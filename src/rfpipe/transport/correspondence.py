@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
+from rfpipe.gray_code import gray_bits, gray_code, gray_number
 from rfpipe.transport.algebra import MatrixAlgebra
 
 Float = NDArray[np.float32]
@@ -209,19 +210,16 @@ def _relit(transport: MatrixAlgebra, patterns: Float) -> Float:
 def _coordinate(transport: MatrixAlgebra, floodlit: Float, axis: int) -> NDArray[np.int64]:
     """Decode rows (axis 0) or columns (axis 1) of the places to one pixel, (camera rays,)."""
     shape = transport.projector_shape[-2:]
-    place = np.arange(shape[axis] + 1)
-    gray = place ^ place >> 1
-    bits = 1 << np.arange(max(int(place[-2]).bit_length(), 1))
+    code = gray_code(np.arange(shape[axis] + 1), max(1, gray_bits(shape[axis])))
     candidates = []
     # pixels at an edge of the finest stripes are decoded from the stripes moved by one pixel
-    for fine in (gray[:-1] & 1, gray[1:] & 1):
-        lines = np.stack([fine, *((gray[:-1] & bit > 0) ^ fine for bit in bits)])
+    for fine in (code[-1, :-1], code[-1, 1:]):
+        lines = np.stack([fine, *(code[:, :-1] ^ fine)])
         along = np.expand_dims(lines, 2 - axis)
         images = _relit(transport, np.broadcast_to(along, (len(lines), *shape)).astype(np.float32))
         above = images - floodlit / 2
         lit = (above[1:] > 0) ^ (above[0] > 0)
-        binary = np.logical_xor.accumulate(lit[::-1], axis=0)[::-1]
-        candidates.append((np.abs(above[0]), np.tensordot(bits, binary, 1)))
+        candidates.append((np.abs(above[0]), gray_number(lit)))
     (clear, first), (clearer, second) = candidates
     place_of: NDArray[np.int64] = np.where(clearer > clear, second, first)
     return np.minimum(place_of, shape[axis] - 1)

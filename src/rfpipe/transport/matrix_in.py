@@ -151,6 +151,8 @@ def _of_group(path: Path, group: Any, name: str | None) -> Any:
             f"{path}: {name or item.name} is a group, no array; name a dataset. A sparse matrix is "
             "read from a .mat of version 7, or from what scipy.sparse.save_npz writes"
         )
+    if item.attrs.get("MATLAB_class") == b"char":
+        raise InputError(f"{path}: {name or item.name} is text; light transport is real numbers")
     # MATLAB counts its axes the other way round
     return item[...].transpose() if "MATLAB_class" in item.attrs else item[...]
 
@@ -178,12 +180,17 @@ def _channels(held: Any, camera: Shape, projector: Shape, name: str, order: RayO
         if shapes != (camera, projector):
             raise _misfit(name, tuple(map(prod, shapes)), camera, projector)
         return [held.channel(index) for index in range(held.channels)]
-    if sparse.issparse(held):
-        matrices: list[Any] = [sparse.csr_array(held)]  # type: ignore[call-overload]
+    is_sparse = bool(sparse.issparse(held))
+    dtype: Any = held.dtype if is_sparse else np.asarray(held).dtype
+    if dtype.kind not in "fiub":
+        raise InputError(
+            f"{name}: holds {dtype}; light transport is real numbers. Save the real part, or the "
+            "absolute values, as an array of numbers"
+        )
+    if is_sparse:
+        matrices: list[Any] = [sparse.csr_array(held)]
     else:
         array = np.asarray(held)
-        if array.dtype.kind not in "fiub":
-            raise InputError(f"{name}: holds {array.dtype}; light transport is real numbers")
         array = array[None] if array.ndim == 2 else array
         by_channel = (np.moveaxis(array, axis, 0) for axis in range(array.ndim))
         fitting = (each for each in by_channel if len(each) in (1, 3) and each.shape[1:] == shape)

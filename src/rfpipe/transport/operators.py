@@ -163,10 +163,10 @@ def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
             f"{name} has the shape {matrix.shape}; camera_shape and projector_shape want "
             f"({rows} camera rays, {columns} projector rays), channels first"
         )
+    if matrix.dtype is not None and matrix.dtype.kind not in "fiub":  # some operators have none
+        raise InputError(f"{name} has dtype {matrix.dtype}; expected real numbers")
     if isinstance(matrix, LinearOperator):
         return _linear(matrix)
-    if not is_sparse and matrix.dtype.kind not in "fiub":
-        raise InputError(f"{name} has dtype {matrix.dtype}; expected real numbers")
     array: Any
     if is_sparse:
         array = sparse.csr_array(matrix, dtype=np.float64)

@@ -12,13 +12,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
-from rfpipe.errors import StoreError
+from rfpipe.errors import InputError, StoreError
 from rfpipe.store import read_manifest, write_manifest
 
 RUN = "run.json"
 """Lies in ``results``: how the run was started."""
 
 _PATIENCE_SECONDS = 60
+_SNAKEFILE, _CONFIGFILE = "--snakefile", "--configfile"
 
 
 def program(name: str) -> str:
@@ -27,13 +28,29 @@ def program(name: str) -> str:
     return str(beside) if beside.exists() else shutil.which(name) or name
 
 
+def check_no_braces(name: str, path: str | Path) -> None:
+    """Refuse a path that Snakemake can't have: it takes braces in it for wildcards.
+
+    Of a run's folder, Snakemake then finds no locks or those of other folders. Raises InputError.
+    """
+    if any(brace in str(path) for brace in "{}"):
+        raise InputError(
+            f"{name} is {path}; Snakemake takes braces in a path for wildcards. Use a folder "
+            "without braces in its name and in those above it"
+        )
+
+
 def write_run(
     results: Path, snakefile: Path, configfiles: Iterable[Path], overrides: dict[str, Any]
 ) -> None:
-    """Keep how a run was started: its files, and the settings given on the command line."""
-    options = ["--snakefile", str(snakefile.resolve())]
+    """Write how a run was started: its files, and the settings given on the command line.
+
+    Files in the run's folder have paths relative to it, so that the run can be copied or renamed.
+    """
+    home = results.resolve().parent
+    options = [_SNAKEFILE, _relative_to(home, snakefile)]
     for name, values in (
-        ("--configfile", [str(path.resolve()) for path in configfiles]),
+        (_CONFIGFILE, [_relative_to(home, path) for path in configfiles]),
         ("--config", [f"{name}={value}" for name, value in overrides.items()]),
     ):
         options += [name, *values] if values else []
@@ -42,12 +59,24 @@ def write_run(
 
 def run_again(results: Path) -> str:
     """Return the shell command that runs a run again."""
+    home = results.resolve().parent
     try:
-        options = read_manifest(results / RUN)["options"]
+        stored = read_manifest(results / RUN)["options"]
     except (StoreError, KeyError):
-        options = ["--configfile", "SETTINGS_OF_THAT_RUN"]
-    home = str(results.resolve().parent)
-    return shlex.join([program("rfpipe"), "run", "--directory", home, *options])
+        stored = ["--configfile", "SETTINGS_OF_THAT_RUN"]
+        return shlex.join([program("rfpipe"), "run", "--directory", str(home), *stored])
+    options, name = list[str](), ""
+    for option in stored:
+        name = option if option.startswith("--") else name
+        is_path = name in (_SNAKEFILE, _CONFIGFILE) and option != name
+        options.append(str(home / option) if is_path else option)
+    return shlex.join([program("rfpipe"), "run", "--directory", str(home), *options])
+
+
+def _relative_to(home: Path, path: Path) -> str:
+    """Path relative to a folder, for a file in it, or else the absolute path."""
+    path = path.resolve()
+    return path.relative_to(home).as_posix() if path.is_relative_to(home) else str(path)
 
 
 def notify(command: str | None, status: Literal["done", "failed"], log: str) -> None:

@@ -121,7 +121,7 @@ class Footprints(Adaptive):
         solutions = (2 if state.found is None else 1) * (3 + 2 * scales)
         with steps("footprints", solutions + (1 + len(indices)) * min(views, 2)):
             model = find(state.camera, state.projector, grey, parts, state.found)
-        arrays = _arrays_of(model, state.camera, state.projector, unit)
+        arrays = transport_arrays(model, state.camera, state.projector, unit)
         nodes, scalar = len(arrays["cores_columns"]), len(arrays["footprints_columns"])
         state = state.counted(nodes=nodes, scalar=scalar)
         return self._with_residual(state.changed(model=arrays, found=model.grey, residual=None))
@@ -176,10 +176,10 @@ def _model_of(state: AdaptiveState) -> FootprintTransport:
     return FootprintTransport(*shapes, state.channels, [], arrays)
 
 
-def _arrays_of(
+def transport_arrays(
     model: Model, camera: RayDomain, projector: RayDomain, unit: float
 ) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a `FootprintTransport`; the model is in units of so much radiance."""
+    """Return the arrays of a `FootprintTransport`; `unit` is the radiance of 1 in the model."""
     exchanges = [exchange for _, exchange in model.channels]
     functions = exchanges[0].functions
     direct = [candidates.matrix(camera.size, projector.size) for candidates, _ in model.channels]

@@ -99,9 +99,9 @@ def find(
 
     Footprints are searched for twice when nothing is known, once in later rounds, where `before` is
     an earlier model's `Model.grey`. By default the fits of indirect light use 4,096 camera rays for
-    a projector of several views, else all of them. `grey` is the sum of the channels, pictures of patterns on each
-    of the projector's views; of `channels` each is fitted before the next is asked for, none where
-    the sum is the only channel.
+    a projector of several views, else all of them. `grey` is the sum of the channels, pictures of
+    patterns on each of the projector's views; of `channels` each is fitted before the next is asked
+    for, none where the sum is the only channel.
     """
     rays, view = projector.rays_per_image, RayDomain(projector.image_shape)
     templates = []

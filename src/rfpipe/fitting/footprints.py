@@ -1,0 +1,102 @@
+"""Footprints with smooth light, fitted to pictures of patterns chosen elsewhere.
+
+The model is that of footprint acquisition, ``T = D + f L S R^T g`` (`rfpipe.methods.adaptive`):
+few projector rays light each camera ray directly, and indirect light is smooth.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.fitting.series import Float, Series
+from rfpipe.methods.adaptive.footprints.method import transport_arrays
+from rfpipe.methods.adaptive.footprints.model import Effort, find
+from rfpipe.methods.adaptive.footprints.series import Series as FootprintSeries
+from rfpipe.transport.footprints import FootprintTransport
+
+# On real Gray code (camera of 120 x 160, 30 pictures), 1.4 million unknowns in the fits of indirect
+# light took 4 times as long as 30,000 and placed footprints no better.
+_EFFORT = Effort(camera_rays=2048, unknowns=30_000)
+# Fewer patterns don't tell footprints apart.
+LEAST_PICTURES = 10
+# Largest unevenness of the combination of patterns that stands for white, and its ridge.
+_MOST_UNEVEN, _RIDGE = 0.3, 1e-3
+
+
+def unfit_for_footprints(series: Series) -> str:
+    """Return why footprints can't be fitted to pictures, or an empty string."""
+    if RayDomain(series.projector_shape).views > 1 or RayDomain(series.camera_shape).views > 1:
+        return "there are several views"
+    if series.patterns.shape[1] > 1:
+        return "patterns are coloured"
+    if series.is_complete:
+        return "the patterns determine each ray by themselves"
+    if len(series.patterns) < LEAST_PICTURES:
+        return f"there are {len(series.patterns)} pictures, fewer than {LEAST_PICTURES}"
+    if _white_weights(series.patterns[:, 0]) is None:
+        return "no combination of patterns gives white"
+    return ""
+
+
+def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTransport:
+    """Fit footprints with smooth light.
+
+    Parameters
+    ----------
+    series : Series
+        Pictures for which `unfit_for_footprints` is empty.
+    rows : list of dict
+        The transport's table of levels.
+    """
+    camera, projector = RayDomain(series.camera_shape), RayDomain(series.projector_shape)
+    patterns = series.patterns[:, 0]
+    white = _white_weights(patterns)
+    assert white is not None
+    is_probe = patterns.min(axis=1) < patterns.max(axis=1)
+    floodlight = (white @ patterns)[None].astype(np.float32)
+    lit = np.ascontiguousarray(np.vstack([floodlight, patterns[is_probe]]).T)
+    radiance, variance = (
+        np.concatenate([np.einsum("k,kcm->cm", weights, images)[None], images[is_probe]])
+        for weights, images in (
+            (white, np.where(series.known, series.radiance, 0)),
+            (np.square(white), np.where(series.known, series.variance, 0)),
+        )
+    )
+    light = float(np.abs(radiance[0].sum(axis=0)).mean())
+    unit = float(2.0 ** np.round(np.log2(light))) if light > 0 else 1.0
+
+    def pictures_of(chosen: slice) -> tuple[FootprintSeries]:
+        observed = radiance[:, chosen].sum(axis=1) / unit
+        spread = np.where(series.known, variance[:, chosen].sum(axis=1) / unit**2, np.inf)
+        return (FootprintSeries(lit, _by_pixel(observed), _by_pixel(spread)),)
+
+    count = series.channels
+    channels = [pictures_of(slice(index, index + 1)) for index in range(count)] if count > 1 else []
+    model = find(camera, projector, pictures_of(slice(None)), channels, None, _EFFORT)
+    arrays = transport_arrays(model, camera, projector, unit)
+    return FootprintTransport(camera.shape, projector.shape, count, rows, arrays)
+
+
+def _by_pixel(pictures: NDArray[np.floating]) -> Float:
+    """Return pictures (K, M) as (M, K)."""
+    return np.ascontiguousarray(pictures.T, np.float32)
+
+
+def _white_weights(patterns: Float) -> NDArray[np.float64] | None:
+    """Return weights (K,) by which patterns (K, N) add up to white, or None where they don't.
+
+    ``a = argmin |P^T a - 1|^2 / N + ridge |a|^2``: several ways to white are averaged.
+    """
+    rows = patterns.astype(np.float64)
+    rays = rows.shape[1]
+    gram = rows @ rows.T / rays
+    ridge = _RIDGE * float(np.trace(gram)) / len(rows)
+    weights = np.linalg.solve(gram + ridge * np.eye(len(rows)), rows.sum(axis=1) / rays)
+    total = weights @ rows
+    weights /= total.mean()
+    uneven = float(np.std(total / total.mean()))
+    return weights if uneven < _MOST_UNEVEN else None

@@ -1,0 +1,55 @@
+"""The model of near/far acquisition, fitted to pictures of a coaxial rig."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rfpipe.fitting.series import Series
+from rfpipe.methods.adaptive.residual import Canvas, residual_of
+from rfpipe.methods.adaptive.smooth import as_transport, fit
+from rfpipe.methods.images import Pictures
+from rfpipe.methods.states import joined
+from rfpipe.transport.base import Transport
+
+
+def unfit_for_near_far(series: Series) -> str:
+    """Return why the model of coaxial rigs can't be fitted to pictures, or an empty string."""
+    patterns, white = series.patterns, series.patterns.all(axis=-1)
+    if series.camera_shape != series.projector_shape:
+        return (
+            f"a coaxial rig has one shape of rays, not {series.camera_shape} camera and "
+            f"{series.projector_shape} projector rays"
+        )
+    are_binary = patterns.shape[1] == 1 and ((patterns == 0) | (patterns == 1)).all()
+    if not are_binary or not white.any() or white.all():
+        return (
+            "the model of coaxial rigs needs a picture of white light, and others of patterns "
+            "whose weights are 0 or 1; add them, or leave out --coaxial"
+        )
+    return ""
+
+
+def solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
+    """Fit direct light, smooth indirect light, and the residual of both.
+
+    Parameters
+    ----------
+    series : Series
+        Pictures for which `unfit_for_near_far` is empty.
+    rows : list of dict
+        The transport's table of levels.
+    """
+    shape, lit = series.projector_shape, series.patterns[:, 0] > 0
+    white = lit.all(axis=1)
+    radiance = series.radiance[white].mean(axis=0, dtype=np.float64)[None].astype(np.float32)
+    spread = series.variance[white].mean(axis=0, dtype=np.float64)[None] / np.count_nonzero(white)
+    floodlit = Pictures(lit[white][:1], radiance, spread.astype(np.float32)).completed(shape)
+    others = Pictures(lit[~white], series.radiance[~white], series.variance[~white])
+    pictures = joined([floodlit, others], axis=0)
+    model = fit(shape, pictures)
+    canvas = Canvas.of(shape, pictures)
+    samples = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
+    residual = residual_of(canvas, samples, as_transport(shape, [], model, pictures))
+    return as_transport(shape, rows, model, pictures, [residual.transport(canvas, shape)])
