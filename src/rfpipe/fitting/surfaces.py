@@ -6,10 +6,10 @@ the place ``q`` of pixel ``x`` is nearly affine,
 
     q(x) = a + B x,
 
-and a robust fit of a and B to all places in the window gives each pixel its expected footprint: a
-box at ``q(x)`` as wide as the pixel's image B. Weights are then estimated again, with these expected
-weights in place of zero: what the pictures determine they still determine, and what they leave
-open follows the surface.
+and a robust fit of a and B to all places in the window gives each pixel its expected footprint: a box at ``q(x)`` as
+wide as the pixel's image B. Weights are then estimated again, with these expected weights in place
+of zero: what the pictures determine they still determine, and what they leave open follows the
+surface.
 
 ====== ========= ============== ==========================================================
 symbol code      shape          meaning

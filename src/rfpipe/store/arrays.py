@@ -83,6 +83,12 @@ class ArrayBundle:
         part.names = tuple(names)
         return part
 
+    def without(self, name: str) -> ArrayBundle:
+        """Return the bundle without the array of a name, if there is one."""
+        part = self.part("", self.attributes)
+        part.names = tuple(other for other in self.names if other != name)
+        return part
+
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of an array, without reading it; InputError when there is none of this name."""
         return tuple(self._entry(name)["shape"])

@@ -26,6 +26,9 @@ HISTORY_COLUMNS = ("level", "patterns", "estimated_error", "estimated_indirect")
 """Level; patterns shown up to there, the floodlit one included; the error that the method then
 estimated, relative to the norm of a relit image."""
 
+NOISE = "noise"
+"""Array of a store that holds `Light.noise`, beside those of the transport itself."""
+
 _BATCH = 64
 
 
@@ -81,6 +84,7 @@ class Transport(Light):
         stored: dict[str, Any] = {name: getattr(self, name) for name in self.stored_names}
         made = type(self)(channels=self.channels, level_rows=level_rows, held=held, **stored)
         made.lights = self.lights
+        made.noise = self.noise
         return made
 
     def pack(
@@ -245,6 +249,8 @@ def save_transport(
     arrays, packed = transport.pack(number_format)
     if transport.lights is not None:
         attributes["lights"] = transport.lights.tolist()
+    if transport.noise is not None:
+        arrays = {**arrays, NOISE: transport.noise}
     by_parts = len(transport.camera_shape) > 2
     return write_arrays(Path(path), arrays, {**attributes, **packed}, small=True, by_parts=by_parts)
 

@@ -32,6 +32,7 @@ class Light(MatrixAlgebra):
 
     _lights: Float | None = None
     _between: LightsBetween | None = None
+    _noise: Float | None = None
 
     @property
     def T(self) -> Light:  # noqa: N802 - as in scipy and numpy
@@ -52,6 +53,19 @@ class Light(MatrixAlgebra):
 
         self._lights = None if lights is None else as_directions(lights, count=self.shape[2])
         self._between = None
+
+    @property
+    def noise(self) -> Float | None:
+        """Standard deviation of one picture, float32 (*camera_shape), if known.
+
+        Radiance, of the sum of the channels; infinite at camera pixels that no picture shows.
+        Setting it raises InputError for another shape, NaN or negative values.
+        """
+        return self._noise
+
+    @noise.setter
+    def noise(self, noise: ArrayLike | None) -> None:
+        self._noise = None if noise is None else _as_noise(noise, self.camera_shape)
 
     def relight(self, pattern: NDArray[Any]) -> Float:
         """Return the image under a pattern, ``c = T p`` (eq. 2.11).
@@ -88,7 +102,7 @@ class Light(MatrixAlgebra):
         """
         from rfpipe.transport.correspondence import correspondence_of
 
-        return correspondence_of(self)
+        return correspondence_of(self, self.noise)
 
     def light_from(self, direction: ArrayLike) -> Float:
         """Return the picture under one light from any direction, interpolated between lights.
@@ -231,7 +245,7 @@ class Light(MatrixAlgebra):
         from rfpipe.transport.separation import separated
 
         light = planar_patterns(np.asarray(pattern)[None], self.projector_shape, self.channels)
-        return separated(self, light[0], direct, near)
+        return separated(self, light[0], direct, near, self.noise)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
@@ -371,3 +385,16 @@ def planar_patterns(
     if not np.isfinite(patterns).all():
         raise InputError(f"{name} holds NaN or infinite weights; all weights must be finite")
     return planar
+
+
+def _as_noise(noise: ArrayLike, camera_shape: tuple[int, ...]) -> Float:
+    """Check standard deviations of a picture; float32 (*camera_shape)."""
+    deviations = np.asarray(noise, np.float32)
+    if deviations.shape != tuple(camera_shape):
+        raise InputError(
+            f"noise has the shape {deviations.shape}; expected that of the camera's rays, "
+            f"{tuple(camera_shape)}: one standard deviation for each"
+        )
+    if not (deviations >= 0).all():
+        raise InputError("noise holds NaN or negative values; standard deviations are 0 or more")
+    return deviations

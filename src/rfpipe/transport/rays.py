@@ -141,6 +141,7 @@ def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTr
     name = f"{seen.shape} by {lit.shape} rays"
     taken = RegroupedTransport(part, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
     taken.lights = None if whole.lights is None else whole.lights[lit.ravel()]
+    taken.noise = None if whole.noise is None else whole.noise.ravel()[seen]
     return taken
 
 

@@ -33,8 +33,13 @@ class Separation:
     far: Float
 
 
-def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) -> Separation:
-    """Return the picture under planar light (channels, projector rays), see `Light.separate`."""
+def separated(
+    transport: MatrixAlgebra, light: Float, direct: int, near: float, noise: Float | None = None
+) -> Separation:
+    """Separate the picture under planar light (channels, projector rays), see `Light.separate`.
+
+    `noise` is that of `correspondence_of`.
+    """
     shape = transport.projector_shape
     if not (direct >= 0 and direct == int(direct) and 0 < near <= 1):
         raise InputError(
@@ -43,7 +48,7 @@ def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) 
         )
     if min(shape[-2:]) < 2:
         raise InputError(f"the projector's rays {shape} are no picture, in which some are near")
-    places = _places(transport)
+    places = _places(transport, noise)
     channels = range(transport.channels)
     planes = light.reshape(-1, *shape[-2:])
     windows = (_windows(plane, places, int(direct)) for plane in planes)
@@ -57,11 +62,11 @@ def separated(transport: MatrixAlgebra, light: Float, direct: int, near: float) 
     return Separation(*(it.T.reshape(*transport.camera_shape, -1) for it in parts))
 
 
-def _places(transport: MatrixAlgebra) -> Places:
+def _places(transport: MatrixAlgebra, noise: Float | None) -> Places:
     """Return each camera ray's place, row and column, (M, 2)."""
     from scipy.ndimage import distance_transform_edt
 
-    found = correspondence_of(transport)
+    found = correspondence_of(transport, noise)
     if not found.mask.any():
         raise InputError("no pixel sees light that comes directly from one place of the projector")
     nearest = distance_transform_edt(~found.mask, return_distances=False, return_indices=True)

@@ -10,7 +10,7 @@ from rfpipe.errors import StoreError
 from rfpipe.store.arrays import ArrayBundle, open_arrays
 from rfpipe.store.places import METADATA, Place, content_of, locate
 from rfpipe.transport.algebra import MEMORY_BUDGET
-from rfpipe.transport.base import Transport
+from rfpipe.transport.base import NOISE, Transport
 from rfpipe.units import NumberFormat
 
 STORE_NAME = "transport.zarr"
@@ -63,8 +63,9 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
         When an array that is read does not match its digest.
     """
     bundle = open_arrays(find_transport(path))
-    transport = unpack_transport(bundle, memory_budget)
+    transport = unpack_transport(bundle.without(NOISE), memory_budget)
     transport.lights = bundle.attributes.get("lights")
+    transport.noise = bundle.read(NOISE) if NOISE in bundle.names else None
     return transport
 
 
