@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import ceil, log2
 from typing import Any
@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
+from rfpipe.fitting.faults import faults_of
 from rfpipe.fitting.footprints import LEAST_PICTURES, solve_footprints, unfit_for_footprints
 from rfpipe.fitting.held_out import dependents, held_out_pictures, mean_error, mean_picture
 from rfpipe.fitting.least_squares import solve_least_squares, strange_pictures
+from rfpipe.fitting.lights import check_lights
 from rfpipe.fitting.near_far import solve_near_far, unfit_for_near_far
 from rfpipe.fitting.noise import with_estimated_noise
 from rfpipe.fitting.series import Series
@@ -107,6 +110,9 @@ def fit_transport(
 ) -> Fit:
     """Fit the light transport to pictures, by the model that predicts left-out ones best.
 
+    Pictures of single lights whose directions are known are the transport's columns; the error is
+    that of lights that are left out, interpolated between the others.
+
     Parameters
     ----------
     series : Series
@@ -125,25 +131,28 @@ def fit_transport(
         determine too little.
     """
     series = with_estimated_noise(series)
+    if series.lights is not None and series.are_single_lights:
+        return _fit_lights(series, anyway)
     models = _models(series, coaxial)
     trial = _trial(series, models)
     training = series.training
-    notes = list(series.notes)
-    if doubts := _doubts(training, trial):
-        if not anyway:
-            raise InputError(f"{doubts} To write the transport all the same: --anyway")
-        notes.append(doubts)
+    exchanged, unsteady = _faults(training)
+    notes = [*series.notes, *unsteady]
+    if doubts := [*exchanged, *_doubts(training, trial)]:
+        _refuse(doubts, anyway)
+        notes += doubts
     errors = trial.errors if trial else {}
-    best = min(models, key=lambda model: errors.get(model.name, 0.0))
+    best = min(models, key=lambda model: errors.get(model.name, np.inf))
     if best is LEAST_SQUARES:
         _check_memory(series, memory_gib)
     row = level_row(0, len(training.patterns))
     if trial:
         row["estimated_error"] = errors[best.name]
-        if errors[best.name] > _HARDLY_BETTER * trial.mean_picture:
+        if not doubts and errors[best.name] > _HARDLY_BETTER * trial.mean_picture:
             notes.append(_few_pictures(training))
     transport = best.solve(training, [row])
     transport.lights = series.lights
+    transport.noise = _deviation(training)
     return Fit(
         transport,
         best.name,
@@ -153,6 +162,51 @@ def fit_transport(
         {**errors, "the mean picture": trial.mean_picture} if trial else {},
         tuple(notes),
     )
+
+
+def _fit_lights(series: Series, anyway: bool) -> Fit:
+    """Take pictures of single lights as a transport, with the error between lights."""
+    assert series.lights is not None
+    check = check_lights(series.radiance, series.lights, series.names, series.known)
+    notes = list(series.notes)
+    if check.faults:
+        _refuse(check.faults, anyway)
+        notes += check.faults
+    is_known = bool(np.isfinite(check.error))
+    row = level_row(0, len(series.patterns))
+    if is_known:
+        row["estimated_error"] = check.error
+    transport = solve_least_squares(series, [row])
+    transport.lights = series.lights
+    error = check.error if is_known else None
+    held_out = len(series.patterns) if is_known else 0
+    return Fit(transport, "single lights", True, error, held_out, notes=tuple(notes))
+
+
+def _refuse(doubts: Sequence[str], anyway: bool) -> None:
+    """Raise InputError with all doubts, unless the transport is wanted all the same."""
+    if not anyway:
+        raise InputError(f"{' '.join(doubts)} To write the transport all the same: --anyway")
+
+
+def _deviation(series: Series) -> NDArray[np.float32]:
+    """Return the standard deviation of one picture, summed over channels, (M,)."""
+    noise = np.sqrt(series.variance.sum(axis=1).mean(axis=0))
+    noise = np.where(series.known, noise, np.inf)
+    return noise.reshape(series.camera_shape).astype(np.float32)
+
+
+def _faults(series: Series) -> tuple[list[str], list[str]]:
+    """Return messages on exchanged pictures, and on motion and flicker."""
+    camera, projector = RayDomain(series.camera_shape), RayDomain(series.projector_shape)
+    if series.patterns.shape[1] > 1 or camera.views > 1 or projector.views > 1:
+        return [], []
+    names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
+    light = np.where(series.known, series.radiance, 0).sum(axis=1)
+    shapes = camera.image_shape, projector.image_shape
+    faults = faults_of(series.patterns[:, 0], light, *shapes, names)
+    exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]
+    return exchanged, [fault.message for fault in faults if fault.kind != "exchanged"]
 
 
 def _models(series: Series, coaxial: bool) -> list[Model]:
@@ -200,19 +254,21 @@ def _error_of(model: Model, training: Series, held_out: Series) -> float:
     return mean_error(predicted, held_out)
 
 
-def _doubts(series: Series, trial: _Trial | None) -> str:
-    """Return what is wrong with pictures and how to mend it, or an empty string."""
+def _doubts(series: Series, trial: _Trial | None) -> list[str]:
+    """Return what is wrong with pictures and how to mend it; empty where nothing is."""
     if series.is_complete and (strange := strange_pictures(series)).size:
         names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
         worst = ", ".join(names[index] for index in strange[:4])
-        return f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"
+        return [f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"]
     if trial is None or min(trial.errors.values()) < trial.mean_picture:
-        return ""
-    return (
-        f"left-out pictures are off by {min(trial.errors.values()):.0%}, by "
-        f"{trial.mean_picture:.0%} where each is taken for the mean picture times its pattern's "
-        f"light. {_few_pictures(series)}"
-    )
+        return []
+    return [
+        (
+            f"left-out pictures are off by {min(trial.errors.values()):.0%}, by "
+            f"{trial.mean_picture:.0%} where each is taken for the mean picture times its "
+            f"pattern's light. {_few_pictures(series)}."
+        )
+    ]
 
 
 def _few_pictures(series: Series) -> str:

@@ -15,7 +15,13 @@ from rfpipe.errors import InputError
 from rfpipe.fitting.codes import code_patterns
 from rfpipe.fitting.names import SortedPictures, sort_pictures
 from rfpipe.fitting.patterns import Patterns
-from rfpipe.light_files import intensities_in, light_file_in, light_names_in, lights_in
+from rfpipe.light_files import (
+    intensities_in,
+    light_file_in,
+    light_names_in,
+    lights_in,
+    read_lights,
+)
 from rfpipe.pictures import Part, check_sequence, picture_files, read_parts
 from rfpipe.weights import Curve
 
@@ -157,8 +163,12 @@ def _list_parts(file: Path, lights: tuple[int, int] | None, read: _Brackets) -> 
     if len(brackets) < 2:
         raise InputError(f"{file}: holds one picture; expected EXR with a part for each light")
     patterns = Patterns.single_lights(*(lights or (1, len(brackets))))
-    validation = np.zeros(len(brackets), np.bool_)
-    return Listing(brackets, patterns, validation, are_single_lights=True)
+    validation, light_file = np.zeros(len(brackets), np.bool_), file.with_suffix(".lp")
+    directions = None
+    if light_file.is_file():
+        directions = read_lights(light_file, [bracket[0].name for bracket in brackets])
+        as_directions(directions, str(light_file), prod(patterns.shape))
+    return Listing(brackets, patterns, validation, directions=directions, are_single_lights=True)
 
 
 def _list_folder(

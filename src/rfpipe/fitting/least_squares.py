@@ -90,6 +90,12 @@ def strange_pictures(series: Series) -> NDArray[np.intp]:
 
 def _solved(series: Series) -> list[Float]:
     """Return the matrices (M, N) of all channels of pictures under one light."""
+    if series.are_single_lights:
+        pictures, lights = np.nonzero(series.patterns[:, 0])
+        columns = series.radiance[pictures] / series.patterns[pictures, :, lights][..., None]
+        matrix = np.zeros((series.channels, series.radiance.shape[2], len(lights)), np.float32)
+        matrix[..., lights] = np.maximum(np.moveaxis(columns, 0, -1), 0)
+        return list(matrix)
     weights, gain = _weights(series), _gains(series)
     if not series.variance.any() and series.is_complete:
         basis, ridge = _Basis.of(series, weights, 0.0), _ROUNDING

@@ -113,6 +113,14 @@ class Series:
         lights = self.patterns.shape[-1]
         return bool(len(self.patterns) >= lights and self.rank == lights)
 
+    @property
+    def are_single_lights(self) -> bool:
+        """Whether each picture shows one projector ray, and each ray has one picture."""
+        lit = self.patterns.any(axis=1)
+        return lit.shape[0] == lit.shape[1] and bool(
+            (lit.sum(axis=0) == 1).all() and (lit.sum(axis=1) == 1).all()
+        )
+
     def of_rays(self, chosen: NDArray[np.int64]) -> Series:
         """Return the pictures of some camera rays, as a row of them."""
         parts = {name: getattr(self, name)[..., chosen] for name in ("radiance", "variance")}

@@ -6,10 +6,10 @@ the place ``q`` of pixel ``x`` is nearly affine,
 
     q(x) = a + B x,
 
-and a robust fit of a and B to all places in the window gives each pixel its expected footprint: a box at ``q(x)`` as
-wide as the pixel's image B. Weights are then estimated again, with these expected weights in place
-of zero: what the pictures determine they still determine, and what they leave open follows the
-surface.
+and a robust fit of a and B to all places in the window gives each pixel its expected footprint: a
+box at ``q(x)`` as wide as the pixel's image B. Weights are then estimated again, with these
+expected weights in place of zero: what the pictures determine they still determine, and what they
+leave open follows the surface.
 
 ====== ========= ============== ==========================================================
 symbol code      shape          meaning
@@ -151,7 +151,7 @@ def smoothed(
 
 
 def _misfit(series: Series, residual: NDArray[np.float32]) -> float:
-    """Return the typical residual of pictures beyond their noise, relative to the floodlit image."""
+    """Return the residual of pictures beyond their noise, relative to the floodlit image."""
     lit = series.shining
     if not lit.any():
         return _LEAST_MISFIT
@@ -171,7 +171,7 @@ def _places(found: Candidates, camera: RayDomain, projector: RayDomain) -> tuple
     middle = np.stack(np.divmod(brightest, width)) + 0.5
     near = (np.abs(place - middle[:, pixel]) <= _NEAR).all(axis=0)
     weight = found.weights * near
-    light = np.bincount(pixel, weight, camera.size)
+    light = np.asarray(np.bincount(pixel, weight, camera.size), np.float64)
     mean = [np.bincount(pixel, weight * axis, camera.size) for axis in place]
     places = np.stack(mean) / np.where(light > 0, light, 1)
     return places.reshape(2, *camera.image_shape), light.reshape(camera.image_shape)
@@ -231,7 +231,9 @@ def _affine(places: Double, weight: Double, side: int) -> tuple[Double, Double]:
         along_column = _mean(weight * axis * column, side) - column * moment
         right.append(np.stack([moment, along_row, along_column], axis=-1))
     scale = np.array([1e-9, 1e-4, 1e-4]) * np.maximum(total, 1e-6)[..., None]
-    solution = np.linalg.solve(normal + scale[..., None] * np.eye(3), np.stack(right, axis=-1))
+    solution: Double = np.linalg.solve(
+        normal + scale[..., None] * np.eye(3), np.stack(right, axis=-1)
+    ).astype(np.float64)
     slopes = np.moveaxis(solution[..., 1:, :], (-1, -2), (0, 1))
     return np.moveaxis(solution[..., 0, :], -1, 0), slopes
 
