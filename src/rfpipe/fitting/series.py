@@ -101,6 +101,14 @@ class Series:
         ]
 
     @property
+    def grey(self) -> Series:
+        """The sum of the channels of pictures of white patterns; coloured ones are returned."""
+        if self.patterns.shape[1] > 1 or self.channels == 1:
+            return self
+        sums = {name: getattr(self, name).sum(axis=1, keepdims=True) for name in _ARRAYS[1:]}
+        return replace(self, **sums)
+
+    @property
     def rank(self) -> int:
         """Number of independent patterns, of coloured ones in the channel that has the fewest."""
         patterns = np.moveaxis(self.patterns, 1, 0).astype(np.float64)
