@@ -12,13 +12,14 @@ from rfpipe.fitting.codes import code_patterns
 
 @dataclass(frozen=True)
 class Shot:
-    """Patterns (K, N) without black ones, and pictures (K, M) minus black."""
+    """Patterns (K, N) without black ones, pictures (K, M) minus black, and true places (2, M)."""
 
     patterns: np.ndarray
     pictures: np.ndarray
     camera_shape: tuple[int, int]
     projector_shape: tuple[int, int]
     names: list[str]
+    places: np.ndarray
 
     def arguments(self) -> tuple:
         return (self.patterns, self.pictures, self.camera_shape, self.projector_shape, self.names)
@@ -86,4 +87,7 @@ def shot(
         light = light + noise * random.standard_normal(camera)
         pictures[index] = np.clip(np.round(255 * (light + 0.05)), 0, 255) / 255 - 0.05
     names = [f"{index + 1:02d}.png" for index in range(count)]
-    return Shot(stack.reshape(count, -1), pictures.reshape(count, -1), camera, projector, names)
+    return Shot(
+        stack.reshape(count, -1), pictures.reshape(count, -1), camera, projector, names,
+        place.reshape(2, -1) + 0.5,
+    )  # fmt: skip

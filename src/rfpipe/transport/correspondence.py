@@ -49,7 +49,7 @@ _LEAST_SHARE = 0.03  # smaller shares count as this
 
 _LEAST_CONFIDENCE = 0.5  # in the mask
 _DARK = 1e-3  # of the brightest pixel's light
-_DEVIATIONS = 4  # of one picture's noise, which lit pixels exceed
+_DEVIATIONS = 8  # of one picture's noise, which lit pixels exceed
 
 # Steps (rows, columns) to one of each two opposite neighbours in a window of 5 x 5 pixels, and to
 # the eight neighbours of a window of 3 x 3.
@@ -73,7 +73,7 @@ class Correspondence:
     mask : ndarray of bool, shape (*camera_shape)
         True where the confidence is at least one half. Dark pixels are outside: those with less
         than a thousandth of the brightest pixel's light under full light or, where
-        `Light.noise` is known, with at most four standard deviations of it.
+        `Light.noise` is known, with at most eight standard deviations of it.
     """
 
     places: Float
