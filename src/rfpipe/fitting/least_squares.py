@@ -45,7 +45,7 @@ _TINY = float(np.finfo(np.float32).tiny)
 _ENOUGH_RAYS = 512
 # Gradients of the fit without negative entries. Of 252 photographs of 8 bits (12 x 14 rays, 30 to
 # validate), 0, 5, 20 and 60 leave 1.27, .39, .30 and .27 %; with negative entries .47 %.
-_GRADIENTS = 20
+_GRADIENTS = 60
 # A picture is strange when the others predict it worse than the median one by this factor, squared;
 # its inverse is the least such error. In simulation, with half more random patterns than rays, good
 # pictures reached 2.3 times the median, and exchanged, copied, turned and shuffled ones 168 times.
