@@ -29,6 +29,8 @@ Solve = Callable[[Series, list[dict[str, Any]]], Transport]
 _ENOUGH_RAYS = 2048
 # Share of the mean picture's error above which a note says that the transport is hardly better.
 _HARDLY_BETTER = 0.7
+# Contrast over the largest one above which a pattern is resolved after binning.
+_RESOLVED = 0.5
 
 
 @dataclass(frozen=True)
@@ -201,10 +203,14 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     camera, projector = RayDomain(series.camera_shape), RayDomain(series.projector_shape)
     if series.patterns.shape[1] > 1 or camera.views > 1 or projector.views > 1:
         return [], []
-    names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
-    light = np.where(series.known, series.radiance, 0).sum(axis=1)
+    patterns = series.patterns[:, 0]
+    names = series.names or [f"picture {index}" for index in range(len(patterns))]
+    # stripes that binning makes even can't be told from each other
+    contrast, mean = patterns.std(axis=1), patterns.mean(axis=1)
+    used = np.flatnonzero((contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99))
+    light = np.where(series.known, series.radiance[used], 0).sum(axis=1)
     shapes = camera.image_shape, projector.image_shape
-    faults = faults_of(series.patterns[:, 0], light, *shapes, names)
+    faults = faults_of(patterns[used], light, *shapes, [names[index] for index in used])
     exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]
     return exchanged, [fault.message for fault in faults if fault.kind != "exchanged"]
 

@@ -41,6 +41,7 @@ _TIED = 1.02  # ratio of misfits up to which two exchanges explain the pictures 
 _CLEARER = 3.0  # ratio of jumps mended to jumps made by which undoing an exchange smooths the map
 _TORN = 20.0  # jumps, at least, that undoing it mends
 _MOST = 8  # exchanges, at most, that are listed
+_UNREADABLE = 0.4  # share of neighbours without a codeword above which a code isn't readable
 _TESTED = 10_000_000  # pixels times exchanges that are decoded, at most
 _TABLE_BITS = 22  # bits up to which codewords are looked up in a table
 _MOST_BITS = 62  # bits of an integer
@@ -419,6 +420,8 @@ def _exchanged_by_code(
     for _ in range(_MOST if exchanges else 0):
         word = view.words(order)
         jumps = view.jumps(word)
+        if np.isinf(jumps).mean() > _UNREADABLE:
+            break
         limit = _largest(jumps)
         jumps = np.minimum(jumps, limit)
         gains: dict[Exchange, float] = {}
