@@ -210,7 +210,7 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     used = np.flatnonzero((contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99))
     light = np.where(series.known, series.radiance[used], 0).sum(axis=1)
     shapes = camera.image_shape, projector.image_shape
-    faults = faults_of(patterns[used], light, *shapes, [names[index] for index in used])
+    faults = faults_of(patterns[used], light, *shapes, [names[int(index)] for index in used])
     exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]
     return exchanged, [fault.message for fault in faults if fault.kind != "exchanged"]
 
