@@ -20,6 +20,7 @@ from rfpipe.fitting.lights import check_lights
 from rfpipe.fitting.near_far import solve_near_far, unfit_for_near_far
 from rfpipe.fitting.noise import with_estimated_noise
 from rfpipe.fitting.series import Series
+from rfpipe.methods.images import nearest
 from rfpipe.methods.states import level_row
 from rfpipe.transport.base import Transport
 
@@ -208,7 +209,8 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     # stripes that binning makes even can't be told from each other
     contrast, mean = patterns.std(axis=1), patterns.mean(axis=1)
     used = np.flatnonzero((contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99))
-    light = np.where(series.known, series.radiance[used], 0).sum(axis=1)
+    # unknown pixels take the nearest known one's light, so that they make no edges
+    light = series.radiance[used].sum(axis=1)[:, nearest(series.known.reshape(camera.image_shape))]
     shapes = camera.image_shape, projector.image_shape
     faults = faults_of(patterns[used], light, *shapes, [names[int(index)] for index in used])
     exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]
