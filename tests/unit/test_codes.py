@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
@@ -17,16 +16,29 @@ ROWS = [[0, 0, 1], [0, 1, 1]]
 
 
 def opencv(shape: tuple[int, int]) -> np.ndarray:
-    """OpenCV's pictures for 3 x 5 pixels; of other sizes, those of this OpenCV if it has them."""
+    """Pictures in OpenCV's order: of 3 x 5 pixels as OpenCV 5.0 made them, of others by its loop.
+
+    `GrayCodePattern::generate` sets a bit where two neighbouring digits of the pixel's number
+    differ, from the last picture to the first, and the complement after it.
+    """
     if shape == (3, 5):
         lines = [np.tile(line, (3, 1)) for line in COLUMNS]
         lines += [np.tile(line, (5, 1)).T for line in ROWS]
         return np.stack([each for line in lines for each in (line, 1 - np.array(line))])
-    if not hasattr(cv2, "structured_light"):
-        pytest.skip("this OpenCV lacks structured_light")
-    generated, pictures = cv2.structured_light.GrayCodePattern.create(*shape[::-1]).generate()
-    assert generated
-    return np.stack(pictures) // 255
+    pictures = []
+    for axis in (1, 0):
+        count = int(np.ceil(np.log2(shape[axis])))
+        codes = np.zeros((2 * count, shape[axis]), int)
+        for pixel in range(shape[axis]):
+            number, before = pixel, pixel % 2
+            for picture in range(count):
+                number //= 2
+                digit = number % 2
+                codes[2 * count - 2 * picture - 2, pixel] = digit != before
+                codes[2 * count - 2 * picture - 1, pixel] = digit == before
+                before = digit
+        pictures += [np.broadcast_to(np.expand_dims(code, 1 - axis), shape) for code in codes]
+    return np.stack(pictures)
 
 
 def array(name: str, pictures: int, means: np.ndarray | None = None) -> np.ndarray:
