@@ -49,4 +49,4 @@ for axis, (title, image) in zip(axes, images.items(), strict=True):
     axis.set(title=title, xticks=[], yticks=[])
 summary = f"by {fit.model}: left-out photographs are {fit.error:.1%} off"
 figure.suptitle(f"{summary}, {fit.errors['the mean picture']:.0%} by the mean picture")
-figure.savefig("gray_code.png", dpi=66)
+figure.savefig("gray_code.png", dpi=60)
