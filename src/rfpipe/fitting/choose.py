@@ -222,13 +222,12 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     faults = faults_of(patterns[used], light, *shapes, [names[int(index)] for index in used])
     exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]
     if len(exchanged) > _FEW_EXCHANGES:
-        exchanged = [
-            (
-                f"{len(exchanged)} exchanges of pictures would be needed for the patterns' order: see "
-                "that no picture is missing or of another set, and that the code is the one that was "
-                f"shown. The first: {exchanged[0]}"
-            )
-        ]
+        order = (
+            f"{len(exchanged)} exchanges of pictures would be needed for the patterns' order: see "
+            "that no picture is missing or of another set, and that the code is the one that was "
+            "shown. The first: "
+        )
+        exchanged = [order + exchanged[0]]
     return exchanged, [fault.message for fault in faults if fault.kind != "exchanged"]
 
 
