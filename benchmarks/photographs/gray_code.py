@@ -102,6 +102,8 @@ def place_rows(folder: Path, sides: Sequence[int]) -> Iterator[dict[str, Any]]:
 def held_out_rows(folder: Path, side: int, pairs: Sequence[int] = ()) -> Iterator[dict[str, Any]]:
     """Yield errors of predicted pictures for pairs of a picture and its complement.
 
+    Channels are summed, as `rfpipe fit` does for its error.
+
     Parameters
     ----------
     folder : Path
@@ -117,7 +119,7 @@ def held_out_rows(folder: Path, side: int, pairs: Sequence[int] = ()) -> Iterato
         picture, less noise, mean of the pair: ``footprints``, ``decoded`` (see `decoded_pictures`),
         ``mean_picture`` (the mean picture times the pattern's light) and ``least_squares``.
     """
-    series = with_estimated_noise(read_series(folder, patterns=CODE, camera_bin=side))
+    series = with_estimated_noise(read_series(folder, patterns=CODE, camera_bin=side)).grey
     labels = dependent_groups(series.patterns)
     names = list(dict.fromkeys(labels[labels >= 0].tolist()))
     for pair in pairs or range(len(names)):
