@@ -1,8 +1,9 @@
 """Errors of pictures under lights that are left out of a dome, beside those of simple methods.
 
 `dome_tables` takes a folder of pictures of one light at a time and their directions, such as the
-set of the University of Washington, or of any dome. `simulated_table` takes simulated objects: its
-even seeds were used to choose constants, its odd ones were not.
+set of the University of Washington, or of any dome. `simulated_table` takes simulated objects. No
+seed of it was used to choose constants of `rfpipe.lights`: a separate prototype with its own
+objects and seeds chose them.
 """
 
 from __future__ import annotations

@@ -6,15 +6,20 @@ Pictures are simulated: a curved, textured surface seen from aside, with blur, n
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+import rfpipe
+from benchmarks.photographs.runs import run_fit
+from rfpipe.fitting.binning import bin_image
 from rfpipe.fitting.codes import code_patterns
 
 CAMERA, PROJECTOR = (1500, 2048), (1080, 1920)
+CODE, PICTURES = "gray:1920x1080", 46
 
 
 def write_pictures(folder: Path, spec: str, count: int, seed: int = 0) -> NDArray[np.float64]:
@@ -57,3 +62,36 @@ def write_pictures(folder: Path, spec: str, count: int, seed: int = 0) -> NDArra
         colours = np.repeat(pixels[..., None], 3, axis=2)
         assert oiio.ImageBuf(np.ascontiguousarray(colours)).write(str(folder / f"{index:02d}.png"))
     return places
+
+
+def size_row(camera_bin: int = 10, projector_bin: int = 20) -> dict[str, object]:
+    """Measure ``rfpipe fit`` of Gray code at full resolution.
+
+    Returns
+    -------
+    dict
+        ``camera_bin``, ``projector_bin``; ``cpu_s``, ``peak_gib``; ``median``, ``nine_tenths``
+        (rays after binning) and ``beyond_2`` (percent) of the distances between places in the mask
+        and the simulated ones; ``in_mask`` (percent of the pixels that see the projector).
+    """
+    bins = "--camera-bin", f"{camera_bin}", "--projector-bin", f"{projector_bin}"
+    row: dict[str, object] = {"camera_bin": camera_bin, "projector_bin": projector_bin}
+    with TemporaryDirectory() as scratch:
+        folder, output = Path(scratch) / "pictures", Path(scratch) / "transport.zarr"
+        truth = write_pictures(folder, CODE, PICTURES)
+        run = run_fit(folder, output, "--patterns", CODE, *bins)
+        row |= {"cpu_s": run.seconds, "peak_gib": run.peak_gib}
+        if run.failed:
+            return row | {"refused": " ".join(run.text.split())}
+        matches = rfpipe.open_transport(output).correspondence()
+    places = bin_image(np.moveaxis(truth, 0, -1), camera_bin) / projector_bin
+    shape = np.array(PROJECTOR) / projector_bin
+    inside = ((places > 0) & (places < shape)).all(axis=-1)
+    compared = matches.mask & inside
+    distance = np.linalg.norm(matches.places - places, axis=-1)[compared]
+    return row | {
+        "median": float(np.median(distance)),
+        "nine_tenths": float(np.quantile(distance, 0.9)),
+        "beyond_2": 100 * float((distance > 2).mean()),
+        "in_mask": 100 * float(compared.sum() / inside.sum()),
+    }

@@ -9,6 +9,7 @@ import pytest
 from tests.structured_light import Shot, shot
 
 from rfpipe.errors import InputError
+from rfpipe.fitting import Series, fit_transport
 from rfpipe.fitting.faults import Fault, faults_of
 
 SETS = {
@@ -57,6 +58,19 @@ def test_several_exchanges_are_named() -> None:
     given = SETS["much indirect light"]
     named = [fault.pictures for fault in faults(given, (4, 20), (7, 14), (10, 11))]
     assert sorted(named) == [(4, 20), (7, 14), (10, 11)]
+
+
+def test_a_missing_picture_is_refused_in_one_sentence_on_the_order() -> None:
+    given = shot((32, 32), (48, 48), 1)
+    patterns, pictures = given.patterns[:-1], np.delete(given.pictures, 7, axis=0)
+    series = Series(
+        given.camera_shape, given.projector_shape, patterns, pictures[:, None],
+        np.zeros_like(pictures[:, None]), names=given.names[:-1],
+    )  # fmt: skip
+    with pytest.raises(InputError, match="no picture is missing") as refusal:
+        fit_transport(series)
+    assert str(refusal.value).count("are exchanged:") == 1
+    assert "name of the other. " in str(refusal.value)
 
 
 def test_a_mirrored_map_is_no_evidence() -> None:

@@ -125,4 +125,5 @@ def fit(
         return
     typer.echo(f"left-out pictures ({result.held_out}) are off by {result.error:.2%}")
     others = {name: error for name, error in result.errors.items() if name != result.model}
-    typer.echo("; ".join(f"by {name} {error:.2%}" for name, error in others.items()))
+    if others:
+        typer.echo("; ".join(f"by {name} {error:.2%}" for name, error in others.items()))

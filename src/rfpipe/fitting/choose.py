@@ -32,6 +32,8 @@ _ENOUGH_RAYS = 2048
 _HARDLY_BETTER = 0.7
 # Contrast over the largest one above which a pattern is resolved after binning.
 _RESOLVED = 0.5
+# Exchanges of pictures that are listed; more show that the order of all pictures is another one.
+_FEW_EXCHANGES = 3
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,11 @@ def fit_transport(
     if trial:
         row["estimated_error"] = errors[best.name]
         if not doubts and errors[best.name] > _HARDLY_BETTER * trial.mean_picture:
-            notes.append(_few_pictures(training))
+            notes.append(
+                f"left-out pictures are off by {errors[best.name]:.0%}, hardly better than the "
+                f"{trial.mean_picture:.0%} of the mean picture times each pattern's light. "
+                f"{_few_pictures(training)}"
+            )
     transport = best.solve(training, [row])
     transport.lights = series.lights
     transport.noise = _deviation(training)
@@ -189,7 +195,8 @@ def _fit_lights(series: Series, anyway: bool) -> Fit:
 def _refuse(doubts: Sequence[str], anyway: bool) -> None:
     """Raise InputError with all doubts, unless the transport is wanted all the same."""
     if not anyway:
-        raise InputError(f"{' '.join(doubts)} To write the transport all the same: --anyway")
+        sentences = [doubt if doubt.endswith((".", "?")) else f"{doubt}." for doubt in doubts]
+        raise InputError(f"{' '.join(sentences)} To write the transport all the same: --anyway")
 
 
 def _deviation(series: Series) -> NDArray[np.float32]:
@@ -214,6 +221,13 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     shapes = camera.image_shape, projector.image_shape
     faults = faults_of(patterns[used], light, *shapes, [names[int(index)] for index in used])
     exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]
+    if len(exchanged) > _FEW_EXCHANGES:
+        order = (
+            f"{len(exchanged)} exchanges of pictures would be needed for the patterns' order: see "
+            "that no picture is missing or of another set, and that the code is the one that was "
+            "shown. The first: "
+        )
+        exchanged = [order + exchanged[0]]
     return exchanged, [fault.message for fault in faults if fault.kind != "exchanged"]
 
 
@@ -295,11 +309,16 @@ def _few_pictures(series: Series) -> str:
             f"this projector has {code} pictures with complements, white and black; take at least "
             f"{max(bits + 1 - rank, LEAST_PICTURES - rank, 1)} more"
         )
-    return (
+    advice = (
         f"{rank} independent patterns would be enough for a Gray code of {rays} rays: see that the "
         "pictures are in the patterns' order and that nothing moved; expose longer where they are "
-        f"dark, or average several; or take the {code} pictures of a Gray code with complements"
+        "dark, or average several"
     )
+    # a black picture is not in the series
+    is_shorter = len(series.patterns) < code - 1
+    if is_shorter:
+        advice += f"; or take the {code} pictures of a Gray code with complements"
+    return advice
 
 
 def _check_memory(series: Series, memory_gib: float) -> None:
