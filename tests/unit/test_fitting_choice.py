@@ -13,6 +13,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.fitting import Series, fit_transport
 from rfpipe.fitting.choose import FOOTPRINTS
+from rfpipe.fitting.codes import code_patterns
 from rfpipe.fitting.footprints import solve_footprints
 from rfpipe.fitting.held_out import dependent_groups, dependents, held_out_pictures
 from rfpipe.fitting.least_squares import solve_least_squares
@@ -56,9 +57,18 @@ def test_footprints_are_chosen_for_gray_code_and_place_pixels() -> None:
 def test_pictures_of_noise_are_refused(seed: int) -> None:
     series = series_of(gray_code())
     noise = np.random.default_rng(seed).random(series.radiance.shape, np.float32)
-    with pytest.raises(InputError, match="each is taken for the mean picture times its pattern"):
+    with pytest.raises(InputError, match="show codes that no ray"):
         fit_transport(replace(series, radiance=noise))
     assert fit_transport(replace(series, radiance=noise), anyway=True).notes
+
+
+def test_pictures_of_noise_under_random_patterns_are_refused() -> None:
+    random = np.random.default_rng(3)
+    patterns = (random.random((30, 1, 400)) < 0.5).astype(np.float32)
+    noise = random.random((30, 1, 300)).astype(np.float32)
+    series = Series((15, 20), (20, 20), patterns, noise, np.zeros_like(noise))
+    with pytest.raises(InputError, match="each is taken for the mean picture times its pattern"):
+        fit_transport(series)
 
 
 def test_exchanged_pictures_are_refused_by_name() -> None:
@@ -67,6 +77,33 @@ def test_exchanged_pictures_are_refused_by_name() -> None:
     radiance[[4, 15]] = radiance[[15, 4]]
     with pytest.raises(InputError, match=r"05\.png.*16\.png"):
         fit_transport(replace(series, radiance=radiance))
+
+
+@pytest.mark.parametrize("size", [(20, 33), (17, 50)])
+def test_a_code_of_another_size_is_refused(size: tuple[int, int]) -> None:
+    series, spec = series_of(gray_code()), f"gray:{size[1]}x{size[0]},white=last"
+    readers = code_patterns(spec, len(series.patterns)).readers
+    patterns = np.stack([read().reshape(1, -1) for read in readers])
+    with pytest.raises(InputError, match=r"\d+% of the lit pixels show codes that no ray"):
+        fit_transport(replace(series, patterns=patterns, projector_shape=size))
+
+
+def test_gray_code_without_complements_is_placed_as_well() -> None:
+    capture = gray_code(name="gray:{1}x{0},plain,white=last")
+    result = fit_transport(series_of(capture))
+    assert result.model == FOOTPRINTS.name
+    places = result.transport.correspondence()
+    truth = np.moveaxis(capture.places.reshape(2, *CAMERA), 0, -1)
+    distance = np.linalg.norm(places.places - truth, axis=-1)[places.mask]
+    assert np.median(distance) < 0.15
+    assert np.mean(distance > 2) < 0.02
+
+
+def test_footprints_give_no_negative_light() -> None:
+    transport = solve_footprints(series_of(gray_code(indirect=0.3)), [])
+    single_rays = np.eye(PROJECTOR[0] * PROJECTOR[1], dtype=np.float32)[::7, None]
+    light = transport.forward(single_rays, [0])
+    assert light.min() > -1e-4 * light.max()
 
 
 def test_pictures_and_complements_leave_together() -> None:

@@ -95,6 +95,8 @@ def fit(
     from rfpipe.steps import counted_by
     from rfpipe.transport import save_transport
 
+    if patterns and lights:
+        raise InputError("--patterns and --lights: give the one that the pictures show")
     camera = None
     if settings is not None:
         sensor = sensor_from_config(load_camera(settings))

@@ -26,12 +26,15 @@ from rfpipe.transport.base import Transport
 
 Solve = Callable[[Series, list[dict[str, Any]]], Transport]
 
-# Camera rays that estimate the error of least squares, whose rows are independent, of more.
-_ENOUGH_RAYS = 2048
+# Camera rays that estimate the error of least squares, whose rows are independent: at most, and
+# at least where a dozen copies of their transport would exceed memory.
+_ENOUGH_RAYS, _LEAST_RAYS, _COPIES = 512, 64, 12
 # Share of the mean picture's error above which a note says that the transport is hardly better.
 _HARDLY_BETTER = 0.7
 # Contrast over the largest one above which a pattern is resolved after binning.
 _RESOLVED = 0.5
+# Pictures of lights that differ by less from their mean are one picture.
+_EQUAL_PICTURES = 0.01
 # Exchanges of pictures that are listed; more show that the order of all pictures is another one.
 _FEW_EXCHANGES = 3
 
@@ -138,14 +141,14 @@ def fit_transport(
     series = with_estimated_noise(series)
     if series.lights is not None and series.are_single_lights:
         return _fit_lights(series, anyway)
-    models = _models(series, coaxial)
-    trial = _trial(series, models)
-    training = series.training
-    exchanged, unsteady = _faults(training)
-    notes = [*series.notes, *unsteady]
-    if doubts := [*exchanged, *_doubts(training, trial)]:
+    models, training = _models(series, coaxial), series.training
+    doubts, unsteady = _faults(training)
+    _refuse(doubts, anyway)  # before fits that take long
+    trial = _trial(series, models, memory_gib)
+    if not doubts:
+        doubts = _doubts(training, trial)
         _refuse(doubts, anyway)
-        notes += doubts
+    notes = [*series.notes, *unsteady, *doubts]
     errors = trial.errors if trial else {}
     best = min(models, key=lambda model: errors.get(model.name, np.inf))
     if best is LEAST_SQUARES:
@@ -178,9 +181,11 @@ def _fit_lights(series: Series, anyway: bool) -> Fit:
     assert series.lights is not None
     check = check_lights(series.radiance, series.lights, series.names, series.known)
     notes = list(series.notes)
-    if check.faults:
-        _refuse(check.faults, anyway)
-        notes += check.faults
+    faults = [*check.faults, *_no_better_than_mean(series, check.error)]
+    _refuse(faults, anyway)
+    notes += faults
+    if (series.lights[:, 2] < 0).all():
+        notes.append("all lights lie behind the object (z < 0): is the sign of z another one?")
     is_known = bool(np.isfinite(check.error))
     row = level_row(0, len(series.patterns))
     if is_known:
@@ -192,9 +197,30 @@ def _fit_lights(series: Series, anyway: bool) -> Fit:
     return Fit(transport, "single lights", True, error, held_out, notes=tuple(notes))
 
 
+def _no_better_than_mean(series: Series, error: float) -> list[str]:
+    """Return a doubt where interpolated pictures of lights are no better than their mean."""
+    pictures = series.radiance[..., series.known].reshape(len(series.patterns), -1)
+    count = len(pictures)
+    if count < 4 or not np.isfinite(error):
+        return []
+    norms = np.linalg.norm(pictures, axis=1)
+    others = (pictures.sum(axis=0) - pictures) / (count - 1)
+    differences = np.linalg.norm(pictures - others, axis=1)
+    by_mean = float(np.mean(differences[norms > 0] / norms[norms > 0]))
+    if by_mean < _EQUAL_PICTURES:
+        return [f"the pictures are equal up to {by_mean:.1%}: each should show another light."]
+    if error < by_mean:
+        return []
+    doubt = (
+        f"left-out lights are off by {error:.0%}, by {by_mean:.0%} where each is taken for the "
+        "mean of the other pictures: see that the directions are those of the pictures."
+    )
+    return [doubt]
+
+
 def _refuse(doubts: Sequence[str], anyway: bool) -> None:
-    """Raise InputError with all doubts, unless the transport is wanted all the same."""
-    if not anyway:
+    """Raise InputError with all doubts, if any, unless the transport is wanted all the same."""
+    if doubts and not anyway:
         sentences = [doubt if doubt.endswith((".", "?")) else f"{doubt}." for doubt in doubts]
         raise InputError(f"{' '.join(sentences)} To write the transport all the same: --anyway")
 
@@ -207,7 +233,7 @@ def _deviation(series: Series) -> NDArray[np.float32]:
 
 
 def _faults(series: Series) -> tuple[list[str], list[str]]:
-    """Return messages on exchanged pictures, and on motion and flicker."""
+    """Return messages on exchanged pictures and unknown codes, and on motion and flicker."""
     camera, projector = RayDomain(series.camera_shape), RayDomain(series.projector_shape)
     if series.patterns.shape[1] > 1 or camera.views > 1 or projector.views > 1:
         return [], []
@@ -215,12 +241,15 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     names = series.names or [f"picture {index}" for index in range(len(patterns))]
     # stripes that binning makes even can't be told from each other
     contrast, mean = patterns.std(axis=1), patterns.mean(axis=1)
-    used = np.flatnonzero((contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99))
+    is_resolved = (contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99)
+    used = np.flatnonzero(is_resolved | (patterns == np.rint(patterns)).all(axis=1))
     # unknown pixels take the nearest known one's light, so that they make no edges
     light = series.radiance[used].sum(axis=1)[:, nearest(series.known.reshape(camera.image_shape))]
     shapes = camera.image_shape, projector.image_shape
     faults = faults_of(patterns[used], light, *shapes, [names[int(index)] for index in used])
     exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]
+    unknown = [fault.message for fault in faults if fault.kind == "unknown codes"]
+    unsteady = [fault.message for fault in faults if fault.kind in ("motion", "flicker")]
     if len(exchanged) > _FEW_EXCHANGES:
         order = (
             f"{len(exchanged)} exchanges of pictures would be needed for the patterns' order: see "
@@ -228,7 +257,7 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
             "shown. The first: "
         )
         exchanged = [order + exchanged[0]]
-    return exchanged, [fault.message for fault in faults if fault.kind != "exchanged"]
+    return [*exchanged, *unknown], unsteady
 
 
 def _models(series: Series, coaxial: bool) -> list[Model]:
@@ -243,7 +272,7 @@ def _models(series: Series, coaxial: bool) -> list[Model]:
     return models
 
 
-def _trial(series: Series, models: list[Model]) -> _Trial | None:
+def _trial(series: Series, models: list[Model], memory_gib: float) -> _Trial | None:
     """Fit the models without some pictures and predict these; None where each one is needed.
 
     Channels are summed, which takes less time than each by itself.
@@ -263,16 +292,19 @@ def _trial(series: Series, models: list[Model]) -> _Trial | None:
     for model in models:
         if model is FOOTPRINTS and unfit_for_footprints(remaining):
             continue
-        errors[model.name] = _error_of(model, remaining, held_out)
+        errors[model.name] = _error_of(model, remaining, held_out, memory_gib)
     predicted = mean_picture(remaining, held_out.patterns)
     return _Trial(held_out, errors, mean_error(predicted, held_out))
 
 
-def _error_of(model: Model, training: Series, held_out: Series) -> float:
+def _error_of(model: Model, training: Series, held_out: Series, memory_gib: float) -> float:
     """Return the error of pictures that a fit to others predicts."""
     if model.by_ray:
         rays = np.flatnonzero(training.known)
-        chosen = rays[np.unique(np.linspace(0, len(rays) - 1, _ENOUGH_RAYS).astype(np.int64))]
+        row_bytes = 4 * training.channels * training.patterns.shape[2]
+        affordable = int(memory_gib * 2**30 / _COPIES / row_bytes)
+        count = min(max(affordable, _LEAST_RAYS), _ENOUGH_RAYS)
+        chosen = rays[np.unique(np.linspace(0, len(rays) - 1, count).astype(np.int64))]
         training, held_out = training.of_rays(chosen), held_out.of_rays(chosen)
     channels = range(held_out.channels)
     shown = np.repeat(held_out.patterns, len(channels) // held_out.patterns.shape[1], axis=1)
@@ -310,9 +342,9 @@ def _few_pictures(series: Series) -> str:
             f"{max(bits + 1 - rank, LEAST_PICTURES - rank, 1)} more"
         )
     advice = (
-        f"{rank} independent patterns would be enough for a Gray code of {rays} rays: see that the "
-        "pictures are in the patterns' order and that nothing moved; expose longer where they are "
-        "dark, or average several"
+        f"As many independent patterns, {rank}, make a Gray code of {rays} rays: so the pictures "
+        "are not in the patterns' order, or too noisy, blurred or saturated. Expose longer where "
+        "they are dark, average several of each pattern, or bin the projector's pixels"
     )
     # a black picture is not in the series
     is_shorter = len(series.patterns) < code - 1

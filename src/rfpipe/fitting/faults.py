@@ -42,6 +42,7 @@ _CLEARER = 3.0  # ratio of jumps mended to jumps made by which undoing an exchan
 _TORN = 20.0  # jumps, at least, that undoing it mends
 _MOST = 8  # exchanges, at most, that are listed
 _UNREADABLE = 0.4  # share of neighbours without a codeword above which a code isn't readable
+_UNKNOWN = 0.2  # share of lit pixels without a codeword above which the code is another one
 _TESTED = 10_000_000  # pixels times exchanges that are decoded, at most
 _TABLE_BITS = 22  # bits up to which codewords are looked up in a table
 _MOST_BITS = 62  # bits of an integer
@@ -57,15 +58,16 @@ class Fault:
 
     Attributes
     ----------
-    kind : {"exchanged", "motion", "flicker"}
-        Exchanged pictures make a fit worthless; motion and flicker make it worse.
+    kind : {"exchanged", "unknown codes", "motion", "flicker"}
+        Exchanged pictures and codes that the patterns don't have make a fit worthless; motion and
+        flicker make it worse.
     pictures : tuple of int
         Indices, from 0, of the pictures concerned.
     message : str
         What is wrong, by how much, and what to do.
     """
 
-    kind: Literal["exchanged", "motion", "flicker"]
+    kind: Literal["exchanged", "unknown codes", "motion", "flicker"]
     pictures: tuple[int, ...]
     message: str
 
@@ -115,7 +117,12 @@ def faults_of(
     order = np.arange(len(names))
     exchanged, order = _exchanged_by_sums(sums, pictures, view, order, names)
     more, order = _exchanged_by_code(view, order, names)
-    return [*exchanged, *more, *_unsteady(patterns, pictures[order], camera_shape,
+    unknown = (
+        _unknown_codes(view, order, patterns.shape[1])
+        if (patterns == np.rint(patterns)).all()
+        else []
+    )
+    return [*exchanged, *more, *unknown, *_unsteady(patterns, pictures[order], camera_shape,
                                           projector_shape, sums, names)]  # fmt: skip
 
 
@@ -439,6 +446,23 @@ def _exchanged_by_code(
         faults.append(_exchange_fault([best], order, names, reason))
         order = _apply(order, best)
     return faults, order
+
+
+def _unknown_codes(view: _View, order: Order, rays: int) -> list[Fault]:
+    """Find codewords in the pictures that no projector ray has, of many pixels."""
+    bits = len(view.code.bits)
+    # a code of both axes has at most two bits more than it needs for all rays together
+    if not _FEWEST <= bits <= np.log2(max(rays, 1)) + 2:
+        return []
+    place = view.code.places_of(view.words(order))[view.lit]
+    share = float(np.isnan(place).any(axis=-1).mean()) if len(place) else 0.0
+    if share < _UNKNOWN:
+        return []
+    message = (
+        f"{share:.0%} of the lit pixels show codes that no ray of the projector has: are the "
+        "code's size and order those that were shown?"
+    )
+    return [Fault("unknown codes", tuple(range(len(order))), message)]
 
 
 def _exchange_fault(

@@ -24,7 +24,10 @@ from rfpipe.transport.footprints import FootprintTransport
 # light took 4 times as long as 30,000 and placed footprints no better.
 _EFFORT = Effort(camera_rays=2048, unknowns=30_000)
 # Fewer patterns don't tell footprints apart.
-LEAST_PICTURES = 10
+LEAST_PICTURES = 6
+# Squares along the projector's longer side under which smooth light is tested, and the part of it
+# that is rounding.
+_SQUARES, _ROUNDING = 16, 1e-5
 # Largest unevenness of the combination of patterns that stands for white, and its ridge.
 _MOST_UNEVEN, _RIDGE = 0.3, 1e-3
 
@@ -95,7 +98,39 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
     ]
     model = replace(model, channels=tuple(smooth))
     arrays = transport_arrays(model, camera, projector, unit)
-    return FootprintTransport(camera.shape, projector.shape, count, rows, arrays)
+    transport = FootprintTransport(camera.shape, projector.shape, count, rows, arrays)
+    return _without_negative_light(transport, projector)
+
+
+def _without_negative_light(
+    transport: FootprintTransport, projector: RayDomain
+) -> FootprintTransport:
+    """Mix smooth light with even light, by the least share that leaves no square negative.
+
+    The squares are of the projector's rays, 16 along the longer side. Even light is as much light
+    in total, and comes from all rays alike.
+    """
+    _, square = projector.squares(-(-max(projector.image_shape) // _SQUARES))
+    squares = np.zeros((int(square.max()) + 1, 1, projector.size), np.float32)
+    squares[square, 0, np.arange(projector.size)] = 1
+    direct, shares, strengths = transport.direct(), [], []
+    for channel in range(transport.channels):
+        smooth = (transport.forward(squares, [channel]) - direct.forward(squares, [channel]))[:, 0]
+        unit = transport.mixed_with_even_light([0] * transport.channels, [1] * transport.channels)
+        even = (unit.forward(squares, [channel]) - direct.forward(squares, [channel]))[:, 0]
+        strength = max(float(smooth.sum(dtype=np.float64)), 0.0)
+        strength /= max(float(even.sum(dtype=np.float64)), 1e-30)
+        even *= np.float32(strength)
+        lacking = smooth < -_ROUNDING * float(even.max(initial=0))
+        needed = np.divide(-smooth, even - smooth, out=np.zeros_like(smooth), where=lacking)
+        shares.append(float(needed.max(initial=0)))
+        strengths.append(strength)
+    if not any(shares):
+        return transport
+    return transport.mixed_with_even_light(
+        [1 - share for share in shares],
+        [share * strength for share, strength in zip(shares, strengths, strict=True)],
+    )
 
 
 def _by_pixel(pictures: NDArray[np.floating]) -> Float:

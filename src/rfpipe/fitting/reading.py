@@ -137,6 +137,11 @@ def read_series(
     if listing.mask is not None:
         known &= _mask(listing.mask, header)
     radiance, variance = _binned_light(development, shown("light"), known, bins.camera)
+    if known.any() and np.mean(radiance[..., np.isfinite(variance[0, 0])]) <= 0:
+        raise InputError(
+            f"{folder}: pictures are darker than those without light, which are subtracted: is a "
+            "black or ambient picture of another exposure, or white in place of black?"
+        )
     return Series(
         binned_shape(header.size, bins.camera),
         binned_shape(listing.patterns.shape, bins.projector),
@@ -271,9 +276,17 @@ def _common_header(parts: Sequence[Part]) -> Header:
     for part in parts:
         if not part.header.matches(first):
             raise InputError(
-                f"{part}: is {part.header}; {parts[0]} is {first}. All should be alike"
+                f"{part}: has {_described(part.header)}; {parts[0]} has {_described(first)}. "
+                "All pictures should be alike"
             )
     return first
+
+
+def _described(header: Header) -> str:
+    """Return size, channels and kind of a picture in words."""
+    height, width = header.size
+    mosaic = f", mosaic {header.mosaic}" if header.mosaic else ""
+    return f"{height} x {width} pixels, {header.channels} channels of {header.kind}{mosaic}"
 
 
 def _bins(
@@ -286,6 +299,14 @@ def _bins(
     if listing.are_single_lights:
         proposed = Bins(proposed.camera if listing.directions is None else 1, 1)
     bins = Bins(asked[0] or proposed.camera, asked[1] or proposed.projector)
+    for option, side, size in (
+        ("camera-bin", bins.camera, header.size), ("projector-bin", bins.projector, shapes[1])
+    ):  # fmt: skip
+        if side > 1 and 2 * side > min(size):
+            raise InputError(
+                f"--{option} {side}: leaves fewer than two squares of {size[0]} x {size[1]} pixels "
+                f"a side; expected at most {max(min(size) // 2, 1)}"
+            )
     chosen = [
         f"{title} are averaged over {side} x {side} pixels (--{option} chooses another size)"
         for title, option, wish, side in (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -66,6 +67,41 @@ class FootprintTransport(ArrayTransport):
         """Return the footprints alone."""
         dark = {name: np.zeros_like(self._held[name]) for name in ("cores", "camera_factor")}
         return self.holding(self.level_rows, {**self._held, **dark})
+
+    def mixed_with_even_light(
+        self, smooth: Sequence[float], even: Sequence[float]
+    ) -> FootprintTransport:
+        """Return ``D + f (a L S R^T + b 1 1^T) g``: less smooth light, and light that is even.
+
+        Parameters
+        ----------
+        smooth, even : sequence of float, length channels
+            a, from 0 to 1, and b, at least 0, of each channel.
+        """
+        from scipy.sparse import block_array, csr_array, hstack
+
+        functions = []
+        for matrix in self._functions.values():
+            ones: Any = csr_array(np.ones((matrix.shape[0], 1), np.float32))
+            functions.append(csr_array(hstack([matrix, ones])))
+        cores = [
+            csr_array(
+                block_array(
+                    [
+                        [np.float32(a) * self._matrix("cores", self._held["cores"][k]), None],
+                        [None, csr_array(np.full((1, 1), b, np.float32))],
+                    ]
+                )
+            )
+            for k, (a, b) in enumerate(zip(smooth, even, strict=True))
+        ]
+        arrays = {
+            **self._held,
+            **sparse_arrays("left", functions[0]),
+            **sparse_arrays("right", functions[1]),
+            **sparse_arrays("cores", cores[0], [core.data for core in cores]),
+        }
+        return self.holding(self.level_rows, arrays)
 
     @cached_property
     def _functions(self) -> dict[str, csr_array[np.float32]]:
