@@ -13,7 +13,7 @@ from tests.structured_light import shot
 
 from rfpipe import open_transport
 from rfpipe.errors import InputError
-from rfpipe.fitting import read_series
+from rfpipe.fitting import Series, fit_transport, read_series
 from rfpipe.fitting.binning import Bins, bin_image, binned_shape, proposed_bins
 
 
@@ -152,3 +152,60 @@ def test_a_dead_light_of_a_dome_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"light_05\.png"):
         run("fit", tmp_path, "-o", output)
     run("fit", tmp_path, "-o", output, "--anyway")
+
+
+@pytest.mark.parametrize("form", ["1 1 1\n2 2 2\n4 4 4\n", "1\n2\n4\n"])
+def test_pictures_are_divided_by_their_lights_intensities(tmp_path: Path, form: str) -> None:
+    np.savetxt(tmp_path / "light_directions.txt", np.eye(3) + 0.5)
+    (tmp_path / "light_intensities.txt").write_text(form)
+    for index, power in enumerate((1, 2, 4)):
+        write(tmp_path / f"{index}.tif", np.full((3, 4, 1), 5000 * power, np.uint16))
+    radiance = read_series(tmp_path).radiance
+    np.testing.assert_allclose(radiance, 5000 / 65535, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "option"), [("black.png", "black"), ("room.png", "ambient")], ids=["black", "ambient"]
+)
+def test_pictures_darker_than_those_without_light_are_refused(
+    tmp_path: Path, name: str, option: str
+) -> None:
+    for index in range(3):
+        write(tmp_path / "set" / f"{index}.png", np.full((4, 5, 1), 40 + index, np.uint8))
+    write(tmp_path / name, np.full((4, 5, 1), 10, np.uint8))
+    series = read_series(tmp_path / "set", lights=(1, 3), **{option: tmp_path / name})
+    np.testing.assert_allclose(series.radiance[:, 0, 0] * 255, [30, 31, 32], rtol=1e-5)
+    write(tmp_path / name, np.full((4, 5, 1), 200, np.uint8))
+    with pytest.raises(InputError, match="darker than those without light"):
+        read_series(tmp_path / "set", lights=(1, 3), **{option: tmp_path / name})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"camera_bin": 100}, r"--camera-bin 100.*at most 20"),
+        ({"projector_bin": 9}, r"--projector-bin 9.*at most 8"),
+    ],
+)
+def test_bins_larger_than_the_picture_are_refused(tmp_path: Path, options, message) -> None:
+    write_gray_code(tmp_path)
+    with pytest.raises(InputError, match=message):
+        read_series(tmp_path, patterns="gray:20x16", **options)
+
+
+@pytest.mark.parametrize(
+    ("pictures", "message"),
+    [
+        (np.full((8, 1, 30), 0.3), "equal up to"),
+        (np.random.default_rng(1).random((8, 1, 30)), "mean of the other pictures"),
+    ],
+    ids=["equal", "noise"],
+)
+def test_lights_that_predict_nothing_are_refused(pictures: np.ndarray, message: str) -> None:
+    angle = np.arange(8) * 2.4
+    lights = np.stack([np.cos(angle), np.sin(angle), np.full(8, 1.5)], axis=1)
+    radiance = pictures.astype(np.float32)
+    eye = np.eye(8, dtype=np.float32)[:, None]
+    series = Series((5, 6), (1, 8), eye, radiance, np.zeros_like(radiance), lights=lights)
+    with pytest.raises(InputError, match=message):
+        fit_transport(series)
