@@ -93,10 +93,10 @@ def proposed_bins(
     return Bins(_side(camera_shape, pixels), _side(projector_shape, rays))
 
 
-def _side(shape: tuple[int, int], most: float) -> int:
-    """Return the smallest side of squares of which an image has at most so many."""
+def _side(shape: tuple[int, int], limit: float) -> int:
+    """Return the smallest side of squares that divides an image into at most a number of them."""
     side = 1
-    while np.prod(binned_shape(shape, side)) > max(most, 1):
+    while np.prod(binned_shape(shape, side)) > max(limit, 1):
         side += 1
     return side
 

@@ -49,7 +49,7 @@ class Model:
     solve : callable
         Fits a Series; takes the transport's table of levels, too.
     by_ray : bool
-        Whether each camera ray is fitted by itself.
+        Whether the fits of camera rays are independent.
     """
 
     name: str
@@ -118,8 +118,8 @@ def fit_transport(
 ) -> Fit:
     """Fit the light transport to pictures, by the model that predicts left-out ones best.
 
-    Pictures of single lights whose directions are known are the transport's columns; the error is
-    that of lights that are left out, interpolated between the others.
+    Pictures of single lights with known directions are the transport's columns. Their error is
+    the mean error of left-out lights, interpolated between the other lights.
 
     Parameters
     ----------
@@ -204,8 +204,8 @@ def _no_better_than_mean(series: Series, error: float) -> list[str]:
     if count < 4 or not np.isfinite(error):
         return []
     norms = np.linalg.norm(pictures, axis=1)
-    others = (pictures.sum(axis=0) - pictures) / (count - 1)
-    differences = np.linalg.norm(pictures - others, axis=1)
+    means = (pictures.sum(axis=0) - pictures) / (count - 1)
+    differences = np.linalg.norm(pictures - means, axis=1)
     by_mean = float(np.mean(differences[norms > 0] / norms[norms > 0]))
     if by_mean < _EQUAL_PICTURES:
         return [f"the pictures are equal up to {by_mean:.1%}: each should show another light."]
@@ -239,7 +239,7 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
         return [], []
     patterns = series.patterns[:, 0]
     names = series.names or [f"picture {index}" for index in range(len(patterns))]
-    # stripes that binning makes even can't be told from each other
+    # stripes that binning makes even are all alike
     contrast, mean = patterns.std(axis=1), patterns.mean(axis=1)
     is_resolved = (contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99)
     used = np.flatnonzero(is_resolved | (patterns == np.rint(patterns)).all(axis=1))
@@ -275,19 +275,19 @@ def _models(series: Series, coaxial: bool) -> list[Model]:
 def _trial(series: Series, models: list[Model], memory_gib: float) -> _Trial | None:
     """Fit the models without some pictures and predict these; None where each one is needed.
 
-    Channels are summed, which takes less time than each by itself.
+    Channels are summed, which saves time.
     """
     series = series.grey
     validation = np.flatnonzero(series.validation)
-    held = validation if validation.size else held_out_pictures(series)
-    unused = dependents(series, held)
+    chosen = validation if validation.size else held_out_pictures(series)
+    unused = dependents(series, chosen)
     remaining = series.some(np.setdiff1d(np.arange(len(series.patterns)), unused))
-    if not held.size or not len(remaining.patterns):
+    if not chosen.size or not len(remaining.patterns):
         return None
     # of patterns that are just complete, the others don't determine one that is left out
     if not validation.size and series.is_complete and not remaining.is_complete:
         return None
-    held_out = series.some(held)
+    held_out = series.some(chosen)
     errors = {}
     for model in models:
         if model is FOOTPRINTS and unfit_for_footprints(remaining):
@@ -313,7 +313,7 @@ def _error_of(model: Model, training: Series, held_out: Series, memory_gib: floa
 
 
 def _doubts(series: Series, trial: _Trial | None) -> list[str]:
-    """Return what is wrong with pictures and how to mend it; empty where nothing is."""
+    """List contradictions of the pictures, and an error no better than the mean picture's."""
     if series.is_complete and (strange := strange_pictures(series)).size:
         names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
         worst = ", ".join(names[index] for index in strange[:4])
@@ -330,7 +330,7 @@ def _doubts(series: Series, trial: _Trial | None) -> list[str]:
 
 
 def _few_pictures(series: Series) -> str:
-    """Return how many pictures would help."""
+    """Return advice on the number and quality of pictures."""
     height, width = series.projector_shape[-2:]
     bits = sum(max(1, ceil(log2(length))) for length in (height, width))
     code, rank = 2 * bits + 2, series.rank

@@ -1,6 +1,6 @@
 """Footprints with smooth light, fitted to pictures of patterns chosen elsewhere.
 
-The model is that of footprint acquisition, ``T = D + f L S R^T g`` (`rfpipe.methods.adaptive`):
+As in footprint acquisition the model is ``T = D + f L S R^T g`` (`rfpipe.methods.adaptive`):
 few projector rays light each camera ray directly, and indirect light is smooth.
 """
 
@@ -23,12 +23,12 @@ from rfpipe.transport.footprints import FootprintTransport
 # On real Gray code (camera of 120 x 160, 30 pictures), 1.4 million unknowns in the fits of indirect
 # light took 4 times as long as 30,000 and placed footprints no better.
 _EFFORT = Effort(camera_rays=2048, unknowns=30_000)
-# Fewer patterns don't tell footprints apart.
+# Fewer patterns don't distinguish footprints.
 LEAST_PICTURES = 6
 # Squares along the projector's longer side under which smooth light is tested, and the part of it
 # that is rounding.
 _SQUARES, _ROUNDING = 16, 1e-5
-# Largest unevenness of the combination of patterns that stands for white, and its ridge.
+# Largest unevenness of the combination of patterns for white, and its ridge.
 _MOST_UNEVEN, _RIDGE = 0.3, 1e-3
 
 
@@ -121,8 +121,8 @@ def _without_negative_light(
         strength = max(float(smooth.sum(dtype=np.float64)), 0.0)
         strength /= max(float(even.sum(dtype=np.float64)), 1e-30)
         even *= np.float32(strength)
-        lacking = smooth < -_ROUNDING * float(even.max(initial=0))
-        needed = np.divide(-smooth, even - smooth, out=np.zeros_like(smooth), where=lacking)
+        is_negative = smooth < -_ROUNDING * float(even.max(initial=0))
+        needed = np.divide(-smooth, even - smooth, out=np.zeros_like(smooth), where=is_negative)
         shares.append(float(needed.max(initial=0)))
         strengths.append(strength)
     if not any(shares):

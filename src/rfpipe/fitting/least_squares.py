@@ -38,7 +38,7 @@ Double = NDArray[np.float64]
 _RIDGES: Double = np.logspace(-10, 2, 25)
 # Eigenvalues below this part of the largest one are rounding.
 _ROUNDING = 1e-13
-# Least ridge of patterns that don't determine each ray: nothing else bounds what they leave open.
+# Least ridge of patterns that don't determine each ray: nothing else bounds undetermined entries.
 _LEAST_RIDGE = 1e-6
 _TINY = float(np.finfo(np.float32).tiny)
 # Camera rays that choose the prior, of more.
@@ -121,10 +121,10 @@ def _not_negative(basis: _Basis, penalty: Double, patterns: Float, pictures: Flo
     ahead, momentum = matrix, 1.0
     for _ in range(_GRADIENTS):
         gradient = (patterns @ ahead.T - pictures).T @ patterns
-        following = np.maximum(ahead - step * gradient, 0)
+        updated = np.maximum(ahead - step * gradient, 0)
         grown = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-        ahead = following + np.float32((momentum - 1) / grown) * (following - matrix)
-        matrix, momentum = following, grown
+        ahead = updated + np.float32((momentum - 1) / grown) * (updated - matrix)
+        matrix, momentum = updated, grown
     return matrix
 
 
@@ -135,7 +135,8 @@ def _strange(series: Series) -> NDArray[np.intp]:
     inverse = (vectors / (basis.values + ridge)) @ vectors.T
     inverse += (np.eye(count) - vectors @ vectors.T) / ridge
     pictures, diagonal = observed.reshape(count, -1), np.diag(inverse)
-    wrong, light = (np.square(each).sum(axis=1) for each in (inverse @ pictures, pictures))
+    wrong = np.square(inverse @ pictures).sum(axis=1)
+    light = np.square(pictures).sum(axis=1)
     score, is_off = wrong / diagonal, wrong > light * np.square(diagonal / _STRANGE)
     worst = np.argsort(-score)
     strange = is_off & (score > _STRANGE * np.median(score))
@@ -147,7 +148,7 @@ def _weights(series: Series) -> Double:
     variance = series.variance.mean(axis=(1, 2), dtype=np.float64)
     if not variance.any():
         return np.ones(len(variance))
-    # a variance of 0 stands for unknown noise
+    # a variance of 0 means unknown noise
     return np.asarray(1 / np.sqrt(np.maximum(variance / variance.mean(), 1e-3)))
 
 
@@ -229,8 +230,8 @@ class _Basis:
     def solution(self, pictures: Float, penalty: Double) -> Float:
         """Return T (M, N) of weighted pictures (K, M) with a penalty (M,) for each ray."""
         inverse = 1 / (self.values[:, None] + penalty)
-        left = inverse * (self.vectors.T @ pictures)
-        return left.astype(np.float32).T @ self.right.astype(np.float32)
+        coefficients = inverse * (self.vectors.T @ pictures)
+        return coefficients.astype(np.float32).T @ self.right.astype(np.float32)
 
 
 def _gains(series: Series) -> Double:

@@ -51,7 +51,7 @@ def vanishing_combinations(patterns: Float) -> NDArray[np.float64]:
     """
     rows = patterns.reshape(len(patterns), -1).astype(np.float64)
     rows /= max(float(np.linalg.norm(rows, axis=1).max()), np.finfo(np.float64).tiny)
-    gram = rows @ rows.T + 1.0  # ambient light is a ray of its own
+    gram = rows @ rows.T + 1.0  # ambient light is one more ray
     values, vectors = np.linalg.eigh(gram)
     return np.asarray(vectors[:, values < _ROUNDING * values[-1]])
 

@@ -1,8 +1,8 @@
 """Linear light of listed pictures, averaged over squares of pixels.
 
 Pictures are read twice, one at a time: once for the pixels that saturate in any of them, once for
-their light. A pixel that saturates anywhere is unknown in all pictures, so that what is averaged
-is the same in each.
+their light. A pixel that saturates anywhere is unknown in all pictures, so that the same pixels are
+averaged in each.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ class SingleExposures:
         return np.asarray((highest >= np.ceil(SATURATION_FRACTION * white)).any(axis=-1))
 
     def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
-        """Return a picture's light over its exposure; its variance is that of rounding."""
+        """Return a picture's light over its exposure; its variance is due to rounding."""
         (part,) = bracket
         divisor, picture = self.divisors[str(part)], part.read()
         light = bin_image(light_of(picture, self.curve, str(part)), side, known)
@@ -290,7 +290,7 @@ def _described(header: Header) -> str:
 
 
 def _bins(
-    listing: Listing, header: Header, asked: tuple[int | None, int | None], memory_gib: float
+    listing: Listing, header: Header, wishes: tuple[int | None, int | None], memory_gib: float
 ) -> tuple[Bins, list[str]]:
     """Return the bins of a listing, and a note where they were chosen."""
     samples = len(listing.brackets) * (header.channels + 1)
@@ -298,7 +298,7 @@ def _bins(
     proposed = proposed_bins(*shapes, samples, memory_gib * 2**30)
     if listing.are_single_lights:
         proposed = Bins(proposed.camera if listing.directions is None else 1, 1)
-    bins = Bins(asked[0] or proposed.camera, asked[1] or proposed.projector)
+    bins = Bins(wishes[0] or proposed.camera, wishes[1] or proposed.projector)
     for option, side, size in (
         ("camera-bin", bins.camera, header.size), ("projector-bin", bins.projector, shapes[1])
     ):  # fmt: skip
@@ -310,8 +310,8 @@ def _bins(
     chosen = [
         f"{title} are averaged over {side} x {side} pixels (--{option} chooses another size)"
         for title, option, wish, side in (
-            ("pictures", "camera-bin", asked[0], bins.camera),
-            ("patterns", "projector-bin", asked[1], bins.projector),
+            ("pictures", "camera-bin", wishes[0], bins.camera),
+            ("patterns", "projector-bin", wishes[1], bins.projector),
         )
         if wish is None and side > 1
     ]

@@ -24,7 +24,7 @@ class Series:
     Parameters
     ----------
     camera_shape, projector_shape : tuple of int
-        Of M and of N rays; lights that stand in no grid are a row, (1, N).
+        Of M and of N rays; lights without a grid are a row, (1, N).
     patterns : ndarray of float32, shape (K, 1, N) or (K, C, N); (K, N) is taken, too
         Light of each ray in each picture, finite, at least 0: white, or one for each channel.
     radiance : ndarray of float32, shape (K, C, M)
@@ -92,7 +92,7 @@ class Series:
         return np.asarray(np.isfinite(self.variance).all(axis=(0, 1)))
 
     def by_light(self) -> list[Series]:
-        """Return what is lit alike: all channels, or of coloured patterns each by itself."""
+        """Split coloured patterns into channels; white ones stay together."""
         if self.patterns.shape[1] == 1:
             return [self]
         return [
@@ -117,13 +117,13 @@ class Series:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the patterns tell of each ray by itself."""
+        """The patterns determine each ray (bool)."""
         lights = self.patterns.shape[-1]
         return bool(len(self.patterns) >= lights and self.rank == lights)
 
     @property
     def are_single_lights(self) -> bool:
-        """Whether each picture shows one projector ray, and each ray has one picture."""
+        """Each picture shows one projector ray, and each ray has one picture (bool)."""
         lit = self.patterns.any(axis=1)
         return lit.shape[0] == lit.shape[1] and bool(
             (lit.sum(axis=0) == 1).all() and (lit.sum(axis=1) == 1).all()

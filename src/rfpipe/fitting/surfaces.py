@@ -8,8 +8,8 @@ the place ``q`` of pixel ``x`` is nearly affine,
 
 and a robust fit of a and B to all places in the window gives each pixel its expected footprint: a
 box at ``q(x)`` as wide as the pixel's image B. Weights are then estimated again, with these
-expected weights in place of zero: what the pictures determine they still determine, and what they
-leave open follows the surface.
+expected weights in place of zero: they follow the pictures where these determine them,
+and the surface elsewhere.
 
 ====== ========= ============== ==========================================================
 symbol code      shape          meaning
@@ -70,19 +70,19 @@ class Surfaces:
     smooth: Mask
 
 
-def surfaces_of(found: Candidates, camera: RayDomain, projector: RayDomain) -> Surfaces:
+def surfaces_of(footprints: Candidates, camera: RayDomain, projector: RayDomain) -> Surfaces:
     """Fit an affine map to the places of footprints in a window around each camera pixel.
 
     Parameters
     ----------
-    found : Candidates
+    footprints : Candidates
         Footprints, with their weights.
     camera, projector : RayDomain
         Of one view each.
     """
     from scipy.ndimage import median_filter
 
-    places, light = _places(found, camera, projector)
+    places, light = _places(footprints, camera, projector)
     lit = light > 0
     if not lit.any():
         return Surfaces(places, np.zeros((2, *places.shape)), lit)
@@ -116,7 +116,7 @@ class Boxes:
 
 
 def smoothed(
-    series: Series, found: Candidates, indirect: NDArray[np.float32], boxes: Boxes
+    series: Series, footprints: Candidates, indirect: NDArray[np.float32], boxes: Boxes
 ) -> Candidates:
     """Estimate the weights of footprints again, about the expected ones.
 
@@ -124,7 +124,7 @@ def smoothed(
     ----------
     series : Series
         Pictures of one channel, or of the channels' sum.
-    found : Candidates
+    footprints : Candidates
         Footprints before.
     indirect : ndarray of float32, shape (camera pixels, pictures)
         Indirect light of the pictures.
@@ -132,11 +132,11 @@ def smoothed(
         Of `expected_boxes`. A pixel without any keeps its footprint, up to what pictures say.
     """
     rays, pixels = len(series.lit), len(series.observed)
-    direct = np.bincount(found.pixels(rays), found.weights, pixels)
-    together = distinct(np.concatenate([found.keys, boxes.keys]))
+    direct = np.bincount(footprints.pixels(rays), footprints.weights, pixels)
+    together = distinct(np.concatenate([footprints.keys, boxes.keys]))
     expected, weights = np.zeros((2, len(together)), np.float32)
     expected[np.searchsorted(together, boxes.keys)] = boxes.share * direct[boxes.keys // rays]
-    weights[np.searchsorted(together, found.keys)] = found.weights
+    weights[np.searchsorted(together, footprints.keys)] = footprints.weights
     pixel = together // rays
     is_smooth = np.bincount(boxes.keys // rays, minlength=pixels)[pixel] > 0
     deviation = np.where(expected > 0, _EXPECTED, _OTHER) * direct[pixel]
@@ -160,17 +160,19 @@ def _misfit(series: Series, residual: NDArray[np.float32]) -> float:
     return max(float(np.sqrt(max(power, 0) / light)), _LEAST_MISFIT)
 
 
-def _places(found: Candidates, camera: RayDomain, projector: RayDomain) -> tuple[Double, Double]:
+def _places(
+    footprints: Candidates, camera: RayDomain, projector: RayDomain
+) -> tuple[Double, Double]:
     """Return the mean place of the light near the brightest ray, (2, H, W), and that light."""
     rays, width = projector.size, projector.image_shape[1]
-    pixel, ray = np.divmod(found.keys, rays)
-    order = np.argsort(found.weights, kind="stable")
+    pixel, ray = np.divmod(footprints.keys, rays)
+    order = np.argsort(footprints.weights, kind="stable")
     brightest = np.zeros(camera.size, np.int64)
     brightest[pixel[order]] = ray[order]
     place = np.stack(np.divmod(ray, width)) + 0.5
     middle = np.stack(np.divmod(brightest, width)) + 0.5
     near = (np.abs(place - middle[:, pixel]) <= _NEAR).all(axis=0)
-    weight = found.weights * near
+    weight = footprints.weights * near
     light = np.asarray(np.bincount(pixel, weight, camera.size), np.float64)
     mean = [np.bincount(pixel, weight * axis, camera.size) for axis in place]
     places = np.stack(mean) / np.where(light > 0, light, 1)
@@ -182,11 +184,11 @@ def _window(places: Double, lit: Mask) -> int:
     # over a distance of four pixels, since neighbours may have the very same place
     steps = []
     for axis in (1, 2):
-        both = np.delete(lit, range(4), axis - 1) & np.delete(lit, range(-4, 0), axis - 1)
+        pair_lit = np.delete(lit, range(4), axis - 1) & np.delete(lit, range(-4, 0), axis - 1)
         change = np.delete(places, range(4), axis) - np.delete(places, range(-4, 0), axis)
-        steps.append(np.linalg.norm(change, axis=0)[both] / 4)
-    each = np.concatenate(steps)
-    pixels = _RAYS / max(float(np.median(each)) if each.size else 1.0, 1e-3)
+        steps.append(np.linalg.norm(change, axis=0)[pair_lit] / 4)
+    changes = np.concatenate(steps)
+    pixels = _RAYS / max(float(np.median(changes)) if changes.size else 1.0, 1e-3)
     return int(np.clip(pixels, _LEAST, _LARGEST)) // 2 * 2 + 1
 
 
@@ -240,15 +242,17 @@ def _affine(places: Double, weight: Double, side: int) -> tuple[Double, Double]:
 
 def expected_boxes(
     surfaces: Surfaces,
-    found: Candidates,
+    footprints: Candidates,
     projector: RayDomain,
     series: Series,
     indirect: NDArray[np.float32],
 ) -> Boxes:
     """Return the footprints that smooth surfaces have, with the blur that fits pictures best."""
     residual = (series.observed - indirect).astype(np.float32)
-    choices = [_boxes(surfaces, found, projector, blur) for blur in _BLURS]
-    direct = np.bincount(found.pixels(projector.size), found.weights, surfaces.smooth.size)
+    choices = [_boxes(surfaces, footprints, projector, blur) for blur in _BLURS]
+    direct = np.bincount(
+        footprints.pixels(projector.size), footprints.weights, surfaces.smooth.size
+    )
     misfits = []
     for boxes in choices:
         pixel = boxes.keys // projector.size
@@ -258,10 +262,12 @@ def expected_boxes(
     return choices[int(np.argmin(misfits))]
 
 
-def _boxes(surfaces: Surfaces, found: Candidates, projector: RayDomain, blur: float) -> Boxes:
+def _boxes(surfaces: Surfaces, footprints: Candidates, projector: RayDomain, blur: float) -> Boxes:
     """Return the footprints that smooth surfaces have, of pixels with footprints."""
     height, width = projector.image_shape
-    direct = np.bincount(found.pixels(projector.size), found.weights, surfaces.smooth.size)
+    direct = np.bincount(
+        footprints.pixels(projector.size), footprints.weights, surfaces.smooth.size
+    )
     pixel = np.flatnonzero(surfaces.smooth.ravel() & (direct > 0))
     places = surfaces.places.reshape(2, -1)[:, pixel]
     extent = np.abs(surfaces.slopes).sum(axis=1).reshape(2, -1)[:, pixel]
