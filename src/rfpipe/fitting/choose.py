@@ -157,11 +157,7 @@ def fit_transport(
     if trial:
         row["estimated_error"] = errors[best.name]
         if not doubts and errors[best.name] > _HARDLY_BETTER * trial.mean_picture:
-            notes.append(
-                f"left-out pictures are off by {errors[best.name]:.0%}, hardly better than the "
-                f"{trial.mean_picture:.0%} of the mean picture times each pattern's light. "
-                f"{_few_pictures(training)}"
-            )
+            notes.append(_hardly_better(training, errors[best.name], trial.mean_picture))
     transport = best.solve(training, [row])
     transport.lights = series.lights
     transport.noise = _deviation(training)
@@ -329,13 +325,32 @@ def _doubts(series: Series, trial: _Trial | None) -> list[str]:
     ]
 
 
+def _hardly_better(series: Series, error: float, by_mean: float) -> str:
+    """Return a note on left-out pictures that are predicted little better than by their mean."""
+    note = (
+        f"left-out pictures are off by {error:.0%}, hardly better than the {by_mean:.0%} of the "
+        "mean picture times each pattern's light: don't rely on detail as fine as theirs. Places "
+        "may be right all the same (correspondence())"
+    )
+    return note if _is_enough(series) else f"{note}. {_few_pictures(series)}"
+
+
+def _code_bits(series: Series) -> int:
+    """Return the bits of a Gray code of the projector's rows and columns."""
+    return sum(max(1, ceil(log2(length))) for length in series.projector_shape[-2:])
+
+
+def _is_enough(series: Series) -> bool:
+    """Return whether there are as many independent patterns as a Gray code has, or as rays."""
+    return bool(series.rank >= min(_code_bits(series) + 1, series.patterns.shape[2]))
+
+
 def _few_pictures(series: Series) -> str:
     """Return advice on the number and quality of pictures."""
-    height, width = series.projector_shape[-2:]
-    bits = sum(max(1, ceil(log2(length))) for length in (height, width))
-    code, rank = 2 * bits + 2, series.rank
+    bits, rank = _code_bits(series), series.rank
+    code = 2 * bits + 2
     rays = series.patterns.shape[2]
-    if rank < min(bits + 1, rays):
+    if not _is_enough(series):
         return (
             f"{rank} independent patterns determine too little of {rays} rays: a Gray code of "
             f"this projector has {code} pictures with complements, white and black; take at least "
