@@ -260,7 +260,9 @@ def test_parts_of_other_programs_keep_their_order_or_are_refused(tmp_path: Path)
         read_series(file)
 
 
-@pytest.mark.parametrize(("form", "error"), [("exr", 1e-5), ("png", 0.01)])
+@pytest.mark.parametrize(
+    ("form", "error"), [pytest.param("exr", 1e-5, marks=pytest.mark.slow), ("png", 0.01)]
+)
 def test_photographs_of_a_paper_come_back(
     tmp_path: Path, stored: Path, form: str, error: float
 ) -> None:

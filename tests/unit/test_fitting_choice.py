@@ -53,10 +53,9 @@ def test_footprints_are_chosen_for_gray_code_and_place_pixels() -> None:
     assert np.mean(distance > 2) < 0.01
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_pictures_of_noise_are_refused(seed: int) -> None:
+def test_pictures_of_noise_are_refused() -> None:
     series = series_of(gray_code())
-    noise = np.random.default_rng(seed).random(series.radiance.shape, np.float32)
+    noise = np.random.default_rng(1).random(series.radiance.shape, np.float32)
     with pytest.raises(InputError, match="show codes that no ray"):
         fit_transport(replace(series, radiance=noise))
     assert fit_transport(replace(series, radiance=noise), anyway=True).notes
@@ -88,6 +87,7 @@ def test_a_code_of_another_size_is_refused(size: tuple[int, int]) -> None:
         fit_transport(replace(series, patterns=patterns, projector_shape=size))
 
 
+@pytest.mark.slow
 def test_gray_code_without_complements_is_placed_as_well() -> None:
     capture = gray_code(name="gray:{1}x{0},plain,white=last")
     result = fit_transport(series_of(capture))
@@ -161,6 +161,7 @@ def test_least_squares_has_no_negative_light() -> None:
     assert np.linalg.norm(fitted - radiance) < 0.02 * np.linalg.norm(radiance)
 
 
+@pytest.mark.slow
 def test_unknown_pixels_have_no_transport_and_no_say() -> None:
     series = series_of(gray_code())
     unknown = np.zeros(series.radiance.shape[2], np.bool_)
