@@ -37,6 +37,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_it_covers_all_methods_scenes_lights_and_seeds():
     cases = list(cases_of(list(KINDS)))
     for method in map(method_of, NAMES):

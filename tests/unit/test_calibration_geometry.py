@@ -156,6 +156,7 @@ def test_too_coarse_a_camera_leaks_and_says_so() -> None:
     assert "camera pixels a ray" in found.verdict.text
 
 
+@pytest.mark.slow
 def test_views_of_an_array_are_found_and_rectified() -> None:
     rays, grid = (9, 8, 8), (3, 3)
     bench = surface_bench(rays, (192, 192), (144, 144), grid)

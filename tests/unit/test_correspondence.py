@@ -85,6 +85,7 @@ def test_where_no_picture_shows_a_pixel_nothing_is_certain(photographed) -> None
 @pytest.mark.parametrize(
     ("geometry", "position"), [("wedge", (0.6, 0.1, 0.2)), ("corner", (0.7, -0.3, 0.2))]
 )
+@pytest.mark.slow
 def test_confidence_is_not_above_the_share_of_right_places(geometry, position) -> None:
     lamp = Pinhole((28, 34), position, (0.1, 0.0, 3.0), width=0.8)
     surfaces = ("texture", "white", "texture")[: len(GEOMETRIES[geometry])]

@@ -193,6 +193,7 @@ def test_a_page_s_faults_are_told(results, tmp_path, name, damage, said):
     assert any(said in fault for fault in check_page(tmp_path / "report/index.html"))
 
 
+@pytest.mark.slow
 def test_the_thesis_figures_of_planes_are_drawn_from_a_run(results, tmp_path, monkeypatch):
     monkeypatch.chdir(results.parent)
     run_script("planes", tmp_path, Size())
