@@ -113,11 +113,13 @@ def _without_negative_light(
     _, square = projector.squares(-(-max(projector.image_shape) // _SQUARES))
     squares = np.zeros((int(square.max()) + 1, 1, projector.size), np.float32)
     squares[square, 0, np.arange(projector.size)] = 1
-    direct, shares, strengths = transport.direct(), [], []
-    for channel in range(transport.channels):
-        smooth = (transport.forward(squares, [channel]) - direct.forward(squares, [channel]))[:, 0]
-        unit = transport.mixed_with_even_light([0] * transport.channels, [1] * transport.channels)
-        even = (unit.forward(squares, [channel]) - direct.forward(squares, [channel]))[:, 0]
+    count, direct = transport.channels, transport.direct()
+    even_light = transport.mixed_with_even_light([0] * count, [1] * count)
+    shares, strengths = [], []
+    for channel in range(count):
+        footprints = direct.forward(squares, [channel])[:, 0]
+        smooth = transport.forward(squares, [channel])[:, 0] - footprints
+        even = even_light.forward(squares, [channel])[:, 0] - footprints
         strength = max(float(smooth.sum(dtype=np.float64)), 0.0)
         strength /= max(float(even.sum(dtype=np.float64)), 1e-30)
         even *= np.float32(strength)

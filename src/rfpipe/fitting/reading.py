@@ -119,12 +119,15 @@ def read_series(
     note = encoding_note([part.header for part in parts], [*map(str, parts)], chosen)
     bins, notes = _bins(listing, header, (camera_bin, projector_bin), memory_gib)
     notes = [*listing.notes, *([note] if note else []), *notes]
-    development: Development = (
-        MergedBrackets.of(listing, camera) if camera else SingleExposures.of(listing, curve)
-    )
     weights = _binned_patterns(listing, bins.projector)
     lit: Mask = np.asarray(weights.any(axis=(1, 2)))
-    brackets = [bracket for bracket, shines in zip(listing.brackets, lit, strict=True) if shines]
+    brackets = [listing.brackets[int(index)] for index in np.flatnonzero(lit)]
+    unlit = [listing.brackets[int(index)] for index in np.flatnonzero(~lit)]
+    development: Development = (
+        MergedBrackets.of(listing, unlit, camera)
+        if camera
+        else SingleExposures.of(listing, unlit, curve)
+    )
 
     def shown(title: str) -> Iterator[Bracket]:
         return iter(tqdm(brackets, title, unit="picture", disable=None if progress else True))
@@ -173,26 +176,24 @@ class SingleExposures:
     black: Float | None
 
     @classmethod
-    def of(cls, listing: Listing, curve: Curve) -> SingleExposures:
-        """Compute the divisors and the black picture of a listing."""
+    def of(cls, listing: Listing, unlit: Sequence[Bracket], curve: Curve) -> SingleExposures:
+        """Compute the divisors and the black picture of a listing; `unlit` show black patterns."""
         parts = [part for (part,) in listing.brackets]
-        exposures = relative_exposures([part.header for part in parts], [*map(str, parts)])
+        names = [str(part) for part in parts]
+        exposures = relative_exposures([part.header for part in parts], names)
+        exposure_of = dict(zip(names, exposures, strict=True))
         divisors = exposures[:, None]
         if listing.intensities is not None:
             intensities = listing.intensities.astype(np.float64)
             if parts[0].header.channels == 1:
                 intensities = intensities.mean(axis=1, keepdims=True)
             divisors = divisors * intensities
-        dark = [
-            linear_light(part, curve) / exposure
-            for part, exposure, read in zip(parts, exposures, listing.patterns.readers, strict=True)
-            if not read().any()
-        ]
+        dark = [linear_light(part, curve) / exposure_of[str(part)] for (part,) in unlit]
         for (part,) in listing.dark:
             scale = check_black(part.header, parts[0].header, (str(part), str(parts[0])))
             dark.append(linear_light(part, curve) * scale / exposures[0])
         black: Any = np.mean(dark, axis=0, dtype=np.float64) if dark else None
-        return cls(curve, dict(zip(map(str, parts), divisors, strict=True)), black)
+        return cls(curve, dict(zip(names, divisors, strict=True)), black)
 
     def saturated(self, brackets: Iterator[Bracket]) -> Mask:
         """Return the pixels whose count is about the files' largest number in any picture."""
@@ -234,27 +235,24 @@ class MergedBrackets:
     merge: BracketMerge
 
     @classmethod
-    def of(cls, listing: Listing, camera: CameraModel) -> MergedBrackets:
-        """Prepare the merge of a listing's brackets, by the mean of its pictures without light."""
+    def of(cls, listing: Listing, unlit: Sequence[Bracket], camera: CameraModel) -> MergedBrackets:
+        """Prepare the merge of a listing's brackets, by the mean of its pictures without light.
+
+        `unlit` show black patterns.
+        """
         part = listing.brackets[0][0]
         header = part.header
         if header.kind != "counts":
             raise InputError(f"{part}: holds light; the settings' camera counts")
         check_mosaic(part.file, header, camera.bayer)
         shape = camera.frame_shape(header.size, header.channels if camera.bayer is None else 3)
-        unlit = [
-            bracket
-            for bracket, read in zip(listing.brackets, listing.patterns.readers, strict=True)
-            if not read().any()
-        ]
         for dark in listing.dark:
             check_black(dark[0].header, header, (str(dark[0]), str(part)))
-        unlit += listing.dark
+        frames = [_frames(bracket, shape) for bracket in (*unlit, *listing.dark)]
         black: Any = np.full(shape, camera.black_level_counts, np.float32)
-        if unlit:
-            frames = [_frames(bracket, shape) for bracket in unlit]
+        if frames:
             black = np.mean(frames, axis=0, dtype=np.float64)
-        return cls(shape, camera.merging(black.astype(np.float32), max(1, len(unlit))))
+        return cls(shape, camera.merging(black.astype(np.float32), max(1, len(frames))))
 
     def saturated(self, brackets: Iterator[Bracket]) -> Mask:
         """Return the pixels that saturate in all exposures of any bracket."""
