@@ -19,12 +19,12 @@ from rfpipe.rigs.steadiness import (
     Fault,
     Look,
     References,
-    faults_of,
     common_gain,
+    faults_of,
     gains_of,
+    saturated_from,
     thinned,
 )
-from rfpipe.units import SATURATION_FRACTION
 
 _SERIES = (BLACK, BLACK, PATTERN, PATTERN, COMPLEMENT, COMPLEMENT) * 2
 """Each picture twice: the second is right where frames are late."""
@@ -50,7 +50,7 @@ def take_looks(bench: Bench, pictures: Sequence[int], series: int, wait: float =
     looks = []
     brackets = bench.take([shown[picture] for picture in pictures], wait=wait)
     for picture, frames in zip(pictures, brackets, strict=True):
-        looks.append(Look(picture, series, time.monotonic(), thinned(frames)))
+        looks.append(Look(picture, series, time.time(), thinned(frames)))
     return looks
 
 
@@ -78,6 +78,7 @@ def measure_steadiness(bench: Bench) -> Findings:
     facts = {
         "is_seen": 1,
         "looks": len(looks),
+        "taken_at": references.seconds,
         "range": float(np.ptp(common)),
         "noise_of_looks": float(references.noise.min()),
         **{f"{fault.kind}_size": fault.size for fault in faults},
@@ -102,9 +103,10 @@ def references_of(bench: Bench) -> References | None:
     if steady is None or "references" not in steady.arrays or not steady["references"].size:
         return None
     model = camera_model(bench.camera)
-    saturated = SATURATION_FRACTION * model.white_level
-    exposures = tuple(model.exposures)
-    return References(steady["references"], steady["noise"], exposures, saturated)
+    return References(
+        steady["references"], steady["noise"], tuple(model.exposures), saturated_from(model),
+        steady["taken_at"],
+    )  # fmt: skip
 
 
 def witnessed(bench: Bench, measure: Callable[[Bench], Findings]) -> Findings:

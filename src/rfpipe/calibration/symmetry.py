@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.bench import Bench
-from rfpipe.calibration.verdicts import Findings
+from rfpipe.calibration.verdicts import Findings, with_error
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import generator
@@ -127,6 +127,7 @@ def symmetry_findings(taken: Taken, tolerance: float) -> Findings:
         "tolerance": tolerance,
         "error": error,
         "standard_error": standard_error,
+        "error_range": with_error(error, standard_error, "{:.2%}"),
         "least_error": error - CONFIDENCE * standard_error,
         "most_error": error + CONFIDENCE * standard_error,
     }

@@ -30,7 +30,7 @@ What the rig does is read from the fits of many looks:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -56,7 +56,6 @@ _MOVED = 0.05  # residual from which on a picture has another shape: half a pixe
 _ROOM = 0.2  # change of room light over that of the lamp's that is accepted: it is in all pictures
 _LATE = 0.5  # distance to the picture before over that to the picture shown
 _COMMON = 0.1  # share of the gains' variance within brackets, below which it is of whole brackets
-_SLOW = 0.05  # variance of adjacent looks over that of all, below which the light drifts
 _AVERAGED_SECONDS = 0.05  # exposures from which on flicker at mains frequency is small
 
 
@@ -112,12 +111,15 @@ class References:
         Seconds.
     saturated : float
         Counts from which on a photosite says no more.
+    seconds : float
+        Time at which they were taken.
     """
 
     frames: Double
     noise: Double
     exposures: tuple[float, ...]
     saturated: float
+    seconds: float
 
     @classmethod
     def of(cls, looks: Sequence[Look], sensor: CameraModel) -> References:
@@ -125,17 +127,19 @@ class References:
 
         The second look of two is of its picture even where frames are late by a bracket.
         """
-        seconds = looks[1::2]
+        second_looks = looks[1::2]
         frames = np.stack(
             [
-                np.mean([one.frames for one in seconds if one.picture == picture], axis=0)
+                np.mean([look.frames for look in second_looks if look.picture == picture], axis=0)
                 for picture in (BLACK, PATTERN, COMPLEMENT)
             ]
         ).astype(np.float64)
-        saturated = SATURATION_FRACTION * sensor.white_level
-        bare = cls(frames, np.zeros(frames.shape[1]), tuple(sensor.exposures), saturated)
-        pairs = [pair for pair in zip(looks[::2], seconds, strict=True) if pair[1].picture]
-        return cls(frames, _noise(bare, pairs), bare.exposures, saturated)
+        bare = cls(
+            frames, np.zeros(frames.shape[1]), tuple(sensor.exposures), saturated_from(sensor),
+            float(np.mean([look.seconds for look in second_looks])),
+        )  # fmt: skip
+        pairs = [pair for pair in zip(looks[::2], second_looks, strict=True) if pair[1].picture]
+        return replace(bare, noise=_noise(bare, pairs))
 
     @property
     def light(self) -> Double:
@@ -170,6 +174,11 @@ class Series(NamedTuple):
     seconds: Double
 
 
+def saturated_from(sensor: CameraModel) -> float:
+    """Return the counts from which on a photosite of a camera is saturated."""
+    return SATURATION_FRACTION * sensor.white_level
+
+
 def thinned(frames: NDArray[Any]) -> NDArray[np.float32]:
     """Return at most `MOST_PIXELS` photosites of each frame of a bracket (E, ...), (E, n)."""
     flat = frames.reshape(len(frames), -1)
@@ -178,7 +187,9 @@ def thinned(frames: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def faults_of(looks: Sequence[Look], references: References, limit: float) -> list[Fault]:
-    """Return the faults that looks show, the first one first to be mended.
+    """Return the faults that looks show, in the order of mending.
+
+    Looks without light, such as those under a lens cap, show none.
 
     Parameters
     ----------
@@ -188,7 +199,7 @@ def faults_of(looks: Sequence[Look], references: References, limit: float) -> li
     limit : float
         Relative change of the lamp's light that is accepted.
     """
-    if not references.has_light:
+    if not references.has_light or _are_dark(looks, references):
         return []
     late = _late(looks, references)
     if late is not None:
@@ -264,7 +275,7 @@ def light_fault(series: Series, exposures: Sequence[float], limit: float) -> Fau
             variance[-1] < variance.max() / 4
         )
         return flicker_fault(size, exposures) if is_averaged else gain_fault(size)
-    if _is_slow(common, common_error, series.series):
+    if _is_slow(series, common, common_error, limit):
         order = np.argsort(series.seconds)
         change = float(common[order[-1]] / common[order[0]] - 1)
         return drift_fault(change, float(np.ptp(series.seconds)))
@@ -414,6 +425,17 @@ def _noise(references: References, pairs: Sequence[tuple[Look, Look]]) -> Double
     return noise
 
 
+def _are_dark(looks: Sequence[Look], references: References) -> bool:
+    """Test whether all lit looks are black."""
+    black = references.frames[BLACK]
+    return all(
+        _distance(frame, black) < _LATE * _distance(frame, references.frames[look.picture])
+        for look in looks
+        if look.picture != BLACK
+        for frame in look.frames[:1]
+    )
+
+
 def _late(looks: Sequence[Look], references: References) -> Fault | None:
     """Return the fault of frames that agree with the reference of the look before."""
     judged, late = 0, 0
@@ -436,16 +458,17 @@ def _distance(frame: NDArray[np.float32], references: Double) -> float:
 def _room(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
     """Return the fault of black pictures that differ, by the longest exposure that shows it."""
     dark = [look for look in looks if look.picture == BLACK]
+    seconds = np.array([references.seconds, *(look.seconds for look in dark)])
     for index in range(len(references.exposures))[::-1]:
-        frames = np.array([look.frames[index] for look in dark])
+        frames = np.array([references.frames[BLACK, index], *(look.frames[index] for look in dark)])
         usable = (frames < references.saturated).all(axis=0)
-        if len(dark) < 2 or usable.mean() < 0.5:
+        if usable.mean() < 0.5:
             continue
         rates = frames[:, usable].mean(axis=1) / references.exposures[index]
         least, most = int(rates.argmin()), int(rates.argmax())
         size = float(rates[most] - rates[least]) / references.white_rate
-        seconds = abs(dark[most].seconds - dark[least].seconds)
-        return room_fault(size, seconds) if size > _ROOM * limit else None
+        fault = room_fault(size, float(abs(seconds[most] - seconds[least])))
+        return fault if size > _ROOM * limit else None
     return None
 
 
@@ -475,10 +498,12 @@ def _known(series: Series, limit: float) -> NDArray[np.bool_]:
     return known
 
 
-def _is_slow(common: Double, error: Double, series: NDArray[np.int64]) -> bool:
-    """Test whether adjacent looks (K,) agree better than distant ones."""
-    adjacent = np.diff(common)[np.diff(series) == 0]
-    if not len(adjacent):
+def _is_slow(series: Series, common: Double, error: Double, limit: float) -> bool:
+    """Test whether adjacent looks (K,) agree, or differ by no more than a steady drift."""
+    adjacent = np.diff(series.series) == 0
+    if not adjacent.any():
         return False
-    beyond_noise = np.square(adjacent).mean() / 2 - np.square(error).mean()
-    return bool(beyond_noise < _SLOW * common.var())
+    step = np.diff(common)[adjacent]
+    share = np.diff(series.seconds)[adjacent].mean() / max(np.ptp(series.seconds), 1e-9)
+    expected = max(limit / 4, 2 * share * float(np.ptp(common)))
+    return bool(np.square(step).mean() - 2 * np.square(error).mean() < expected**2)
