@@ -505,5 +505,5 @@ def _is_slow(series: Series, common: Double, error: Double, limit: float) -> boo
         return False
     step = np.diff(common)[adjacent]
     share = np.diff(series.seconds)[adjacent].mean() / max(np.ptp(series.seconds), 1e-9)
-    expected = max(limit / 4, 2 * share * float(np.ptp(common)))
+    expected = max(limit / 2, 2 * share * float(np.ptp(common)))
     return bool(np.square(step).mean() - 2 * np.square(error).mean() < expected**2)
