@@ -169,6 +169,7 @@ symmetry unknown most_error > tolerance: The noise can't tell: use more patterns
     exposures.
 symmetry note error > -1: Asymmetry alone makes errors of {error_range} in relit pictures,
     {tolerance:.1%} accepted.
+symmetry note drift > 0.01: The lamp's light changed by {drift:.1%}, which is divided out.
 symmetry note least_error > tolerance: Align the devices' centres, and focus both; clean and shade
     the lens, and cover what is bright beside the scene, against flare; close the aperture against
     vignetting.
