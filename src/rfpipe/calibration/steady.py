@@ -67,12 +67,13 @@ def measure_steadiness(bench: Bench) -> Findings:
     Returns
     -------
     Findings
-        Arrays: ``references`` (3, E, n) and ``noise`` (E,), see `rfpipe.rigs.steadiness`; empty
-        where the pattern is not seen. ``gain`` of the lit looks, (K, E).
+        Arrays: ``references`` (3, E, n) and ``noise`` (E,), see `rfpipe.rigs.steadiness`; ``gain``
+        of the lit looks, (K, E). References are empty where the pattern is not seen.
     """
     looks, references, faults = probe(bench)
     if not references.has_light:
-        return Findings.of("steadiness", {"is_seen": 0}, {"references": np.empty(0)})
+        nothing = {"references": np.empty(0), "gain": np.empty((0, len(references.exposures)))}
+        return Findings.of("steadiness", {"is_seen": 0}, nothing)
     gains = gains_of(looks, references)
     common, _ = common_gain(gains, LIMIT)
     facts = {

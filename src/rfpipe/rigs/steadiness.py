@@ -466,9 +466,12 @@ def _room(looks: Sequence[Look], references: References, limit: float) -> Fault 
             continue
         rates = frames[:, usable].mean(axis=1) / references.exposures[index]
         least, most = int(rates.argmin()), int(rates.argmax())
+        change = (frames[most] - frames[least])[usable]
+        is_noise = change.mean() < _SIGNIFICANCE * change.std() / np.sqrt(change.size)
         size = float(rates[most] - rates[least]) / references.white_rate
-        fault = room_fault(size, float(abs(seconds[most] - seconds[least])))
-        return fault if size > _ROOM * limit else None
+        if is_noise or size < _ROOM * limit:
+            return None
+        return room_fault(size, float(abs(seconds[most] - seconds[least])))
     return None
 
 
