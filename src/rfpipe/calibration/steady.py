@@ -10,21 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.bench import Bench, camera_model
-from rfpipe.calibration.verdicts import Findings, Verdict
+from rfpipe.calibration.verdicts import Findings, Standing, Verdict
 from rfpipe.provenance import generator
-from rfpipe.rigs.steadiness import (
+from rfpipe.rigs.looks import (
     BLACK,
     COMPLEMENT,
     PATTERN,
-    Fault,
     Look,
     References,
     common_gain,
-    faults_of,
     gains_of,
     saturated_from,
     thinned,
 )
+from rfpipe.rigs.steadiness import Fault, faults_of
 
 _SERIES = (BLACK, BLACK, PATTERN, PATTERN, COMPLEMENT, COMPLEMENT) * 2
 """Each picture twice: the second is right where frames are late."""
@@ -67,7 +66,7 @@ def measure_steadiness(bench: Bench) -> Findings:
     Returns
     -------
     Findings
-        Arrays: ``references`` (3, E, n) and ``noise`` (E,), see `rfpipe.rigs.steadiness`; ``gain``
+        Arrays: ``references`` (3, E, n) and ``noise`` (E,), see `rfpipe.rigs.looks`; ``gain``
         of the lit looks, (K, E). References are empty where the pattern is not seen.
     """
     looks, references, faults = probe(bench)
@@ -93,7 +92,7 @@ def with_faults(findings: Findings, faults: Sequence[Fault]) -> Findings:
     """Return findings whose verdict names the rig's faults, in place of their consequences."""
     if not faults:
         return findings
-    standing = "failed" if findings.verdict.standing == "failed" else "poor"
+    standing: Standing = "failed" if findings.verdict.standing == "failed" else "poor"
     text = ". ".join(fault.text for fault in faults)
     return replace(findings, verdict=Verdict(standing, f"{text}."))
 

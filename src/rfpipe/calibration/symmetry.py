@@ -142,7 +142,8 @@ def lamp_light(white: Double, places: NDArray[np.int64], count: int) -> Double:
     """
     if white[0] <= 0:
         return np.ones(count)
-    return np.maximum(np.interp(np.arange(count), places, white / white[0]), _LEAST)
+    light: Double = np.interp(np.arange(count), places, white / white[0])
+    return np.asarray(np.maximum(light, _LEAST))
 
 
 def measure_rig(bench: Bench) -> Findings:

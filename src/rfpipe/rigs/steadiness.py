@@ -1,21 +1,6 @@
 """Unsteady rigs: late frames, changing gain, flicker, room light, drift of the lamp, and motion.
 
-A *look* is the bracket of one of three pictures: black B, a pattern P, or its complement Q. With a
-reference R of each, the counts F of an exposure are fitted over the camera's pixels by ::
-
-    F = R_B + x_P (R_P - R_B) + x_Q (R_Q - R_B) + a
-
-======== ================= ========= ==========================================================
-symbol   name              shape     meaning
-======== ================= ========= ==========================================================
-F        frames            (E, n)    counts of n camera pixels, unsaturated ones in the fit
-R        references        (3, E, n) the same, of B, P and Q
-x, a     solution          (3,)      of one exposure
-g        gain              (E,)      ``x_P - x_Q`` of a look at P, ``x_Q - x_P`` of a look at Q
-r        residual          (E,)      RMS of what the fit leaves, relative to the light of P or Q
-======== ================= ========= ==========================================================
-
-What the rig does is read from the fits of many looks:
+What the rig does is read from many looks, see `rfpipe.rigs.looks`:
 
 - Gain and lamp multiply: g changes. Light of the room adds: to `a` as haze, and to x_P and x_Q
   alike where the scene reflects it, since ``P + Q`` is a white picture. It does not change g, but
@@ -30,27 +15,26 @@ What the rig does is read from the fits of many looks:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.photometry.camera import CameraModel
-from rfpipe.units import SATURATION_FRACTION
+from rfpipe.rigs.looks import (
+    BLACK,
+    Look,
+    References,
+    Series,
+    common_gain,
+    fit_of,
+    gains_of,
+    known_exposures,
+)
 
 Double = NDArray[np.float64]
 Kind = Literal["late", "room", "moved", "gain", "flicker", "unsteady", "drift"]
 
-BLACK, PATTERN, COMPLEMENT = 0, 1, 2
-"""Pictures of looks."""
-
-MOST_PIXELS = 2**16
-"""Photosites of a frame that are compared, at most."""
-
-_LEAST_PIXELS = 50
-_HEADROOM = 0.8  # counts of references over saturation: a brighter look does not saturate
 _SIGNIFICANCE = 6.0  # standard errors beyond which a change is no noise
 _MOVED = 0.05  # residual from which on a picture has another shape: half a pixel makes 0.15
 _ROOM = 0.2  # change of room light over that of the lamp's that is accepted: it is in all pictures
@@ -76,116 +60,6 @@ class Fault(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True, eq=False)
-class Look:
-    """A bracket of a known picture.
-
-    Attributes
-    ----------
-    picture : {BLACK, PATTERN, COMPLEMENT}
-    series : int
-        Looks that are taken right after each other have the same number.
-    seconds : float
-        Time at which it was taken.
-    frames : ndarray of float32, shape (E, n)
-        Counts; see `thinned`.
-    """
-
-    picture: int
-    series: int
-    seconds: float
-    frames: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class References:
-    """Brackets that looks are compared with.
-
-    Attributes
-    ----------
-    frames : ndarray of float64, shape (3, E, n)
-        Of black, pattern and complement.
-    noise : ndarray of float64, shape (E,)
-        Residual that noise alone leaves; infinite where an exposure has no light to compare.
-    exposures : tuple of float
-        Seconds.
-    saturated : float
-        Counts from which on a photosite says no more.
-    seconds : float
-        Time at which they were taken.
-    """
-
-    frames: Double
-    noise: Double
-    exposures: tuple[float, ...]
-    saturated: float
-    seconds: float
-
-    @classmethod
-    def of(cls, looks: Sequence[Look], sensor: CameraModel) -> References:
-        """Return the references of a series in which each picture is shown twice in succession.
-
-        The second look of two is of its picture even where frames are late by a bracket.
-        """
-        second_looks = looks[1::2]
-        frames = np.stack(
-            [
-                np.mean([look.frames for look in second_looks if look.picture == picture], axis=0)
-                for picture in (BLACK, PATTERN, COMPLEMENT)
-            ]
-        ).astype(np.float64)
-        bare = cls(
-            frames, np.zeros(frames.shape[1]), tuple(sensor.exposures), saturated_from(sensor),
-            float(np.mean([look.seconds for look in second_looks])),
-        )  # fmt: skip
-        pairs = [pair for pair in zip(looks[::2], second_looks, strict=True) if pair[1].picture]
-        return replace(bare, noise=_noise(bare, pairs))
-
-    @property
-    def light(self) -> Double:
-        """Light of pattern and complement in counts, (2, E, n)."""
-        return self.frames[1:] - self.frames[0]
-
-    @property
-    def white_rate(self) -> float:
-        """Counts a second of the projector's white picture, by the shortest exposure."""
-        return float(self.light[:, 0].sum(axis=0).mean()) / self.exposures[0]
-
-    @property
-    def has_light(self) -> bool:
-        """Whether the pattern is seen above the noise in any exposure."""
-        return bool(np.isfinite(self.noise).any()) and self.white_rate > 0
-
-
-class Fit(NamedTuple):
-    """Fit of a look; NaN in exposures that cannot be fitted."""
-
-    gain: Double
-    gain_error: Double
-    residual: Double
-
-
-class Series(NamedTuple):
-    """Gains of K lit looks, (K, E), and their errors; series and time of each, (K,)."""
-
-    gain: Double
-    error: Double
-    series: NDArray[np.int64]
-    seconds: Double
-
-
-def saturated_from(sensor: CameraModel) -> float:
-    """Return the counts from which on a photosite of a camera is saturated."""
-    return SATURATION_FRACTION * sensor.white_level
-
-
-def thinned(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Return at most `MOST_PIXELS` photosites of each frame of a bracket (E, ...), (E, n)."""
-    flat = frames.reshape(len(frames), -1)
-    step = -(-flat.shape[1] // MOST_PIXELS) | 1  # odd: photosites of every colour of a mosaic
-    return np.asarray(flat[:, ::step], np.float32)
-
-
 def faults_of(looks: Sequence[Look], references: References, limit: float) -> list[Fault]:
     """Return the faults that looks show, in the order of mending.
 
@@ -206,45 +80,14 @@ def faults_of(looks: Sequence[Look], references: References, limit: float) -> li
         return [late]
     faults = [_room(looks, references, limit), _moved(looks, references)]
     if faults[1] is None:  # gains of another picture mean nothing
-        faults.append(light_fault(gains_of(looks, references), references.exposures, limit))
+        gains = gains_of(looks, references)
+        faults.append(light_fault(gains, references.exposures, limit, references.unit))
     return [fault for fault in faults if fault is not None]
 
 
-def gains_of(looks: Sequence[Look], references: References) -> Series:
-    """Return the gains of the lit looks."""
-    lit = [look for look in looks if look.picture != BLACK]
-    fits = [fit_of(look, references) for look in lit]
-    return Series(
-        np.array([fit.gain for fit in fits]),
-        np.array([fit.gain_error for fit in fits]),
-        np.array([look.series for look in lit]),
-        np.array([look.seconds for look in lit]),
-    )
-
-
-def fit_of(look: Look, references: References) -> Fit:
-    """Fit each exposure of a look at the pattern or its complement."""
-    exposures = len(references.exposures)
-    gain, error, residual = np.full((3, exposures), np.nan)
-    sign = 1 if look.picture == PATTERN else -1
-    for index in range(exposures):
-        frame = look.frames[index].astype(np.float64)
-        usable = _usable(references, index) & (frame < references.saturated)
-        shown = references.light[look.picture - 1, index, usable]
-        if usable.sum() < _LEAST_PIXELS or not np.isfinite(references.noise[index]):
-            continue
-        solution, rest, covariance = _regression(
-            references, index, usable, frame[usable] - references.frames[0, index, usable]
-        )
-        along = np.array([sign, -sign, 0.0])
-        gain[index] = along @ solution
-        residual[index] = np.sqrt(np.square(rest).sum() / np.square(shown).sum())
-        # noise of the references bends the fit by the square of the residual
-        error[index] = np.hypot(np.sqrt(along @ covariance @ along), references.noise[index] ** 2)
-    return Fit(gain, error, residual)
-
-
-def light_fault(series: Series, exposures: Sequence[float], limit: float) -> Fault | None:
+def light_fault(
+    series: Series, exposures: Sequence[float], limit: float, unit: str = "s"
+) -> Fault | None:
     """Return the fault of the light that multiplies: gain, flicker or drift; None for none.
 
     Parameters
@@ -255,8 +98,10 @@ def light_fault(series: Series, exposures: Sequence[float], limit: float) -> Fau
         Seconds.
     limit : float
         Accepted range of the gains.
+    unit : str
+        Unit of the times in `series`.
     """
-    known = _known(series, limit)
+    known = known_exposures(series, limit)
     if not known.any() or len(series.gain) < 2:
         return None
     gain, error, times = series.gain[:, known], series.error[:, known], np.array(exposures)[known]
@@ -278,7 +123,7 @@ def light_fault(series: Series, exposures: Sequence[float], limit: float) -> Fau
     if _is_slow(series, common, common_error, limit):
         order = np.argsort(series.seconds)
         change = float(common[order[-1]] / common[order[0]] - 1)
-        return drift_fault(change, float(np.ptp(series.seconds)))
+        return drift_fault(change, f"{np.ptp(series.seconds):.2g} {unit}")
     if len(times) == 1 and not is_whole_period(times[0]):
         return unsteady_fault(size)
     return gain_fault(size)
@@ -289,19 +134,18 @@ def gain_fault(size: float) -> Fault:
     return Fault(
         "gain",
         size,
-        f"The camera's gain changes from picture to picture, by {size:.1%}, in all exposures "
-        "alike: switch automatic gain, exposure and brightness off, in the camera and in its "
-        "driver",
+        f"The camera's gain changes from picture to picture, by {size:.1%}: switch automatic "
+        "gain, exposure and brightness off, in the camera and in its driver",
     )
 
 
-def drift_fault(change: float, seconds: float) -> Fault:
-    """Return the fault of a lamp whose light changed by `change` in `seconds`."""
+def drift_fault(change: float, duration: str) -> Fault:
+    """Return the fault of a lamp whose light changed by `change` in a time such as "20 s"."""
     return Fault(
         "drift",
         abs(change),
-        f"The lamp's light changed by {change:+.1%} in {seconds:.2g} s: let the lamp warm up, half "
-        "an hour or more",
+        f"The lamp's light changed by {change:+.1%} in {duration}: let the lamp warm up, half an "
+        "hour or more",
     )
 
 
@@ -316,12 +160,12 @@ def late_fault(share: float) -> Fault:
     )
 
 
-def room_fault(size: float, seconds: float) -> Fault:
+def room_fault(size: float, duration: str) -> Fault:
     """Return the fault of room light that changes by `size`, relative to the projector's white."""
     return Fault(
         "room",
         size,
-        f"The room's light changes by {size:.2%} of the projector's in {seconds:.2g} s: darken the "
+        f"The room's light changes by {size:.2%} of the projector's in {duration}: darken the "
         "room, cover windows and screens, and switch lamps off",
     )
 
@@ -377,54 +221,6 @@ def is_whole_period(exposure: float) -> bool:
     return all(abs(exposure * hertz - round(exposure * hertz)) < 0.02 for hertz in (100, 120))
 
 
-def _usable(references: References, exposure: int) -> NDArray[np.bool_]:
-    """Test which pixels no reference saturates in an exposure."""
-    is_usable: NDArray[np.bool_] = (references.frames[:, exposure] < references.saturated).all(
-        axis=0
-    )
-    return is_usable
-
-
-def _regression(
-    references: References, exposure: int, usable: NDArray[np.bool_], counts: Double
-) -> tuple[Double, Double, Double]:
-    """Return solution (3,), residuals and covariance (3, 3) of counts above black.
-
-    Pixels have weights as of photon noise. The covariance is that of any noise: HC3 of MacKinnon
-    and White, Journal of Econometrics 29 (1985).
-    """
-    light = references.light[:, exposure, usable]
-    design = np.stack([*light, np.ones(light.shape[1])], axis=1)
-    brightness = np.maximum(light.sum(axis=0), 0)
-    weight = 1 / (brightness + 0.1 * brightness.mean() + 1)
-    solve = np.linalg.pinv((design.T * weight) @ design) @ (design.T * weight)
-    solution = solve @ counts
-    rest = counts - design @ solution
-    leverage = np.einsum("ij,ji->i", design, solve)
-    spread = solve * (rest / np.maximum(1 - leverage, 1e-3))
-    return solution, rest, spread @ spread.T
-
-
-def _noise(references: References, pairs: Sequence[tuple[Look, Look]]) -> Double:
-    """Return the median residual between two successive looks at one picture, (E,)."""
-    noise = np.full(len(references.exposures), np.inf)
-    for index in range(len(noise)):
-        residuals = []
-        for first, second in pairs:
-            usable = _usable(references, index)
-            usable &= np.maximum(first.frames[index], second.frames[index]) < references.saturated
-            light = references.light[second.picture - 1, index, usable]
-            if usable.sum() < _LEAST_PIXELS or light.sum() <= 0:
-                continue
-            difference = (second.frames[index] - first.frames[index]).astype(np.float64)[usable]
-            _, rest, _ = _regression(references, index, usable, difference)
-            residuals.append(np.sqrt(np.square(rest).sum() / 2 / np.square(light).sum()))
-        # where noise hides the light itself, nothing can be compared
-        if residuals and np.median(residuals) < 0.5:
-            noise[index] = float(np.median(residuals))
-    return noise
-
-
 def _are_dark(looks: Sequence[Look], references: References) -> bool:
     """Test whether all lit looks are black."""
     black = references.frames[BLACK]
@@ -471,7 +267,8 @@ def _room(looks: Sequence[Look], references: References, limit: float) -> Fault 
         size = float(rates[most] - rates[least]) / references.white_rate
         if is_noise or size < _ROOM * limit:
             return None
-        return room_fault(size, float(abs(seconds[most] - seconds[least])))
+        duration = abs(float(seconds[most] - seconds[least]))
+        return room_fault(size, f"{duration:.2g} {references.unit}")
     return None
 
 
@@ -482,23 +279,6 @@ def _moved(looks: Sequence[Look], references: References) -> Fault | None:
     residual = max((fit_of(look, references).residual[best] for look in lit), default=np.nan)
     is_moved = residual > _MOVED + 3 * references.noise[best]
     return moved_fault(float(residual)) if is_moved else None
-
-
-def common_gain(series: Series, limit: float) -> tuple[Double, Double]:
-    """Return the gain (K,) that the exposures of each look have in common, and its error."""
-    known = _known(series, limit)
-    # an error below 1e-4 is not believed
-    weight = 1 / (np.square(series.error[:, known]) + 1e-8)
-    total = weight.sum(axis=1)
-    common: Double = (weight * series.gain[:, known]).sum(axis=1) / total
-    return common, 1 / np.sqrt(total)
-
-
-def _known(series: Series, limit: float) -> NDArray[np.bool_]:
-    """Test which exposures are known to a third of the limit; the best one, if none is."""
-    worst = np.where(np.isfinite(series.gain), series.error, np.inf).max(axis=0)
-    known: NDArray[np.bool_] = np.isfinite(worst) & (worst <= max(limit / 3, worst.min()))
-    return known
 
 
 def _is_slow(series: Series, common: Double, error: Double, limit: float) -> bool:
