@@ -264,7 +264,7 @@ class Scenery:
             return codes
         from scipy.ndimage import shift
 
-        moved: Codes = shift(codes, self._knock[1:], order=0)
+        moved: Codes = shift(codes, (*self._knock[1:], 0)[: codes.ndim], order=0)
         return moved
 
 
