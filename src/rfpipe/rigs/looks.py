@@ -310,8 +310,8 @@ def _noise(references: References, pairs: Sequence[tuple[Look, Look]]) -> Double
             light = references.light_of(second.picture)[index, usable]
             if usable.sum() < _LEAST_PIXELS or light.sum() <= 0:
                 continue
-            difference = (second.frames[index] - first.frames[index]).astype(np.float64)[usable]
-            _, rest, _ = _regression(references, index, usable, difference)
+            change = np.subtract(second.frames[index], first.frames[index], dtype=np.float64)
+            _, rest, _ = _regression(references, index, usable, change[usable])
             residuals.append(np.sqrt(np.square(rest).sum() / 2 / np.square(light).sum()))
         # where noise hides the light itself, nothing can be compared
         if residuals and np.median(residuals) < 0.5:
