@@ -93,6 +93,19 @@ def sources_of(group: str, name: str) -> tuple[Path, ...]:
     return () if file is None else (Path(file),)
 
 
+def is_of_rfpipe(group: str, name: str) -> bool:
+    """Whether a name leads to rfpipe or one of its extras, rather than to code of a user's own.
+
+    Raises
+    ------
+    InputError
+        When the group has no such name.
+    """
+    module = path_of(group, name).rpartition(":")[0]
+    package = module.partition(".")[0]
+    return not module.endswith(".py") and (package == "rfpipe" or package.startswith("rfpipe_"))
+
+
 def find(group: str, name: str) -> Any:
     """Return what a name or path of a group stands for.
 

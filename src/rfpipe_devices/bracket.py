@@ -26,6 +26,8 @@ _log = logging.getLogger(__name__)
 class FrameOptions(Settings):
     """What cameras have in common."""
 
+    without_effect_on_frames: ClassVar[frozenset[str]] = frozenset({"timeout_seconds"})
+
     shape: tuple[PictureExtent, PictureExtent] | None = Field(
         None, description="Height and width of the frames in pixels, or null for the whole sensor."
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,10 @@ _log = logging.getLogger(__name__)
 
 class PhotoOptions(FrameOptions):
     """A photo camera, by gphoto2."""
+
+    without_effect_on_frames: ClassVar[frozenset[str]] = frozenset(
+        {*FrameOptions.without_effect_on_frames, "keep_pictures"}
+    )
 
     model: Text | None = Field(
         None,
