@@ -188,7 +188,7 @@ class BracketCamera(Closing, ABC):
             )  # fmt: skip
         raise CaptureError(
             f"{self._name}: no good frame of {exposure:g} s in {self.attempts} attempts; "
-            f"the last: {problem}. {self.advice}, or raise camera.timeout_seconds"
+            f"the last: {problem}. {self.advice}, or raise camera.options.timeout_seconds"
         )
 
 

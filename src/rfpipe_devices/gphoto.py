@@ -194,7 +194,7 @@ class PhotoCamera(BracketCamera):
         raise CaptureError(
             f"{self._options.model or 'any camera'}: {len(answering)} photo cameras answer"
             f"{': ' if names else ''}{names}. Check power, cable and that the camera is awake, and "
-            "name the camera by camera.model"
+            "name the camera by camera.options.model"
         )
 
     def _set_up(self) -> None:
@@ -234,7 +234,7 @@ class PhotoCamera(BracketCamera):
         except InputError as error:
             raise CaptureError(
                 f"{self._name}: {error}. Set the camera to raw files alone, in its menu or by "
-                "camera.settings"
+                "camera.options.settings"
             ) from error
 
     def _learn(self, raw: Raw, times: list[ShutterTime]) -> None:
