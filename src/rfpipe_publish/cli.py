@@ -64,10 +64,13 @@ def publish(
     and creators are asked for once and kept in FOLDER/publication.yaml, with a title, a version
     and more to edit. Without a terminal, give --license and --creator.
     """
+    from rfpipe.output import checked_output
     from rfpipe_publish.metadata import CITATION_FILE, kept_values, write_citation
     from rfpipe_publish.publication import publish as write
     from rfpipe_publish.run import find_run
 
+    if output is not None:
+        checked_output("publish", output)
     run = find_run(folder)
     facts = {"title": run.title, "published": date.today()}
     values: dict[str, Any] = facts | kept_values(run.folder)
@@ -146,9 +149,11 @@ def pack(
     rfpipe.open_collection reads it as it lies. 'rfpipe verify' checks it; 'unpack' gives back the
     same files.
     """
+    from rfpipe.output import checked_output
     from rfpipe.transport.storage import STORE_NAME
     from rfpipe_publish.places import pack as store
 
+    checked_output("collection pack", output)
     if not results.is_dir():
         raise InputError(f"{results}: is no folder; give a run's results")
     if output.absolute().is_relative_to(results.absolute()):
@@ -182,9 +187,11 @@ def unpack(
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
 ) -> None:
     """Write the files of a packed run as they were; each is checked."""
+    from rfpipe.output import checked_output
     from rfpipe_publish.places import PackedPlace, locate, packed_in
     from rfpipe_publish.places import unpack as write
 
+    checked_output("collection unpack", output)
     place = locate(packed)
     contents = place if isinstance(place, PackedPlace) else packed_in(place)
     if contents is None:

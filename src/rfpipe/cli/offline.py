@@ -32,8 +32,10 @@ def patterns(
     nothing is asked for. What is captured already isn't asked for again.
     """
     from rfpipe.config import load_config
+    from rfpipe.output import checked_output
     from rfpipe.stages.offline import OfflineAcquisition
 
+    checked_output("patterns", output)
     settings = load_config(config)
     for scene, name in settings.acquisitions:
         acquisition = OfflineAcquisition(settings, scene, name, results / scene / name)

@@ -29,7 +29,7 @@ from rfpipe.store import (
     write_arrays,
     write_manifest,
 )
-from rfpipe.store.files import digest_of
+from rfpipe.store.files import digest_of, storage_errors, write_atomically
 from rfpipe.store.places import Place
 from rfpipe.transport.arrays import LazyArrays
 from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
@@ -234,8 +234,9 @@ class AcquisitionFolder:
         yield
         if manifest.stat().st_mtime_ns != before:
             times = manifest.with_suffix(".benchmark.tsv")
-            times.write_text(f"s\n{perf_counter() - began:.4f}\n", encoding="ascii")
-            with (self.path / STAGES_LOG).open("a", encoding="utf-8") as done:
+            write_atomically(times, f"s\n{perf_counter() - began:.4f}\n".encode())
+            log = self.path / STAGES_LOG
+            with storage_errors(log, "writing"), log.open("a", encoding="utf-8") as done:
                 done.write(f"{manifest.parent.name}/{stage}\n")
 
     def levels(self) -> Iterator[int]:
