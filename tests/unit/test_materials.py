@@ -3,9 +3,14 @@
 from pathlib import Path
 
 import pytest
+import yaml
+from tests.helpers import run
+from tests.reports import acquired
 from tests.unit.test_mitsuba_scene import ASIDE, LOOKING, file_of, options
 
+from rfpipe.config import Config
 from rfpipe.errors import InputError
+from rfpipe.store import read_manifest
 from rfpipe_mitsuba.materials import choose_caustics, surfaces_of
 from rfpipe_mitsuba.scene import MitsubaOptions
 from rfpipe_mitsuba.world import load_scene
@@ -140,3 +145,38 @@ def test_our_own_scenes_declare_what_their_materials_need(name: str) -> None:
     world, surfaces = WORLDS[name], surfaces_of(load_scene(WORLDS[name]))
     assert world.caustics == choose_caustics(surfaces, world.bounces).value
     assert not any(surface.is_sharp or surface.is_graded for surface in surfaces)
+
+
+def written(tmp_path: Path, material: str) -> Path:
+    """Write the settings of a run of one file, and the file."""
+    path = file_of(tmp_path, LOOKING, FLOOR, ball(material))
+    scene = {"kind": "mitsuba", "scene": str(path), "shape": [4, 5], "samples": 16}
+    run_of = {"scenes": {"bowl": scene}, "methods": {"brute_force": {}}, "camera": None}
+    settings = tmp_path / "config.yaml"
+    settings.write_text(yaml.safe_dump(run_of))
+    return settings
+
+
+def test_plan_says_what_is_chosen_and_what_is_lacking(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "none")
+    planned = run("plan", written(tmp_path, GLASS), "--directory", tmp_path)
+    assert "valid" in planned
+    assert "bowl: chosen: projectors coaxial" in planned
+    assert "caustics true (light is reflected or refracted smoothly by ball" in planned
+    assert "apt-get install libllvm19" in planned
+    assert "DRJIT_LIBLLVM_PATH" in planned
+
+
+@pytest.mark.needs("llvm")
+def test_plan_lacks_nothing_where_the_scene_can_be_or_was_recorded(tmp_path, monkeypatch) -> None:
+    settings = written(tmp_path, MATT)
+    assert "can't run here" not in run("plan", settings, "--directory", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    config = Config.model_validate(yaml.safe_load(settings.read_text()))
+    acquired(tmp_path / "results", config)
+    facts = read_manifest(tmp_path / "results" / "bowl" / "brute_force" / "relight.json")
+    assert [choice["setting"] for choice in facts["light"]["choices"]] == [
+        "projectors", "bounces", "caustics",
+    ]  # fmt: skip
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "none")
+    assert "can't run here" not in run("plan", settings)
