@@ -52,6 +52,7 @@ else:
     include: "workflow/rules/acquire.smk"
 
 
+include: "workflow/rules/drop_raw.smk"
 include: "workflow/rules/pages.smk"
 include: "workflow/rules/verification.smk"
 include: "workflow/rules/relight.smk"
@@ -68,6 +69,7 @@ rule all:
         ["results/report/index.html"] if SETTINGS.has_report else every_item,
         ["results/verified"] if SETTINGS.verification.fail_above else [],
         ["results/kept.json"] if SETTINGS.storage.keep_at else [],
+        raw_to_drop,
 
 
 onstart:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.text import counted
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -106,10 +108,11 @@ def plan(
     Every mistake in the file is said, and what a scene needs that this machine lacks. A rig's
     settings are checked alone.
 
-    Patterns are the method's guess, on the high side: as many a level as the thesis' largest scenes
-    took. "Up to" are all rounds of a method that ends by its own estimate: for 1 % of error the
-    scenes of docs/benchmark.md took 13 to 363 of 657. Time is that of the capture on a rig; disk is
-    before compression.
+    Patterns of auto, near_far and footprints follow from target_error: half of the scenes of
+    docs/benchmark.md took 0.75 to 1.75 times as many, scenes with glass and mirrors 4 to 20 times;
+    "at most" are all rounds that the method knows. Of symmetric and dual they are on the high side:
+    as many a level as the thesis' largest scenes took. Time is that of the capture on a rig; disk
+    is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
@@ -124,18 +127,23 @@ def plan(
             typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
             return
         settings = load_config(path)
-        typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions\n")
+        count = counted(len(settings.acquisitions), "acquisition")
+        typer.echo(f"{config}: valid. {count}\n")
         rows = forecast(settings)
         free = files.free_bytes(folder)
         of_scenes = _lines_of_scenes(settings)
     typer.echo(_shown(rows))
-    disk, memory = int(rows["disk"].sum()), int(rows["memory"].max())
-    most = "up to " if rows["ends_itself"].any() else ""
+    total = rows[["seconds", "most_seconds", "disk", "most_disk"]].sum()
+    disk, memory = int(total["disk"]), int(rows["memory"].max())
+    together = "One after the other: " if len(rows) > 1 else "In all: "
+    is_open = (rows["most_patterns"] > rows["patterns"]).any()
+    most = f", at most {_duration(total['most_seconds'])}" if is_open else ""
+    most_disk = f", at most {shown_bytes(int(total['most_disk']))}" if is_open else ""
     typer.echo(
-        f"\nOne after the other: {most}{_duration(rows['seconds'].sum())} of capture on a rig, "
-        f"{shown_bytes(disk)} of disk; {shown_bytes(free)} are free."
+        f"\n{together}{_duration(total['seconds'])} of capture on a rig{most}; "
+        f"{shown_bytes(disk)} of disk{most_disk}; {shown_bytes(free)} are free."
     )
-    if disk > free:
+    if total["most_disk"] > free:
         typer.echo(
             "That may not fit: make room, put the results on another disk, or set "
             "capture.keep_raw to false. A level that doesn't fit is refused before its capture."
@@ -169,15 +177,16 @@ def _lines_of_scenes(settings: Config) -> list[str]:
 def _shown(rows: pd.DataFrame) -> str:
     from rfpipe.stages.forecast import shown_bytes
 
-    table = rows.drop(columns="ends_itself")
-    for name in ("rays", "patterns"):
+    table = rows.drop(columns=["most_seconds", "most_disk"])
+    for name in ("rays", "patterns", "most_patterns"):
         table[name] = rows[name].map("{:,}".format)
     table["seconds"] = rows["seconds"].map(_duration)
     for name in ("disk", "memory"):
         table[name] = rows[name].map(shown_bytes)
-    for name in ("patterns", "seconds"):
-        table[name] = table[name].mask(rows["ends_itself"], "up to " + table[name])
-    return table.rename(columns={"seconds": "time"}).to_string(index=False, col_space=8)
+    order = ["scene", "method", "rays", "levels", "patterns", "most_patterns", "seconds"]
+    names = {"seconds": "time", "most_patterns": "at most"}
+    table = table[[*order, "disk", "memory"]].rename(columns=names)
+    return table.to_string(index=False, col_space=8)
 
 
 def _duration(seconds: float) -> str:

@@ -28,6 +28,7 @@ from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.watch import watching_level
 from rfpipe.steps import counted_by
 from rfpipe.store import bytes_on_disk
+from rfpipe.text import counted
 from rfpipe.units import (
     BLACK_LEVEL_KEY,
     COUNT_UNIT,
@@ -90,7 +91,7 @@ def run(
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):
         if of_level.count:
-            _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
+            _log.info("%s: complete, with %s", of_level.name, counted(of_level.count, "pattern"))
         return
     parts = (*before.values(), of_level)
     for part in parts:

@@ -17,7 +17,7 @@ from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import Plan, plan_of, stages_of
+from rfpipe.stages.plan import Plan, in_manner, manner_of, plan_of, stages_of
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:
@@ -57,7 +57,8 @@ class OfflineAcquisition:
             capture.run(rig, folder, level, **options)
 
         plan = Plan(**plan_of(self.settings, self.scene, self.name))
-        stages = stages_of(self.settings, self.scene, self.name)
+        manner = manner_of(self.settings, self.scene)
+        stages = in_manner(stages_of(self.settings, self.scene, self.name), manner)
         resources = Resources(self.settings.resources.memory_gib)
         try:
             with StoreLock(self.folder):

@@ -26,6 +26,7 @@ from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.schedule import read_schedule, write_schedule
 from rfpipe.stages.watch import MOVES
 from rfpipe.store import read_manifest
+from rfpipe.text import counted
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
 
@@ -248,16 +249,14 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     result = compared(folder, open_transport(folder.path / "transport.zarr"))
     count, worst = len(result.table), result.worst
     if np.isnan(result.mean_error):
-        text = (
-            "%s: not verified: none of %d pictures has light above its noise on rays that are seen"
-        )
-        _log.warning(text, folder.path, count)
+        text = "%s: not verified: of %s none has light above its noise on rays that are seen"
+        _log.warning(text, folder.path, counted(count, "picture"))
     else:
         _log.info(
-            "%s: %d pictures that no method saw are relit to %.2f %% on average, '%s' to %.2f %% "
-            "(noise floor of the pictures %.2f %%)",
-            folder.path, count, 100 * result.mean_error, worst.name, 100 * worst.error,
-            100 * result.table["noise"].mean(),
+            "%s: %s for verification: the transport is off by %.2f %% on average, by %.2f %% under "
+            "'%s' (noise floor of the pictures %.2f %%)",
+            folder.path, counted(count, "picture"), 100 * result.mean_error, 100 * worst.error,
+            worst.name, 100 * result.table["noise"].mean(),
         )  # fmt: skip
     made_from = fingerprint([acquired["digest"], merged["digest"], code])
     arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}

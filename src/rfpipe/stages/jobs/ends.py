@@ -99,6 +99,16 @@ def notify(command: str | None, status: Literal["done", "failed"], log: str) -> 
         print(f"rfpipe: notify: {command!r} failed: {error}", file=sys.stderr)
 
 
+def list_changed_parameters_alone() -> None:
+    """Let ``--list-changes params`` list outputs of changed parameters, not every output.
+
+    Snakemake 9 lists the outputs of jobs whose parameters are the same, too.
+    """
+    from snakemake.persistence import ParamsChange
+
+    ParamsChange.__iter__ = lambda change: iter(change.files if change else ())
+
+
 def say_failed_jobs(logger: logging.Logger) -> None:
     """Let Snakemake say by what jobs failed on other machines, of which its profile is quiet."""
     from snakemake.logging import DefaultFormatter
