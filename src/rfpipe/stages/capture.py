@@ -18,7 +18,7 @@ from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
-from rfpipe.rigs.base import sequence_patterns
+from rfpipe.rigs.base import is_simulated, sequence_patterns
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
@@ -140,7 +140,7 @@ def brackets_of(
 ) -> tuple[Brackets, dict[str, Brackets]]:
     """Return a level's brackets, and those captured before them, by their stores' names."""
     schedule = read_schedule(folder, level)
-    described = frame_settings(rig) if folder.is_kept else {}
+    described = frame_settings(rig) if folder.is_kept or not is_simulated(rig) else {}
     off, on = _counts(rig, references)
     shape = tuple(rig.projector_shape)
 
