@@ -115,7 +115,9 @@ class VerificationConfig(Settings):
         None, "How many; null: 9 by a real rig, none by another.", ge=0, le=96
     )
     fail_above: Fraction | None = setting(
-        None, "Mean relative error of these pictures above which the run fails; null: never."
+        None,
+        "Mean relative error of these pictures above which the run fails; null: by a real rig 1.5 "
+        "times the method's target_error, else never.",
     )
 
 
