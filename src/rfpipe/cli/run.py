@@ -251,7 +251,8 @@ def plan(
             return
         settings = load_config(path)
         count = counted(len(settings.acquisitions), "acquisition")
-        typer.echo(f"{config}: valid. {count}\n")
+        jobs, why = settings.jobs_and_reason
+        typer.echo(f"{config}: valid. {count}. One job a{'n' * (jobs[0] == 'a')} {jobs}, {why}\n")
         rows = forecast(settings)
         free = files.free_bytes(folder)
     typer.echo(_shown(rows))

@@ -141,7 +141,8 @@ class ResourcesConfig(Settings):
     )
     jobs: Literal["stage", "acquisition"] | None = setting(
         None,
-        "A job's work; null: acquisition with a collection or capture.placing, else stage.",
+        "A job's work; null: acquisition with a collection, capture.placing or scenes of at most "
+        "4,000 rays, else stage.",
     )
     captures: Literal["here", "job"] = setting(
         "here",
