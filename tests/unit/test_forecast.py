@@ -16,7 +16,6 @@ from rfpipe.stages.forecast import forecast
 from rfpipe.stages.jobs import workers
 from rfpipe.store import files
 
-
 ACQUISITIONS = Path(__file__).parents[2] / "docs" / "benchmark" / "acquisitions.csv"
 
 

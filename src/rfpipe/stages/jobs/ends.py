@@ -41,9 +41,13 @@ def check_no_braces(name: str, path: str | Path) -> None:
 
 
 def write_run(
-    results: Path, snakefile: Path, configfiles: Iterable[Path], overrides: dict[str, Any]
+    results: Path,
+    snakefile: Path,
+    configfiles: Iterable[Path],
+    overrides: dict[str, Any],
+    acquisitions: Iterable[tuple[str, str]] = (),
 ) -> None:
-    """Write how a run was started: its files, and the settings given on the command line.
+    """Write how a run was started: its files, the settings of the command line, its acquisitions.
 
     Files in the run's folder have paths relative to it, so that the run can be copied or renamed.
     """
@@ -54,7 +58,17 @@ def write_run(
         ("--config", [f"{name}={value}" for name, value in overrides.items()]),
     ):
         options += [name, *values] if values else []
-    write_manifest(results / RUN, {"options": options})
+    named = [list(acquisition) for acquisition in acquisitions]
+    write_manifest(results / RUN, {"options": options, "acquisitions": named})
+
+
+def acquisitions_of(results: Path) -> list[tuple[str, str]]:
+    """Return scene and method of each acquisition of a run; none where that isn't known."""
+    try:
+        named = read_manifest(results / RUN)["acquisitions"]
+    except (StoreError, KeyError):
+        return []
+    return [(scene, method) for scene, method in named]
 
 
 def run_again(results: Path) -> str:

@@ -32,15 +32,16 @@ def hold(folder: Path = Path()) -> None:
         write_manifest(home / _RECORD, {"locks": _lock_files(home)})
 
 
-def free_if_dead(folder: Path, unlocking: str) -> bool:
+def free_if_dead(folder: Path, unlocking: str | None) -> bool:
     """Remove Snakemake's lock of a run that was killed; tell whether there was one.
 
     Parameters
     ----------
     folder : Path
         The run's.
-    unlocking : str
-        The command that removes a lock of unknown origin, for the message.
+    unlocking : str or None
+        The command that removes a lock of unknown origin, for the message; None where that command
+        itself asks.
 
     Raises
     ------
@@ -62,6 +63,8 @@ def free_if_dead(folder: Path, unlocking: str) -> bool:
         if not present:
             return False
         if present != _recorded(home):
+            if unlocking is None:
+                return False
             raise LockedError(
                 f"{folder.absolute()}: this folder is locked by a Snakemake that isn't known here: "
                 "it still runs, or was killed before its first job. If it still runs, wait until "
