@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from rfpipe import plugins
+from rfpipe.cli.compare import compare
 from rfpipe.cli.fit import fit
 from rfpipe.cli.offline import import_, patterns
 from rfpipe.cli.relight import relight
@@ -46,6 +47,7 @@ app.command(context_settings=PASSED_ON)(run)
 app.command()(plan)
 app.command()(settings)
 app.command()(catalogue)
+app.command()(compare)
 app.command()(verify)
 app.command()(info)
 app.command()(relight)

@@ -169,6 +169,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if following == "done" and not state.reached:
             times = SURE * state.excess[-1]
             _log.warning("ended at an estimated %.2f times the error asked for: %s", times, why)
+            state = state.counted(ended=why)
         elif why:
             _log.info("%s; going on with random blocks", why)
         return state.changed(following=following)
