@@ -182,6 +182,12 @@ def check_verdicts(facts: Mapping[str, Any], folder: str | None, *, force: bool)
         _log.warning("%s: %s", folder, fault)
 
 
+def was_coaxial(described: Mapping[str, Any]) -> bool:
+    """Test whether a rig's description has a calibration that found the rig coaxial."""
+    symmetry = (described.get(VERDICTS_KEY) or {}).get("symmetry", {})
+    return bool(symmetry.get("standing") == "good")
+
+
 def warn_of(described: Mapping[str, Any], name: str) -> None:
     """Warn of the faults in the verdicts of a rig's description."""
     for fault in faults_of(described.get(VERDICTS_KEY) or {}):

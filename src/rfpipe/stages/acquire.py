@@ -24,7 +24,7 @@ from rfpipe.rigs.base import is_simulated
 from rfpipe.stages import capture
 from rfpipe.stages.acquisition import run_levels
 from rfpipe.stages.assemble import assembled
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, Arrays, Facts
+from rfpipe.stages.folder import AcquisitionFolder, Arrays, Facts
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
