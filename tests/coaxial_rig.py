@@ -15,7 +15,7 @@ from rfpipe.config import SceneSettings
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import Resampling
 from rfpipe.rigs import DeviceRig
-from rfpipe.rigs.layout import Quadrilateral, ProjectorLayout
+from rfpipe.rigs.layout import Quadrilateral
 from rfpipe.scenes import scene_from_config
 from rfpipe_devices.bench import OpticalPath
 

@@ -121,7 +121,7 @@ def run(
             counts = {name: it for name, it in part.shown.items() if name != "rig"}
             beside[name] = {**part.capture(batch, progress=progress), **counts}
             if name == REFERENCE and watching["mode"] != "off":
-                _check_references(rig, folder, counts["black_frames"], watching["mode"])
+                _check_references(folder, rig.sensor, part.shown, watching["mode"])
     with watching_level(of_level, level, watching["mode"], watching["looks"]) as watch:
         if watch and watch.merger and level != VERIFICATION:
             watch.before(0)  # says first what changes from picture to picture
@@ -247,9 +247,11 @@ def _stands(
     )
 
 
-def _check_references(rig: Rig, folder: AcquisitionFolder, off: int, mode: str) -> None:
+def _check_references(
+    folder: AcquisitionFolder, sensor: Sensor, shown: Mapping[str, Any], mode: str
+) -> None:
     """Log what changed among the reference brackets; raise CaptureError where that is refused."""
-    camera = camera_of(rig.sensor)
+    camera, off = camera_of(sensor), shown["black_frames"]
     if camera is None:
         return
     with folder.open_frames(0, REFERENCE) as frames:
@@ -258,7 +260,7 @@ def _check_references(rig: Rig, folder: AcquisitionFolder, off: int, mode: str) 
         if mode == "refuse" and fault.is_harmful:
             raise CaptureError(
                 f"black and white pictures show that {fault.text}. The capture ends here; "
-                f"{ways_on(folder, 0)}"
+                f"{ways_on(folder, 0, shown['rig'].get('kind', ''))}"
             )
         _log.warning("black and white pictures show that %s", fault.text)
 

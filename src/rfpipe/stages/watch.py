@@ -23,8 +23,10 @@ from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.stages.steadiness import (
+    HARMFUL_ROOM,
     SIGNIFICANCE,
     WORTH_A_WORD,
+    LightFault,
     Samples,
     camera_of,
     room_fault,
@@ -49,8 +51,8 @@ _FEWEST = 16
 _EXPLAINED = 0.7
 # Change of brightness from one look to the next after which the look is repeated.
 _JUMP = 0.01
-# Repetitions of a look that differs.
-_REPETITIONS = 3
+# Further repetitions of a look whose first one differs, too.
+_REPETITIONS = 2
 Double = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
@@ -212,6 +214,17 @@ def measure_looks(
     return gains, {MOVES: facts}
 
 
+def alarms_of(facts: dict[str, Any]) -> list[str]:
+    """Describe what the looks at a level saw, from their facts in its merge's manifest."""
+    alarms = ["the rig or the scene moved"] if facts["moved"] else []
+    if not facts.get("steady", True):
+        alarms.append("gain changes from picture to picture")
+    room = max((abs(change) for change in facts.get("room", [])), default=0.0)
+    if room > HARMFUL_ROOM:
+        alarms.append(f"the room's light changed by {room:.1%} of the white picture's")
+    return alarms
+
+
 def _rounded(values: Iterable[float]) -> list[float]:
     return [float(f"{value:.4g}") for value in values]
 
@@ -250,8 +263,13 @@ def look_pattern(shape: tuple[int, ...]) -> NDArray[np.float32]:
     return np.asarray(lit if lit.any() else ~lit, np.float32)
 
 
-def ways_on(folder: AcquisitionFolder, level: int) -> str:
-    """What to do after a capture that ended at a level since the rig or its light changed."""
+def ways_on(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
+    """What to do after a capture that ended at a level since the rig or its light changed.
+
+    `kind` is the rig's.
+    """
+    if kind == "offline":
+        return "mend it, and take the pictures again; capture.watch: warn goes on all the same"
     if not folder.is_kept:
         return "watch='warn' goes on all the same"
     of_level = folder.manifest(level, "capture").parent.absolute()
@@ -367,21 +385,29 @@ class Watcher:
     def _repeat(self, position: int, index: int, bracket: NDArray[Any], known: Merged) -> None:
         """Repeat a look that differs; log what changed, or raise CaptureError."""
         assert self.merger is not None
-        again = [self.looks.take(index, index + 1) for _ in range(_REPETITIONS)]
-        first, last = (change(self.merger, known, each) for each in (bracket, again[-1]))
+        takes = [bracket, self.looks.take(index, index + 1)]
         where = f"{name_of(self.level)}, before pattern {position}"
-        camera = camera_of(self.merger.sensor)
-        if camera is not None:
-            counts = np.stack([sample(each[0]) for each in (bracket, *again)])
-            unsteady = scatter_of(Samples(counts, sample(self.merger.black)), camera)
+        if self._scatter(takes) is not None:
+            takes += [self.looks.take(index, index + 1) for _ in range(_REPETITIONS)]
+            unsteady = self._scatter(takes)
             if unsteady is not None and unsteady.is_harmful:
                 self._end(f"{where}: {unsteady.text}")
                 return
+        first, last = (change(self.merger, known, each) for each in (takes[0], takes[-1]))
         room = room_fault(last.room, self.of_level.count)
         if room is not None:
             self._end(f"{where}: {room.text}", is_harmful=room.is_harmful)
         elif first.rest > _MOVED:
             self._say_moved(where, first.rest, is_lasting=last.rest > _MOVED)
+
+    def _scatter(self, takes: Sequence[NDArray[Any]]) -> LightFault | None:
+        """Find what changes between looks that were taken one after another."""
+        assert self.merger is not None
+        camera = camera_of(self.merger.sensor)
+        if camera is None:
+            return None
+        counts = np.stack([sample(each[0]) for each in takes])
+        return scatter_of(Samples(counts, sample(self.merger.black)), camera)
 
     def _say_moved(self, where: str, rest: float, *, is_lasting: bool) -> None:
         """Log that the rig or the scene moved, or raise CaptureError."""
