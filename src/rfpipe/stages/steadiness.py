@@ -42,6 +42,7 @@ the room's relative to white pictures, beside which others are dim."""
 _MOST_SAMPLES = 100_000  # pixels of a frame that are read
 _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not judged
 _UNSURE = 4.0  # factor on the variance by the camera's settings, which may not be measured
+_MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are told apart
 _FLICKER_RATIO = 0.6  # of the scatter at the longest exposure to that at the shortest
 
 _EMPTY = "empty the camera's queue before each picture"
@@ -261,7 +262,8 @@ def _room(samples: Samples, camera: CameraModel) -> tuple[Double, float]:
     if mean.max() < 1e-6:  # black pictures: g says nothing
         terms = terms[1:]
     normal = (terms * weights) @ terms.T
-    if not np.isfinite(np.linalg.cond(normal)):
+    scale = np.sqrt(normal.diagonal())
+    if not scale.all() or np.linalg.cond(normal / np.outer(scale, scale)) > _MOST_ALIKE:
         return np.zeros(0), 0.0
     inverse = np.linalg.inv(normal)
     pairs = light[: len(light) // 2 * 2].reshape(-1, 2, light[0].size).mean(axis=1)

@@ -232,8 +232,9 @@ def capture_options(
 
     Looks at the rig are taken before the first picture and after the last, if levels had any.
     """
-    captured = (folder.read_manifest(level, "capture") for level in folder.levels_above(None))
-    mode = "warn" if any(MOVES in facts for facts in captured) else "off"
+    captured = [level for level in folder.levels_above(None) if folder.exists(level, "capture")]
+    is_watched = any(MOVES in folder.read_manifest(level, "capture") for level in captured)
+    mode = "warn" if is_watched else "off"
     watching = {"mode": mode, "looks": pictures}
     return {**options, "symmetry_frames": 0, "batch_patterns": 1, "watching": watching}
 
