@@ -137,6 +137,8 @@ def scatter_of(samples: Samples, camera: CameraModel) -> LightFault | None:
         "s (60 Hz), or of the projector's frame time"
     )
     automatic = "switch automatic gain, exposure and white balance off"
+    clear = 3 * noise < 0.5 * worst
+    times, beyond = times[clear], beyond[clear]
     if len(times) < 2:
         text = f"gain changes from picture to picture, or the lamp flickers: {by}"
         return LightFault("unsteady", worst, f"{text}. First {automatic}. {advice}")
