@@ -122,7 +122,8 @@ def run(
             beside[name] = {**part.capture(batch, progress=progress), **counts}
             if name == REFERENCE and watching["mode"] != "off":
                 _check_references(folder, rig.sensor, part.shown, watching["mode"])
-    with watching_level(of_level, level, watching["mode"], watching["looks"]) as watch:
+    looks = max(watching["looks"], in_sequences) if watching["looks"] else 0
+    with watching_level(of_level, level, watching["mode"], looks) as watch:
         if watch and watch.merger and level != VERIFICATION:
             watch.before(0)  # says first what changes from picture to picture
             check(

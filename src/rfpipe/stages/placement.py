@@ -78,9 +78,7 @@ def _missed_edge(is_lit: NDArray[np.bool_], follows: NDArray[np.bool_]) -> tuple
     """Find the edge from which most rays get no light of their own, and their share of all."""
     best = 0.0, ""
     for edge, turns in (("top", 0), ("right", 1), ("bottom", 2), ("left", 3)):
-        lit, missing = (
-            np.rot90(rays, turns).sum(axis=1) for rays in (is_lit, is_lit & ~follows)
-        )
+        lit, missing = (np.rot90(rays, turns).sum(axis=1) for rays in (is_lit, is_lit & ~follows))
         is_missed = (lit > 0) & (missing >= _MOST * lit)
         count = len(lit) if is_missed.all() else int(np.argmin(is_missed))
         others = np.rot90(follows, turns)[count:]
