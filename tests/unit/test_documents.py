@@ -72,6 +72,21 @@ def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyP
         parse_rig_config(data, "the document")
 
 
+@pytest.mark.parametrize(
+    "page", ["docs/verification.md", pytest.param("docs/sequences.md", marks=pytest.mark.slow)]
+)
+def test_snippets_run_as_they_are(
+    page: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text("utf-8"), re.M | re.S)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page, "exec"), {})
+    if "print(" in "".join(blocks):
+        assert "AcquisitionResult" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_tables_are_made_of_the_measured_files(page: Path) -> None:
     text = (ROOT / page).read_text("utf-8")

@@ -137,8 +137,8 @@ def test_real_rigs_are_verified_by_default() -> None:
     assert settings_of_a_plane().verification_pictures == 0
     assert parse_config({**captured, "capture": {"rig": "remote"}}, "c").verification_pictures == 9
     offline = {**captured, "capture": {"rig": "offline"}}
-    assert parse_config(offline, "c").verification_pictures == 0
-    with pytest.raises(ConfigError, match=r"verification.pictures should be 0 or null"):
-        parse_config({**offline, "verification": {"pictures": 3}}, "c")
+    assert parse_config(offline, "c").verification_pictures == 3
+    asked = {**offline, "verification": {"pictures": 5}}
+    assert parse_config(asked, "c").verification_pictures == 5
     with pytest.raises(ConfigError, match=r"verification.pictures should be 1 to 96"):
         settings_of_a_plane(verification={"fail_above": 0.1})

@@ -113,8 +113,7 @@ class AcquisitionFolder:
 
     def manifest(self, level: int, stage: str) -> Path:
         """Manifest of a stage of a level; its existence says that the stage is complete."""
-        name = "verification" if level == VERIFICATION else f"L{level:02d}"
-        return self.path / name / f"{stage}.json"
+        return self.path / folder_of(level) / f"{stage}.json"
 
     def store(self, level: int, stage: str) -> Path:
         """Store that the manifest is about."""
@@ -266,6 +265,11 @@ class AcquisitionFolder:
     def refined_above(self, level: int | None) -> list[str]:
         """Return the digests of all refinements above a level, which its schedule rests on."""
         return [self.read_manifest(above, "refine")["digest"] for above in self.levels_above(level)]
+
+
+def folder_of(level: int) -> str:
+    """Name of a level's folder."""
+    return "verification" if level == VERIFICATION else f"L{level:02d}"
 
 
 def name_of(level: int) -> str:

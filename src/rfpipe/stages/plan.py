@@ -12,6 +12,7 @@ from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.states import unprefixed
 from rfpipe.plugins import METHODS, SCENES, sources_of
 from rfpipe.provenance import code_digest
+from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.symmetry import read_asymmetry
 from rfpipe.units import SYMMETRY_FRAMES
@@ -74,7 +75,10 @@ class Plan:
         """
         measured = read_asymmetry(folder)
         if measured is not None:
-            named = measured.judge(self.named, self.options, self.asymmetry, aloud=aloud)
+            calibrated = was_coaxial(folder.read_manifest(0, "capture")["rig"])
+            named = measured.judge(
+                self.named, self.options, self.asymmetry, aloud=aloud, calibrated=calibrated
+            )
         else:
             is_coaxial = self.camera.shape == self.projector.shape
             named = self.named if is_coaxial else self.named.on_rig(coaxial=False)

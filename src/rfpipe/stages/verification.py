@@ -9,22 +9,29 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.symmetry import CONFIDENCE
 from rfpipe.errors import VerificationError
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
 from rfpipe.stages import merge
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write_bundle
+from rfpipe.stages.folder import (
+    SYMMETRY,
+    VERIFICATION,
+    AcquisitionFolder,
+    name_of,
+    write_bundle,
+)
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.schedule import read_schedule, write_schedule
-from rfpipe.stages.watch import MOVES
+from rfpipe.stages.watch import MOVES, alarms_of
 from rfpipe.store import read_manifest
 from rfpipe.text import counted
 from rfpipe.transport import Transport, open_transport
@@ -38,10 +45,26 @@ MANIFEST = "verification.json"
 """The result of a verification, beside the transport that it is about."""
 
 _SEED = 15  # of the pictures
+_MOST_SATURATED = 0.01  # share of samples
 
 Float = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
+
+
+class Outcome(NamedTuple):
+    """Comparison of a reached error with its target.
+
+    Attributes
+    ----------
+    standing : {"met", "unsure", "missed", "unknown"}
+        "unsure": above the target, by less than the error's uncertainty.
+    reason : str
+        The numbers, and what may be the cause.
+    """
+
+    standing: Literal["met", "unsure", "missed", "unknown"]
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +101,27 @@ class Verification:
     def worst(self) -> Any:
         """The row of the largest error, whose ``name`` is the picture's."""
         return self.table.set_index("name").iloc[int(self.table["error"].fillna(-1).argmax())]
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the mean error, for pictures of this kind."""
+        errors, noise = (self.table[name].dropna() for name in ("error", "standard_error"))
+        spread = float(errors.var()) if len(errors) > 1 else 0.0
+        return float(np.sqrt((spread + np.square(noise).mean()) / max(len(errors), 1)))
+
+    def against(self, target: float | None) -> Outcome:
+        """Compare the mean error with the target that the method had."""
+        error = self.mean_error
+        if target is None:
+            return Outcome("unknown", "the method has no target_error")
+        if np.isnan(error):
+            return Outcome("unknown", "no picture has light above its noise")
+        if error <= target:
+            return Outcome("met", f"{error:.2%} of {target:.2%}")
+        text = f"the error is {error:.2%} +- {self.standard_error:.2%}, {target:.2%} was the target"
+        if error - CONFIDENCE * self.standard_error <= target:
+            return Outcome("unsure", f"{text}: {len(self.table)} pictures don't tell more")
+        return Outcome("missed", text)
 
     def facts(self) -> dict[str, Any]:
         """Return plain data for a manifest; None for what isn't known."""
@@ -192,8 +236,9 @@ def capture_options(
 
     Looks at the rig are taken before the first picture and after the last, if levels had any.
     """
-    captured = (folder.read_manifest(level, "capture") for level in folder.levels_above(None))
-    mode = "warn" if any(MOVES in facts for facts in captured) else "off"
+    captured = [level for level in folder.levels_above(None) if folder.exists(level, "capture")]
+    is_watched = any(MOVES in folder.read_manifest(level, "capture") for level in captured)
+    mode = "warn" if is_watched else "off"
     watching = {"mode": mode, "looks": pictures}
     return {**options, "symmetry_frames": 0, "batch_patterns": 1, "watching": watching}
 
@@ -281,7 +326,35 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     about = {name: acquired[name] for name in ("scene", "method")}
     facts = {"stage": "verification", "transport": acquired["digest"], "units": RADIANCE_UNIT}
     facts |= about | result.facts() | _rig_facts(folder)
+    facts |= _outcome(result, acquired["options"].get("target_error"), facts)
+    if facts["standing"] == "missed":
+        _log.warning("%s: the target is MISSED: %s", folder.path, facts["reason"])
     write_bundle(folder.path / MANIFEST, made_from, arrays, facts)
+
+
+def _outcome(
+    result: Verification, target: float | None, facts: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Target, standing, and the reason with its likely cause, for the manifest."""
+    outcome = result.against(target)
+    cause = ""
+    if outcome.standing == "missed":
+        if facts["alarms"]:
+            cause = f". Noticed during the capture: {'; '.join(facts['alarms'])}"
+        elif facts["saturated"] > _MOST_SATURATED * facts["samples"]:
+            cause = ". Pictures are saturated: add a shorter exposure"
+        elif facts["noise"] is not None and target is not None and facts["noise"] > target:
+            cause = ". The pictures' noise is above the target: give them more light or exposure"
+    return {
+        "target_error": target,
+        "standard_error": _finite(result.standard_error),
+        "standing": outcome.standing,
+        "reason": outcome.reason + cause,
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if np.isfinite(number) else None
 
 
 def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
@@ -289,12 +362,14 @@ def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
     levels = [*folder.levels_above(None), VERIFICATION]
     merged = {level: folder.read_manifest(level, "merge") for level in levels}
     looks = {level: facts[MOVES] for level, facts in merged.items() if MOVES in facts}
+    place = merged[0].get(SYMMETRY, {}).get("place", "")
     drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]
     return {
         "drift": max(drift, default=None),
         "moved": max((max(look["change"]) for look in looks.values()), default=None),
         "alarms": [
-            f"{name_of(at)}: the rig or the scene moved" for at in looks if looks[at]["moved"]
+            *([f"level 0: {place}"] if place else []),
+            *(f"{name_of(at)}: {alarm}" for at in looks for alarm in alarms_of(looks[at])),
         ],
         "saturated": sum(facts["saturated"] for facts in merged.values()),
         "samples": sum(facts["samples"] for facts in merged.values()),
