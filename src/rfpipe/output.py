@@ -55,6 +55,11 @@ OUTPUTS: dict[str, tuple[str, ...]] = {
 """Suffixes that the option ``--output`` of each command may have."""
 
 
+def is_full(error: OSError) -> bool:
+    """Test whether an error is that of a full disk, a quota, or a limit of file sizes."""
+    return error.errno in _FULL
+
+
 class Failure(NamedTuple):
     """Cause of a failed write, and the remedy."""
 
@@ -117,7 +122,7 @@ def storage_errors(
 def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> Failure:
     """Return the cause of an error of the file system, and the remedy."""
     reason = error.strerror or str(error)
-    if error.errno in _FULL:
+    if is_full(error):
         needed = f"{needed_bytes:,} bytes needed, " if needed_bytes else ""
         goes_on = ": it goes on where it stopped" if resumes else ""
         disk = f"{free_bytes(path.parent):,} bytes free on the disk at {mount_point(path)}"
