@@ -116,7 +116,7 @@ def storage_errors(
         yield
     except OSError as error:
         reason, advice = _failure(path, error, needed_bytes, resumes=resumes)
-        raise StoreError(f"{path}: {action} failed: {reason}; {advice}") from error
+        raise StoreError(f"{path}: {action} failed: {reason}", advice=advice) from error
 
 
 def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> Failure:

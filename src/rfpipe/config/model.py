@@ -38,7 +38,7 @@ from rfpipe.config.scenes import SceneSettings
 from rfpipe.provenance import fingerprint
 
 # Folders of a run's results that are no scene's.
-_OTHER_FOLDERS = {"catalogue", "references", "report", "verified"}
+_OTHER_FOLDERS = {"catalogue", "report", "verified"}
 
 # That verify what a real rig acquires.
 _VERIFICATION_PICTURES = 9
