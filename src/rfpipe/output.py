@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import shlex
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -85,7 +86,7 @@ def suffix_of(path: Path, allowed: tuple[str, ...], command: str = "") -> str:
         has = f"the suffix {path.suffix}" if suffix else "no suffix"
         files = [f"{name} ({FORMATS[name]})" for name in allowed if name != FOLDER]
         expected = ", ".join([*files, *["a folder's name, without a suffix"] * (FOLDER in allowed)])
-        option = f"rfpipe {command} --output {path}" if command else f"{path}"
+        option = f"rfpipe {command} --output {shlex.quote(str(path))}" if command else f"{path}"
         raise InputError(f"{option}: has {has}; expected {expected}")
     if suffix not in (FOLDER, ".zarr", ".zip") and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")

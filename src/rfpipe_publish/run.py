@@ -173,14 +173,16 @@ def find_run(folder: Path) -> Run:
     return Run(folder, items, settings)
 
 
-def settings_of(run: Run, config: Path | None) -> bytes | None:
+def settings_of(run: Run, config: Path | None) -> dict[str, Any] | None:
     """Return the settings that shaped a run's results, of its report or else as given.
 
     What shapes no result (a server's address, a token's place, a command to notify) isn't in it.
     """
-    shaping = run.settings or (config and load_config(config).shaping())
-    if not shaping:
-        return None
+    return run.settings or (load_config(config).shaping() if config else None)
+
+
+def settings_file(shaping: dict[str, Any]) -> bytes:
+    """Return the content of a file of settings."""
     text = yaml.safe_dump(
         _without_unset_methods(shaping), sort_keys=False, allow_unicode=True, width=98
     )

@@ -83,7 +83,7 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
         f"{checked.bytes / 1e6:,.1f} MB"
     )
     if checked.unnamed:
-        amount += f"; {len(checked.unnamed)} that no manifest names were not read"
+        amount += f"; not read: {len(checked.unnamed)} that no manifest names"
     if not checked.findings:
         typer.echo(f"{named}: whole. {amount}")
         return
