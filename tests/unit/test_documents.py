@@ -50,6 +50,18 @@ def test_no_text_installs_by_name_what_is_not_published() -> None:
     assert found == []
 
 
+def test_there_is_one_way_to_make_a_token() -> None:
+    """It works without a package of the system, and before rfpipe is installed."""
+    way = "python3 -c 'import secrets; print(secrets.token_urlsafe(32))'"
+    makes = re.compile(r"openssl rand|uuidgen|/dev/u?random|secrets\.token_\w+\(\d+\)\)'")
+    pages = [ROOT / document for document in DOCUMENTS]
+    pages.append(ROOT / "src" / "rfpipe" / "rigs" / "messages.py")
+    lines = [line for page in pages for line in page.read_text("utf-8").splitlines()]
+    found = [line for line in lines if makes.search(line)]
+    assert len(found) == 3
+    assert [line for line in found if way not in line] == []
+
+
 @pytest.mark.parametrize("block", BLOCKS)
 def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(EXAMPLES)  # where the documents' own classes are

@@ -329,6 +329,22 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
 
 
+def test_it_says_what_scenes_chose_and_what_light_is_left_out(tmp_path):
+    choice = {"setting": "caustics", "value": True, "reason": "by ball (SmoothDielectric)"}
+    light = {"choices": [choice], "omissions": ["light that ball throws is missing"]}
+    arrays = relight.relit_arrays(aside_transport(), Aside())
+    errors = relight.mean_errors(
+        aside_transport(), Aside(), arrays["floodlit_truth"], is_coaxial=False
+    )
+    captured(tmp_path, arrays, {**errors, "light": light})
+    page = built(tmp_path, ASIDE)
+    assert "desk: light that ball throws is missing." in page.words
+    for cell in ("caustics", "true", choice["reason"]):
+        assert f" {cell} " in page.words
+    summary = json.loads((tmp_path / "report" / "results.json").read_text())
+    assert summary["provenance"]["acquisitions"][0]["light"] == light
+
+
 def test_without_anything_relit_there_is_no_report(tmp_path):
     for table in tables_of(tmp_path):
         table.parent.mkdir(parents=True, exist_ok=True)

@@ -17,6 +17,8 @@ import typer
 if TYPE_CHECKING:
     import pandas as pd
 
+    from rfpipe.config import Config
+
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="A YAML file of a run's settings.")
 ]
@@ -101,7 +103,8 @@ def plan(
 ) -> None:
     """Check a settings file and tell what its run will take: patterns, time, memory and disk.
 
-    Every mistake in the file is said. A rig's settings are checked alone.
+    Every mistake in the file is said, and what a scene needs that this machine lacks. A rig's
+    settings are checked alone.
 
     Patterns are the method's guess, on the high side: as many a level as the thesis' largest scenes
     took. "Up to" are all rounds of a method that ends by its own estimate: for 1 % of error the
@@ -124,6 +127,7 @@ def plan(
         typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions\n")
         rows = forecast(settings)
         free = files.free_bytes(folder)
+        of_scenes = _lines_of_scenes(settings)
     typer.echo(_shown(rows))
     disk, memory = int(rows["disk"].sum()), int(rows["memory"].max())
     most = "up to " if rows["ends_itself"].any() else ""
@@ -144,6 +148,22 @@ def plan(
             f"memory, and this machine has {shown_bytes(have)}: acquire it on another one, with "
             "fewer rays, or by another method."
         )
+    for line in of_scenes:
+        typer.echo(line)
+
+
+def _lines_of_scenes(settings: Config) -> list[str]:
+    """Return a line on each choice that scenes make, on light left out and on what is lacking."""
+    from rfpipe.report.text import plain
+
+    lines = []
+    for name in dict.fromkeys(scene for scene, _ in settings.acquisitions):
+        scene = settings.scenes[name]
+        choices = (f"{it.setting} {plain(it.value)} ({it.reason})" for it in scene.choices)
+        sentences = [f"chosen: {', '.join(choices)}"] if scene.choices else []
+        sentences += [*scene.omissions, *(f"can't run here: {it}" for it in scene.obstacles)]
+        lines += [f"{name}: {sentence}." for sentence in sentences]
+    return lines
 
 
 def _shown(rows: pd.DataFrame) -> str:

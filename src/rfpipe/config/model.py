@@ -40,9 +40,6 @@ from rfpipe.provenance import fingerprint
 # Folders of a run's results that are no scene's.
 _OTHER_FOLDERS = {"catalogue", "report", "verified"}
 
-# That verify what a real rig acquires.
-_VERIFICATION_PICTURES = 9
-
 # Those of a run that names none, in the order of its report.
 DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 
@@ -161,7 +158,13 @@ class Config(Settings):
     def verification_pictures(self) -> int:
         """Pictures that verify each acquisition, 0 for none."""
         count = self.verification.pictures
-        return _VERIFICATION_PICTURES * (self.capture.rig == "remote") if count is None else count
+        return self.capture.precautions.verification_pictures if count is None else count
+
+    @property
+    def divides_out_drift(self) -> bool:
+        """Whether images are divided by the lamp's brightness."""
+        divides = self.merge.divide_out_drift
+        return self.capture.precautions.divide_out_drift if divides is None else divides
 
     @property
     def title(self) -> str:
@@ -310,11 +313,6 @@ class Config(Settings):
                 "verification.pictures should be 1 to 96 with verification.fail_above; this run "
                 "takes none"
             )
-        if self.capture.rig != "offline":
-            return self
-        by_hand = "with capture.rig offline, whose pictures are taken by hand, level by level"
-        if self.verification.pictures:
-            raise ValueError(f"verification.pictures should be 0 or null {by_hand}")
         return self
 
 

@@ -57,7 +57,12 @@ def glance_section(inputs: Inputs) -> Section:
         is_folded=False,
     )  # fmt: skip
     pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
-    text = [sentence for run in inputs.runs if run.verified for sentence in summaries(inputs, run)]
+    text = [
+        f"{scene}: {sentence}."
+        for scene in inputs.scenes
+        for sentence in inputs.light_of(scene).get("omissions", [])
+    ]
+    text += [sentence for run in inputs.runs if run.verified for sentence in summaries(inputs, run)]
     return Section("glance", "At a glance", [table, pictures], text)
 
 

@@ -134,6 +134,11 @@ class Inputs:
         """Return the runs of a scene."""
         return [run for run in self.runs if run.scene == scene]
 
+    def light_of(self, scene: str) -> dict[str, Any]:
+        """Return a scene's ``choices`` and ``omissions``, see `SceneSettings`; empty if unknown."""
+        light: dict[str, Any] = self.of_scene(scene)[0].facts.get("light", {})
+        return light
+
     @cached_property
     def _subjects(self) -> dict[str, Any]:
         sections = (self.config.methods_of(scene).items() for scene in self.config.scenes)

@@ -9,18 +9,32 @@ from typing import Any
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import Section, Table
+from rfpipe.report.text import plain
 
 
 def setup_section(inputs: Inputs) -> Section:
-    """Settings and versions."""
+    """Settings, with what scenes choose for those that are null, and versions."""
     names = ["setting", "value"]
     settings = [[name, str(value)] for name, value in _flat(inputs.config.shaping())]
     packages = [[name, version] for name, version in _versions(inputs).items()]
     tables = [
+        *_choices_table(inputs),
         Table("Settings", "As config/all.yaml describes them.", names, settings, 2),
         Table("Versions", "", ["package", "version"], packages, 2),
     ]
     return Section("setup", "Settings and versions", tables)
+
+
+def _choices_table(inputs: Inputs) -> list[Table]:
+    """Return the table of what scenes choose for settings that are null, if any does."""
+    rows = [
+        [scene, choice["setting"], plain(choice["value"]), choice["reason"]]
+        for scene in inputs.scenes
+        for choice in inputs.light_of(scene).get("choices", [])
+    ]
+    names = ["scene", "setting", "value", "reason"]
+    caption = "Settings that are null, and what the scene chooses for them."
+    return [Table("Chosen by scenes", caption, names, rows, 4, is_folded=False)] if rows else []
 
 
 def _versions(inputs: Inputs) -> dict[str, str]:
@@ -56,6 +70,7 @@ def _acquisition(run: Run) -> dict[str, Any]:
         "scene": run.scene,
         "method": run.method,
         "options": run.facts["options"],
+        "light": run.facts.get("light", {}),
         "versions": run.facts.get("versions", {}),
         "transport_digest": run.acquired.get("digest"),
         "relit_digest": run.images.digest,

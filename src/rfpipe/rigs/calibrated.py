@@ -17,6 +17,7 @@ from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.rigs.settings import differences, flat, is_of_a_step, shaping_settings
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ class Calibration:
         Light of each code as a fraction of that of code 255, ascending from 0 to 1.
     facts : mapping
         Plain data: verdicts, measured numbers with their standard errors, settings.
+    settings : mapping
+        Settings of the rig's file that it was measured with, by dotted name; empty where unknown.
     """
 
     layout: ProjectorLayout | None = None
@@ -62,6 +65,7 @@ class Calibration:
     camera: Mapping[str, float] = field(default_factory=dict)
     projector_response: NDArray[np.float64] | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
@@ -75,8 +79,8 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     (folder / FACTS).unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
     digest = write_arrays(folder / ARRAYS, arrays, {})
-    facts = {"camera": dict(calibration.camera), "arrays": digest, "facts": dict(calibration.facts)}
-    write_manifest(folder / FACTS, facts)
+    parts = {name: dict(getattr(calibration, name)) for name in ("camera", "facts", "settings")}
+    write_manifest(folder / FACTS, {**parts, "arrays": digest})
 
 
 def load_calibration(folder: str | Path) -> Calibration:
@@ -98,6 +102,7 @@ def load_calibration(folder: str | Path) -> Calibration:
         manifest["camera"],
         arrays.get("projector_response"),
         manifest["facts"],
+        manifest.get("settings", {}),  # calibrations of rfpipe's first version have none
     )
 
 
@@ -182,6 +187,47 @@ def check_verdicts(facts: Mapping[str, Any], folder: str | None, *, force: bool)
         )
     for fault in faults:
         _log.warning("%s: %s", folder, fault)
+
+
+def check_settings(config: RigConfig, source: str, *, force: bool = False) -> None:
+    """Raise an error where a rig's settings aren't those that it was calibrated with.
+
+    Parameters
+    ----------
+    config : RigConfig
+        The settings of a rig of devices.
+    source : str
+        Name of the settings in messages, such as their file.
+    force : bool
+        Whether to log warnings instead.
+
+    Raises
+    ------
+    ConfigError
+        Names each setting that changed, both values, and what to do.
+    """
+    if config.calibration is None:
+        return
+    made_with = load_calibration(config.calibration).settings
+    if not made_with:
+        _log.warning(
+            "%s: doesn't record the settings that it was made with, as rfpipe's first version made "
+            "it: nothing can be said of changes since. Calibrate again", config.calibration,
+        )  # fmt: skip
+        return
+    now = shaping_settings(config) | flat({"calibrate": config.calibrate.model_dump(mode="json")})
+    lines = differences(
+        made_with, {n: v for n, v in now.items() if n in made_with or not is_of_a_step(n)}
+    )
+    if lines and not force:
+        listed = "\n".join(f"  {line}" for line in lines)
+        raise ConfigError(
+            f"{source}: has other settings than its calibration {config.calibration} was made "
+            f"with:\n{listed}\nRun `rfpipe calibrate` again, or set them back. To go on all the "
+            "same, add --force"
+        )
+    for line in lines:
+        _log.warning("%s: since its calibration %s, %s", source, config.calibration, line)
 
 
 def warn_of(described: Mapping[str, Any], name: str) -> None:

@@ -202,6 +202,10 @@ class AcquisitionFolder:
             _check_digest(path, frames.digest(), expected[part] if part else expected)
             yield frames
 
+    def open_frames(self, level: int, part: str) -> AbstractContextManager[FrameStore]:
+        """Open frames that a stage writes or wrote, complete or not; StoreError for none."""
+        return FrameStore.open(self.store(level, part).absolute())
+
     def recording(
         self, path: Path, shape: tuple[int, ...], dtype: Any, made_for: str, shown: Facts
     ) -> AbstractContextManager[FrameStore]:

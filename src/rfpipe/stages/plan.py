@@ -168,9 +168,17 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
         **{setting: getattr(capture, setting) for setting in same},
         "references": [capture.black_frames, capture.floodlit_frames],
         "symmetry_frames": SYMMETRY_FRAMES if plan.asks_symmetry else 0,
-        "watching": {"mode": capture.watch, "looks": capture.looks},
+        "watching": {
+            "mode": "off" if capture.rig == "simulated" else capture.watch,
+            "looks": capture.precautions.looks,
+            "asymmetry": capture.asymmetry,
+        },
     }
-    merged = {**of_scene.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw}
+    merged = {
+        "mask_defects": of_scene.merge.mask_defects,
+        "divide_out_drift": of_scene.divides_out_drift,
+        "keep_raw": capture.keep_raw,
+    }
     return {
         "schedule": code,
         "capture": captured,

@@ -263,12 +263,17 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     transport = open_transport(folder / "transport.zarr")
     errors: dict[str, Any] = {}
     recorded: dict[str, Any] = {}
+    light: dict[str, Any] = {}
     if scene.has_truth:
         simulated = scene_from_config(scene)
         arrays = relit_arrays(transport, simulated)
         truth = arrays["floodlit_truth"]
         errors = mean_errors(transport, simulated, truth, is_coaxial=scene.is_coaxial)
         recorded = simulated.recorded
+        light = {
+            "choices": [each._asdict() for each in scene.choices],
+            "omissions": scene.omissions,
+        }
     else:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
@@ -284,6 +289,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "levels": transport.level_rows,
         "units": RADIANCE_UNIT,
         "recorded": recorded,
+        "light": light,
         **errors,
     }
     write_bundle(folder / "relight.json", made_from, arrays, facts)

@@ -162,19 +162,36 @@ def run(
     settings : mapping
         Those of the stages "capture" and "merge", see `rfpipe.stages.plan.stages_of`.
     """
-    folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
-    _schedule(folder, pictures)
-    # looks at the rig before the first picture and after the last, if there were any before
-    was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
-    options = {
-        **settings["capture"],
-        "symmetry_frames": 0, "batch_patterns": 1,
-        "watching": {"mode": "warn" if was_watched else "off", "looks": pictures},
-    }  # fmt: skip
+    schedule_pictures(folder, pictures)
+    capture_and_merge(folder, capture, pictures, settings, resources)
+    _compare(folder, settings["merge"]["code"])
+
+
+def capture_and_merge(
+    folder: AcquisitionFolder,
+    capture: Callable[..., None],
+    pictures: int,
+    settings: Mapping[str, Mapping[str, Any]],
+    resources: Resources,
+) -> None:
+    """Capture the scheduled pictures that verify a transport, and merge them; see `run`."""
+    options = capture_options(folder, pictures, settings["capture"])
     capture(folder, VERIFICATION, **options, resources=resources.here)
     merging = {**settings["merge"], "divide_out_drift": True}
     merge.run(folder, VERIFICATION, **merging, resources=resources)
-    _compare(folder, merging["code"])
+
+
+def capture_options(
+    folder: AcquisitionFolder, pictures: int, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Options of the capture of these pictures, from those of the acquisition's levels.
+
+    Looks at the rig are taken before the first picture and after the last, if levels had any.
+    """
+    captured = (folder.read_manifest(level, "capture") for level in folder.levels_above(None))
+    mode = "warn" if any(MOVES in facts for facts in captured) else "off"
+    watching = {"mode": mode, "looks": pictures}
+    return {**options, "symmetry_frames": 0, "batch_patterns": 1, "watching": watching}
 
 
 def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where: str) -> None:
@@ -202,8 +219,9 @@ def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where:
         )
 
 
-def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
+def schedule_pictures(folder: AcquisitionFolder, pictures: int) -> None:
     """Write the patterns once: a transport made anew doesn't ask for other pictures."""
+    folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
     references = folder.read_manifest(0, "merge")[REFERENCES]["digest"]
     schedule = schedule_of(read_schedule(folder, 0).shape, pictures)
     made_from = fingerprint([references, schedule.digest()])
@@ -251,8 +269,8 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
 
 def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
     """Sum up what the merges of all levels tell of the rig; None where nothing looked."""
-    levels = sorted(int(path.parent.name[1:]) for path in folder.path.glob("L[0-9]*/merge.json"))
-    merged = {level: folder.read_manifest(level, "merge") for level in [*levels, VERIFICATION]}
+    levels = [*folder.levels_above(None), VERIFICATION]
+    merged = {level: folder.read_manifest(level, "merge") for level in levels}
     looks = {level: facts[MOVES] for level, facts in merged.items() if MOVES in facts}
     drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]
     return {
