@@ -12,6 +12,7 @@ import io
 import json
 import sys
 from dataclasses import asdict, fields
+from difflib import SequenceMatcher, get_close_matches
 from importlib import import_module
 from pathlib import Path
 
@@ -20,11 +21,20 @@ from figures.index import write_index
 from rfpipe.errors import RfpipeError
 from rfpipe.store.files import write_atomically
 
+SCRIPTS = tuple(
+    sorted(
+        path.stem
+        for path in Path(__file__).parent.glob("*.py")
+        if "\ndef items(" in path.read_text(encoding="utf-8")
+    )
+)
+"""Modules of this folder that yield figures and tables."""
+
 
 def main() -> None:
     """Run a script, or write the page."""
     parser = argparse.ArgumentParser(prog="python -m figures", description=__doc__)
-    parser.add_argument("script", help="a module of this folder, index, or check")
+    parser.add_argument("script", help=f"{', '.join(SCRIPTS)}, index, or check")
     parser.add_argument("folder", type=Path, nargs="?", default=Path())
     for each in fields(Size):
         kind = type(each.default)
@@ -32,6 +42,8 @@ def main() -> None:
         parser.add_argument(f"--{each.name}", default=each.default, **many)
     given = vars(parser.parse_args())
     script, folder = given.pop("script"), given.pop("folder")
+    if script not in (*SCRIPTS, "index", "check"):
+        parser.error(unknown(script))
     if script == "check":
         _check()
     elif script == "index":
@@ -39,6 +51,14 @@ def main() -> None:
     else:
         folder.mkdir(parents=True, exist_ok=True)
         run(script, folder, Size(**given))
+
+
+def unknown(script: str) -> str:
+    """Return the message for a script that isn't there: all names, the most similar first."""
+    names = (*SCRIPTS, "index", "check")
+    nearest = sorted(names, key=lambda name: -SequenceMatcher(None, script, name).ratio())
+    meant = f"did you mean {nearest[0]}? " if get_close_matches(script, names) else ""
+    return f"there is no script {script!r}; {meant}There are {', '.join(nearest)}"
 
 
 def _check() -> None:
@@ -73,4 +93,7 @@ def run(script: str, folder: Path, size: Size) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except RfpipeError as error:
+        sys.exit(f"figures: {error}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import shlex
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -55,6 +56,11 @@ OUTPUTS: dict[str, tuple[str, ...]] = {
 """Suffixes that the option ``--output`` of each command may have."""
 
 
+def is_full(error: OSError) -> bool:
+    """Test whether an error is that of a full disk, a quota, or a limit of file sizes."""
+    return error.errno in _FULL
+
+
 class Failure(NamedTuple):
     """Cause of a failed write, and the remedy."""
 
@@ -80,7 +86,7 @@ def suffix_of(path: Path, allowed: tuple[str, ...], command: str = "") -> str:
         has = f"the suffix {path.suffix}" if suffix else "no suffix"
         files = [f"{name} ({FORMATS[name]})" for name in allowed if name != FOLDER]
         expected = ", ".join([*files, *["a folder's name, without a suffix"] * (FOLDER in allowed)])
-        option = f"rfpipe {command} --output {path}" if command else f"{path}"
+        option = f"rfpipe {command} --output {shlex.quote(str(path))}" if command else f"{path}"
         raise InputError(f"{option}: has {has}; expected {expected}")
     if suffix not in (FOLDER, ".zarr", ".zip") and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
@@ -111,13 +117,13 @@ def storage_errors(
         yield
     except OSError as error:
         reason, advice = _failure(path, error, needed_bytes, resumes=resumes)
-        raise StoreError(f"{path}: {action} failed: {reason}; {advice}") from error
+        raise StoreError(f"{path}: {action} failed: {reason}", advice=advice) from error
 
 
 def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> Failure:
     """Return the cause of an error of the file system, and the remedy."""
     reason = error.strerror or str(error)
-    if error.errno in _FULL:
+    if is_full(error):
         needed = f"{needed_bytes:,} bytes needed, " if needed_bytes else ""
         goes_on = ": it goes on where it stopped" if resumes else ""
         disk = f"{free_bytes(path.parent):,} bytes free on the disk at {mount_point(path)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from datetime import date
 from pathlib import Path
@@ -82,7 +83,7 @@ def publish(
             values[name] = [answer] if name == "creators" else answer
     citation = write_citation(run.folder, values)
     place = output or run.folder / "publication.zip"
-    files, nbytes = write(
+    written = write(
         run,
         citation,
         place,
@@ -90,11 +91,14 @@ def publish(
         config=config,
         overwrite=overwrite,
     )
-    typer.echo(f"{place}: {files:,} files, {nbytes / 1e6:,.1f} MB, {citation.license}")
+    megabytes = f"{written.nbytes / 1e6:,.1f} MB"
+    typer.echo(f"{place}: {written.files:,} files, {megabytes}, {citation.license}")
     typer.echo(f"cite as: {citation.text}")
-    typer.echo(f"check:   rfpipe verify {place}")
+    typer.echo(f"check:   {shlex.join(['rfpipe', 'verify', str(place)])}")
     if run.settings is None and config is None:
         typer.echo("left out: its settings, which no report knows; give --config", err=True)
+    for note in written.notes:
+        typer.echo(f"left out: {note}", err=True)
     if run.incomplete:
         typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
 
@@ -122,7 +126,7 @@ def keep(
         f"{record.address}: {record.objects:,} objects, {record.nbytes / 1e6:,.1f} MB; sent "
         f"{record.sent:,} of them, {record.nbytes_sent / 1e6:,.1f} MB"
     )
-    typer.echo(f"check: rfpipe verify {record.address}")
+    typer.echo(f"check: {shlex.join(['rfpipe', 'verify', record.address])}")
 
 
 collection = typer.Typer(

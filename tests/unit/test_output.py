@@ -213,3 +213,14 @@ def test_errors_name_the_disk(tmp_path: Path) -> None:
         whole_file(tmp_path / "a.bin", 10),
     ):
         raise error
+
+
+def test_standard_output_on_a_full_disk_is_an_error_without_a_traceback(here: Path) -> None:
+    program = [sys.executable, "-c", "from rfpipe.cli import main; main()", "info", "dome.zarr"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            program, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=here
+        )
+    assert done.returncode == 1
+    assert done.stderr.startswith("rfpipe: a file can't be written: [Errno 28] No space left")
+    assert len(done.stderr.splitlines()) == 1

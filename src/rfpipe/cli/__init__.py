@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 from typing import Annotated
 
@@ -19,6 +20,7 @@ from rfpipe.cli.settings import settings
 from rfpipe.cli.transports import export, info, movie
 from rfpipe.cli.verify import verify
 from rfpipe.errors import RfpipeError
+from rfpipe.output import is_full
 from rfpipe.version import __version__
 
 __all__ = ["app", "main"]
@@ -93,4 +95,11 @@ def main() -> None:
         app()
     except RfpipeError as error:
         typer.echo(f"rfpipe: {error}", err=True)
+        sys.exit(1)
+    except OSError as error:
+        if not is_full(error):
+            raise
+        # Python writes what is left of its output when it ends, which would fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        typer.echo(f"rfpipe: a file can't be written: {error}; make room and run again", err=True)
         sys.exit(1)

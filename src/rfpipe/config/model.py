@@ -39,7 +39,7 @@ from rfpipe.config.scenes import SceneSettings
 from rfpipe.provenance import fingerprint
 
 # Folders of a run's results that are no scene's.
-_OTHER_FOLDERS = {"catalogue", "references", "report", "verified"}
+_OTHER_FOLDERS = {"catalogue", "report", "verified"}
 
 TARGET_MARGIN = 1.5
 """Measured errors at most this many times a target meet it.

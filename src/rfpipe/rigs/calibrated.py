@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -89,9 +90,10 @@ def load_calibration(folder: str | Path) -> Calibration:
     """
     folder = Path(folder)
     if not (folder / FACTS).is_file():
+        command = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", str(folder)])
         raise StoreError(
             f"{folder}: holds no complete calibration ({FACTS} is missing); make one with "
-            f"`rfpipe calibrate RIG.yaml --output {folder}`, or set the rig's calibration to null"
+            f"`{command}`, or set the rig's calibration to null"
         )
     manifest, arrays = read_parts(folder / FACTS, folder / ARRAYS)
     return Calibration(

@@ -44,6 +44,9 @@ SYMMETRY = "symmetry"
 VERIFICATION = VERIFICATION_KEY
 """In the place of a level's number: the pictures that verify the transport, taken after it."""
 
+VERIFICATION_FOLDER = "verification"
+"""Name of their folder, among those of the levels."""
+
 STAGES_LOG = "stages.log"
 """Beside the transport: the stages of a whole acquisition, of which Snakemake keeps no records.
 
@@ -52,6 +55,9 @@ Where it is newer than level 0's schedule, Snakemake does all stages again; no l
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 """Of a level, in their order."""
+
+BY_PRODUCTS = (".log", ".benchmark.tsv", ".asked", ".tmp")
+"""Ends of the names of files beside results that tell of their making alone."""
 
 FILES = "files.json"
 """Name of the manifest of a report's files."""
@@ -269,7 +275,7 @@ class AcquisitionFolder:
 
 def folder_of(level: int) -> str:
     """Name of a level's folder."""
-    return "verification" if level == VERIFICATION else f"L{level:02d}"
+    return VERIFICATION_FOLDER if level == VERIFICATION else f"L{level:02d}"
 
 
 def name_of(level: int) -> str:
