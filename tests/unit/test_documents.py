@@ -101,7 +101,7 @@ def test_the_room_of_the_opening_page_is_the_measured_one() -> None:
 
 
 def test_all_that_is_registered_stands_beside_its_tests() -> None:
-    page = (ROOT / "docs" / "what-you-can-do.md").read_text("utf-8")
+    page = (ROOT / "docs" / "tests.md").read_text("utf-8")
     files = re.findall(r"`(\w+/test_\w+)`", page)
     assert [name for name in files if not (ROOT / "tests" / f"{name}.py").is_file()] == []
     named = {name for row in re.findall(r"^\| (`[^|]*)\|", page, re.M)

@@ -138,6 +138,12 @@ class CalibrationFolder:
         """Whether a step has left its manifest."""
         return self.manifest(step).is_file()
 
+    def written_at(self) -> dict[str, int]:
+        """Times, in ns, at which the manifests of the steps that are done were written."""
+        return {
+            name: self.manifest(name).stat().st_mtime_ns for name in STEPS if self.is_done(name)
+        }
+
     def read(self, step: str) -> Findings:
         """Read the findings of a step.
 
