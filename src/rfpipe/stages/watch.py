@@ -232,11 +232,11 @@ class Watcher:
                 ": the rig or the scene moved. Pictures from before and after don't fit together"
             )
         if is_lasting and self.refuse:
-            of_level = self.looks.path.parent.absolute()
+            folder = self.of_level.folder
             raise CaptureError(
-                f"{text}, so the capture ends here; all that is captured is kept. To begin anew, "
-                f"remove {of_level.parent} and run again. Or put back what moved, remove "
-                f"{of_level} and run again: that level alone is captured anew, if the pattern "
+                f"{text}, so the capture ends here; all that is captured is kept. To begin anew: "
+                f"'{folder.retaking()}', with the run's other options. Or put back what moved: "
+                f"'{folder.retaking(self.level)}' takes this level alone again, if the pattern "
                 "looks as it did first. capture.watch: warn goes on all the same"
             )
         _log.warning("%s", text)
