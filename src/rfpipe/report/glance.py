@@ -182,7 +182,7 @@ def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table |
         for method, of_method in of_group.groupby("method", sort=False):
             row: dict[str, Any] = {"scene": group.name, "method": method, "seeds": len(of_method)}
             for _, name, _ in (*_NUMBERS, _TIME):
-                values: pd.Series[Any] = of_method[name].astype("float64")
+                values: pd.Series[Any] = of_method[str(name)].astype("float64")
                 row |= {name: values.mean(), f"{name}_sd": values.std()}
             rows.append(row)
     if not rows:
