@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from typing import Annotated
 
@@ -62,6 +63,26 @@ for _name in plugins.names(plugins.COMMANDS):
         app.add_typer(_command, name=_name)
     else:
         app.command(_name)(_command)
+
+
+def _reflow(commands: typer.Typer) -> None:
+    """Give each command its docstring with a line a paragraph, which a terminal breaks by itself.
+
+    A paragraph of indented lines, such as a table, stays as it is.
+    """
+    for command in commands.registered_commands:
+        text = inspect.getdoc(command.callback) if command.callback else None
+        paragraphs = (text or "").split("\n\n")
+        command.help = "\n\n".join(
+            paragraph if paragraph.startswith(" ") else paragraph.replace("\n", " ")
+            for paragraph in paragraphs
+        )
+    for group in commands.registered_groups:
+        if group.typer_instance is not None:
+            _reflow(group.typer_instance)
+
+
+_reflow(app)
 
 
 def main() -> None:

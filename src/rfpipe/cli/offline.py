@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rfpipe.cli.run import ConfigFile
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     from rfpipe.rigs.offline import Sheet
@@ -95,7 +96,9 @@ def import_(
         acquisition.take_back(about["level"])
         raise CaptureError(f"{error}. None of these pictures is kept") from error
     before = "imported before and left as they are; others come after --take-back"
-    typer.echo(f"{folder}: {len(checked.files)} brackets {'imported' if is_new else before}")
+    typer.echo(
+        f"{folder}: {counted(len(checked.files), 'bracket')} {'imported' if is_new else before}"
+    )
     further = None if level is None else acquisition.write(rig, folder.parent, config, results)
     _tell(f"{scene} by {name}", further, results / scene / name, config)
 
@@ -115,7 +118,8 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
     about: dict[str, Any] = sheet.about
     times = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
-        f"{acquisition}: {name_of(about['level'])} asks for {len(sheet.shown) - 3} patterns "
+        f"{acquisition}: {name_of(about['level'])} asks for "
+        f"{counted(len(sheet.shown) - 3, 'pattern')} "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
         f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "
         f"{shlex.join([sys.argv[0], 'import', str(sheet.folder)])}"

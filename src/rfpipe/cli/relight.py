@@ -22,6 +22,7 @@ from rfpipe.cli.transports import (
     times,
 )
 from rfpipe.errors import InputError
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -110,7 +111,7 @@ def relight(
         raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
     if output.suffix == ".mp4":
         white = movie_of(pictures, output, enlarge=enlarged(light), white=white)
-        typer.echo(f"{output}: {count} pictures, white is {white:.4g}")
+        typer.echo(f"{output}: {counted(count, 'picture')}, white is {white:.4g}")
         return
     if output.suffix == ".npy":
         stack = np.stack(list(pictures()))
@@ -120,7 +121,7 @@ def relight(
         return
     is_picture = count == 1 and output.suffix in (".exr", ".png")
     if not is_picture and output.suffix in (".exr", ".png", ".gif"):
-        raise InputError(f"{output}: for {count} pictures, name a folder, .npy or .mp4")
+        raise InputError(f"{output}: for {counted(count, 'picture')}, name a folder, .npy or .mp4")
     if not is_picture:
         output.mkdir(parents=True, exist_ok=True)
     files = [output if is_picture else output / f"{name}.{form}" for name in names]
@@ -132,7 +133,7 @@ def relight(
         typer.echo(f"{output}: {times(image.shape[:2])}, radiance up to {image.max():.4g}")
     else:
         suffix = f", white is {white:.4g}" if white and form == "png" else ""
-        typer.echo(f"{output}: {count} pictures{suffix}")
+        typer.echo(f"{output}: {counted(count, 'picture')}{suffix}")
 
 
 def _turning(

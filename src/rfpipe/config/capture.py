@@ -154,7 +154,9 @@ class VerificationConfig(Settings):
         le=96,
     )
     fail_above: Fraction | None = setting(
-        None, "Mean relative error of these pictures above which the run fails; null: never."
+        None,
+        "Mean relative error of these pictures above which the run fails; null: by a real rig 1.5 "
+        "times the method's target_error, else never.",
     )
 
 
@@ -180,7 +182,8 @@ class ResourcesConfig(Settings):
     )
     jobs: Literal["stage", "acquisition"] | None = setting(
         None,
-        "A job's work; null: acquisition with a collection or capture.placing, else stage.",
+        "A job's work; null: acquisition with a collection, capture.placing or scenes of at most "
+        "4,000 rays, else stage.",
     )
     captures: Literal["here", "job"] = setting(
         "here",

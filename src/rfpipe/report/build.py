@@ -19,7 +19,7 @@ _SUFFIXES = (".csv", ".exr", ".html", ".json", ".png")
 
 
 def build_report(
-    config: Config, results: Path, page: Path, errors: Path, speed_error: Path
+    config: Config, results: Path, page: Path, errors: Path, speed_error: Path, note: str = ""
 ) -> None:
     """Write the report.
 
@@ -33,6 +33,8 @@ def build_report(
         and ``results.json`` come to lie beside it.
     errors, speed_error : Path
         The tables of the evaluate stage.
+    note : str
+        A sentence that follows the lead.
 
     Raises
     ------
@@ -45,7 +47,7 @@ def build_report(
             f"{results}: holds no relit acquisition of the scenes "
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
-    lead = _lead(inputs)
+    lead = " ".join(filter(None, (_lead(inputs), note)))
     colours = {inputs.title(name): inputs.style(name)["color"] for name in inputs.methods}
     swatches = colours | STANDING_COLOURS
     write_page(page, config.title, lead, make_sections(inputs), swatches, _views(inputs, page))

@@ -58,7 +58,7 @@ def verification_section(inputs: Inputs) -> Section | None:
 
 def summaries(inputs: Inputs, run: Run) -> list[str]:
     """Sum a run's verification up, with all that was wrong."""
-    bound, facts = inputs.config.verification.fail_above, run.verified
+    bound, facts = inputs.config.bound_of(run.scene, run.method), run.verified
     text = (
         f"{run.scene}, {inputs.title(run.method).lower()}: {len(facts['pictures'])} pictures are "
         f"relit to {percent(facts['mean_error'])} % on average, the worst, "

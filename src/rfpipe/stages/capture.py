@@ -30,6 +30,7 @@ from rfpipe.stages.steadiness import camera_of, faults_of_references, sample
 from rfpipe.stages.watch import watching_level, ways_on
 from rfpipe.steps import counted_by
 from rfpipe.store import bytes_on_disk
+from rfpipe.text import counted
 from rfpipe.units import (
     BLACK_LEVEL_KEY,
     COUNT_UNIT,
@@ -96,7 +97,7 @@ def run(
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):
         if of_level.count:
-            _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
+            _log.info("%s: complete, with %s", of_level.name, counted(of_level.count, "pattern"))
         return
     parts = (*before.values(), of_level)
     for part in parts:

@@ -22,6 +22,7 @@ from rfpipe.provenance import versions
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
+    is_dropped,
     keep_header,
     open_arrays,
     read_manifest,
@@ -236,6 +237,11 @@ class AcquisitionFolder:
             times.write_text(f"s\n{perf_counter() - began:.4f}\n", encoding="ascii")
             with (self.path / STAGES_LOG).open("a", encoding="utf-8") as done:
                 done.write(f"{manifest.parent.name}/{stage}\n")
+
+    def has_merged_raw(self) -> bool:
+        """Whether raw exposures are on disk that a merge has used."""
+        stores = [path.with_name("capture.zarr") for path in self.path.glob("*/merge.json")]
+        return any(store.exists() and not is_dropped(store) for store in stores)
 
     def levels(self) -> Iterator[int]:
         """Yield the levels that have patterns to show, as far as that is known.

@@ -16,7 +16,7 @@ from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages import symmetry
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.lamp import LAMP, measure_lamp, with_brightness
@@ -272,6 +272,14 @@ def _kept(
             "dropped. %s", raw, advice,
         )  # fmt: skip
     return facts
+
+
+def drop_raw(folder: AcquisitionFolder) -> None:
+    """Remove the raw exposures of all merged levels, and of the pictures for verification."""
+    levels = [*folder.levels_above(None), VERIFICATION]
+    for level in levels:
+        if folder.exists(level, "merge"):
+            _drop_raw(folder, level)
 
 
 def _drop_raw(folder: AcquisitionFolder, level: int) -> None:

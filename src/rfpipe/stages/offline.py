@@ -21,7 +21,7 @@ from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, folder_of
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import Plan, plan_of, stages_of
+from rfpipe.stages.plan import Plan, in_manner, manner_of, plan_of, stages_of
 from rfpipe.stages.verification import capture_options, schedule_of, schedule_pictures
 from rfpipe.store import StoreLock
 
@@ -64,7 +64,8 @@ class OfflineAcquisition:
             capture.run(rig, folder, level, **options)
 
         plan = Plan(**plan_of(self.settings, self.scene, self.name))
-        stages = stages_of(self.settings, self.scene, self.name)
+        manner = manner_of(self.settings, self.scene)
+        stages = in_manner(stages_of(self.settings, self.scene, self.name), manner)
         resources = Resources(self.settings.resources.memory_gib)
         with StoreLock(self.folder):
             try:

@@ -33,7 +33,9 @@ from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.schedule import read_schedule, write_schedule
 from rfpipe.stages.watch import MOVES, alarms_of
 from rfpipe.store import read_manifest
+from rfpipe.text import counted
 from rfpipe.transport import Transport, open_transport
+from rfpipe.transport.base import estimates
 from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
@@ -239,29 +241,44 @@ def capture_options(
     return {**options, "symmetry_frames": 0, "batch_patterns": 1, "watching": watching}
 
 
-def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where: str) -> None:
-    """Refuse verifications whose mean error is above a relative bound.
+def check_bounds(
+    manifests: Mapping[str, Mapping[str, Any]], bounds: Mapping[str, float], where: str
+) -> None:
+    """Refuse acquisitions whose mean error is above a relative bound.
 
-    Raises VerificationError, which names each acquisition above it with its worst picture, those
-    none of whose pictures has light above noise, and `where`, the page that shows the pictures.
-    `manifests` are each ``verification.json`` by the acquisition's name.
+    Raises VerificationError, which names each acquisition above its bound with its worst picture,
+    those none of whose pictures has light above noise, and `where`, the page that shows the
+    pictures. `manifests` are each ``verification.json``, or ``transport.json`` where no pictures
+    were taken, whose last estimate of the error counts; `bounds` have the same names.
     """
-    above = [
-        f"{name} is off by {facts['mean_error']:.2%} on average, by {facts['worst_error']:.2%} "
-        f"under '{facts['worst_picture']}' (noise floor {facts['noise']:.2%})"
-        if facts["mean_error"] is not None
-        else f"{name} has no picture with light above its noise: give it more light or exposure"
-        for name, facts in manifests.items()
-        if facts["mean_error"] is None or facts["mean_error"] > bound
-    ]
+    above = [_above(name, manifests[name], bound) for name, bound in bounds.items()]
+    above = [text for text in above if text]
     if above:
         raise VerificationError(
-            f"{'; '.join(above)}. At most {bound:.2%} is accepted (verification.fail_above). The "
-            f"transport and all pictures are kept: see the captured and relit pictures in {where}. "
+            f"{'; '.join(above)}. Set verification.fail_above to accept more. The transport and "
+            f"all pictures are kept: see the captured and relit pictures in {where}. "
             "An error that is large under all of them is the rig's (moved, misaligned, a lamp that "
             "changed); else ask the method for a smaller error. What is shown is full light or "
             "none, which doesn't tell of the projector's response"
         )
+
+
+def _above(name: str, facts: Mapping[str, Any], bound: float) -> str:
+    """Describe an error that is above a bound; empty where it isn't."""
+    if "levels" in facts:
+        estimated = estimates(facts["levels"])
+        error = estimated[-1]["estimated_error"] if estimated else 0.0
+        above = f"{name} is off by an estimated {error:.2%}, above {bound:.2%}"
+        return "" if error <= bound else above
+    if facts["mean_error"] is None:
+        return f"{name} has no picture with light above its noise: give it more light or exposure"
+    if facts["mean_error"] <= bound:
+        return ""
+    return (
+        f"{name} is off by {facts['mean_error']:.2%} on average, above {bound:.2%}, by "
+        f"{facts['worst_error']:.2%} under '{facts['worst_picture']}' (noise floor "
+        f"{facts['noise']:.2%})"
+    )
 
 
 def schedule_pictures(folder: AcquisitionFolder, pictures: int) -> None:
@@ -293,16 +310,14 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     result = compared(folder, open_transport(folder.path / "transport.zarr"))
     count, worst = len(result.table), result.worst
     if np.isnan(result.mean_error):
-        text = (
-            "%s: not verified: none of %d pictures has light above its noise on rays that are seen"
-        )
-        _log.warning(text, folder.path, count)
+        text = "%s: not verified: of %s none has light above its noise on rays that are seen"
+        _log.warning(text, folder.path, counted(count, "picture"))
     else:
         _log.info(
-            "%s: %d pictures that no method saw are relit to %.2f %% on average, '%s' to %.2f %% "
-            "(noise floor of the pictures %.2f %%)",
-            folder.path, count, 100 * result.mean_error, worst.name, 100 * worst.error,
-            100 * result.table["noise"].mean(),
+            "%s: %s for verification: the transport is off by %.2f %% on average, by %.2f %% under "
+            "'%s' (noise floor of the pictures %.2f %%)",
+            folder.path, counted(count, "picture"), 100 * result.mean_error, 100 * worst.error,
+            worst.name, 100 * result.table["noise"].mean(),
         )  # fmt: skip
     made_from = fingerprint([acquired["digest"], merged["digest"], code])
     arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}
