@@ -119,7 +119,7 @@ def test_a_real_rig_s_bound_follows_the_target_error() -> None:
         ({}, bounds),
         ({"verification": {"fail_above": 0.2}}, {"dual": 0.2, "footprints": 0.2}),
         ({"verification": {"pictures": 0}}, {"dual": None, "footprints": 0.02}),
-        ({"capture": {"rig": "offline"}}, {"dual": None, "footprints": 0.02}),
+        ({"capture": {"rig": "offline"}}, bounds),
     ):
         config = parse_config({**run, **change}, "c")
         assert {name: config.bound_of("vase", name) for name in bounds} == expected

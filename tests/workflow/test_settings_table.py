@@ -37,6 +37,7 @@ SPECIAL: dict[str, Any] = {
     "camera.bayer": "RGGB",
     "camera.white_level_counts": 4000,
     "camera.exposures": [0.01, 0.1, 1.0],
+    "merge.divide_out_drift": True,
     "notify": "true",
     "report.title": "another",
     "resources.workers": "tcp://127.0.0.1:8786",
