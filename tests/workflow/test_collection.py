@@ -30,7 +30,7 @@ def test_a_scene_that_fails_stops_no_other_and_what_is_done_stays(
             "scenes": {},
             "methods": {"hadamard": {}},
             "resources": {"jobs": None},
-        },  # fmt: skip
+        },
     )
     matrix = np.eye(48)
     matrix[0, 1] = -1
