@@ -86,7 +86,7 @@ CAPTURED = {"kind": "captured", "shape": [20, 20]}
         (
             {"scenes": {"desk": CAPTURED}, "capture": {"rig": "offline"}, "methods": {"dual": {}}},
             "stage",
-            "a scene has 400 rays",
+            "its pictures are taken elsewhere",
         ),
     ],
 )

@@ -227,8 +227,10 @@ class Config(Settings):
             return "acquisition", "as in every collection"
         if any(self.of_scene(scene).capture.placing for scene in self.scenes):
             return "acquisition", "since scenes are placed one after the other (capture.placing)"
+        if self.capture.rig == "offline":
+            return "stage", "since its pictures are taken elsewhere, level by level"
         rays = max(prod(scene.ray_shape) for scene in self.scenes.values())
-        if rays <= SMALL_RAYS and self.capture.rig != "offline":
+        if rays <= SMALL_RAYS:
             return "acquisition", (
                 f"since no scene has more than {SMALL_RAYS:,} rays, and starting jobs would take "
                 "longer than their work"
