@@ -38,6 +38,8 @@ SPECIAL: dict[str, Any] = {
     "camera.white_level_counts": 4000,
     "camera.exposures": [0.01, 0.1, 1.0],
     "notify": "true",
+    "offline.projector_shape": [10, 10],
+    "report.page": True,
     "report.title": "another",
     "resources.workers": "tcp://127.0.0.1:8786",
     "resources.jobs": "acquisition",
