@@ -255,7 +255,8 @@ def _estimates(done: pd.DataFrame) -> str:
         if any(map(len, told[:-1])):
             shares = (f"{each.mean():.0%}" if len(each) else "" for each in told)
             lines.append([f"`{method}`", str(light), str(section), str(len(own)), *shares])
-    head = ["method", "light", "", "runs", "error estimated", "indirect estimated", "targets met"]
+    head = ["method", "light", "", "runs", "error estimated", "error of indirect light estimated",
+            "targets met"]  # fmt: skip
     return markdown(head, lines)
 
 
