@@ -10,10 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rfpipe.calibration.bench import Bench, DeviceError, Progress, camera_model, camera_numbers
 from rfpipe.calibration.black import measure_dark
 from rfpipe.calibration.correspondence import measure_correspondence
 from rfpipe.calibration.latency import measure_latency
+from rfpipe.calibration.mosaic import mosaic_facts
 from rfpipe.calibration.rays import measure_rays
 from rfpipe.calibration.responses import measure_light, measure_linearity, measure_transfer
 from rfpipe.calibration.sight import measure_sight, sight_pictures
@@ -52,7 +55,13 @@ class Step:
 def _scene(bench: Bench) -> Findings:
     model, period = camera_model(bench.camera), bench.settings.period_pixels
     frames = list(bench.take(sight_pictures(bench.projector.shape, period)))
-    return measure_sight(frames, model.exposures, model.white_level, period)
+    findings = measure_sight(frames, model.exposures, model.white_level, period)
+    if model.bayer is None:
+        return findings
+    black, white = np.mean(frames[:2], axis=0), np.maximum(*frames[2:4])
+    primaries = bench.take_primaries()
+    of_mosaic = mosaic_facts(model.bayer, black, white, primaries, model.white_level)
+    return Findings.of("scene", {**findings.facts, **of_mosaic}, findings.arrays)
 
 
 _STEADY = ("steadiness",)

@@ -251,7 +251,9 @@ def fit_of(look: Look, references: References) -> Fit:
         if usable.sum() < _LEAST_PIXELS or not np.isfinite(references.noise[index]):
             continue
         counts = frame[usable] - references.frames[BLACK, index, usable]
-        solutions[index], rest, covariance = _regression(references, index, usable, counts)
+        solutions[index], rest, covariance = _regression(
+            references, index, usable, counts, has_haze=look.picture != WHITE
+        )
         gain[index] = along @ solutions[index]
         residual[index] = np.sqrt(np.square(rest).sum() / np.square(shown).sum())
         # noise of the references bends the fit by the square of the residual
@@ -272,15 +274,21 @@ def _usable(references: References, exposure: int) -> NDArray[np.bool_]:
 
 
 def _regression(
-    references: References, exposure: int, usable: NDArray[np.bool_], counts: Double
+    references: References,
+    exposure: int,
+    usable: NDArray[np.bool_],
+    counts: Double,
+    *,
+    has_haze: bool = True,
 ) -> tuple[Double, Double, Double]:
     """Return solution (3,), residuals and covariance (3, 3) of counts above black.
 
     Pixels have weights as of photon noise. The covariance is that of any noise: HC3 of MacKinnon
-    and White, Journal of Econometrics 29 (1985).
+    and White, Journal of Econometrics 29 (1985). Without haze, `a` is 0: before an even surface
+    haze is like white light.
     """
     light = references.light[:, exposure, usable]
-    design = np.stack([*light, np.ones(light.shape[1])], axis=1)
+    design = np.stack([*light, np.full(light.shape[1], float(has_haze))], axis=1)
     brightness = np.maximum(light.sum(axis=0), 0)
     weight = 1 / (brightness + 0.1 * brightness.mean() + 1)
     solve = np.linalg.pinv((design.T * weight) @ design) @ (design.T * weight)
