@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from tests.helpers import run
 
 from rfpipe.config import Config
@@ -65,6 +66,44 @@ def test_expected_patterns_are_those_of_the_open_benchmark() -> None:
     times = taken["patterns"] / (views * a_view * (0.01 / taken["value"]) ** power)
     assert np.quantile(times[is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.75, 1.1, 1.75], 0.1)
     assert np.quantile(times[~is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.77, 3.6, 6.8], 0.1)
+
+
+PLANE = {"kind": "plane", "surfaces": ["texture"]}
+CAPTURED = {"kind": "captured", "shape": [20, 20]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "jobs", "why"),
+    [
+        ({}, "acquisition", "no scene has more than 4,000 rays"),
+        ({"scenes": {"wall": {**PLANE, "shape": [62, 70]}}}, "stage", "a scene has 4,340 rays"),
+        (
+            {"scenes": {"wall": PLANE | {"shape": [8, 8]}, "other": PLANE | {"shape": [80, 80]}}},
+            "stage",
+            "a scene has 6,400 rays",
+        ),
+        ({"resources": {"jobs": "stage"}}, "stage", "as resources.jobs says"),
+        (
+            {"scenes": {"desk": CAPTURED}, "capture": {"rig": "offline"}, "methods": {"dual": {}}},
+            "stage",
+            "its pictures are taken elsewhere",
+        ),
+    ],
+)
+def test_small_acquisitions_are_one_job(changes: dict[str, Any], jobs: str, why: str) -> None:
+    config = settings(**changes)
+    assert config.jobs == jobs
+    assert why in config.jobs_and_reason[1]
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "1 acquisition."), (2, "2 acquisitions.")])
+def test_the_command_counts_acquisitions(count: int, said: str, tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    scenes = {f"s{index}": {**PLANE, "shape": [5, 7]} for index in range(count)}
+    config.write_text(yaml.safe_dump({"scenes": scenes, "methods": {"dual": {}}}))
+    told = run("plan", config)
+    assert f"valid. {said} One job an acquisition, since no scene" in told
+    assert ("One after the other" in told) == (count > 1)
 
 
 def test_the_command_says_what_does_not_fit(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.helpers import run
 
 from rfpipe.errors import InputError
 from rfpipe.stages.folder import STAGES
@@ -129,3 +130,26 @@ def test_where_raw_exposures_were_dropped_the_merged_images_are_kept(results: Pa
     assert {path.name for path in retake.set_aside()} == {
         f"{name}.before_1.zarr" for name in ("capture", "merge", "sums")
     }
+
+
+def test_pictures_that_are_taken_by_hand_are_taken_back_instead(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(results.parent)
+    Path("desk.yaml").write_text(
+        "scenes: {vase: {kind: captured, shape: [8, 8]}}\n"
+        "methods: {dual: {}}\n"
+        "capture: {rig: offline}\n"
+    )
+    before = present(results)
+    with pytest.raises(InputError, match="rfpipe import FOLDER --take-back"):
+        run("run", "--configfile", "desk.yaml", "--retake", "vase/dual")
+    assert present(results) == before
+
+
+def test_a_rehearsal_sets_nothing_aside(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(results.parent)
+    before = present(results)
+    said = run("run", "--dry-run", "--retake", "vase/dual/2")
+    assert "results/vase/dual/L02: its pictures would be taken again" in said
+    assert present(results) == before

@@ -158,6 +158,6 @@ def _check_begun(rig: RemoteRig, folder: AcquisitionFolder) -> None:
     if begun_with not in (None, described):
         raise CaptureError(
             f"{rig.url}: the rig is not that of the patterns captured before ("
-            f"{differing(begun_with, described)}). Serve it with those settings, or remove the "
-            "acquisition's folder to begin anew"
+            f"{differing(begun_with, described)}). Serve it with those settings, or "
+            f"begin anew with this rig: '{folder.retaking()}', with the run's other options"
         )

@@ -243,6 +243,15 @@ class AcquisitionFolder:
         stores = [path.with_name("capture.zarr") for path in self.path.glob("*/merge.json")]
         return any(store.exists() and not is_dropped(store) for store in stores)
 
+    def retaking(self, level: int | None = None) -> str:
+        """Return the command that takes a level's pictures again, all levels' for None.
+
+        It is for a shell in the run's folder, and needs the run's other options.
+        """
+        scene, method = self.path.absolute().parts[-2:]
+        of = "" if level is None else f"/{self.manifest(level, 'capture').parent.name}"
+        return f"rfpipe run --retake {scene}/{method}{of}"
+
     def levels(self) -> Iterator[int]:
         """Yield the levels that have patterns to show, as far as that is known.
 

@@ -241,10 +241,7 @@ def _kept(
     raw = folder.store(level, "capture")
     if not folder.is_kept or not FrameStore.open(raw).dropped:
         return None
-    advice = (
-        f"To capture all levels again, remove the capture.json, capture.zarr and reference.zarr of "
-        f"{folder.path}/L*, then run again"
-    )
+    advice = f"To capture all levels again: '{folder.retaking()}', with the run's other options"
     try:
         sums = open_arrays(folder.store(level, SUMS))
         sums.read_all()

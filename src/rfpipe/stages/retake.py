@@ -113,13 +113,15 @@ def find_retakes(
 
 def _captured(results: Path) -> Iterator[tuple[str, Retake]]:
     """Yield the name and level of each capture, begun or complete."""
-    for store in sorted(results.glob("*/*/*/capture.zarr")):
-        level, acquisition = store.parent.name, store.parents[1]
-        folder, name = AcquisitionFolder(acquisition), "/".join(store.parts[-4:-1])
-        if level == "verification":
+    stores = (
+        path for stem in ("capture", REFERENCE) for path in results.glob(f"*/*/*/{stem}.zarr")
+    )
+    for place in sorted({store.parent for store in stores}):
+        folder, name = AcquisitionFolder(place.parent), "/".join(place.parts[-3:])
+        if place.name == "verification":
             yield name, Retake(folder, VERIFICATION)
-        elif level.startswith("L") and level[1:].isdigit():
-            yield name, Retake(folder, int(level[1:]))
+        elif place.name.startswith("L") and place.name[1:].isdigit():
+            yield name, Retake(folder, int(place.name[1:]))
 
 
 def _normal(name: str) -> str:

@@ -286,12 +286,14 @@ def ways_on(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
         return "mend it, and take the pictures again; capture.watch: warn goes on all the same"
     if not folder.is_kept:
         return "watch='warn' goes on all the same"
-    of_level = folder.manifest(level, "capture").parent.absolute()
-    ways = f"all that is captured is kept. To begin anew, remove {of_level.parent} and run again. "
+    ways = (
+        f"all that is captured is kept. To begin anew: '{folder.retaking()}', with the run's other "
+        "options. "
+    )
     if level:
         ways += (
-            f"Or put back what changed, remove {of_level} and run again: that level alone is "
-            "captured anew, if the pattern looks as it did first. "
+            f"Or put back what changed: '{folder.retaking(level)}' takes this level alone again, if "
+            "the pattern looks as it did first. "
         )
     return f"{ways}capture.watch: warn goes on all the same"
 
