@@ -51,10 +51,12 @@ def check(
     if asymmetry is None:
         text = _placement_by_look(folder, merger)
     else:
-        text = asymmetry.text if asymmetry.place or asymmetry.least > accepted else ""
+        is_wrong = asymmetry.place or asymmetry.excess or asymmetry.least > accepted
+        text = asymmetry.text if is_wrong else ""
     if not text:
         return
-    text = no_longer_coaxial(text)
+    if asymmetry is None or not asymmetry.excess:
+        text = no_longer_coaxial(text)
     if refuse:
         raise CaptureError(f"{text}. {ways_on(folder, 0)}")
     if not any(folder.levels_above(level)[1:]):  # once

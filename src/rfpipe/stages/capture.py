@@ -257,7 +257,8 @@ def _check_references(
     if camera is None:
         return
     with folder.open_frames(0, REFERENCE) as frames:
-        samples = np.stack([sample(frames.read(n, n + 1)[0]) for n in range(frames.shape[0])])
+        count = frames.shape[0]
+        samples = np.stack([sample(frames.read(n, n + 1)[0], count) for n in range(count)])
     for fault in faults_of_references(samples[:off], samples[off:], camera):
         if mode == "refuse" and fault.is_harmful:
             raise CaptureError(

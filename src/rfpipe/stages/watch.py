@@ -198,7 +198,7 @@ def measure_looks(
         looks = [change(merger, known, bracket) for bracket in taken]
     gain = np.stack([look.gain for look in looks])
     deviation = np.stack([look.deviation for look in looks])
-    is_steady &= smooth_changes(np.concatenate([*_gains_above(folder, level), gain]))
+    is_steady &= smooth_changes(*_series(folder, level, gain, captured))
     facts = {
         "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
         "change": _rounded(look.rest for look in looks),
@@ -229,10 +229,24 @@ def _rounded(values: Iterable[float]) -> list[float]:
     return [float(f"{value:.4g}") for value in values]
 
 
-def _gains_above(folder: AcquisitionFolder, level: int) -> list[Double]:
-    """Brightness that the looks at the levels above measured, (looks, C) each."""
-    above = (folder.read_manifest(one, "merge") for one in folder.levels_above(level))
-    return [np.asarray(facts[MOVES]["gain"]) for facts in above if MOVES in facts]
+def _series(
+    folder: AcquisitionFolder, level: int, gain: Double, captured: dict[str, Any]
+) -> tuple[Double, Double]:
+    """Brightness by all looks down to a level, (looks, C), and the pictures before each."""
+    gains, times, before = [], [], 0.0
+    for above in (*folder.levels_above(level), level):
+        if above == level:
+            of_level, every, patterns = gain, captured[MOVES]["every"], captured["patterns"]
+        else:
+            facts = folder.read_manifest(above, "merge")
+            if MOVES not in facts:
+                continue
+            of_level = np.asarray(facts[MOVES]["gain"])
+            every, patterns = facts[MOVES]["every"], facts["patterns"]
+        gains.append(of_level)
+        times.append(before + look_positions(patterns, every) + np.arange(len(of_level)))
+        before += patterns + len(of_level)
+    return np.concatenate(gains), np.concatenate(times)
 
 
 def _log_brightness(
@@ -391,7 +405,7 @@ class Watcher:
         where = f"{name_of(self.level)}, before pattern {position}"
         if self._scatter(takes) is not None:
             takes += [self.looks.take(index, index + 1) for _ in range(_REPETITIONS)]
-            unsteady = self._scatter(takes)
+            unsteady = self._room_between(takes) or self._scatter(takes)
             if unsteady is not None and unsteady.is_harmful:
                 self._end(f"{where}: {unsteady.text}")
                 return
@@ -410,6 +424,16 @@ class Watcher:
             return None
         counts = np.stack([sample(each[0]) for each in takes])
         return scatter_of(Samples(counts, sample(self.merger.black)), camera)
+
+    def _room_between(self, takes: Sequence[NDArray[Any]]) -> LightFault | None:
+        """Find light of the room that changes between looks taken one after another."""
+        assert self.merger is not None
+        unsteady = self._scatter(takes)
+        if unsteady is not None and unsteady.kind in ("flicker", "late"):
+            return None
+        first = self.merger.merge(takes[0], 0)
+        room = [change(self.merger, first, each).room for each in takes[1:]]
+        return room_fault(max(room, key=abs), len(takes))
 
     def _say_moved(self, where: str, rest: float, *, is_lasting: bool) -> None:
         """Log that the rig or the scene moved, or raise CaptureError."""
