@@ -59,7 +59,7 @@ def test_levels_in_messages_are_those_that_showed_patterns() -> None:
     for each in (whole, both):
         assert list(each.known_levels) == [each.last_level] == [2]
         assert each.truncate(2) is each
-        with pytest.raises(InputError, match="level 99 .*known after level 2 alone"):
+        with pytest.raises(InputError, match=r"level 99 .*known after level 2 alone"):
             each.truncate(99)
 
 
