@@ -243,10 +243,10 @@ def test_broken_file(tmp_path: Path, text: str, expected: str) -> None:
 def test_a_file_that_is_not_utf_8_is_named(tmp_path: Path) -> None:
     path = tmp_path / "latin.yaml"
     path.write_bytes("report: {title: Lumière}".encode("latin-1"))
-    with pytest.raises(ConfigError, match=r"latin\.yaml: can't be read .* UTF-8: .* byte 0xe8"):
+    with pytest.raises(ConfigError, match=r"latin\.yaml: isn't text .* byte 0xe8"):
         load_config(path)
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.yaml: can't be read"):
+    with pytest.raises(ConfigError, match=r"^there is no file .*absent\.yaml"):
         load_config(tmp_path / "absent.yaml")

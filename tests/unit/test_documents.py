@@ -72,6 +72,21 @@ def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyP
         parse_rig_config(data, "the document")
 
 
+@pytest.mark.parametrize(
+    "page", ["docs/verification.md", pytest.param("docs/sequences.md", marks=pytest.mark.slow)]
+)
+def test_snippets_run_as_they_are(
+    page: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text("utf-8"), re.M | re.S)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page, "exec"), {})
+    if "print(" in "".join(blocks):
+        assert "AcquisitionResult" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_tables_are_made_of_the_measured_files(page: Path) -> None:
     text = (ROOT / page).read_text("utf-8")
@@ -86,7 +101,7 @@ def test_the_room_of_the_opening_page_is_the_measured_one() -> None:
 
 
 def test_all_that_is_registered_stands_beside_its_tests() -> None:
-    page = (ROOT / "docs" / "what-you-can-do.md").read_text("utf-8")
+    page = (ROOT / "docs" / "tests.md").read_text("utf-8")
     files = re.findall(r"`(\w+/test_\w+)`", page)
     assert [name for name in files if not (ROOT / "tests" / f"{name}.py").is_file()] == []
     named = {name for row in re.findall(r"^\| (`[^|]*)\|", page, re.M)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, fields, replace
@@ -96,6 +97,7 @@ class Bench:
         *,
         linear: bool = False,
         drawn: Callable[[Any], Float] = np.asarray,
+        wait: float = 0.0,
     ) -> Iterator[NDArray[Any]]:
         """Show pictures one by one; yield the bracket of each, shape (E, Hc, Wc[, C]).
 
@@ -106,6 +108,8 @@ class Bench:
         linear : bool
             Whether the weights are light, looked up in the projector's measured response.
         drawn : callable, optional
+        wait : float
+            Seconds between picture and bracket, beyond those that the projector waits itself.
         """
         codes = code_table(self.found["light"]["light"]) if linear else None
         with self.progress(len(pictures)) as counts:
@@ -115,6 +119,9 @@ class Bench:
                     at = np.rint(np.clip(shown, 0, 1) * WEIGHTS).astype(np.int64)
                     shown = (codes[at] / np.float32(255)).astype(np.float32)
                 with driving():
+                    if wait:
+                        self.projector.show(shown)
+                        time.sleep(wait)
                     frames = bracket_of(self.projector, self.camera, shown, f"picture {index}")
                 if counts is not None:
                     counts.advance(1)

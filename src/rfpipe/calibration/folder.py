@@ -17,6 +17,7 @@ from rfpipe.calibration.latency import measure_latency
 from rfpipe.calibration.rays import measure_rays
 from rfpipe.calibration.responses import measure_light, measure_linearity, measure_transfer
 from rfpipe.calibration.sight import measure_sight, sight_pictures
+from rfpipe.calibration.steady import measure_steadiness, witnessed
 from rfpipe.calibration.symmetry import measure_rig
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig, RigConfig
@@ -54,16 +55,21 @@ def _scene(bench: Bench) -> Findings:
     return measure_sight(frames, model.exposures, model.white_level, period)
 
 
-_LIT = ("dark", "linearity", "light")
+_STEADY = ("steadiness",)
+_LIT = (*_STEADY, "dark", "linearity", "light")
 
 STEPS: dict[str, Step] = {
     step.name: step
     for step in (
         Step("latency", "Delay from display to camera", (), (), measure_latency),
-        Step("scene", "What the camera sees", (), ("period_pixels",), _scene),
-        Step("dark", "Black level and dark frames", (), ("dark_frames",), measure_dark),
-        Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), measure_linearity),
-        Step("light", "Response of the projector", _LIT[:2], ("codes", "tolerance"), measure_light),
+        Step("steadiness", "Steadiness of the rig", (), ("period_pixels",), measure_steadiness),
+        Step("scene", "What the camera sees", _STEADY, ("period_pixels",), _scene),
+        Step("dark", "Black level and dark frames", _STEADY, ("dark_frames",), measure_dark),
+        Step(
+            "linearity", "Linearity of the camera", (*_STEADY, "dark"), ("tolerance",),
+            measure_linearity,
+        ),
+        Step("light", "Response of the projector", _LIT[:3], ("codes", "tolerance"), measure_light),
         Step("transfer", "Photon-transfer curve", _LIT, ("levels",), measure_transfer),
         Step(
             "correspondence", "Correspondence of projector and camera",
@@ -131,6 +137,12 @@ class CalibrationFolder:
     def is_done(self, step: str) -> bool:
         """Whether a step has left its manifest."""
         return self.manifest(step).is_file()
+
+    def written_at(self) -> dict[str, int]:
+        """Times, in ns, at which the manifests of the steps that are done were written."""
+        return {
+            name: self.manifest(name).stat().st_mtime_ns for name in STEPS if self.is_done(name)
+        }
 
     def read(self, step: str) -> Findings:
         """Read the findings of a step.
@@ -341,16 +353,24 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
 
 
 def _measured(step: Step, bench: Bench) -> Findings:
-    """Measure a step; where that can't be done though the devices work, that is the finding."""
+    """Measure a step, with looks before and after it where it needs a steady rig.
+
+    A step that can't be measured though the devices work has failed: that is the finding.
+    """
     standings = {name: one.verdict.standing for name, one in bench.found.items()}
     bad = [name for name, standing in standings.items() if standing in ("poor", "failed")]
     mend = f"Mend {bad[0]} first. " if bad else ""
     if "failed" in standings.values():
         return Findings(Verdict("failed", f"{mend}There is nothing that this can build on."))
+
+    def measure(bench: Bench) -> Findings:
+        try:
+            return step.measure(bench)
+        except RfpipeError as error:
+            return Findings(Verdict("failed", f"Could not be measured: {error}."))
+
     try:
-        found = step.measure(bench)
+        found = witnessed(bench, measure)
     except DeviceError as failure:
         raise failure.args[0] from None
-    except RfpipeError as error:
-        found = Findings(Verdict("failed", f"Could not be measured: {error}."))
     return replace(found, verdict=found.verdict._replace(text=mend + found.verdict.text))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 import typer
 
 from rfpipe import plugins
+from rfpipe.cli.compare import compare
 from rfpipe.cli.fit import fit
 from rfpipe.cli.offline import import_, patterns
 from rfpipe.cli.relight import relight
@@ -47,6 +49,7 @@ app.command(context_settings=PASSED_ON)(run)
 app.command()(plan)
 app.command()(settings)
 app.command()(catalogue)
+app.command()(compare)
 app.command()(verify)
 app.command()(info)
 app.command()(relight)
@@ -64,6 +67,26 @@ for _name in plugins.names(plugins.COMMANDS):
         app.add_typer(_command, name=_name)
     else:
         app.command(_name)(_command)
+
+
+def _reflow(commands: typer.Typer) -> None:
+    """Give each command its docstring with a line a paragraph, which a terminal breaks by itself.
+
+    A paragraph of indented lines, such as a table, stays as it is.
+    """
+    for command in commands.registered_commands:
+        text = inspect.getdoc(command.callback) if command.callback else None
+        paragraphs = (text or "").split("\n\n")
+        command.help = "\n\n".join(
+            paragraph if paragraph.startswith(" ") else paragraph.replace("\n", " ")
+            for paragraph in paragraphs
+        )
+    for group in commands.registered_groups:
+        if group.typer_instance is not None:
+            _reflow(group.typer_instance)
+
+
+_reflow(app)
 
 
 def main() -> None:

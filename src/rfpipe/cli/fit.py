@@ -94,6 +94,7 @@ def fit(
     from rfpipe.photometry import CameraModel, sensor_from_config
     from rfpipe.stages.jobs.job import Progress
     from rfpipe.steps import counted_by
+    from rfpipe.text import counted
     from rfpipe.transport import save_transport
 
     checked_output("fit", output)
@@ -120,7 +121,7 @@ def fit(
     training = series.training
     count, *_, rays = training.patterns.shape
     typer.echo(
-        f"{output}: {count} pictures of {rays} projector rays "
+        f"{output}: {counted(count, 'picture')} of {counted(rays, 'projector ray')} "
         f"({'complete' if result.complete else f'{training.rank} independent'}), by {result.model}"
         f"{'' if series.lights is None else ', with the directions of lights'}"
     )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rfpipe.cli.run import ConfigFile
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     from rfpipe.rigs.offline import Sheet
@@ -96,7 +97,9 @@ def import_(
         acquisition.take_back(about["level"])
         raise CaptureError(f"{error}. None of these pictures is kept") from error
     before = "imported before and left as they are; others come after --take-back"
-    typer.echo(f"{folder}: {len(checked.files)} brackets {'imported' if is_new else before}")
+    typer.echo(
+        f"{folder}: {counted(len(checked.files), 'bracket')} {'imported' if is_new else before}"
+    )
     further = None if level is None else acquisition.write(rig, folder.parent, config, results)
     _tell(f"{scene} by {name}", further, results / scene / name, config)
 
@@ -121,6 +124,8 @@ def _take_back(acquisition: OfflineAcquisition, sheet: Sheet) -> None:
 
 def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
     """Say what is to be done next."""
+    from rfpipe.stages.folder import name_of
+
     if sheet is None:
         home, settings = str(folder.absolute().parents[2]), str(config.absolute())
         run = [sys.argv[0], "run", "--directory", home, "--configfile", settings]
@@ -132,7 +137,8 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
     about: dict[str, Any] = sheet.about
     times = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
-        f"{acquisition}: level {about['level']} asks for {len(sheet.shown) - 3} patterns "
+        f"{acquisition}: {name_of(about['level'])} asks for "
+        f"{counted(len(sheet.shown) - 3, 'pattern')} "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
         f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "
         f"{shlex.join([sys.argv[0], 'import', str(sheet.folder)])}"

@@ -23,6 +23,7 @@ from rfpipe.cli.transports import (
     times,
 )
 from rfpipe.errors import InputError
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -110,13 +111,13 @@ def relight(
         raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
     if suffix == ".mp4":
         white = movie_of(pictures, output, enlarge=enlarged(light), white=white)
-        typer.echo(f"{output}: {count} pictures, white is {white:.4g}")
+        typer.echo(f"{output}: {counted(count, 'picture')}, white is {white:.4g}")
     elif suffix == ".npy":
         _write_stack(output, (count, *shape, light.channels), pictures())
     elif suffix == FOLDER:
         _write_folder(output, names, pictures, form, white)
     elif count > 1:
-        raise InputError(f"{output}: for {count} pictures, name a folder, .npy or .mp4")
+        raise InputError(f"{output}: for {counted(count, 'picture')}, name a folder, .npy or .mp4")
     else:
         _write_picture(output, names[0], next(pictures()), white)
 
@@ -145,7 +146,7 @@ def _write_folder(
     for name, image in zip(names, pictures(), strict=True):
         write_image(folder / f"{name}.{form}", image, white or None, {"rfpipe:pattern": name})
     suffix = f", white is {white:.4g}" if white and form == "png" else ""
-    typer.echo(f"{folder}: {len(names)} pictures{suffix}")
+    typer.echo(f"{folder}: {counted(len(names), 'picture')}{suffix}")
 
 
 def _write_stack(output: Path, shape: tuple[int, ...], pictures: Iterator[Float]) -> None:

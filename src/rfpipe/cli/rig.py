@@ -66,11 +66,9 @@ def calibrate(
     not be measured.
     """
     import logging
-    from contextlib import suppress
 
     from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
     from rfpipe.config import load_rig_config
-    from rfpipe.errors import StoreError
     from rfpipe.report.calibration import build_calibration_report
     from rfpipe.rigs.calibrated import STANDINGS
     from rfpipe.stages.jobs.job import Progress
@@ -80,10 +78,12 @@ def calibrate(
     config = load_rig_config(rig)
     path = output or Path(config.calibration or "calibration")
     folder = CalibrationFolder(path)
+    before, is_complete = folder.written_at(), False
     try:
         calibrate_rig(config, path, step, Progress, again=again)
+        is_complete = True
     finally:
-        with suppress(StoreError):  # nothing is done yet
+        if is_complete or folder.written_at() != before:
             typer.echo(f"report: {build_calibration_report(folder)}")
     bad = [one for one in folder.verdicts().values() if one["standing"] in ("poor", "failed")]
     if bad:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rfpipe.errors import InputError
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -178,10 +179,10 @@ def export(
         )
     elif photographs:
         white = write_photographs(joint, output, *photographs, seed=seed, form=form)
-        typer.echo(f"{output}: {sum(photographs)} photographs, white is {white:.4g}")
+        typer.echo(f"{output}: {counted(sum(photographs), 'photograph')}, white is {white:.4g}")
     elif is_exr:
         count = write_lights(light, output, lit, side=joined, limit_bytes=limit_bytes)
-        typer.echo(f"{output}: {count} lights of {times(joint.projector_shape)}")
+        typer.echo(f"{output}: {counted(count, 'light')} of {times(joint.projector_shape)}")
     else:
         write_matrix(joint, output, seen, lit, limit_bytes)
         typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
@@ -219,7 +220,7 @@ def movie(
     used = relit_movie(
         light, output, along, count, fps=fps, enlarge=enlarge, white=white, progress=True
     )
-    typer.echo(f"{output}: {count} pictures, white is {used:.4g}")
+    typer.echo(f"{output}: {counted(count, 'picture')}, white is {used:.4g}")
 
 
 def enlarged(light: Light) -> int:

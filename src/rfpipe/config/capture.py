@@ -148,10 +148,15 @@ class VerificationConfig(Settings):
     """Pictures that no method saw, taken after an acquisition to compare the transport with."""
 
     pictures: int | None = setting(
-        None, "How many; null: 9 by a real rig, 3 by an offline one, none by a simulated one.", ge=0, le=96
+        None,
+        "How many; null: 9 by a real rig, 3 by an offline one, none by a simulated one.",
+        ge=0,
+        le=96,
     )
     fail_above: Fraction | None = setting(
-        None, "Mean relative error of these pictures above which the run fails; null: never."
+        None,
+        "Mean relative error of these pictures above which the run fails; null: by a real rig 1.5 "
+        "times the method's target_error, else never.",
     )
 
 
@@ -163,8 +168,8 @@ class MergeConfig(Settings):
     )
     divide_out_drift: bool | None = setting(
         None,
-        "Whether images are divided by the lamp's brightness, which looks at the rig measure; null: "
-        "of a real rig.",
+        "Whether images are divided by the lamp's brightness, which looks at the rig measure; "
+        "null: of a real rig.",
     )
 
 
@@ -177,7 +182,8 @@ class ResourcesConfig(Settings):
     )
     jobs: Literal["stage", "acquisition"] | None = setting(
         None,
-        "A job's work; null: acquisition with a collection or capture.placing, else stage.",
+        "A job's work; null: acquisition with a collection, capture.placing or scenes of at most "
+        "4,000 rays, else stage.",
     )
     captures: Literal["here", "job"] = setting(
         "here",

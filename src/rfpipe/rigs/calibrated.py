@@ -230,6 +230,12 @@ def check_settings(config: RigConfig, source: str, *, force: bool = False) -> No
         _log.warning("%s: since its calibration %s, %s", source, config.calibration, line)
 
 
+def was_coaxial(described: Mapping[str, Any]) -> bool:
+    """Test whether a rig's description has a calibration that found the rig coaxial."""
+    symmetry = (described.get(VERDICTS_KEY) or {}).get("symmetry", {})
+    return bool(symmetry.get("standing") == "good")
+
+
 def warn_of(described: Mapping[str, Any], name: str) -> None:
     """Warn of the faults in the verdicts of a rig's description."""
     for fault in faults_of(described.get(VERDICTS_KEY) or {}):

@@ -23,7 +23,7 @@ from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import load_calibration, resampled_sensor
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 from rfpipe.store import read_manifest, write_manifest
-from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
+from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, VERIFICATION_KEY
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig
@@ -40,7 +40,12 @@ PICTURES = "pictures"
 RUN_PATHS = ("settings", "results")
 """Keys of a sheet's paths: of the run's settings file and of its results' folder."""
 
-_NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random"}
+_NAMES = {
+    BLACK_LEVEL_KEY: "black",
+    FLOODLIT_KEY: "white",
+    SYMMETRY_KEY: "random",
+    VERIFICATION_KEY: "verification",
+}
 
 
 class OfflineRig:

@@ -24,7 +24,7 @@ from rfpipe.rigs.base import is_simulated
 from rfpipe.stages import capture
 from rfpipe.stages.acquisition import run_levels
 from rfpipe.stages.assemble import assembled
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, Arrays, Facts
+from rfpipe.stages.folder import AcquisitionFolder, Arrays, Facts
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
@@ -219,6 +219,9 @@ def acquire(
 
         capture_and_merge(folder, captured, verification, settings, resources)
         verified = compared(folder, transport)
+        outcome = verified.against(getattr(plan.options, "target_error", None))
+        if outcome.standing == "missed":
+            _log.warning("the target is missed: %s", outcome.reason)
     levels = [level for level in folder.levels() if folder.exists(level, "refine")]
     captured, merged = (
         [folder.read_manifest(level, stage) for level in levels] for stage in ("capture", "merge")

@@ -22,6 +22,7 @@ from rfpipe.provenance import versions
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
+    is_dropped,
     keep_header,
     open_arrays,
     read_manifest,
@@ -118,8 +119,7 @@ class AcquisitionFolder:
 
     def manifest(self, level: int, stage: str) -> Path:
         """Manifest of a stage of a level; its existence says that the stage is complete."""
-        name = VERIFICATION_FOLDER if level == VERIFICATION else f"L{level:02d}"
-        return self.path / name / f"{stage}.json"
+        return self.path / folder_of(level) / f"{stage}.json"
 
     def store(self, level: int, stage: str) -> Path:
         """Store that the manifest is about."""
@@ -245,6 +245,20 @@ class AcquisitionFolder:
             with storage_errors(log, "writing"), log.open("a", encoding="utf-8") as done:
                 done.write(f"{manifest.parent.name}/{stage}\n")
 
+    def has_merged_raw(self) -> bool:
+        """Whether raw exposures are on disk that a merge has used."""
+        stores = [path.with_name("capture.zarr") for path in self.path.glob("*/merge.json")]
+        return any(store.exists() and not is_dropped(store) for store in stores)
+
+    def retaking(self, level: int | None = None) -> str:
+        """Return the command that takes a level's pictures again, all levels' for None.
+
+        It is for a shell in the run's folder, and needs the run's other options.
+        """
+        scene, method = self.path.absolute().parts[-2:]
+        of = "" if level is None else f"/{self.manifest(level, 'capture').parent.name}"
+        return f"rfpipe run --retake {scene}/{method}{of}"
+
     def levels(self) -> Iterator[int]:
         """Yield the levels that have patterns to show, as far as that is known.
 
@@ -266,6 +280,11 @@ class AcquisitionFolder:
     def refined_above(self, level: int | None) -> list[str]:
         """Return the digests of all refinements above a level, which its schedule rests on."""
         return [self.read_manifest(above, "refine")["digest"] for above in self.levels_above(level)]
+
+
+def folder_of(level: int) -> str:
+    """Name of a level's folder."""
+    return VERIFICATION_FOLDER if level == VERIFICATION else f"L{level:02d}"
 
 
 def name_of(level: int) -> str:

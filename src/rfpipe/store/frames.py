@@ -349,6 +349,11 @@ class FrameStore:
             write_atomically(journal, content)
 
 
+def is_dropped(path: Path) -> bool:
+    """Whether the items of a store were dropped once they had been used."""
+    return (path / _DROPPED).exists()
+
+
 def drop(path: Path) -> int:
     """Remove the items of a complete frame store; what is left says so and keeps their digests.
 
