@@ -1,8 +1,8 @@
 """Make a script's figures and tables: ``python -m figures SCRIPT FOLDER [--side 48 ...]``.
 
-Writes ``{slug}.png`` and ``{slug}.csv`` into the folder and, last, ``{script}.json`` with their
-names, captions and costs; ``python -m figures index FOLDER`` makes the page of all of them, and
-``python -m figures check`` tells whether LLVM is here.
+Writes ``{slug}.png``, ``{slug}.pdf`` of vectors and ``{slug}.csv`` into the folder and, last,
+``{script}.json`` with their names, captions and costs; ``python -m figures index FOLDER`` makes the
+page of all of them, and ``python -m figures check`` tells whether LLVM is here.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 from figures.common import Picture, Size, Table
 from figures.index import write_index
 from rfpipe.errors import RfpipeError
+from rfpipe.report.page import pdf_of
 from rfpipe.store.files import write_atomically
 
 SCRIPTS = tuple(
@@ -80,6 +81,7 @@ def run(script: str, folder: Path, size: Size) -> None:
             image = io.BytesIO()
             item.figure.savefig(image, format="png", metadata={"Software": None})
             write_atomically(folder / f"{item.slug}.png", image.getvalue())
+            write_atomically(folder / f"{item.slug}.pdf", pdf_of(item.figure))
             shown.append({"file": f"{item.slug}.png", "name": item.name, "thesis": item.thesis,
                           "caption": item.caption})  # fmt: skip
         elif isinstance(item, Table):

@@ -63,6 +63,8 @@ def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> No
     (folder / "box.json").write_text(json.dumps({"shown": [], "costs": [ROW]}))
     write_index(folder)
     page = (folder / "index.html").read_text()
+    assert (folder / "fig_3_1.pdf").read_bytes().startswith(b"%PDF")
+    assert "href='fig_3_1.pdf'" in page
     for shown in ("fig_3_1.png", "Table 3.1", "Table 5.1", "takes 21 patterns", "table_5_1.csv"):
         assert shown in page
     assert pd.read_csv(folder / "table_5_1.csv")["thesis_patterns"].tolist() == [1085]

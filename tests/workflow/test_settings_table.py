@@ -39,6 +39,8 @@ SPECIAL: dict[str, Any] = {
     "camera.exposures": [0.01, 0.1, 1.0],
     "merge.divide_out_drift": True,
     "notify": "true",
+    "offline.projector_shape": [10, 10],
+    "report.page": True,
     "report.title": "another",
     "resources.workers": "tcp://127.0.0.1:8786",
     "resources.jobs": "acquisition",
