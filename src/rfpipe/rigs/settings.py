@@ -59,6 +59,20 @@ def is_of_a_step(name: str) -> bool:
     return name in (RAYS, SETTLE) or name.startswith("calibrate.")
 
 
+def settings_of_all_steps(settings: Mapping[str, Any]) -> Flat:
+    """Return the settings that shape every step of a calibration."""
+    return {name: value for name, value in settings.items() if not is_of_a_step(name)}
+
+
+def identities(devices: Mapping[str, Any]) -> Flat:
+    """Return what tells a device from another one of its kind: models and serial numbers.
+
+    `devices` have what projector and camera say of themselves by dotted names, such as
+    ``camera.serial``.
+    """
+    return {name: value for name, value in devices.items() if name.endswith((".model", ".serial"))}
+
+
 def flat(groups: Mapping[str, Any], prefix: str = "") -> Flat:
     """Return nested settings by dotted names; an empty group has none."""
     values: Flat = {}
