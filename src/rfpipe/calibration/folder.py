@@ -268,8 +268,8 @@ def calibrate(
     projector, camera, folder
         The projector shows codes: weight times 255, without a response of its own.
     config : RigConfig
-        The rig's settings: ray domain, settings of the calibration, and those of the devices, which
-        are recorded.
+        The rig's settings: ray domain, settings of the calibration, and settings of the devices,
+        which are recorded.
     only : iterable of str, optional
         Steps to do, those that they need being done; None for all, and then `finish`.
     progress : callable, optional

@@ -241,8 +241,8 @@ def check_devices(
 
     `devices` are the descriptions of ``projector`` and ``camera``; the others as `check_settings`.
     """
-    now = identities(flat(devices))
-    lines = differences(calibration.devices, now) if calibration.devices else []
+    connected = identities(flat(devices))
+    lines = differences(calibration.devices, connected) if calibration.devices else []
     _refuse(lines, "devices", str(config.calibration), source, force=force)
 
 
