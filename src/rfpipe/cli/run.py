@@ -263,6 +263,8 @@ def plan(
         of_scenes = _lines_of_scenes(settings)
     typer.echo(_shown(rows))
     _say_totals(rows, free)
+    for line in of_scenes:
+        typer.echo(line)
 
 
 def _say_totals(rows: pd.DataFrame, free: int) -> None:
@@ -293,8 +295,6 @@ def _say_totals(rows: pd.DataFrame, free: int) -> None:
             f"memory, and this machine has {shown_bytes(have)}: acquire it on another one, with "
             "fewer rays, or by another method."
         )
-    for line in of_scenes:
-        typer.echo(line)
 
 
 def _lines_of_scenes(settings: Config) -> list[str]:
