@@ -76,8 +76,8 @@ class _LostWindowError(CaptureError):
     def __init__(self, display: str | None, reason: str) -> None:
         super().__init__(
             f"projector on display {display or 'unset'}: {reason}. Check that the "
-            "projector is a monitor of this display, and set projector.display, screen, offset "
-            "and shape, or the environment's DISPLAY (and XAUTHORITY), accordingly"
+            "projector is a monitor of this display, and set projector.options.display, screen, "
+            "offset and shape, or the environment's DISPLAY (and XAUTHORITY), accordingly"
         )
 
 

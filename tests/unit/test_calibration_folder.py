@@ -19,7 +19,7 @@ from rfpipe.calibration.folder import (
     calibrate_rig,
     finish,
 )
-from rfpipe.config import CalibrationConfig, parse_rig_config
+from rfpipe.config import CalibrationConfig, RigConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.report.calibration import build_calibration_report
 from rfpipe.rigs.calibrated import load_calibration as load
@@ -37,7 +37,8 @@ def begun(
 
     def run(only: list[str] | None = None, bench: Bench = bench, **changed: Any) -> None:
         settings = SETTINGS.model_copy(update=changed)
-        calibrate(bench.projector, bench.camera, place, settings, rays, only)
+        config = RigConfig(calibrate=settings, rays=rays)
+        calibrate(bench.projector, bench.camera, place, config, only)
 
     return bench, place, run
 
@@ -66,6 +67,11 @@ def test_a_calibration_finds_the_bench(calibrated: Any) -> None:
     standings = {name: facts["standing"] for name, facts in found.facts.items()}
     assert set(standings.values()) <= {"good", "unknown"}, standings
     json.dumps(found.facts)
+    recorded = found.settings
+    assert recorded["sensor.bits"] == 12
+    assert recorded["rays"] == list(RAYS)
+    assert recorded["calibrate.codes"] == SETTINGS.codes
+    assert "projector.options.settle_seconds" in recorded
 
 
 def test_steps_that_are_done_are_not_repeated(

@@ -75,6 +75,15 @@ def sequence_patterns(rig: Rig) -> int:
     return int(getattr(rig, "sequence_patterns", 0))
 
 
+def is_simulated(rig: Rig) -> bool:
+    """Test whether a rig is computed rather than built of devices.
+
+    A simulated rig has the attribute `is_simulated`, True. All others may move, and their lamps may
+    change: they are watched and verified by default, see `rfpipe.config.capture.PRECAUTIONS`.
+    """
+    return bool(getattr(rig, "is_simulated", False))
+
+
 def capture_batch(rig: Rig, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
     """Return the brackets of patterns, by hardware where the rig does so; see `Rig.capture`."""
     capture: Any = rig.capture

@@ -48,6 +48,8 @@ class OperatorRig:
         When the matrix, its shape or a setting is wrong.
     """
 
+    is_simulated = True
+
     def __init__(
         self,
         matrix: Transportish,

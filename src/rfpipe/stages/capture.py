@@ -15,19 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
-from rfpipe.errors import StoreError
+from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
-from rfpipe.rigs.base import sequence_patterns
+from rfpipe.rigs.base import is_simulated, sequence_patterns
+from rfpipe.stages.against_calibration import check
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.stages.watch import watching_level
+from rfpipe.stages.steadiness import camera_of, faults_of_references, sample
+from rfpipe.stages.watch import watching_level, ways_on
 from rfpipe.steps import counted_by
 from rfpipe.store import bytes_on_disk
+from rfpipe.text import counted
 from rfpipe.units import (
     BLACK_LEVEL_KEY,
     COUNT_UNIT,
@@ -75,7 +78,10 @@ def run(
     warm_up_minutes : float
         Minutes that the lamp warms up, where no bracket was taken in the last so many minutes.
     watching : mapping, optional
-        Of `rfpipe.stages.watch.watching_level`: "mode" and "looks".
+        "mode", "off", "warn" or "refuse": what to do where pictures show that the rig or its light
+        changed; "looks": patterns from one look to the next, 0 for none, see
+        `rfpipe.stages.watch`; "asymmetry": what is accepted, see
+        `rfpipe.stages.against_calibration`.
 
     Raises
     ------
@@ -84,13 +90,14 @@ def run(
     StoreError
         When the level doesn't fit on the disk, or another process writes it; nothing is shown then.
     CaptureError
-        When the rig fails, returns what is no bracket, or moved where `watching` refuses that;
-        what is captured stays.
+        When the rig fails, returns what is no bracket, or isn't what it was where `watching`
+        refuses that; what is captured stays.
     """
+    watching = {"mode": "off", "looks": 0, "asymmetry": 1.0, **(watching or {})}
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):
         if of_level.count:
-            _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
+            _log.info("%s: complete, with %s", of_level.name, counted(of_level.count, "pattern"))
         return
     parts = (*before.values(), of_level)
     for part in parts:
@@ -114,7 +121,16 @@ def run(
         for name, part in before.items():
             counts = {name: it for name, it in part.shown.items() if name != "rig"}
             beside[name] = {**part.capture(batch, progress=progress), **counts}
-    with watching_level(of_level, level, **(watching or {})) as watch:
+            if name == REFERENCE and watching["mode"] != "off":
+                _check_references(folder, rig.sensor, part.shown, watching["mode"])
+    looks = max(watching["looks"], in_sequences) if watching["looks"] else 0
+    with watching_level(of_level, level, watching["mode"], looks) as watch:
+        if watch and watch.merger and level != VERIFICATION:
+            watch.before(0)  # says first what changes from picture to picture
+            check(
+                folder, level, watch.merger, of_level.shown["rig"], watching["asymmetry"],
+                refuse=watch.refuse,
+            )  # fmt: skip
         captured = of_level.capture(batch, watch, progress=progress)
         beside |= watch.entries() if watch else {}
     manifest = {
@@ -139,7 +155,7 @@ def brackets_of(
 ) -> tuple[Brackets, dict[str, Brackets]]:
     """Return a level's brackets, and those captured before them, by their stores' names."""
     schedule = read_schedule(folder, level)
-    described = frame_settings(rig) if folder.is_kept else {}
+    described = frame_settings(rig) if folder.is_kept or not is_simulated(rig) else {}
     off, on = _counts(rig, references)
     shape = tuple(rig.projector_shape)
 
@@ -231,6 +247,25 @@ def _stands(
     return all(
         stated.get(name, {}).get("fingerprint") == part.made_for for name, part in before.items()
     )
+
+
+def _check_references(
+    folder: AcquisitionFolder, sensor: Sensor, shown: Mapping[str, Any], mode: str
+) -> None:
+    """Log what changed among the reference brackets; raise CaptureError where that is refused."""
+    camera, off = camera_of(sensor), shown["black_frames"]
+    if camera is None:
+        return
+    with folder.open_frames(0, REFERENCE) as frames:
+        count = frames.shape[0]
+        samples = np.stack([sample(frames.read(n, n + 1)[0], count) for n in range(count)])
+    for fault in faults_of_references(samples[:off], samples[off:], camera):
+        if mode == "refuse" and fault.is_harmful:
+            raise CaptureError(
+                f"black and white pictures show that {fault.text}. The capture ends here; "
+                f"{ways_on(folder, 0, shown['rig'].get('kind', ''))}"
+            )
+        _log.warning("black and white pictures show that %s", fault.text)
 
 
 def _warm_up(rig: Rig, folder: AcquisitionFolder, seconds: float) -> None:

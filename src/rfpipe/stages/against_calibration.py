@@ -1,0 +1,78 @@
+"""Today's rig against its calibration, by pictures that an acquisition takes anyway.
+
+A calibration that found the rig coaxial holds until something is moved, turned, or plugged
+otherwise. Random patterns, and looks at the rig, show that before a level is captured.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rfpipe.errors import CaptureError
+from rfpipe.rigs.calibrated import was_coaxial
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.merger import Merger
+from rfpipe.stages.placement import placement_of
+from rfpipe.stages.symmetry import no_longer_coaxial, read_asymmetry
+from rfpipe.stages.watch import first_look, look_pattern, ways_on
+
+_log = logging.getLogger(__name__)
+
+
+def check(
+    folder: AcquisitionFolder,
+    level: int,
+    merger: Merger,
+    rig: Mapping[str, Any],
+    accepted: float,
+    *,
+    refuse: bool,
+) -> None:
+    """Refuse a rig that isn't as its calibration found it, or warn of it.
+
+    Parameters
+    ----------
+    level : int
+        The level that is about to be captured, not 0.
+    rig : mapping
+        The rig's description; nothing is checked unless its calibration found it coaxial.
+    accepted : float
+        Error of relit pictures up to which asymmetry is accepted.
+    refuse : bool
+        Whether to raise CaptureError.
+    """
+    if not was_coaxial(rig):
+        return
+    asymmetry = read_asymmetry(folder)
+    if asymmetry is None:
+        text = _placement_by_look(folder, merger)
+    else:
+        is_wrong = asymmetry.place or asymmetry.excess or asymmetry.least > accepted
+        text = asymmetry.text if is_wrong else ""
+    if not text:
+        return
+    if asymmetry is None or not asymmetry.excess:
+        text = no_longer_coaxial(text)
+    if refuse:
+        raise CaptureError(f"{text}. {ways_on(folder, 0)}")
+    if not any(folder.levels_above(level)[1:]):  # once
+        _log.warning("%s", text)
+
+
+def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
+    """Describe what is wrong with the place of the first look's picture; "" for nothing."""
+    look, shape = first_look(folder, merger), merger.floodlit.shape[:-1]
+    if look is None or len(shape) != 2:
+        return ""
+    pictures, floodlit = (
+        np.where(np.isfinite(variance), image, 0).sum(axis=-1, dtype=np.float64)
+        for image, variance in (
+            (look.radiance, look.variance),
+            (merger.floodlit, merger.floodlit_variance),
+        )
+    )
+    return placement_of(2.0 * look_pattern(shape)[None] - 1, pictures, floodlit).text
