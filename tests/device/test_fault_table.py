@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from rfpipe.calibration import latency
 from rfpipe.calibration.folder import CalibrationFolder, calibrate
 from rfpipe.cli import app
-from rfpipe.config import CalibrationConfig, SceneSettings
+from rfpipe.config import CalibrationConfig, RigConfig, SceneSettings
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import read_sheet
 from rfpipe.scenes import scene_from_config
@@ -85,7 +85,7 @@ def verdicts_of(
     if case is not None:
         devices = case.inject(*devices, after)
     place = CalibrationFolder(folder)
-    calibrate(*devices, place, SETTINGS, RAYS)
+    calibrate(*devices, place, RigConfig(calibrate=SETTINGS, rays=RAYS))
     return place.verdicts()
 
 
