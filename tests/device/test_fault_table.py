@@ -57,7 +57,7 @@ FAULTS: dict[str, Case] = {
     ),
     "drift": Case(
         lambda projector, camera, after: (projector, faults.drifting_lamp(camera, after)),
-        r"lamp.*(drift|chang).*%",
+        r"lamp's light chang.*%",
     ),
     "geometry": Case(
         lambda projector, camera, after: (projector, faults.moved_camera(camera, after)),
@@ -153,11 +153,11 @@ OFFLINE = {
     "room": FAULTS["room"]._replace(
         inject=lambda projector, camera, after: (
             projector,
-            faults.changing_room_light(camera, after, seconds=13),
+            faults.changing_room_light(camera, after, seconds=60),
         )
     ),
 }
-"""Faults that are quick enough for a sheet of 16 pictures."""
+"""Faults at the pace of a sheet of some 20 pictures."""
 
 
 class Desk:
