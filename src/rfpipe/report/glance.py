@@ -57,13 +57,18 @@ def glance_section(inputs: Inputs) -> Section:
         is_folded=False,
     )  # fmt: skip
     pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
-    text = [
+    text = _omissions(inputs)
+    text += [sentence for run in inputs.runs if run.verified for sentence in summaries(inputs, run)]
+    return Section("glance", "At a glance", [table, pictures], text)
+
+
+def _omissions(inputs: Inputs) -> list[str]:
+    """Return sentences on the light that scenes have and their simulation leaves out."""
+    return [
         f"{scene}: {sentence}."
         for scene in inputs.scenes
         for sentence in inputs.light_of(scene).get("omissions", [])
     ]
-    text += [sentence for run in inputs.runs if run.verified for sentence in summaries(inputs, run)]
-    return Section("glance", "At a glance", [table, pictures], text)
 
 
 _EXACT, _RECORDED, _NOTHING = "exact truth", "recording", "not verified"
