@@ -66,13 +66,18 @@ def glance_section(inputs: Inputs) -> Section:
     if over_seeds is not None:
         blocks.append(over_seeds)
     blocks.append(Gallery([scene_pictures(inputs, group) for group in inputs.seed_groups]))
-    text = [
+    text = _omissions(inputs)
+    text += [summary(inputs, run) for run in inputs.runs if run.verified]
+    return Section("glance", "At a glance", blocks, text, alarms)
+
+
+def _omissions(inputs: Inputs) -> list[str]:
+    """Return sentences on the light that scenes have and their simulation leaves out."""
+    return [
         f"{scene}: {sentence}."
         for scene in inputs.scenes
         for sentence in inputs.light_of(scene).get("omissions", [])
     ]
-    text += [summary(inputs, run) for run in inputs.runs if run.verified]
-    return Section("glance", "At a glance", blocks, text, alarms)
 
 
 def _about(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
