@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import yaml
-from tests.benches import CAMERA, wedge_bench
+from tests.benches import CAMERA, brighter, wedge_bench
 from tests.simulated_devices import SimulatedCamera, SimulatedProjector
 from typer.testing import CliRunner
 
@@ -76,10 +77,10 @@ SETTINGS = CalibrationConfig(dark_frames=4, levels=6, codes=17, symmetry_pattern
 
 
 def verdicts_of(
-    folder: Path, case: Case | None, after: int = 0, seed: int = 0
+    folder: Path, case: Case | None, after: int = 0, **options: Any
 ) -> dict[str, dict[str, str]]:
     """Calibrate a bench before a wedge, which has a fault after some brackets."""
-    bench = wedge_bench(RAYS, (96, 96), (40, 42), seed=seed)
+    bench = wedge_bench(RAYS, (96, 96), (40, 42), **options)
     devices: Devices = (bench.projector, bench.camera)
     if case is not None:
         devices = case.inject(*devices, after)
@@ -95,11 +96,36 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency, "PROBE_SECONDS", 0.0)
 
 
+MORE = {
+    "late by a frame": FAULTS["late"]._replace(
+        inject=lambda projector, camera, after: (
+            projector,
+            faults.LateCamera(camera, after, frames=1),
+        )
+    ),
+    "weak room light": FAULTS["room"]._replace(
+        inject=lambda projector, camera, after: (
+            projector,
+            faults.changing_room_light(camera, after, light=0.005),
+        )
+    ),
+    "mirrored": FAULTS["geometry"]._replace(
+        inject=lambda projector, camera, after: (faults.mirrored(projector, after), camera)
+    ),
+    "half dark": FAULTS["geometry"]._replace(
+        inject=lambda projector, camera, after: (faults.half_dark(projector, after), camera)
+    ),
+}
+"""Variants that calibration tells as well."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("after", [25, 100])
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("after", [0, 25, 100])
+@pytest.mark.parametrize("name", [*FAULTS, *MORE])
 def test_calibration_names_the_fault(name: str, after: int, tmp_path: Path) -> None:
-    case = FAULTS[name]
+    case = {**FAULTS, **MORE}[name]
+    if case.said == "moved" and not after:
+        pytest.skip("what lies so from the beginning is no motion")
     verdicts = verdicts_of(tmp_path, case, after)
     texts = {
         step: one["verdict"]
@@ -111,11 +137,10 @@ def test_calibration_names_the_fault(name: str, after: int, tmp_path: Path) -> N
     others = list(verdicts.values())[: list(verdicts).index(first)]
     assert all(one["standing"] in ("good", "unknown") for one in others), verdicts
     if name != "drift":
-        assert verdicts[first]["standing"] == "poor"
-        pictures_taken = [step for step in verdicts if step not in ("rays", "latency")]
-        for step in pictures_taken[pictures_taken.index(first) :]:
-            if verdicts[step]["standing"] == "poor":
-                assert not WRONG_REMEDIES.search(verdicts[step]["verdict"]), verdicts[step]
+        assert verdicts[first]["standing"] in ("poor", "failed")
+        for step, one in verdicts.items():
+            if step != "rays":  # takes no pictures
+                assert not WRONG_REMEDIES.search(one["verdict"]), (step, one)
 
 
 OFFLINE = {
@@ -194,3 +219,32 @@ def test_offline_import_names_the_fault(name: str, after: int, tmp_path: Path) -
         return
     assert re.search(FAULTS[name].said, said), said
     assert not WRONG_REMEDIES.search(said)
+
+
+ALARMS = re.compile(
+    "|".join([*(case.said for case in FAULTS.values()), "changes? from picture to"])
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_a_clean_calibration_raises_no_alarm(seed: int, tmp_path: Path) -> None:
+    sensors = [
+        CAMERA,
+        replace(CAMERA, exposures=(1 / 64, 1 / 4)),
+        replace(CAMERA, bits=8),
+        brighter(CAMERA, 0.1),
+    ]
+    gamma = 2.2 if seed % 2 else 1.0
+    verdicts = verdicts_of(tmp_path, None, seed=seed, sensor=sensors[seed % 4], gamma=gamma)
+    assert {one["standing"] for one in verdicts.values()} <= {"good", "unknown"}, verdicts
+    assert not [one["verdict"] for one in verdicts.values() if ALARMS.search(one["verdict"])]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_clean_pictures_are_imported(seed: int, tmp_path: Path) -> None:
+    desk = Desk(tmp_path, seed)
+    sheet = desk.sheet()
+    desk.photograph(sheet)
+    assert "brackets imported" in desk.run("import", sheet)

@@ -64,10 +64,10 @@ def mosaic_of(white: Double, colours: Double | None) -> Mosaic:
         best, second = np.argsort(fits)[::-1][:2]
         if fits[best] > _CLEARER * fits[second]:
             places = ", ".join(
-                f"{name} at {divmod(int(share[index].argmax()), 2)}"
+                f"{name} light counts most at {divmod(int(share[index].argmax()), 2)}"
                 for index, name in ((0, "red"), (2, "blue"))
             )
-            return Mosaic((ORDERS[best],), f"photosites of a cell that count most are {places}")
+            return Mosaic((ORDERS[best],), f"of a cell's photosites, {places}")
     return _by_greens(white)
 
 

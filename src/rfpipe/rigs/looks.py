@@ -41,6 +41,7 @@ _GAIN = {PATTERN: (1, -1, 0), COMPLEMENT: (-1, 1, 0), WHITE: (0.5, 0.5, 0)}
 """Weights of the solution that make up the gain."""
 
 _LEAST_PIXELS = 50
+_ROUNDING = 0.5  # counts
 _HEADROOM = 0.8  # counts of references over saturation: a brighter look does not saturate
 
 
@@ -310,9 +311,11 @@ def _noise(references: References, pairs: Sequence[tuple[Look, Look]]) -> Double
             light = references.light_of(second.picture)[index, usable]
             if usable.sum() < _LEAST_PIXELS or light.sum() <= 0:
                 continue
-            difference = (second.frames[index] - first.frames[index]).astype(np.float64)[usable]
-            _, rest, _ = _regression(references, index, usable, difference)
-            residuals.append(np.sqrt(np.square(rest).sum() / 2 / np.square(light).sum()))
+            change = np.subtract(second.frames[index], first.frames[index], dtype=np.float64)
+            _, rest, _ = _regression(references, index, usable, change[usable])
+            # rounding may hide all other noise in two looks, and not in a third one
+            noise_of_counts = np.square(rest).mean() / 2 + _ROUNDING**2
+            residuals.append(np.sqrt(noise_of_counts / np.square(light).mean()))
         # where noise hides the light itself, nothing can be compared
         if residuals and np.median(residuals) < 0.5:
             noise[index] = float(np.median(residuals))

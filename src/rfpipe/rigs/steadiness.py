@@ -305,7 +305,7 @@ def _flicker(series: Series, exposures: Sequence[float]) -> float | None:
     are_long = np.array(exposures[:-1])[known] >= _AVERAGED_SECONDS
     of_long = float(span[are_long].max(initial=0))
     largest = float(span.max())
-    return largest if of_long < largest / 2 else 0.0
+    return largest if of_long < largest / 3 else 0.0
 
 
 def _is_slow(series: Series, common: Double, error: Double, limit: float) -> bool:
