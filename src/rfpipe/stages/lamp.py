@@ -14,13 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
+from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merger import Merger
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.steadiness import SIGNIFICANCE, smooth_changes
-
-LAMP = "lamp"
-"""Key of these facts in the manifest of level 0's merge."""
 
 Double = NDArray[np.float64]
 

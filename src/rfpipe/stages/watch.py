@@ -292,8 +292,8 @@ def ways_on(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
     )
     if level:
         ways += (
-            f"Or put back what changed: '{folder.retaking(level)}' takes this level alone again, if "
-            "the pattern looks as it did first. "
+            f"Or put back what changed: '{folder.retaking(level)}' takes this level alone again, "
+            "if the pattern looks as it did first. "
         )
     return f"{ways}capture.watch: warn goes on all the same"
 
