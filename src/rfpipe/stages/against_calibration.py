@@ -77,7 +77,7 @@ def alarm(folder: AcquisitionFolder, rig: Mapping[str, Any], accepted: float) ->
 
 
 def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
-    """Describe what is wrong with the place of the first look's picture; "" for nothing."""
+    """Describe a wrong place of the first look's picture, "" for a right one."""
     look, shape = first_look(folder, merger), merger.floodlit.shape[:-1]
     if look is None or len(shape) != 2:
         return ""
@@ -88,4 +88,5 @@ def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
             (merger.floodlit, merger.floodlit_variance),
         )
     )
-    return placement_of(2.0 * look_pattern(shape)[None] - 1, pictures, floodlit).text
+    signs = 2 * look_pattern(shape).astype(np.float64) - 1
+    return placement_of(signs[None], pictures, floodlit).text

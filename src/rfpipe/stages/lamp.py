@@ -21,7 +21,7 @@ from rfpipe.stages.steadiness import SIGNIFICANCE, smooth_changes
 
 Double = NDArray[np.float64]
 
-_LAST = 8  # white brackets that tell the brightness at the end of the reference brackets
+_LAST = 8  # white brackets that have the brightness at the end of the reference brackets
 
 _log = logging.getLogger(__name__)
 

@@ -52,9 +52,9 @@ class Outcome(NamedTuple):
     Attributes
     ----------
     standing : {"met", "unsure", "missed", "unknown"}
-        "unsure": above the target by less than a half, which few pictures don't tell from met.
+        "unsure": above the target by less than a half, within the scatter of few pictures.
     reason : str
-        The numbers, and what may be the cause.
+        The numbers, and the likely cause.
     """
 
     standing: Literal["met", "unsure", "missed", "unknown"]
@@ -63,7 +63,7 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """What a transport is wrong by, on pictures that were captured for this alone.
+    """Error of a transport on pictures that were captured for this alone.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ def capture_and_merge(
 def capture_options(
     folder: AcquisitionFolder, pictures: int, options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Options of the capture of these pictures, from those of the acquisition's levels.
+    """Options of the capture of these pictures, made from the options of the levels' captures.
 
     Looks at the rig are taken before the first picture and after the last, if levels had any.
     """
@@ -353,7 +353,7 @@ def _finite(number: float) -> float | None:
 
 
 def _rig_facts(folder: AcquisitionFolder, watching: Mapping[str, Any]) -> dict[str, Any]:
-    """Sum up what the merges of all levels tell of the rig; None where nothing looked."""
+    """Sum up the looks at the rig of all levels; None where there were none."""
     levels = [*folder.levels_above(None), VERIFICATION]
     merged = {level: folder.read_manifest(level, "merge") for level in levels}
     looks = {level: facts[MOVES] for level, facts in merged.items() if MOVES in facts}
