@@ -48,8 +48,8 @@ $(INSTALLED): requirements.lock pyproject.toml
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
 	@rfpipe run $(ARGS) || { status=$$?; \
-	  echo "make: the run ended early. Where a signal ended it, 'make run' goes on there;" \
-	    "after a kill -9 it is 'make unlock run', with the same ARGS." >&2; exit $$status; }
+	  echo "make: the run ended early. Where a signal or a kill ended it, 'make run' with the same" \
+	    "ARGS goes on there." >&2; exit $$status; }
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
 	@rfpipe run --directory thesis --configfile config/thesis.yaml $(ARGS)
@@ -70,7 +70,7 @@ calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (
 serve: $(INSTALLED) ## run a rig's acquisition server until Ctrl-C: make serve RIG=config/rig.yaml
 	@rfpipe serve $(RIG)
 
-unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock run (or thesis, figures)
+unlock: $(INSTALLED) ## free folders that a Snakemake of unknown origin has locked
 	@snakemake --unlock $(ARGS)
 	@if [ -d thesis ]; then \
 	  snakemake --directory thesis --configfile config/thesis.yaml --unlock; fi

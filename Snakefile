@@ -17,7 +17,14 @@ same bytes.
 import os
 from pathlib import Path
 
-from rfpipe.stages.jobs.ends import notify, say_failed_jobs, write_run
+from rfpipe.stages.jobs.ends import (
+    list_changed_parameters_alone,
+    notify,
+    say_failed_jobs,
+    write_run,
+)
+from rfpipe.stages.jobs.outcome import FailedJobs, clear_failures, write_failures
+from rfpipe.stages.jobs.running import hold
 from snakemake.logging import logger
 from snakemake.utils import min_version
 
@@ -26,6 +33,10 @@ min_version("9.27")
 # Where workflow/envs/rfpipe.post-deploy.sh finds what it installs.
 os.environ.update(RFPIPE_HOME=str(workflow.basedir))
 
+
+list_changed_parameters_alone()
+failed_jobs = FailedJobs()
+logger.addHandler(failed_jobs)
 
 # Settings given with --configfile take the place of the default run's, rather than joining them.
 if not workflow.overwrite_configfiles:
@@ -52,6 +63,7 @@ else:
     include: "workflow/rules/acquire.smk"
 
 
+include: "workflow/rules/drop_raw.smk"
 include: "workflow/rules/pages.smk"
 include: "workflow/rules/verification.smk"
 include: "workflow/rules/relight.smk"
@@ -66,11 +78,14 @@ rule all:
     input:
         every_acquisition("transport.json"),
         ["results/report/index.html"] if SETTINGS.has_report else every_item,
-        ["results/verified"] if SETTINGS.verification.fail_above else [],
+        ["results/verified"] if BOUNDS else [],
         ["results/kept.json"] if SETTINGS.storage.keep_at else [],
+        raw_to_drop,
 
 
 onstart:
+    hold()
+    clear_failures(Path("results"))
     if workflow.non_local_exec:
         say_failed_jobs(logger)
     write_run(
@@ -78,6 +93,7 @@ onstart:
         Path(workflow.main_snakefile),
         workflow.overwrite_configfiles,
         workflow.config_settings.config,
+        SETTINGS.acquisitions,
     )
     list_collection()
 
@@ -89,6 +105,9 @@ onsuccess:
 
 
 onerror:
+    write_failures(Path("results"), failed_jobs.failures())
+    if workflow.execution_settings.keep_going:
+        report_others(failed_jobs.failures())
     print(
         "rfpipe: the run ended early. If a stage failed, its message stands above and, with more "
         "detail, in the .log file beside its results. What was captured is kept; if a signal ended "

@@ -68,8 +68,9 @@ def failure(
 
 def test_validate_names_the_acquisitions() -> None:
     planned = run("plan", CONFIG)
-    assert "valid. 6 acquisitions\n" in planned
-    assert "up to 657" in planned
+    assert "valid. 6 acquisitions. One job a stage, since a scene has 10,368 rays" in planned
+    (room,) = (line.split() for line in planned.splitlines() if " auto " in line and "room" in line)
+    assert room[:6] == ["room", "auto", "10,368", "31", "30", "1,439"]
 
 
 def test_schema_is_the_model_s() -> None:

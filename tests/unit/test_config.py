@@ -106,7 +106,7 @@ capture: 3 -> capture is 3; it should be a group of 'key: value' settings
 capture: {url: 'http://host:99999'} -> capture.url is .* port from 1 to 65535
 normalization: all -> normalization is 'all'; it should be 'none', 'per_channel'
 notify: mail -s 'done -> notify is .*No closing quotation
-scenes: {a: {kind: wegde}} -> scenes.a: 'wegde' is unknown; expected one of captured,
+scenes: {a: {kind: wegde}} -> scenes.a: 'wegde' is unknown; did you mean wedge? Expected one
 scenes: {a: {surfaces: [white]}} -> scenes.a.kind is missing; add it. .*'rfpipe settings scenes'
 scenes: {a: {kind: plane, shpae: 8 x 8}} -> scenes.a.shpae is unknown; did you mean shape?
 scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surfaces (left, right), not
@@ -243,10 +243,10 @@ def test_broken_file(tmp_path: Path, text: str, expected: str) -> None:
 def test_a_file_that_is_not_utf_8_is_named(tmp_path: Path) -> None:
     path = tmp_path / "latin.yaml"
     path.write_bytes("report: {title: Lumière}".encode("latin-1"))
-    with pytest.raises(ConfigError, match=r"latin\.yaml: can't be read .* UTF-8: .* byte 0xe8"):
+    with pytest.raises(ConfigError, match=r"latin\.yaml: isn't text .* byte 0xe8"):
         load_config(path)
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.yaml: can't be read"):
+    with pytest.raises(ConfigError, match=r"^there is no file .*absent\.yaml"):
         load_config(tmp_path / "absent.yaml")

@@ -5,13 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
+import yaml
 from tests.helpers import run
 
 from rfpipe.config import Config
+from rfpipe.methods.adaptive.decisions import PATTERNS
 from rfpipe.stages.forecast import forecast
 from rfpipe.stages.jobs import workers
 from rfpipe.store import files
+
+ACQUISITIONS = Path(__file__).parents[2] / "docs" / "benchmark" / "acquisitions.csv"
 
 
 def settings(**changes: Any) -> Config:
@@ -33,6 +39,71 @@ def test_it_counts_patterns_references_and_the_warm_up() -> None:
     assert row.seconds == 240 + 3 * (35 + 7)
     dropped = only(methods={"brute_force": {}}, capture={**capture, "keep_raw": False})
     assert row.disk - dropped.disk == 35 * (4 * 35 * 3 * 2 + 4096)  # their brackets
+
+
+@pytest.mark.parametrize("method", ["auto", "near_far", "footprints"])
+def test_a_smaller_error_takes_more_patterns_and_none_takes_more_than_brute_force(
+    method: str,
+) -> None:
+    shape = {"kind": "plane", "surfaces": ["texture"], "shape": [40, 40]}
+    rows = [
+        only(scenes={"wall": shape}, methods={method: {"target_error": target}})
+        for target in (0.05, 0.01, 0.002)
+    ]
+    assert [row.patterns for row in rows] == [8, 30, 109]
+    assert all(row.patterns < row.most_patterns <= 1600 for row in rows)
+    assert all(row.seconds < row.most_seconds and row.disk < row.most_disk for row in rows)
+    few = only(scenes={"wall": shape}, methods={method: {"patterns": 20}})
+    assert (few.patterns, few.most_patterns) == (20, 20)
+
+
+def test_expected_patterns_are_those_of_the_open_benchmark() -> None:
+    taken = pd.read_csv(ACQUISITIONS)
+    taken = taken[(taken["option"] == "target_error") & (taken["status"] == "done")]
+    is_open = ~taken["held_out_scene"].astype(bool) & ~taken["held_out_seed"].astype(bool)
+    views = np.where(taken["scene"].str.startswith("views"), 9, 1)
+    a_view, power = PATTERNS
+    times = taken["patterns"] / (views * a_view * (0.01 / taken["value"]) ** power)
+    assert np.quantile(times[is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.75, 1.1, 1.75], 0.1)
+    assert np.quantile(times[~is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.77, 3.6, 6.8], 0.1)
+
+
+PLANE = {"kind": "plane", "surfaces": ["texture"]}
+CAPTURED = {"kind": "captured", "shape": [20, 20]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "jobs", "why"),
+    [
+        ({}, "acquisition", "no scene has more than 4,000 rays"),
+        ({"scenes": {"wall": {**PLANE, "shape": [62, 70]}}}, "stage", "a scene has 4,340 rays"),
+        (
+            {"scenes": {"wall": PLANE | {"shape": [8, 8]}, "other": PLANE | {"shape": [80, 80]}}},
+            "stage",
+            "a scene has 6,400 rays",
+        ),
+        ({"resources": {"jobs": "stage"}}, "stage", "as resources.jobs says"),
+        (
+            {"scenes": {"desk": CAPTURED}, "capture": {"rig": "offline"}, "methods": {"dual": {}}},
+            "stage",
+            "its pictures are taken elsewhere",
+        ),
+    ],
+)
+def test_small_acquisitions_are_one_job(changes: dict[str, Any], jobs: str, why: str) -> None:
+    config = settings(**changes)
+    assert config.jobs == jobs
+    assert why in config.jobs_and_reason[1]
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "1 acquisition."), (2, "2 acquisitions.")])
+def test_the_command_counts_acquisitions(count: int, said: str, tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    scenes = {f"s{index}": {**PLANE, "shape": [5, 7]} for index in range(count)}
+    config.write_text(yaml.safe_dump({"scenes": scenes, "methods": {"dual": {}}}))
+    told = run("plan", config)
+    assert f"valid. {said} One job an acquisition, since no scene" in told
+    assert ("One after the other" in told) == (count > 1)
 
 
 def test_the_command_says_what_does_not_fit(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from tests.helpers import settings_of_a_plane
 from tests.knocked import DIM, SHAPE, beside, wedge
@@ -15,7 +16,7 @@ from rfpipe.errors import ConfigError, InputError, VerificationError
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.camera import UNKNOWN_DEVIATION
 from rfpipe.provenance import generator
-from rfpipe.stages.verification import check_bound, compare
+from rfpipe.stages.verification import Verification, check_bounds, compare
 
 FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0}
 
@@ -97,12 +98,58 @@ def test_without_light_there_is_no_error() -> None:
 
 def test_a_bound_names_what_is_above_it() -> None:
     facts = {"mean_error": 0.03, "worst_error": 0.06, "worst_picture": "spots", "noise": 0.004}
-    check_bound({"vase by dual": facts}, 0.05, "report")
-    with pytest.raises(VerificationError, match=r"vase by dual is off by 3.00%.*'spots'.*2.00%"):
-        check_bound({"vase by dual": facts}, 0.02, "report")
     dark = {"mean_error": None, "worst_error": None, "worst_picture": "spots", "noise": None}
-    with pytest.raises(VerificationError, match="jug by dual has no picture with light"):
-        check_bound({"vase by dual": facts, "jug by dual": dark}, 0.05, "report")
+    rows = [{"level": level, "patterns": 9, "estimated_error": 0.04 / level} for level in (1, 2)]
+    manifests = {"vase": facts, "jug": dark, "cup": {"levels": rows}, "pot": {"levels": []}}
+    check_bounds(manifests, {"vase": 0.05, "cup": 0.03, "pot": 0.01}, "report")
+    for bounds, expected in (
+        ({"vase": 0.02}, r"vase is off by 3.00%.*above 2.00%.*'spots'"),
+        ({"jug": 0.05}, "jug has no picture with light"),
+        ({"cup": 0.01}, r"cup is off by an estimated 2.00%, above 1.00%"),
+    ):
+        with pytest.raises(VerificationError, match=expected):
+            check_bounds(manifests, bounds, "report")
+
+
+def test_a_real_rig_s_bound_follows_the_target_error() -> None:
+    vase = {"kind": "captured", "shape": [8, 8]}
+    methods = {"dual": {}, "footprints": {"target_error": 0.02}}
+    run = {"scenes": {"vase": vase}, "methods": methods, "capture": {"rig": "remote"}}
+    bounds = {"dual": None, "footprints": 0.03}
+    for change, expected in (
+        ({}, bounds),
+        ({"verification": {"fail_above": 0.2}}, {"dual": 0.2, "footprints": 0.2}),
+        ({"verification": {"pictures": 0}}, {"dual": None, "footprints": 0.02}),
+        ({"capture": {"rig": "offline"}}, bounds),
+    ):
+        config = parse_config({**run, **change}, "c")
+        assert {name: config.bound_of("vase", name) for name in bounds} == expected
+    simulated = settings_of_a_plane(methods={"auto": {}})
+    assert simulated.bound_of("plane", "auto") is None
+
+
+@pytest.mark.parametrize(
+    ("error", "target", "standing"),
+    [
+        (0.01, 0.02, "met"),
+        (0.05, 0.02, "missed"),
+        (0.021, 0.02, "unsure"),
+        (0.05, None, "unknown"),
+        (np.nan, 0.02, "unknown"),
+    ],
+)
+def test_a_target_is_met_or_missed(error: float, target: float | None, standing: str) -> None:
+    rows = [["shapes 1", error, 0, error * factor, 0.001] for factor in (0.8, 1, 1.2)]
+    columns = ["name", "difference", "noise", "error", "standard_error"]
+    nothing = np.zeros((3, 2, 2, 1), np.float32)
+    table = pd.DataFrame(rows, columns=columns)
+    found = Verification(table, nothing[..., 0], nothing, nothing, np.ones(1)).against(target)
+    assert found.standing == standing
+    if target is not None and np.isfinite(error):
+        assert f"{target:.2%}" in found.reason
+
+
+def test_a_bound_and_pictures() -> None:
     with pytest.raises(InputError, match="verification is -1"):
         rfpipe.acquire(rfpipe.OperatorRig(np.eye(4), (2, 2), (2, 2)), verification=-1)
 
@@ -112,8 +159,8 @@ def test_real_rigs_are_verified_by_default() -> None:
     assert settings_of_a_plane().verification_pictures == 0
     assert parse_config({**captured, "capture": {"rig": "remote"}}, "c").verification_pictures == 9
     offline = {**captured, "capture": {"rig": "offline"}}
-    assert parse_config(offline, "c").verification_pictures == 0
-    with pytest.raises(ConfigError, match=r"verification.pictures should be 0 or null"):
-        parse_config({**offline, "verification": {"pictures": 3}}, "c")
+    assert parse_config(offline, "c").verification_pictures == 3
+    asked = {**offline, "verification": {"pictures": 5}}
+    assert parse_config(asked, "c").verification_pictures == 5
     with pytest.raises(ConfigError, match=r"verification.pictures should be 1 to 96"):
         settings_of_a_plane(verification={"fail_above": 0.1})

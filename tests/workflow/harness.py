@@ -24,6 +24,8 @@ CONFIG: dict[str, Any] = {
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, for captures that can be stopped anywhere
     "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
+    # as for larger scenes
+    "resources": {"jobs": "stage"},
 }
 """`tiny` has 5 stages on each of its levels; `long` by brute force captures 40 patterns."""
 

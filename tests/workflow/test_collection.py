@@ -25,7 +25,12 @@ def test_a_scene_that_fails_stops_no_other_and_what_is_done_stays(
 ) -> None:
     workflow = Workflow(
         tmp_path,
-        {"collection": "scenes.csv", "scenes": {}, "methods": {"hadamard": {}}},
+        {
+            "collection": "scenes.csv",
+            "scenes": {},
+            "methods": {"hadamard": {}},
+            "resources": {"jobs": None},
+        },
     )
     matrix = np.eye(48)
     matrix[0, 1] = -1

@@ -28,7 +28,10 @@ from rfpipe.errors import InputError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
-from rfpipe.stages.plan import Plan, plan_of, stages_of
+from rfpipe.stages import captures, verification
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
 from rfpipe.store import read_manifest, write_manifest
 
 SHAPE = (4, 5)
@@ -111,6 +114,57 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     assert found == contents(direct / "transport.zarr")
     # a sheet twice changes nothing
     assert "nothing more is asked for" in command("import", sheet)
+    assert verified(path, tmp_path / "r")["mean_error"] < 0.01
+
+
+def verified(path: Path, results: Path) -> dict[str, Any]:
+    """Run the stage that verifies a finished acquisition, as the workflow does."""
+    settings = load_config(path)
+    rig = rig_of(settings, "desk")
+    assert rig["by"] == "pictures"
+    verification.run(
+        AcquisitionFolder(results / "desk" / "symmetric"),
+        captures.by_pictures(**rig["rig"]),
+        pictures=settings.verification_pictures,
+        settings=stages_of(settings, "desk", "symmetric"),
+        resources=Resources(),
+    )
+    return read_manifest(results / "desk" / "symmetric" / verification.MANIFEST)
+
+
+def acquired(tmp_path: Path, settings: Path, matrix_of: Any) -> list[str]:
+    """Take sheet by sheet what is asked for, `matrix_of(sheet)` being before the camera."""
+    at = "-o", tmp_path / "p", "--results", tmp_path / "r"
+    outputs = [command("patterns", settings, *at)]
+    while "nothing more is asked for" not in outputs[-1]:
+        newest = max(sheets(tmp_path / "p"), key=lambda sheet: sheet.stat().st_mtime_ns)
+        photographer.photograph(newest, matrix_of(newest)[None], photographer.counts)
+        outputs.append(command("import", newest))
+    return outputs
+
+
+def test_a_camera_that_moves_between_two_sheets_is_an_error_of_the_verification(
+    tmp_path: Path,
+) -> None:
+    path = settings_file(tmp_path, camera=QUIET)
+    moved = np.roll(np.diag(np.linspace(0.2, 1, 20)), 1, axis=0) + 0.1 * symmetric_matrix()
+    still = np.diag(np.linspace(0.2, 1, 20)) + 0.1 * symmetric_matrix()
+    acquired(tmp_path, path, lambda sheet: still if sheet.name.endswith("L00") else moved)
+    assert verified(path, tmp_path / "r")["mean_error"] > 0.2
+
+
+def test_pictures_that_are_asked_for_later_have_a_sheet_of_their_own(tmp_path: Path) -> None:
+    path = settings_file(tmp_path, camera=QUIET, verification={"pictures": 0})
+    acquired(tmp_path, path, lambda _: symmetric_matrix())
+    assert not (tmp_path / "r" / "desk" / "symmetric" / "verification").exists()
+    settings_file(tmp_path, camera=QUIET, verification={"pictures": 4})
+    outputs = acquired(tmp_path, path, lambda _: symmetric_matrix())
+    assert "verification asks for 4 patterns and 3 markers" in outputs[0]
+    sheet = tmp_path / "p" / "desk_symmetric_verification"
+    assert verified(path, tmp_path / "r")["mean_error"] < 0.01
+    command("import", sheet, "--take-back")
+    assert not list((tmp_path / "r" / "desk" / "symmetric").glob("verification*"))
+    assert (tmp_path / "r" / "desk" / "symmetric" / "transport.json").exists()
 
 
 @pytest.mark.slow
@@ -142,7 +196,8 @@ def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
     stated = json.loads((level_0 / "patterns.json").read_text())
     names = [each["file"] for each in stated["shown"]]
     assert [name[5:-4] for name in names] == [
-        *("marker",) * 2, *("black",) * 2, *("white",) * 2, *("random",) * 6, "pattern", "marker",
+        *("marker",) * 2, *("black",) * 2, *("white",) * 2, *("random",) * 6, "pattern",
+        *("verification",) * 3, "marker",
     ]  # fmt: skip
     white = oiio.ImageBuf(str(level_0 / names[4])).get_pixels(oiio.UINT8)[..., 0]
     assert white.shape == (26, 33)
@@ -174,7 +229,7 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
     ("spoil", "message"),
     [
         (lambda folder: (folder / "IMG_3.tif").unlink(), "IMG_4.*A picture may be missing before"),
-        (lambda folder: (folder / "IMG_27.tif").unlink(), "holds 27 pictures; 14 patterns of 2"),
+        (lambda folder: (folder / "IMG_33.tif").unlink(), "holds 33 pictures; 17 patterns of 2"),
         (rewritten("IMG_5.tif", lambda pixels: pixels, 1.0), r"IMG_5.*exposed for 1 s.*0\.5, 2 s"),
         (rewritten("IMG_6.tif", lambda pixels: pixels[:3]), r"3 x 5 pixels.*expected 4 x 5"),
         (rewritten("IMG_7.tif", lambda pixels: pixels.repeat(3, axis=2)), "has 3 channels"),
@@ -201,8 +256,22 @@ def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path)
     assert not kept.exists()
     exchange()
     command("import", level_0)
-    assert f"{kept}: removed" in command("import", level_0, "--take-back").replace("\n", "")
+    (_, level_1) = sheets(level_0.parent)
+    taken_back = command("import", level_0, "--take-back").replace("\n", "")
+    assert f"{kept}: removed" in taken_back
+    assert f"{level_1}: removed" in taken_back
     assert not kept.exists()
+    assert sheets(level_0.parent) == [level_0]
+    assert len(list((level_0 / "pictures").iterdir())) == 28
+
+
+def test_a_later_sheet_with_pictures_stays(level_0: Path) -> None:
+    command("import", level_0)
+    (_, level_1) = sheets(level_0.parent)
+    picture = level_1 / "pictures" / "IMG_0.tif"
+    picture.write_bytes(b"a picture")
+    assert "move them away" in command("import", level_0, "--take-back")
+    assert picture.exists()
 
 
 def test_counts_beyond_the_camera_s_bits(level_0: Path) -> None:

@@ -24,6 +24,7 @@ from tests.workflow.stagewise import (
 from rfpipe.errors import IntegrityError, StaleStoreError, StoreError
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import merge
+from rfpipe.stages.retake import Retake
 from rfpipe.store import FrameStore, drop, read_manifest
 
 RAW = ("L00/reference.zarr", "L00/capture.zarr", "L01/capture.zarr")
@@ -94,17 +95,13 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
         with pytest.raises(StaleStoreError, match="mask_defects True -> False") as error:
             acquisition.merge(level, mask_defects=False)
         assert "capture.keep_raw is false" in str(error.value)
-        assert f"capture.zarr and reference.zarr of {acquisition.folder.path}/L*" in str(
-            error.value
-        )
+        assert acquisition.folder.retaking() in str(error.value)
         acquisition.merge(level)  # with the settings of before
     assert everything(acquisition.folder.path) == before
 
     # as the message says
     for level in (0, 1):
-        acquisition.folder.manifest(level, "capture").unlink()
-        FrameStore.discard(acquisition.folder.store(level, "capture"))
-    FrameStore.discard(acquisition.folder.store(0, "reference"))
+        Retake(acquisition.folder, level).set_aside()
     for level in (0, 1):
         acquisition.capture(level)
         acquisition.merge(level, mask_defects=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-import shutil
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -25,6 +24,7 @@ from rfpipe.stages.checking import check
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.retake import find_retakes
 from rfpipe.store import read_manifest
 from rfpipe.units import LOOK_KEY, VERIFICATION_KEY
 
@@ -115,13 +115,15 @@ def test_a_knock_ends_the_capture_within_ten_patterns(
     tmp_path: Path, at: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
-    folder = tmp_path / "refused"
+    folder = tmp_path / "results" / "wedge" / "refused"
     for _ in range(2):  # the next run takes no pattern more
-        with pytest.raises(CaptureError, match=r"moved.*begin anew") as caught:
+        with pytest.raises(CaptureError, match=r"moved.*begin anew: 'rfpipe run") as caught:
             acquire(folder, rig, mode="refuse")
         assert at < len(rig.keys) <= at + 10
     rig.at = 10**6  # put back
-    shutil.rmtree(re.search(r"Or put back .*, remove (\S+)", str(caught.value))[1])
+    name = re.search(r"Or put back .*--retake (\S+)'", str(caught.value))[1]
+    for retake in find_retakes(tmp_path / "results", [name]):
+        retake.set_aside()
     facts = verified(acquire(folder, rig, mode="refuse"), rig)
     assert facts["alarms"] == []
     assert facts["mean_error"] < 0.01
@@ -165,7 +167,7 @@ def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
     settings = {"scenes": {"tiny": scene}, "methods": {"symmetric": {}}}
     run.configure(**settings, verification=verification)
     wanted = "results/tiny/symmetric/verification.json"
-    assert "5 pictures that no method saw are relit to" in run.run(wanted)
+    assert "5 pictures for verification: the transport is off by" in run.run(wanted)
     facts = read_manifest(tmp_path / wanted)
     assert np.isfinite([picture["error"] for picture in facts["pictures"]]).all()
     planned = run.run("--dry-run")

@@ -9,7 +9,7 @@ from rfpipe.errors import ConfigError
 from rfpipe.provenance import code_digest
 from rfpipe.stages.jobs.ends import check_no_braces
 from rfpipe.stages.jobs.workers import machine_memory_mb
-from rfpipe.stages.plan import code_of, plan_of, rig_of, stages_of
+from rfpipe.stages.plan import MANNER, code_of, manner_of, plan_of, rig_of, stages_of
 
 for configfile in workflow.configfiles:
     read_yaml(configfile)  # refuses YAML that Snakemake would take for something else
@@ -60,12 +60,18 @@ def minutes(at_most):
     return lambda wildcards, attempt: at_most * 2 ** (attempt - 1)
 
 
+def of_manner(name):
+    """A setting of how pictures are taken and kept, as a resource."""
+    return lambda wildcards: manner_of(SETTINGS, wildcards.scene)[name]
+
+
 # What any job asks for, and a job of an acquisition: resources, since they shape no result.
 ASKED = {"mem_mb": memory_mb, "runtime": minutes(60)}
 WITHIN = {
     **ASKED,
     "memory_gib": lambda wildcards: str(of_scene(wildcards.scene).resources.memory_gib),
     "workers": lambda wildcards: of_scene(wildcards.scene).resources.workers,
+    **{name: of_manner(name) for name in MANNER},
 }
 
 

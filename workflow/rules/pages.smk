@@ -63,6 +63,45 @@ def list_collection():
     print(f"rfpipe: results/catalogue/index.html: {states}")
 
 
+# The mean error of each acquisition above which the run fails, where there is such a bound.
+BOUNDS = {
+    f"{scene} by {method}": SETTINGS.bound_of(scene, method)
+    for scene, method in SETTINGS.acquisitions
+    if SETTINGS.bound_of(scene, method) is not None
+}
+
+
+def every_bounded(wildcards):
+    """The verification of each acquisition that has a bound, or else its transport."""
+    return [
+        f"results/{scene}/{method}/{name}.json"
+        for scene, method in SETTINGS.acquisitions
+        for name in [
+            "verification" if of_scene(scene).verification_pictures else "transport"
+        ]
+        if f"{scene} by {method}" in BOUNDS
+    ]
+
+
+def report_others(failures):
+    """Write the report of the acquisitions in which no job failed, in a run that keeps going."""
+    failed = {
+        (failure.scene, failure.method): failure
+        for failure in failures
+        if failure.scene
+    }
+    if not failed or len(failed) < len(failures) or not SETTINGS.has_report:
+        return
+    from rfpipe.report.others import build_report_of_others
+
+    try:
+        page = build_report_of_others(SETTINGS, Path("results"), failed)
+    except RfpipeError as error:
+        print(f"rfpipe: no report of the others: {error}")
+    else:
+        print(f"rfpipe: report of the others: {page}" if page else "")
+
+
 def every_verification(wildcards):
     """The verification of each scene and method, if there are to be any."""
     return every_acquisition(

@@ -27,12 +27,12 @@ rule verification:
 
 
 rule bound:
-    """Whether what was acquired is as near to the pictures that verify it as was asked for.
+    """Whether what was acquired is as near to the scene as was asked for.
 
     Last of all: a run that fails here has its report, and all that was acquired.
     """
     input:
-        verified=every_verification,
+        acquired=every_bounded,
         page=["results/report/index.html"] if SETTINGS.has_report else [],
     output:
         touch("results/verified"),
@@ -41,6 +41,6 @@ rule bound:
     conda:
         "../envs/rfpipe.yaml"
     params:
-        bound=SETTINGS.verification.fail_above,
+        bounds=BOUNDS,
     script:
         "../scripts/bound.py"

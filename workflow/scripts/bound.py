@@ -1,13 +1,13 @@
 from pathlib import Path
 
 from rfpipe.stages.jobs.job import start
-from rfpipe.stages.verification import check_bound
+from rfpipe.stages.verification import check_bounds
 from rfpipe.store import read_manifest
 
 start(snakemake.log[0])
-paths = [Path(path) for path in snakemake.input.verified]
-check_bound(
+paths = [Path(path) for path in snakemake.input.acquired]
+check_bounds(
     {f"{path.parent.parent.name} by {path.parent.name}": read_manifest(path) for path in paths},
-    snakemake.params.bound,
+    snakemake.params.bounds,
     f"{snakemake.input.get('page') or 'results/catalogue/index.html'}#verification",
 )

@@ -6,6 +6,6 @@ with stage_job(snakemake) as job:
         job.folder,
         job.capture,
         pictures=job.params.pictures,
-        settings=job.params.settings,
+        settings=job.stages,
         resources=job.resources,
     )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
+import os
 import sys
 from typing import Annotated
 
 import typer
 
 from rfpipe import plugins
+from rfpipe.cli.compare import compare
 from rfpipe.cli.fit import fit
 from rfpipe.cli.offline import import_, patterns
 from rfpipe.cli.relight import relight
@@ -17,6 +20,7 @@ from rfpipe.cli.settings import settings
 from rfpipe.cli.transports import export, info, movie
 from rfpipe.cli.verify import verify
 from rfpipe.errors import RfpipeError
+from rfpipe.output import is_full
 from rfpipe.version import __version__
 
 __all__ = ["app", "main"]
@@ -45,6 +49,7 @@ app.command(context_settings=PASSED_ON)(run)
 app.command()(plan)
 app.command()(settings)
 app.command()(catalogue)
+app.command()(compare)
 app.command()(verify)
 app.command()(info)
 app.command()(relight)
@@ -64,10 +69,37 @@ for _name in plugins.names(plugins.COMMANDS):
         app.command(_name)(_command)
 
 
+def _reflow(commands: typer.Typer) -> None:
+    """Join the lines of each paragraph of the commands' docstrings, for terminals of any width.
+
+    A paragraph of indented lines, such as a table, stays as it is.
+    """
+    for command in commands.registered_commands:
+        text = inspect.getdoc(command.callback) if command.callback else None
+        paragraphs = (text or "").split("\n\n")
+        command.help = "\n\n".join(
+            paragraph if paragraph.startswith(" ") else paragraph.replace("\n", " ")
+            for paragraph in paragraphs
+        )
+    for group in commands.registered_groups:
+        if group.typer_instance is not None:
+            _reflow(group.typer_instance)
+
+
+_reflow(app)
+
+
 def main() -> None:
     """Run the command line; an expected error is a message and exit status 1."""
     try:
         app()
     except RfpipeError as error:
         typer.echo(f"rfpipe: {error}", err=True)
+        sys.exit(1)
+    except OSError as error:
+        if not is_full(error):
+            raise
+        # Python writes what is left of its output when it ends, which would fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        typer.echo(f"rfpipe: a file can't be written: {error}; make room and run again", err=True)
         sys.exit(1)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
+from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,45 +26,172 @@ if TYPE_CHECKING:
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="A YAML file of a run's settings.")
 ]
-PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
-"""How `run` is registered: all that follows its name is for Snakemake."""
+PASSED_ON = {
+    "allow_extra_args": True,
+    "ignore_unknown_options": True,
+    "help_option_names": ["--help", "-h"],
+}
+"""How `run` is registered: what isn't ours of all that follows its name is for Snakemake."""
 
 _REPORT = Path("results") / "report" / "index.html"
 
+_LOOKS = (
+    "-n", "--dry-run", "--dryrun", "--unlock", "--lint", "--list", "-l", "--list-rules",
+    "--list-target-rules", "--list-changes", "--list-input-changes", "--list-untracked",
+    "--summary", "-S", "--detailed-summary", "-D", "--dag", "--rulegraph", "--filegraph", "--d3dag",
+    "--archive", "--cleanup-metadata", "--version", "-v",
+)  # fmt: skip
+"""Options of Snakemake with which it runs no job."""
+
 
 def run(context: typer.Context) -> None:
-    """Run the workflow in this folder; options are Snakemake's, as --directory and --configfile.
+    """Run the workflow in this folder, and print the report's path.
 
-    The settings are checked first, so that what is wrong is said with its file and line. At the
-    end the report's path is printed. A Snakefile in this folder, or --snakefile, takes the place of
+    The settings of --configfile, or of rfpipe's default run, are checked first. Complete results
+    stay; a run that was stopped or killed continues. Common options:
+
+      --configfile FILE    the settings of the run
+      --directory FOLDER   the run's folder, where its results lie
+      --cores N            processor cores to use; all of them by default
+      --dry-run            list the jobs that would run
+      --keep-going         go on with the other scenes where one fails
+      --retake SCENE/METHOD/LEVEL
+                           take a level's pictures again, or all of SCENE/METHOD;
+                           the old ones are set aside
+      --forcerun STAGE     run a stage again, such as merge
+      --unlock             free a folder that an unknown Snakemake has locked
+      --help-all           all options, which are Snakemake's
+
+    Exit status 1 where a job failed, or a real rig's pictures are further from the transport than
+    the target error allows. A Snakefile in this folder, or --snakefile, takes the place of
     rfpipe's own.
     """
-    parser = ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
-    parser.add_argument("--directory", "-d", type=Path, default=Path())
-    parser.add_argument("--snakefile", "-s")
-    arguments, _ = parser.parse_known_args(context.args)
-    files, folder = arguments.configfile, arguments.directory
-    from rfpipe.config import load_config, read_yaml
-    from rfpipe.provenance import workflow_folder
-    from rfpipe.stages.jobs.ends import check_no_braces, program
+    from rfpipe.stages.jobs.ends import program
 
-    check_no_braces("the run's folder", folder.absolute())
-    for file in files:
-        read_yaml(file)
-    if len(files) == 1:
-        with _working_in(folder, Path(files[0])) as settings:
-            load_config(settings)
-    is_named = arguments.snakefile or Path("Snakefile").is_file()
-    if not is_named:
-        check_no_braces("rfpipe's own folder", workflow_folder())
-    own = [] if is_named else ["--snakefile", str(workflow_folder() / "Snakefile")]
-    ended = _to_its_end([program("snakemake"), *own, *context.args])
+    options = _Options.of(context.args)
+    if options.help_all:
+        raise typer.Exit(subprocess.call([program("snakemake"), "--help"]))
+    settings = _checked(options)
+    if not options.looks or "--unlock" in options.passed_on:
+        _free(options)
+    if options.retake and _retaken(options, settings):
+        return
+    own = [] if options.is_named else ["--snakefile", str(_own_snakefile())]
+    ended = _to_its_end([program("snakemake"), *own, *options.passed_on])
+    if not options.looks:
+        _say_outcome(options.folder, ended)
     if ended:
         raise typer.Exit(ended if ended > 0 else 1)
-    report = folder / _REPORT
-    if report.is_file():
-        typer.echo(f"report: {os.path.normpath(report)}")
+
+
+@dataclass(frozen=True)
+class _Options:
+    """The options of `run`: ours, and those that are passed on to Snakemake."""
+
+    files: list[str]
+    folder: Path
+    is_named: bool
+    help_all: bool
+    looks: bool
+    retake: list[str]
+    passed_on: list[str]
+
+    @classmethod
+    def of(cls, arguments: list[str]) -> _Options:
+        ours = ArgumentParser(add_help=False, allow_abbrev=False)
+        ours.add_argument("--retake", nargs="+", action="extend", default=[])
+        ours.add_argument("--help-all", action="store_true")
+        own, passed_on = ours.parse_known_args(arguments)
+        shared = ArgumentParser(add_help=False, allow_abbrev=False)
+        shared.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
+        shared.add_argument("--directory", "-d", type=Path, default=Path())
+        shared.add_argument("--snakefile", "-s")
+        known, _ = shared.parse_known_args(passed_on)
+        return cls(
+            files=known.configfile,
+            folder=known.directory,
+            is_named=bool(known.snakefile) or Path("Snakefile").is_file(),
+            help_all=own.help_all,
+            looks=any(option.partition("=")[0] in _LOOKS for option in passed_on),
+            retake=own.retake,
+            passed_on=passed_on,
+        )
+
+
+def _own_snakefile() -> Path:
+    from rfpipe.provenance import workflow_folder
+
+    return workflow_folder() / "Snakefile"
+
+
+def _checked(options: _Options) -> Config | None:
+    """Check folders and settings; return these where they are of one file."""
+    from rfpipe.config import load_config, read_yaml
+    from rfpipe.stages.jobs.ends import check_no_braces
+
+    check_no_braces("the run's folder", options.folder.absolute())
+    if not options.is_named:
+        check_no_braces("rfpipe's own folder", _own_snakefile().parent)
+    for file in options.files:
+        read_yaml(file)
+    if len(options.files) != 1:
+        return None
+    with _working_in(options.folder, Path(options.files[0])) as path:
+        return load_config(path)
+
+
+def _free(options: _Options) -> None:
+    """Free the folder where its last run was killed; raise LockedError where a run works in it."""
+    from rfpipe.stages.jobs.running import free_if_dead
+
+    unlocks = "--unlock" in options.passed_on
+    command = shlex.join(["rfpipe", "run", *options.passed_on, "--unlock"])
+    if free_if_dead(options.folder, None if unlocks else command) and not unlocks:
+        typer.echo("rfpipe: the last run in this folder was killed; going on from there", err=True)
+
+
+def _retaken(options: _Options, settings: Config | None) -> bool:
+    """Set aside the pictures to take again; return True for a rehearsal, with --dry-run."""
+    from rfpipe.errors import InputError
+    from rfpipe.stages.retake import find_retakes
+
+    acquisitions = None if settings is None else settings.acquisitions
+    if settings is not None and settings.capture.rig == "offline":
+        raise InputError(
+            "--retake: these pictures are taken by hand (capture.rig is offline). Take them back "
+            "with 'rfpipe import FOLDER --take-back', FOLDER being the sheet's"
+        )
+    for retake in find_retakes(options.folder / "results", options.retake, acquisitions):
+        if options.looks:
+            typer.echo(f"{retake.path}: its pictures would be taken again")
+            continue
+        kept = ", ".join(path.name for path in retake.set_aside())
+        typer.echo(
+            f"{retake.path}: its pictures are taken again; the old ones are kept beside the new "
+            f"ones, as {kept}. Remove them to free the space"
+        )
+    return options.looks
+
+
+def _say_outcome(folder: Path, ended: int) -> None:
+    """Print the report's path, the failures, and the acquisitions above their target error."""
+    from rfpipe.config.model import TARGET_MARGIN
+    from rfpipe.stages.jobs.ends import acquisitions_of
+    from rfpipe.stages.jobs.outcome import failure_line, missed_targets, read_failures
+
+    results = folder / "results"
+    if (folder / _REPORT).is_file() and not ended:
+        typer.echo(f"report: {os.path.normpath(folder / _REPORT)}")
+    missed = missed_targets(results, acquisitions_of(results), TARGET_MARGIN)
+    failures = [
+        failure
+        for failure in (read_failures(results) if ended else [])
+        if not (missed and failure.stage == "bound")
+    ]
+    if missed:
+        typer.echo(f"rfpipe: missed the target error: {'; '.join(map(str, missed))}", err=True)
+    if failures:
+        typer.echo(f"rfpipe: {failure_line(failures, folder)}", err=True)
 
 
 @contextmanager
@@ -106,15 +237,15 @@ def plan(
     Every mistake in the file is said, and what a scene needs that this machine lacks. A rig's
     settings are checked alone.
 
-    Patterns are the method's guess, on the high side: as many a level as the thesis' largest scenes
-    took. "Up to" are all rounds of a method that ends by its own estimate: for 1 % of error the
-    scenes of docs/benchmark.md took 13 to 363 of 657. Time is that of the capture on a rig; disk is
-    before compression.
+    Patterns of auto, near_far and footprints follow from target_error: half of the scenes of
+    docs/benchmark.md took 0.75 to 1.75 times as many, scenes with glass and mirrors 4 to 20 times;
+    "at most" are all rounds that the method knows. Of symmetric and dual they are on the high side:
+    as many a level as the thesis' largest scenes took. Time is for the capture on a rig; disk
+    is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
-    from rfpipe.stages.forecast import forecast, shown_bytes
-    from rfpipe.stages.jobs.workers import machine_memory_mb
+    from rfpipe.stages.forecast import forecast
     from rfpipe.store import files
 
     with _working_in(directory, config) as path:
@@ -124,18 +255,34 @@ def plan(
             typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
             return
         settings = load_config(path)
-        typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions\n")
+        count = counted(len(settings.acquisitions), "acquisition")
+        jobs, why = settings.jobs_and_reason
+        typer.echo(f"{config}: valid. {count}. One job a{'n' * (jobs[0] == 'a')} {jobs}, {why}\n")
         rows = forecast(settings)
         free = files.free_bytes(folder)
         of_scenes = _lines_of_scenes(settings)
     typer.echo(_shown(rows))
-    disk, memory = int(rows["disk"].sum()), int(rows["memory"].max())
-    most = "up to " if rows["ends_itself"].any() else ""
+    _say_totals(rows, free)
+    for line in of_scenes:
+        typer.echo(line)
+
+
+def _say_totals(rows: pd.DataFrame, free: int) -> None:
+    """Print what all acquisitions take together, and what this machine lacks for them."""
+    from rfpipe.stages.forecast import shown_bytes
+    from rfpipe.stages.jobs.workers import machine_memory_mb
+
+    total = rows[["seconds", "most_seconds", "disk", "most_disk"]].sum()
+    disk, memory = int(total["disk"]), int(rows["memory"].max())
+    together = "One after the other: " if len(rows) > 1 else "In all: "
+    is_open = (rows["most_patterns"] > rows["patterns"]).any()
+    most = f", at most {_duration(total['most_seconds'])}" if is_open else ""
+    most_disk = f", at most {shown_bytes(int(total['most_disk']))}" if is_open else ""
     typer.echo(
-        f"\nOne after the other: {most}{_duration(rows['seconds'].sum())} of capture on a rig, "
-        f"{shown_bytes(disk)} of disk; {shown_bytes(free)} are free."
+        f"\n{together}{_duration(total['seconds'])} of capture on a rig{most}; "
+        f"{shown_bytes(disk)} of disk{most_disk}; {shown_bytes(free)} are free."
     )
-    if disk > free:
+    if total["most_disk"] > free:
         typer.echo(
             "That may not fit: make room, put the results on another disk, or set "
             "capture.keep_raw to false. A level that doesn't fit is refused before its capture."
@@ -148,8 +295,6 @@ def plan(
             f"memory, and this machine has {shown_bytes(have)}: acquire it on another one, with "
             "fewer rays, or by another method."
         )
-    for line in of_scenes:
-        typer.echo(line)
 
 
 def _lines_of_scenes(settings: Config) -> list[str]:
@@ -169,15 +314,16 @@ def _lines_of_scenes(settings: Config) -> list[str]:
 def _shown(rows: pd.DataFrame) -> str:
     from rfpipe.stages.forecast import shown_bytes
 
-    table = rows.drop(columns="ends_itself")
-    for name in ("rays", "patterns"):
+    table = rows.drop(columns=["most_seconds", "most_disk"])
+    for name in ("rays", "patterns", "most_patterns"):
         table[name] = rows[name].map("{:,}".format)
     table["seconds"] = rows["seconds"].map(_duration)
     for name in ("disk", "memory"):
         table[name] = rows[name].map(shown_bytes)
-    for name in ("patterns", "seconds"):
-        table[name] = table[name].mask(rows["ends_itself"], "up to " + table[name])
-    return table.rename(columns={"seconds": "time"}).to_string(index=False, col_space=8)
+    order = ["scene", "method", "rays", "levels", "patterns", "most_patterns", "seconds"]
+    names = {"seconds": "time", "most_patterns": "at most"}
+    table = table[[*order, "disk", "memory"]].rename(columns=names)
+    return table.to_string(index=False, col_space=8)
 
 
 def _duration(seconds: float) -> str:

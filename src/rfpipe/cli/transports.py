@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rfpipe.errors import InputError
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -154,14 +155,17 @@ def export(
     import numpy as np
 
     from rfpipe.export import write_lights, write_normals, write_photographs
+    from rfpipe.output import checked_output
     from rfpipe.transport import coarser
     from rfpipe.transport.matrix_out import write_matrix
 
+    option = " --normals" if normals else " --photographs" if photographs else ""
+    suffix = checked_output(f"export{option}", output)
     light, limit_bytes = opened(path, level=level), int(limit_gib * _GIB)
     joint = coarser(light, joined) if joined > 1 else light
     light, joint = (light.T, joint.T) if dual else (light, joint)
     seen, lit = _rays(rows, joint.camera_shape), _rays(columns, joint.projector_shape)
-    is_exr = output.suffix.lower() == ".exr"
+    is_exr = suffix == ".exr"
     if (is_exr and rows) or (photographs and (rows or columns)):
         raise InputError("pictures are of all camera rays, photographs under all projector rays")
     if normals:
@@ -175,10 +179,10 @@ def export(
         )
     elif photographs:
         white = write_photographs(joint, output, *photographs, seed=seed, form=form)
-        typer.echo(f"{output}: {sum(photographs)} photographs, white is {white:.4g}")
+        typer.echo(f"{output}: {counted(sum(photographs), 'photograph')}, white is {white:.4g}")
     elif is_exr:
         count = write_lights(light, output, lit, side=joined, limit_bytes=limit_bytes)
-        typer.echo(f"{output}: {count} lights of {times(joint.projector_shape)}")
+        typer.echo(f"{output}: {counted(count, 'light')} of {times(joint.projector_shape)}")
     else:
         write_matrix(joint, output, seen, lit, limit_bytes)
         typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
@@ -207,14 +211,16 @@ def movie(
     Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
     """
     from rfpipe.export import relit_movie
+    from rfpipe.output import checked_output
 
+    checked_output("movie", output)
     light = opened(path, dual, level, view)
     enlarge = enlarged(light)
     count = round(seconds * fps) if 0 < seconds * fps < 1e6 else 0
     used = relit_movie(
         light, output, along, count, fps=fps, enlarge=enlarge, white=white, progress=True
     )
-    typer.echo(f"{output}: {count} pictures, white is {used:.4g}")
+    typer.echo(f"{output}: {counted(count, 'picture')}, white is {used:.4g}")
 
 
 def enlarged(light: Light) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -24,10 +24,44 @@ Command = Annotated[str, AfterValidator(check_command)]
 Normalization = Literal["none", "per_channel", "total_energy"]
 
 
+RigKind = Literal["simulated", "remote", "offline"]
+Watch = Literal["off", "warn", "refuse"]
+
+
+class Precautions(NamedTuple):
+    """Defaults by which a kind of rig is watched and verified.
+
+    Attributes
+    ----------
+    watch : {"off", "warn", "refuse"}
+        What to do where pictures show that the rig or its light changed.
+    looks : int
+        Patterns from one look at the rig to the next, 0 for none.
+    verification_pictures : int
+        Pictures that verify a transport, 0 for none.
+    divide_out_drift : bool
+        Whether images are divided by the brightness of the lamp.
+    """
+
+    watch: Watch
+    looks: int
+    verification_pictures: int
+    divide_out_drift: bool
+
+
+PRECAUTIONS: dict[RigKind, Precautions] = {
+    "simulated": Precautions("off", 0, 0, False),
+    "remote": Precautions("refuse", 8, 9, True),
+    # pictures that are taken by hand: one of each kind, and no repeated pattern
+    "offline": Precautions("refuse", 0, 3, False),
+}
+"""Precautions by the kind of rig, for runs and for `rfpipe.acquire`; any real rig is "remote"."""
+
+
 class CaptureConfig(Settings):
     """How patterns are shown and pictures taken."""
 
-    rig: Literal["simulated", "remote", "offline"] = setting(
+    rig: RigKind = setting(
         "simulated",
         "The rig: simulated; remote, behind 'rfpipe serve'; or offline, by 'rfpipe patterns' and "
         "'rfpipe import'.",
@@ -55,8 +89,10 @@ class CaptureConfig(Settings):
     asymmetry: Fraction = setting(
         0.05, "Relative error in relit pictures above which a rig isn't taken for a coaxial one."
     )
-    watch: Literal["off", "warn", "refuse"] = setting(
-        "refuse", "Where looks tell that the rig moved: refuse ends the capture; off: no looks."
+    watch: Watch = setting(
+        "refuse",
+        "Where pictures show that the rig or its light changed: refuse ends the capture; off: no "
+        "looks.",
     )
     batch_patterns: Batch = setting(16, "Patterns captured and stored at a time, 1 to 1024.")
     keep_raw: bool = setting(
@@ -75,9 +111,9 @@ class CaptureConfig(Settings):
         return "hardware" if self.rig == "remote" else self.rig
 
     @property
-    def looks(self) -> int:
-        """Patterns from one look at the rig to the next, 0 for none; a real rig may move."""
-        return 8 if self.rig == "remote" else 0
+    def precautions(self) -> Precautions:
+        """Defaults for this kind of rig."""
+        return PRECAUTIONS[self.rig]
 
 
 class OfflineConfig(Settings):
@@ -112,10 +148,15 @@ class VerificationConfig(Settings):
     """Pictures that no method saw, taken after an acquisition to compare the transport with."""
 
     pictures: int | None = setting(
-        None, "How many; null: 9 by a real rig, none by another.", ge=0, le=96
+        None,
+        "How many; null: 9 by a real rig, 3 by an offline one, none by a simulated one.",
+        ge=0,
+        le=96,
     )
     fail_above: Fraction | None = setting(
-        None, "Mean relative error of these pictures above which the run fails; null: never."
+        None,
+        "Mean relative error of these pictures above which the run fails; null: by a real rig 1.5 "
+        "times the method's target_error, else never.",
     )
 
 
@@ -125,8 +166,10 @@ class MergeConfig(Settings):
     mask_defects: bool = setting(
         True, "Whether dead and hot pixels are left out, with an infinite variance."
     )
-    divide_out_drift: bool = setting(
-        False, "Whether images are divided by the light that looks at the rig measured."
+    divide_out_drift: bool | None = setting(
+        None,
+        "Whether images are divided by the lamp's brightness, which looks at the rig measure; "
+        "null: of a real rig.",
     )
 
 
@@ -139,7 +182,8 @@ class ResourcesConfig(Settings):
     )
     jobs: Literal["stage", "acquisition"] | None = setting(
         None,
-        "A job's work; null: acquisition with a collection or capture.placing, else stage.",
+        "A job's work; null: acquisition with a collection, capture.placing or scenes of at most "
+        "4,000 rays, else stage.",
     )
     captures: Literal["here", "job"] = setting(
         "here",

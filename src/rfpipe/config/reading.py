@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import difflib
 import io
 import re
 from collections.abc import Iterator, Mapping
@@ -36,9 +37,11 @@ def read_yaml(path: str | Path) -> object:
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise ConfigError(_unreadable(Path(path), error)) from error
+    except UnicodeDecodeError as error:
         raise ConfigError(
-            f"{path}: can't be read as a settings file in the encoding UTF-8: {error}"
+            f"{path}: isn't text in the encoding UTF-8 ({error}); save it as UTF-8"
         ) from error
     try:
         data = parse_yaml(text)
@@ -48,6 +51,22 @@ def read_yaml(path: str | Path) -> object:
     if data in (None, {}):
         raise ConfigError(f"{path}: is empty; expected 'key: value' lines, see config/README.md")
     return data
+
+
+def _unreadable(path: Path, error: OSError) -> str:
+    """Describe why a settings file can't be read; names alike in its folder are suggested."""
+    if path.is_dir():
+        return f"{path}: is a folder; name a settings file, such as {path / 'config.yaml'}"
+    if not isinstance(error, FileNotFoundError):
+        return f"{path}: can't be read as a settings file: {error.strerror or error}"
+    folder = path.parent
+    if not folder.is_dir():
+        return f"there is no file {path}: there is no folder {folder}"
+    names = [each.name for each in sorted(folder.iterdir()) if each.suffix in (".yaml", ".yml")]
+    close = difflib.get_close_matches(path.name, names, n=3)
+    here = f" in {Path.cwd()}" if not path.is_absolute() else ""
+    meant = f"; did you mean {' or '.join(str(folder / name) for name in close)}?" if close else ""
+    return f"there is no file {path}{here}{meant}"
 
 
 def parse_yaml(text: str) -> Any:

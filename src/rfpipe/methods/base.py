@@ -176,6 +176,10 @@ class Method(ABC, Generic[State]):
         """Guess the patterns of a whole acquisition, for forecasts; one a ray if not said."""
         return projector.size
 
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Return how many patterns an acquisition shows at most, or as expected if not said."""
+        return self.expected_patterns(camera, projector, options)
+
     def memory_bytes(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> int:

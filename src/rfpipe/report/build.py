@@ -15,11 +15,11 @@ from rfpipe.report.text import STANDING_COLOURS, ray_size
 from rfpipe.stages.folder import FILES, write_files
 from rfpipe.store.files import write_atomically
 
-_SUFFIXES = (".csv", ".exr", ".html", ".json", ".png")
+_SUFFIXES = (".csv", ".exr", ".html", ".json", ".pdf", ".png", ".tex")
 
 
 def build_report(
-    config: Config, results: Path, page: Path, errors: Path, speed_error: Path
+    config: Config, results: Path, page: Path, errors: Path, speed_error: Path, note: str = ""
 ) -> None:
     """Write the report.
 
@@ -29,10 +29,12 @@ def build_report(
     results : Path
         What the stages left, see `rfpipe.report.inputs.load_inputs`.
     page : Path
-        The page to write; pictures embedded. ``figures/*.png`` and ``*.exr``, ``tables/*.csv``
-        and ``results.json`` come to lie beside it.
+        The page to write; pictures embedded. ``figures/*.png``, ``*.pdf`` and ``*.exr``,
+        ``tables/*.csv`` and ``*.tex``, and ``results.json`` come to lie beside it.
     errors, speed_error : Path
         The tables of the evaluate stage.
+    note : str
+        A sentence that follows the lead.
 
     Raises
     ------
@@ -45,7 +47,7 @@ def build_report(
             f"{results}: holds no relit acquisition of the scenes "
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
-    lead = _lead(inputs)
+    lead = " ".join(filter(None, (_lead(inputs), note)))
     colours = {inputs.title(name): inputs.style(name)["color"] for name in inputs.methods}
     swatches = colours | STANDING_COLOURS
     write_page(page, config.title, lead, make_sections(inputs), swatches, _views(inputs, page))

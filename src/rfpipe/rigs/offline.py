@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from math import prod
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import load_calibration, resampled_sensor
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 from rfpipe.store import read_manifest, write_manifest
-from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
+from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, VERIFICATION_KEY
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig
@@ -39,7 +40,12 @@ PICTURES = "pictures"
 RUN_PATHS = ("settings", "results")
 """Keys of a sheet's paths: of the run's settings file and of its results' folder."""
 
-_NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random"}
+_NAMES = {
+    BLACK_LEVEL_KEY: "black",
+    FLOODLIT_KEY: "white",
+    SYMMETRY_KEY: "random",
+    VERIFICATION_KEY: "verification",
+}
 
 
 class OfflineRig:
@@ -269,6 +275,34 @@ def _clear(folder: Path) -> None:
             old.unlink()
     except OSError as error:
         raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
+
+
+def later_sheets(sheet: Sheet) -> list[Sheet]:
+    """Sheets beside a sheet of the same acquisition's later levels."""
+    beside = [path.parent for path in sheet.folder.absolute().parent.glob(f"*/{MANIFEST}")]
+    sheets = [read_sheet(sheet.folder.parent / folder.name) for folder in sorted(beside)]
+    level, names = sheet.about["level"], ("scene", "method", *RUN_PATHS)
+    return [
+        later
+        for later in sheets
+        if later.about["level"] > level
+        and all(later.about[name] == sheet.about[name] for name in names)
+    ]
+
+
+def remove_sheet(sheet: Sheet) -> bool:
+    """Remove a sheet and its folder, unless pictures were taken of it; return whether it is gone.
+
+    StoreError where it can't be removed.
+    """
+    pictures = sheet.folder / PICTURES
+    if pictures.is_dir() and any(pictures.iterdir()):
+        return False
+    _clear(sheet.folder)
+    with suppress(OSError):  # files that aren't the sheet's stay, in their folder
+        pictures.rmdir()
+        sheet.folder.rmdir()
+    return True
 
 
 def _is_same(previous: Sheet, sheet: Sheet) -> bool:

@@ -1,10 +1,11 @@
-"""Frames of the pattern before: noticed while patterns are taken one by one.
+"""Frames of the picture before: noticed while patterns are taken one by one.
 
 A projector that is slower at times than its `settle_seconds` gives brackets that begin with, or
 are, the picture before: exposures of a bracket contradict each other, or a bracket is like one
 before although another pattern is shown. Neither proves it, as a camera may not be linear, and a
 scene may look alike under two patterns. So a doubtful bracket is taken again, later: only where the
-second one is another, the first was wrong.
+second one is another, the first was wrong. Where its frames are only brighter or darker, the lamp
+flickers or the gain changes, and neither is better.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,20 @@ CONTRADICTION = 0.25
 
 UNSURE = 4.0
 """Factor on the variance that the settings say: it may not be measured yet."""
+
+BRIGHTER = 3.0
+"""Factor by which gain or a flickering lamp changes a frame at most."""
+
+_STALE = (
+    "the frames are of the picture before, in part at least; taken again. Empty the camera's queue "
+    "before each picture, or raise the projector's settle_seconds: `rfpipe calibrate` measures its "
+    "delay (step latency)"
+)
+_UNSTEADY = (
+    "exposures of one picture contradict each other, and differ when they are taken again: the "
+    "lamp flickers, or gain changes from picture to picture. Take exposures of whole periods of "
+    "the lamp, and switch automatic gain off"
+)
 
 _log = logging.getLogger(__name__)
 
@@ -112,7 +128,8 @@ class StaleWatch:
     """Compares each bracket with itself and with the last four: a quick capture may lag by several.
 
     Watched are cameras whose counts are in proportion to light. `statistics` counts ``doubted``,
-    brackets taken again, and ``stale``, those that were wrong.
+    brackets taken again; ``stale``, wrong ones; and ``unsteady``, brackets whose repetition differs
+    in brightness alone.
     """
 
     def __init__(self, sensor: Sensor) -> None:
@@ -123,7 +140,7 @@ class StaleWatch:
         self._last: deque[tuple[Float, Float]] = deque(maxlen=4)
         self._pause = 1
         self._skipped = 0
-        self.statistics = {"doubted": 0, "stale": 0}
+        self.statistics = {"doubted": 0, "stale": 0, "unsteady": 0}
 
     def kept(self, name: str, picture: Float, take: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """Take a bracket (E, ...) of a picture and return it, or one taken later in its place."""
@@ -136,19 +153,24 @@ class StaleWatch:
             time.sleep(RETAKE_SECONDS)
             again = take()
             self.statistics["doubted"] += 1
-            if self._are_alike(_some(frames), _some(again)):
+            is_steady = self._are_alike(_some(frames), _some(again))
+            if is_steady or self._differ_in_brightness(_some(frames), _some(again)):
                 # an unfounded doubt: so many patterns go by unwatched, twice as many the next time
                 self._skipped, self._pause = self._pause, min(2 * self._pause, 64)
+                if not is_steady:
+                    self._count("unsteady", name, _UNSTEADY)
             else:
-                _log.warning(
-                    "%s: the frames were, in part at least, of the pattern before; taken again. "
-                    "The projector is slower than its settle_seconds: `rfpipe calibrate` measures "
-                    "its delay (step latency)", name,
-                )  # fmt: skip
-                self.statistics["stale"] += 1
+                self._count("stale", name, _STALE)
                 self._pause, frames = 1, again
         self._last.append((picture.copy(), _some(frames)))
         return frames
+
+    def _count(self, kind: str, name: str, text: str) -> None:
+        """Count a fault, and log the first, second, fourth, eighth, ... of its kind."""
+        self.statistics[kind] += 1
+        count = self.statistics[kind]
+        if count & (count - 1) == 0:
+            _log.warning("%s: %s", name, text if count == 1 else f"{text} ({count} times so far)")
 
     def _is_doubtful(self, bracket: Float, picture: Float) -> bool:
         """Tell whether a bracket may be, in part or wholly, of the picture before."""
@@ -163,6 +185,27 @@ class StaleWatch:
         shorter, longer = self._lights[number - 1 : number + 1]
         frame, before = bracket[number], bracket[number - 1]
         return not longer.is_promised(frame, before, shorter, ratio, CONTRADICTION)
+
+    def _differ_in_brightness(self, bracket: Float, other: Float) -> bool:
+        """Test whether the frames of two brackets are the same but for a factor each."""
+        if self._is_out_of_order(bracket):
+            return False
+        for light, one, two in zip(self._lights, bracket, other, strict=True):
+            usable = np.maximum(one, two) < light.saturated
+            sums = [np.where(usable, frame - light.black, 0).sum() for frame in (one, two)]
+            factor = float(sums[1] / sums[0]) if min(sums) > 0 else 1.0  # without light: noise
+            if not 1 / BRIGHTER < factor < BRIGHTER:
+                return False
+            off = np.where(usable, two - light.black - factor * (one - light.black), 0)
+            variance = light.variance(two) + np.float32(factor**2) * light.variance(one)
+            if not is_little(off, variance, two - light.black, light.sum(two)):
+                return False
+        return True
+
+    def _is_out_of_order(self, bracket: Float) -> bool:
+        """Test whether a longer exposure is much darker, as no lamp makes it."""
+        sums = [light.sum(frame) for light, frame in zip(self._lights, bracket, strict=True)]
+        return any(longer < shorter / BRIGHTER for shorter, longer in pairwise(sums))
 
     def _are_alike(self, bracket: Float, other: Float) -> bool:
         return all(

@@ -11,22 +11,24 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
+from rfpipe.config.capture import PRECAUTIONS, Watch
+from rfpipe.errors import InputError, StoreError
 from rfpipe.methods import Method, get_method
 from rfpipe.rigs import Rig
-from rfpipe.stages import capture, merge
+from rfpipe.rigs.base import is_simulated
+from rfpipe.stages import capture
 from rfpipe.stages.acquisition import run_levels
 from rfpipe.stages.assemble import assembled
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, Arrays, Facts
+from rfpipe.stages.folder import AcquisitionFolder, Arrays, Facts
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
-from rfpipe.stages.verification import Verification, compared, schedule_of
+from rfpipe.stages.verification import Verification, capture_and_merge, compared, schedule_of
 from rfpipe.transport import Transport
 from rfpipe.units import RADIANCE
 
@@ -94,7 +96,9 @@ def acquire(
     symmetry_frames: int = 6,
     asymmetry: float = 0.05,
     mask_defects: bool = True,
-    verification: int = 0,
+    watch: Watch | None = None,
+    divide_out_drift: bool | None = None,
+    verification: int | None = None,
     **options: Any,
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
@@ -124,9 +128,14 @@ def acquire(
     mask_defects : bool
         Whether dead and hot pixels are left out. On a coaxial rig, what other pixels see of their
         light fills them in at the end; otherwise their rows of T are zero.
-    verification : int
+    watch : {"off", "warn", "refuse"}, optional
+        What to do where pictures show that the rig or its light changed: "refuse" raises
+        CaptureError. None: "refuse", "off" with a simulated rig.
+    divide_out_drift : bool, optional
+        Whether images are divided by the lamp's brightness. None: with rigs that aren't simulated.
+    verification : int, optional
         Pictures that the method doesn't see, taken afterwards to compare the transport with; 0 for
-        none.
+        none. None: 9, 0 with a simulated rig.
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
@@ -142,23 +151,19 @@ def acquire(
         If the method lacks an option, one is out of range, the method does not fit the rig, or
         `rig` can't capture.
     CaptureError
-        If the rig fails or returns what can't be a picture, or isn't coaxial and the method needs
-        it.
+        If the rig fails or returns what can't be a picture, if it isn't coaxial and the method
+        needs it, or if it or its light changes and `watch` is "refuse".
     """
     if not hasattr(rig, "capture"):
         raise InputError(
             f"{type(rig).__name__} is no rig; make one of a matrix or linear operator: "
             "rfpipe.OperatorRig(matrix, camera_shape=(h, w), projector_shape=(h, w))"
         )
-    if min(black_frames, floodlit_frames) < 1:
-        raise InputError(
-            f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
-            "at least one of each is needed"
-        )
-    if symmetry_frames < 0 or symmetry_frames in (1, 2):
-        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
-    if verification < 0:
-        raise InputError(f"verification is {verification}; 0 or more pictures can be taken")
+    precautions = PRECAUTIONS["simulated" if is_simulated(rig) else "remote"]
+    watch = precautions.watch if watch is None else watch
+    if verification is None:
+        verification = precautions.verification_pictures
+    _check(black_frames, floodlit_frames, symmetry_frames, verification, watch)
     began = perf_counter()
     named = get_method(method)
     plan = Plan(
@@ -168,10 +173,17 @@ def acquire(
     capturing: dict[str, Any] = {
         "references": (black_frames, floodlit_frames), "progress": progress,
         "symmetry_frames": symmetry_frames if plan.asks_symmetry else 0,
+        "watching": {
+            "mode": watch, "looks": precautions.looks or PRECAUTIONS["remote"].looks,
+            "asymmetry": asymmetry,
+        },
     }  # fmt: skip
     code = {"code": ""}  # nothing is kept that it made
     merging: dict[str, Any] = {
         "mask_defects": mask_defects, "sensor": rig.sensor, "progress": False, **code,
+        "divide_out_drift": (
+            precautions.divide_out_drift if divide_out_drift is None else divide_out_drift
+        ),
     }  # fmt: skip
     settings = {
         "schedule": code, "capture": capturing, "merge": merging,
@@ -190,11 +202,11 @@ def acquire(
     verified = None
     if verification:
         write_schedule(folder, "", schedule_of(rig.projector_shape, verification))
-        capturing["symmetry_frames"] = 0
-        with folder.doing(VERIFICATION, "capture"):
-            capture.run(rig, folder, VERIFICATION, **capturing)
-        merge.run(folder, VERIFICATION, **merging)
+        capture_and_merge(folder, partial(_captured, rig), verification, settings, resources)
         verified = compared(folder, transport)
+        outcome = verified.against(getattr(plan.options, "target_error", None))
+        if outcome.standing == "missed":
+            _log.warning("the target is missed: %s", outcome.reason)
     levels = [level for level in folder.levels() if folder.exists(level, "refine")]
     captured, merged = (
         [folder.read_manifest(level, stage) for level in levels] for stage in ("capture", "merge")
@@ -208,6 +220,29 @@ def acquire(
         masked,
         verified,
     )
+
+
+def _check(
+    black_frames: int, floodlit_frames: int, symmetry_frames: int, verification: int, watch: str
+) -> None:
+    """Raise InputError for arguments of `acquire` that are out of range."""
+    if min(black_frames, floodlit_frames) < 1:
+        raise InputError(
+            f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
+            "at least one of each is needed"
+        )
+    if symmetry_frames < 0 or symmetry_frames in (1, 2):
+        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
+    if watch not in get_args(Watch):
+        raise InputError(f"watch is {watch!r}; expected one of {', '.join(get_args(Watch))}")
+    if verification < 0:
+        raise InputError(f"verification is {verification}; 0 or more pictures can be taken")
+
+
+def _captured(rig: Rig, folder: AcquisitionFolder, level: int, **options: Any) -> None:
+    """Capture a level outside `run_levels`, which counts the seconds itself."""
+    with folder.doing(level, "capture"):
+        capture.run(rig, folder, level, **options)
 
 
 # ruff: noqa: D102, ARG002 - methods and arguments below are those of AcquisitionFolder and FrameStore
@@ -254,6 +289,12 @@ class AcquisitionInMemory(AcquisitionFolder):
 
     def frames(self, level: int, stage: str, part: str | None = None) -> Any:
         return nullcontext(self._frames[self.store(level, part or stage)])
+
+    def open_frames(self, level: int, part: str) -> Any:
+        path = self.store(level, part)
+        if path not in self._frames:
+            raise StoreError(f"{path}: was not captured")
+        return nullcontext(self._frames[path])
 
     def recording(
         self, path: Path, shape: tuple[int, ...], dtype: Any, made_for: str, shown: Facts

@@ -113,14 +113,27 @@ class StageJob:
 
         return captures.of_job(self)
 
+    @property
+    def stages(self) -> dict[str, dict[str, Any]]:
+        """Keyword arguments of each stage, where the rule's parameters have several."""
+        return self._in_manner(self.params.settings)
+
     def do(self, rule: str) -> None:
         """Do the stage of a rule."""
-        if rule.startswith("capture"):
+        name = "capture" if rule.startswith("capture") else rule
+        if name == "capture":
             stage: Callable[..., None] = partial(self.capture, resources=self.resources.here)
         else:
             stage = _function(rule, None if rule == "merge" else self.plan, self.resources)
         of_level = () if rule == "assemble" else (self.level,)
-        stage(self.folder, *of_level, **self.params.settings)
+        stage(self.folder, *of_level, **self._in_manner({name: self.params.settings})[name])
+
+    def _in_manner(self, stages: Settings) -> dict[str, dict[str, Any]]:
+        from rfpipe.stages.plan import MANNER, in_manner
+
+        if not {"capture", "merge"} & set(stages):
+            return {stage: dict(settings) for stage, settings in stages.items()}
+        return in_manner(stages, {name: getattr(self.asked, name) for name in MANNER})
 
 
 @contextmanager

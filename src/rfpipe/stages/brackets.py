@@ -21,6 +21,7 @@ from rfpipe.rigs.base import capture_batch
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.store import FrameStore, StoreLock, restore_header
+from rfpipe.text import counted
 
 Keys = list[tuple[int, ...]]
 """A key a pattern: for the rig's random numbers, and for messages."""
@@ -98,8 +99,8 @@ class Brackets:
                         frames.write(first, self.take(first, last))
                         bar.advance(last - first)
             if done < self.count:
-                text = "%s: %d patterns in %.1f s"
-                _log.info(text, self.name, self.count - done, monotonic() - began)
+                taken = counted(self.count - done, "pattern")
+                _log.info("%s: %s in %.1f s", self.name, taken, monotonic() - began)
             if watch:
                 watch.before(self.count)
             return self.entry(frames)

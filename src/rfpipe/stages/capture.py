@@ -15,19 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
-from rfpipe.errors import StoreError
+from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated, sequence_patterns
+from rfpipe.stages.against_calibration import check
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.stages.watch import watching_level
+from rfpipe.stages.steadiness import camera_of, faults_of_references, sample
+from rfpipe.stages.watch import watching_level, ways_on
 from rfpipe.steps import counted_by
 from rfpipe.store import bytes_on_disk
+from rfpipe.text import counted
 from rfpipe.units import (
     BLACK_LEVEL_KEY,
     COUNT_UNIT,
@@ -75,7 +78,10 @@ def run(
     warm_up_minutes : float
         Minutes that the lamp warms up, where no bracket was taken in the last so many minutes.
     watching : mapping, optional
-        Of `rfpipe.stages.watch.watching_level`: "mode" and "looks".
+        "mode", "off", "warn" or "refuse": what to do where pictures show that the rig or its light
+        changed; "looks": patterns from one look to the next, 0 for none, see
+        `rfpipe.stages.watch`; "asymmetry": what is accepted, see
+        `rfpipe.stages.against_calibration`.
 
     Raises
     ------
@@ -84,24 +90,21 @@ def run(
     StoreError
         When the level doesn't fit on the disk, or another process writes it; nothing is shown then.
     CaptureError
-        When the rig fails, returns what is no bracket, or moved where `watching` refuses that;
-        what is captured stays.
+        When the rig fails, returns what is no bracket, or isn't what it was where `watching`
+        refuses that; what is captured stays.
     """
+    watching = {"mode": "off", "looks": 0, "asymmetry": 1.0, **(watching or {})}
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):
         if of_level.count:
-            _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
+            _log.info("%s: complete, with %s", of_level.name, counted(of_level.count, "pattern"))
         return
     parts = (*before.values(), of_level)
     for part in parts:
         part.settle(when_patterns_change)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture and folder.is_kept:
-        merged = folder.store(level, "merge")  # of a capture before: replaced
-        camera = rig.sensor, tuple(rig.camera_shape), rig.channels
-        need = disk_bytes(*camera, to_capture, of_level.count)
-        present = bytes_on_disk(merged) if merged.exists() else 0
-        check_disk(of_level.name, need, folder.path, present)
+        _check_disk(rig, folder, level, of_level, to_capture)
         _warm_up(rig, folder, 60 * warm_up_minutes)
     # A sequence is stored when it is complete: long ones, as loading takes most of their time;
     # in hand they have complements.
@@ -114,7 +117,16 @@ def run(
         for name, part in before.items():
             counts = {name: it for name, it in part.shown.items() if name != "rig"}
             beside[name] = {**part.capture(batch, progress=progress), **counts}
-    with watching_level(of_level, level, **(watching or {})) as watch:
+            if name == REFERENCE and watching["mode"] != "off":
+                _check_references(folder, rig.sensor, part.shown, watching["mode"])
+    looks = max(watching["looks"], in_sequences) if watching["looks"] else 0
+    with watching_level(of_level, level, watching["mode"], looks) as watch:
+        if watch and watch.merger and level != VERIFICATION:
+            watch.before(0)  # says first what changes from picture to picture
+            check(
+                folder, level, watch.merger, of_level.shown["rig"], watching["asymmetry"],
+                refuse=watch.refuse,
+            )  # fmt: skip
         captured = of_level.capture(batch, watch, progress=progress)
         beside |= watch.entries() if watch else {}
     manifest = {
@@ -231,6 +243,36 @@ def _stands(
     return all(
         stated.get(name, {}).get("fingerprint") == part.made_for for name, part in before.items()
     )
+
+
+def _check_disk(
+    rig: Rig, folder: AcquisitionFolder, level: int, of_level: Brackets, to_capture: int
+) -> None:
+    """Raise StoreError where a level's brackets, and what is made of them, don't fit."""
+    merged = folder.store(level, "merge")  # of a capture before: replaced
+    camera = rig.sensor, tuple(rig.camera_shape), rig.channels
+    need = disk_bytes(*camera, to_capture, of_level.count)
+    present = bytes_on_disk(merged) if merged.exists() else 0
+    check_disk(of_level.name, need, folder.path, present)
+
+
+def _check_references(
+    folder: AcquisitionFolder, sensor: Sensor, shown: Mapping[str, Any], mode: str
+) -> None:
+    """Log what changed among the reference brackets; raise CaptureError where that is refused."""
+    camera, off = camera_of(sensor), shown["black_frames"]
+    if camera is None:
+        return
+    with folder.open_frames(0, REFERENCE) as frames:
+        count = frames.shape[0]
+        samples = np.stack([sample(frames.read(n, n + 1)[0], count) for n in range(count)])
+    for fault in faults_of_references(samples[:off], samples[off:], camera):
+        if mode == "refuse" and fault.is_harmful:
+            raise CaptureError(
+                f"black and white pictures show that {fault.text}. The capture ends here; "
+                f"{ways_on(folder, 0, shown['rig'].get('kind', ''))}"
+            )
+        _log.warning("black and white pictures show that %s", fault.text)
 
 
 def _warm_up(rig: Rig, folder: AcquisitionFolder, seconds: float) -> None:

@@ -18,7 +18,7 @@ from rfpipe.rigs.calibrated import warn_of
 from rfpipe.rigs.messages import read_token
 from rfpipe.stages import capture
 from rfpipe.stages.brackets import differing
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
 from rfpipe.store import FrameStore
 
 Capture = Callable[..., None]
@@ -74,7 +74,7 @@ def by_pictures(
             capture.run(rig, folder, level, **options)
         except PicturesNeeded as needed:
             raise PicturesNeeded(
-                f"{Path(*folder.path.parts[-2:])}: level {level} waits for pictures. Write its "
+                f"{Path(*folder.path.parts[-2:])}: {name_of(level)} waits for pictures. Write its "
                 "patterns with 'rfpipe patterns CONFIG', take them, and read the pictures with "
                 "'rfpipe import FOLDER'"
             ) from needed
@@ -158,6 +158,6 @@ def _check_begun(rig: RemoteRig, folder: AcquisitionFolder) -> None:
     if begun_with not in (None, described):
         raise CaptureError(
             f"{rig.url}: the rig is not that of the patterns captured before ("
-            f"{differing(begun_with, described)}). Serve it with those settings, or remove the "
-            "acquisition's folder to begin anew"
+            f"{differing(begun_with, described)}). Serve it with those settings, or "
+            f"begin anew with this rig: '{folder.retaking()}', with the run's other options"
         )

@@ -22,6 +22,7 @@ from rfpipe.provenance import versions
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
+    is_dropped,
     keep_header,
     open_arrays,
     read_manifest,
@@ -29,7 +30,7 @@ from rfpipe.store import (
     write_arrays,
     write_manifest,
 )
-from rfpipe.store.files import digest_of
+from rfpipe.store.files import digest_of, storage_errors, write_atomically
 from rfpipe.store.places import Place
 from rfpipe.transport.arrays import LazyArrays
 from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
@@ -40,8 +41,14 @@ REFERENCE = "reference"
 SYMMETRY = "symmetry"
 """Brackets of random patterns, taken with level 0, and what they tell in the merge's manifest."""
 
+LAMP = "lamp"
+"""Brightness of the lamp before the first look, in the manifest of level 0's merge."""
+
 VERIFICATION = VERIFICATION_KEY
 """In the place of a level's number: the pictures that verify the transport, taken after it."""
+
+VERIFICATION_FOLDER = "verification"
+"""Name of their folder, among those of the levels."""
 
 STAGES_LOG = "stages.log"
 """Beside the transport: the stages of a whole acquisition, of which Snakemake keeps no records.
@@ -51,6 +58,9 @@ Where it is newer than level 0's schedule, Snakemake does all stages again; no l
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 """Of a level, in their order."""
+
+BY_PRODUCTS = (".log", ".benchmark.tsv", ".asked", ".tmp")
+"""Ends of the names of files beside results that tell of their making alone."""
 
 FILES = "files.json"
 """Name of the manifest of a report's files."""
@@ -112,8 +122,7 @@ class AcquisitionFolder:
 
     def manifest(self, level: int, stage: str) -> Path:
         """Manifest of a stage of a level; its existence says that the stage is complete."""
-        name = "verification" if level == VERIFICATION else f"L{level:02d}"
-        return self.path / name / f"{stage}.json"
+        return self.path / folder_of(level) / f"{stage}.json"
 
     def store(self, level: int, stage: str) -> Path:
         """Store that the manifest is about."""
@@ -196,6 +205,10 @@ class AcquisitionFolder:
             _check_digest(path, frames.digest(), expected[part] if part else expected)
             yield frames
 
+    def open_frames(self, level: int, part: str) -> AbstractContextManager[FrameStore]:
+        """Open frames that a stage writes or wrote, complete or not; StoreError for none."""
+        return FrameStore.open(self.store(level, part).absolute())
+
     def recording(
         self, path: Path, shape: tuple[int, ...], dtype: Any, made_for: str, shown: Facts
     ) -> AbstractContextManager[FrameStore]:
@@ -230,9 +243,24 @@ class AcquisitionFolder:
         yield
         if manifest.stat().st_mtime_ns != before:
             times = manifest.with_suffix(".benchmark.tsv")
-            times.write_text(f"s\n{perf_counter() - began:.4f}\n", encoding="ascii")
-            with (self.path / STAGES_LOG).open("a", encoding="utf-8") as done:
+            write_atomically(times, f"s\n{perf_counter() - began:.4f}\n".encode())
+            log = self.path / STAGES_LOG
+            with storage_errors(log, "writing"), log.open("a", encoding="utf-8") as done:
                 done.write(f"{manifest.parent.name}/{stage}\n")
+
+    def has_merged_raw(self) -> bool:
+        """Whether raw exposures are on disk that a merge has used."""
+        stores = [path.with_name("capture.zarr") for path in self.path.glob("*/merge.json")]
+        return any(store.exists() and not is_dropped(store) for store in stores)
+
+    def retaking(self, level: int | None = None) -> str:
+        """Return the command that takes a level's pictures again, all levels' for None.
+
+        It is for a shell in the run's folder, and needs the run's other options.
+        """
+        scene, method = self.path.absolute().parts[-2:]
+        of = "" if level is None else f"/{self.manifest(level, 'capture').parent.name}"
+        return f"rfpipe run --retake {scene}/{method}{of}"
 
     def levels(self) -> Iterator[int]:
         """Yield the levels that have patterns to show, as far as that is known.
@@ -255,6 +283,11 @@ class AcquisitionFolder:
     def refined_above(self, level: int | None) -> list[str]:
         """Return the digests of all refinements above a level, which its schedule rests on."""
         return [self.read_manifest(above, "refine")["digest"] for above in self.levels_above(level)]
+
+
+def folder_of(level: int) -> str:
+    """Name of a level's folder."""
+    return VERIFICATION_FOLDER if level == VERIFICATION else f"L{level:02d}"
 
 
 def name_of(level: int) -> str:

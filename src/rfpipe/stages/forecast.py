@@ -70,8 +70,9 @@ def forecast(settings: Config) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``scene``, ``method``; ``rays`` of the projector, ``levels``; ``patterns`` that the method
-        expects, at most where it ``ends_itself`` by its estimate of the error; ``seconds`` on the
-        rig, ``disk`` and ``memory`` in bytes, before compression.
+        expects, ``seconds`` on the rig and ``disk`` in bytes, before compression, that they take;
+        ``most_patterns``, ``most_seconds`` and ``most_disk``, the largest of each; ``memory`` in
+        bytes.
 
     Raises
     ------
@@ -94,17 +95,24 @@ def forecast(settings: Config) -> pd.DataFrame:
         pictures = of_scene.verification_pictures
         references += pictures + 2 if pictures else 0
         rays = plan.camera, plan.projector
-        expected = plan.method.expected_patterns(*rays, plan.options)
         warm_up, each = 60 * capture.warm_up_minutes, capture.seconds_per_pattern
-        brackets = references + capture.keep_raw * expected
         camera = plan.camera.shape, plan.channels
+        counts = {
+            "": plan.method.expected_patterns(*rays, plan.options),
+            "most_": plan.method.most_patterns(*rays, plan.options),
+        }
+        takes = {}
+        for prefix, count in counts.items():
+            brackets = references + capture.keep_raw * count
+            takes |= {
+                f"{prefix}patterns": count,
+                f"{prefix}seconds": warm_up + each * (count + references),
+                f"{prefix}disk": disk_bytes(sensor, *camera, brackets, count),
+            }
         rows.append(
             {
                 "scene": scene, "method": name,
-                "rays": plan.projector.size, "levels": plan.n_levels,
-                "patterns": expected, "ends_itself": plan.method.estimates_error,
-                "seconds": warm_up + each * (expected + references),
-                "disk": disk_bytes(sensor, *camera, brackets, expected),
+                "rays": plan.projector.size, "levels": plan.n_levels, **takes,
                 "memory": plan.method.memory_bytes(*rays, plan.channels, plan.options)
                 + settings.scenes[scene].simulation_bytes,
             }

@@ -16,9 +16,10 @@ from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages import symmetry
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
+from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.lamp import measure_lamp, with_brightness
 from rfpipe.stages.merger import (
     REFERENCES,
     LevelSum,
@@ -27,7 +28,9 @@ from rfpipe.stages.merger import (
     learn_references,
     read_merger,
     runs,
+    write_references,
 )
+from rfpipe.stages.steadiness import camera_of
 from rfpipe.stages.watch import MOVES, measure_looks
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE_UNIT
@@ -105,16 +108,39 @@ def run(
                 "fingerprint": made_from, "versions": versions(),
             }  # fmt: skip
             if level == 0:
-                merger, facts[REFERENCES] = learn_references(sensor, folder, mask_defects)
-                facts |= symmetry.measured(folder, merger)
+                divide = divide_out_drift and MOVES in captured
+                merger, of_rig = _learn(sensor, folder, mask_defects, divide)
+                facts |= of_rig
             else:
                 merger = read_merger(sensor, folder)
-            gains, looks = measure_looks(folder, merger, level, divide_out=divide_out_drift)
+            lamp = facts if level == 0 else folder.read_manifest(0, "merge")
+            is_steady = lamp.get(LAMP, {}).get("steady", True)
+            gains, looks = measure_looks(
+                folder, merger, level, divide_out=divide_out_drift, is_steady=is_steady
+            )
             facts |= looks
             facts |= _merge(merger, gains, folder, level, facts, resources or Resources(), progress)
         folder.write_manifest(level, "merge", facts)
     if not keep_raw:
         _drop_raw(folder, level)
+
+
+def _learn(
+    sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool, divide_out_drift: bool
+) -> tuple[Merger, dict[str, Any]]:
+    """Learn from the brackets that an acquisition begins with, and write it.
+
+    Returns what merges, and facts for the manifest: of references, lamp and symmetry.
+    """
+    merger = learn_references(sensor, folder, mask_defects)
+    facts: dict[str, Any] = {}
+    randoms = None
+    if divide_out_drift and camera_of(sensor) is not None:
+        lamp = measure_lamp(folder, merger)
+        merger, randoms = with_brightness(merger, lamp.whites), lamp.randoms
+        facts |= lamp.facts()
+    facts[REFERENCES] = write_references(folder, merger)
+    return merger, facts | symmetry.measured(folder, merger, randoms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,10 +241,7 @@ def _kept(
     raw = folder.store(level, "capture")
     if not folder.is_kept or not FrameStore.open(raw).dropped:
         return None
-    advice = (
-        f"To capture all levels again, remove the capture.json, capture.zarr and reference.zarr of "
-        f"{folder.path}/L*, then run again"
-    )
+    advice = f"To capture all levels again: '{folder.retaking()}', with the run's other options"
     try:
         sums = open_arrays(folder.store(level, SUMS))
         sums.read_all()
@@ -245,6 +268,14 @@ def _kept(
             "dropped. %s", raw, advice,
         )  # fmt: skip
     return facts
+
+
+def drop_raw(folder: AcquisitionFolder) -> None:
+    """Remove the raw exposures of all merged levels, and of the pictures for verification."""
+    levels = [*folder.levels_above(None), VERIFICATION]
+    for level in levels:
+        if folder.exists(level, "merge"):
+            _drop_raw(folder, level)
 
 
 def _drop_raw(folder: AcquisitionFolder, level: int) -> None:

@@ -242,23 +242,29 @@ def _check_saturation(share: float, sensor: Sensor, kind: Kind) -> None:
         _log.warning(text, 100 * share)
 
 
-def learn_references(
-    sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool
-) -> tuple[Merger, dict[str, Any]]:
-    """Learn from the reference brackets, and write it; return its entry for the manifest, too."""
-    captured = folder.read_manifest(0, "capture")[REFERENCE]
-    counted = {name: captured[name] for name in ("black_frames", "floodlit_frames")}
-    off, on = counted.values()
+def learn_references(sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool) -> Merger:
+    """Learn black level, defects and floodlit image from the reference brackets."""
+    off, on = _reference_counts(folder).values()
     with folder.frames(0, "capture", REFERENCE) as frames:
         brackets = (frames.read(index, index + 1) for index in range(off + on))
         black = islice(brackets, off)
         kind = kind_of(folder.read_manifest(0, "capture")["rig"])
-        merger = Merger.from_references(sensor, black, brackets, mask_defects, kind)
+        return Merger.from_references(sensor, black, brackets, mask_defects, kind)
+
+
+def _reference_counts(folder: AcquisitionFolder) -> dict[str, int]:
+    captured = folder.read_manifest(0, "capture")[REFERENCE]
+    return {name: captured[name] for name in ("black_frames", "floodlit_frames")}
+
+
+def write_references(folder: AcquisitionFolder, merger: Merger) -> dict[str, Any]:
+    """Write what was learnt from the reference brackets; return its entry for the manifest."""
+    counted = _reference_counts(folder)
     arrays = {name: getattr(merger, name) for name in _HELD}
     if merger.defects is not None:
         arrays["defects"] = merger.defects.mask
         counted |= {"hot": merger.defects.hot, "dead": merger.defects.dead}
-    return merger, {**folder.write_part(0, REFERENCES, arrays, counted=counted), **counted}
+    return {**folder.write_part(0, REFERENCES, arrays, counted=counted), **counted}
 
 
 def read_merger(sensor: Sensor, folder: AcquisitionFolder) -> Merger:

@@ -1,9 +1,13 @@
-"""Acquisitions whose pictures are taken elsewhere: a level at a time, between two sessions."""
+"""Acquisitions whose pictures are taken elsewhere: a level at a time, between two sessions.
+
+The first level's sheet also has the pictures that verify the transport: they need no session of
+their own, and what moves between two sessions shows in them as an error.
+"""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +19,10 @@ from rfpipe.errors import InputError, PicturesNeeded
 from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, relative_to_sheet, write_sheet
 from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, folder_of
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import Plan, plan_of, stages_of
+from rfpipe.stages.plan import Plan, in_manner, manner_of, plan_of, stages_of
+from rfpipe.stages.verification import capture_options, schedule_of, schedule_pictures
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:
@@ -45,11 +50,13 @@ class OfflineAcquisition:
                 "are taken elsewhere"
             )
         self._level, self._options = 0, dict[str, Any]()
+        self._verifying = dict[str, Any]()
 
     def advance(self, rig: OfflineRig) -> int | None:
         """Do all that can be done with a rig's pictures; errors as `acquisition.run`.
 
-        Returns the level whose pictures are to be taken next, None where ``transport.json`` stands.
+        Returns the level whose pictures are to be taken next, VERIFICATION for those that verify
+        the transport alone, and None where nothing is missing.
         """
 
         def captured(folder: AcquisitionFolder, level: int, **options: Any) -> None:
@@ -57,14 +64,38 @@ class OfflineAcquisition:
             capture.run(rig, folder, level, **options)
 
         plan = Plan(**plan_of(self.settings, self.scene, self.name))
-        stages = stages_of(self.settings, self.scene, self.name)
+        manner = manner_of(self.settings, self.scene)
+        stages = in_manner(stages_of(self.settings, self.scene, self.name), manner)
         resources = Resources(self.settings.resources.memory_gib)
-        try:
-            with StoreLock(self.folder):
+        with StoreLock(self.folder):
+            try:
                 acquisition.run(plan, self.files, captured, stages, resources)
+            except PicturesNeeded:
+                self._capture_verification(rig, stages["capture"])
+                return self._level
+            if self._capture_verification(rig, stages["capture"]):
+                return None
+        self._level = VERIFICATION
+        return VERIFICATION
+
+    def _capture_verification(self, rig: OfflineRig, options: Mapping[str, Any]) -> bool:
+        """Capture the pictures that verify the transport; return True if all are captured."""
+        count, files = self._verification_pictures, self.files
+        if not count:
+            return True
+        if not files.exists(0, "merge"):
+            return False
+        schedule_pictures(files, count)
+        self._verifying = capture_options(files, count, options)
+        try:
+            capture.run(rig, files, VERIFICATION, **self._verifying)
         except PicturesNeeded:
-            return self._level
-        return None
+            return False
+        return True
+
+    @property
+    def _verification_pictures(self) -> int:
+        return self.settings.of_scene(self.scene).verification_pictures
 
     def rig(self) -> OfflineRig:
         """Return the rig of the settings, without pictures."""
@@ -78,7 +109,7 @@ class OfflineAcquisition:
         The sheet names settings and results for whoever imports its pictures. Raises InputError
         when its folder holds pictures of other patterns already.
         """
-        own = folder / f"{self.scene}_{self.name}_L{self._level:02d}"
+        own = folder / f"{self.scene}_{self.name}_{folder_of(self._level)}"
         about = {
             "settings": relative_to_sheet(settings_file, own),
             "results": relative_to_sheet(results, own),
@@ -96,8 +127,11 @@ class OfflineAcquisition:
 
     def take_back(self, level: int) -> list[Path]:
         """Remove what was made of the pictures of a level and of the later ones; return what."""
-        gone = [path for path in sorted(self.folder.glob("L[0-9]*")) if int(path.name[1:]) >= level]
+        levels = sorted(self.folder.glob("L[0-9]*"))
+        gone = [path for path in levels if int(path.name[1:]) >= level]
         gone += list(self.folder.glob("transport.*")) if gone else []
+        if level in (0, VERIFICATION):
+            gone += list(self.folder.glob("verification*"))
         with StoreLock(self.folder):
             for path in reversed(gone):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -110,7 +144,7 @@ class OfflineAcquisition:
 
     def _asked(self, rig: OfflineRig) -> Asked:
         """Yield key and pattern of all that the level lacks."""
-        options = self._options
+        options = self._verifying if self._level == VERIFICATION else self._options
         of_level, before = capture.brackets_of(
             rig, self.files, self._level, options["references"], options["symmetry_frames"]
         )
@@ -118,3 +152,7 @@ class OfflineAcquisition:
             for first, last in part.missing(self.settings.capture.batch_patterns):
                 patterns, keys = part.patterns(first, last)
                 yield from zip(map(tuple, keys), patterns, strict=True)
+        if self._level == 0 and self._verification_pictures:
+            weights = schedule_of(rig.projector_shape, self._verification_pictures).weights
+            assert weights is not None
+            yield from (((VERIFICATION, index), each) for index, each in enumerate(weights))

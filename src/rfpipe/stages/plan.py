@@ -12,6 +12,7 @@ from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.states import unprefixed
 from rfpipe.plugins import METHODS, SCENES, sources_of
 from rfpipe.provenance import code_digest
+from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.symmetry import read_asymmetry
 from rfpipe.units import SYMMETRY_FRAMES
@@ -74,7 +75,10 @@ class Plan:
         """
         measured = read_asymmetry(folder)
         if measured is not None:
-            named = measured.judge(self.named, self.options, self.asymmetry, aloud=aloud)
+            calibrated = was_coaxial(folder.read_manifest(0, "capture")["rig"])
+            named = measured.judge(
+                self.named, self.options, self.asymmetry, aloud=aloud, calibrated=calibrated
+            )
         else:
             is_coaxial = self.camera.shape == self.projector.shape
             named = self.named if is_coaxial else self.named.on_rig(coaxial=False)
@@ -154,23 +158,63 @@ def _rays(scene: SceneSettings) -> dict[str, Any]:
     return {**{name: list(shape) for name, shape in shapes.items()}, "channels": scene.channels}
 
 
-def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]]:
-    """Return the keyword arguments of each stage of an acquisition, the same before any rig.
+MANNER = (
+    "batch_patterns",
+    "warm_up_minutes",
+    "when_patterns_change",
+    "watch",
+    "asymmetry",
+    "keep_raw",
+)
+"""Settings of a capture that shape no result: a change of them runs nothing again."""
 
-    Among them is the digest of the code, but of captures: an edit takes no picture again.
+
+def manner_of(config: Config, scene: str) -> dict[str, str]:
+    """Return the settings `MANNER` of a scene as text, as the resources of a job have them."""
+    capture = config.of_scene(scene).capture
+    manner = {name: str(getattr(capture, name)) for name in MANNER}
+    return {**manner, "watch": "off" if capture.rig == "simulated" else capture.watch}
+
+
+def in_manner(
+    stages: Mapping[str, Mapping[str, Any]], manner: Mapping[str, str]
+) -> dict[str, dict[str, Any]]:
+    """Add the settings of `manner_of` to the keyword arguments of stages, see `stages_of`."""
+    settings = {stage: dict(of_stage) for stage, of_stage in stages.items()}
+    if "capture" in settings:
+        capture = settings["capture"]
+        capture["batch_patterns"] = int(manner["batch_patterns"])
+        capture["warm_up_minutes"] = float(manner["warm_up_minutes"])
+        capture["when_patterns_change"] = manner["when_patterns_change"]
+        capture["watching"] = {
+            **capture["watching"],
+            "mode": manner["watch"],
+            "asymmetry": float(manner["asymmetry"]),
+        }
+    if "merge" in settings:
+        settings["merge"]["keep_raw"] = manner["keep_raw"] == "True"
+    return settings
+
+
+def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]]:
+    """Return the keyword arguments of each stage that shape its result, the same before any rig.
+
+    Among them is the digest of the code, except of captures: an edit takes no picture again. The
+    other arguments are added by `in_manner`.
     """
     plan = Plan(**plan_of(config, scene, name))
     code = {"code": code_of(config, scene, name)}
     of_scene = config.of_scene(scene)
     capture = of_scene.capture
-    same = ("batch_patterns", "warm_up_minutes", "when_patterns_change")
     captured = {
-        **{setting: getattr(capture, setting) for setting in same},
         "references": [capture.black_frames, capture.floodlit_frames],
         "symmetry_frames": SYMMETRY_FRAMES if plan.asks_symmetry else 0,
-        "watching": {"mode": capture.watch, "looks": capture.looks},
+        "watching": {"looks": capture.precautions.looks},
     }
-    merged = {**of_scene.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw}
+    merged = {
+        "mask_defects": of_scene.merge.mask_defects,
+        "divide_out_drift": of_scene.divides_out_drift,
+    }
     return {
         "schedule": code,
         "capture": captured,
@@ -201,6 +245,5 @@ def rig_of(config: Config, scene: str) -> dict[str, Any]:
     if config.capture.rig == "offline":
         offline = of_scene.offline.model_dump(mode="json")
         return {"by": "pictures", "rig": {"offline": offline, **camera, **_rays(about)}}
-    seconds = of_scene.capture.seconds_per_pattern
-    rig = {"scene": about.itself(), **camera, "seed": of_scene.seed, "seconds_per_pattern": seconds}
+    rig = {"scene": about.itself(), **camera, "seed": of_scene.seed}
     return {"by": "simulation", "rig": rig}

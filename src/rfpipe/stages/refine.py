@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -19,6 +20,7 @@ from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.steps import counted_by
+from rfpipe.text import counted
 from rfpipe.transport.base import estimates
 from rfpipe.units import RADIANCE_UNIT
 
@@ -61,7 +63,7 @@ def run(
         if schedule.count == 1 and schedule.complete:  # the references' pattern, in far less noise
             floodlit, variance = (image[None] for image in read_floodlit(folder))
             images = ImagesAs(schedule, lambda *_: (floodlit, variance))
-        with counted_by(partial(Progress, unit="step", shown=progress)):
+        with counted_by(partial(Progress, unit="step", shown=progress)), _warnings() as warnings:
             state = method.refine(state, images, (resources or Resources()).data_bytes)
     log_estimate(state.rows, plan.options)
     # in memory the state itself is carried on
@@ -80,9 +82,28 @@ def run(
         "next": following if following < plan.n_levels else None,
         "patterns": planned["patterns"],
         "units": RADIANCE_UNIT,
+        # for the end of the run, such as why a method ended above its target
+        **({"warnings": warnings} if warnings else {}),
     }
     folder.write(level, "refine", made_from, arrays, facts, states=states)
     plan.carry(facts["next"], state)
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """Collect the warnings that a method logs meanwhile."""
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            messages.append(record.getMessage())
+
+    messages = list[str]()
+    collector, logger = Collector(logging.WARNING), logging.getLogger("rfpipe.methods")
+    logger.addHandler(collector)
+    try:
+        yield messages
+    finally:
+        logger.removeHandler(collector)
 
 
 def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:
@@ -93,6 +114,6 @@ def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> No
         target_error = getattr(options, "target_error", None)
         asked = "" if target_error is None else f", {100 * target_error:.3g} % asked for"
         _log.info(
-            "level %d: estimated error %.2f %% after %d patterns%s",
-            last["level"], 100 * last["estimated_error"], last["patterns"], asked,
+            "level %d: estimated error %.2f %% after %s%s", last["level"],
+            100 * last["estimated_error"], counted(last["patterns"], "pattern"), asked,
         )  # fmt: skip

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,16 @@ from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
 from rfpipe.stages import merge
+from rfpipe.stages.against_calibration import alarm
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write_bundle
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.schedule import read_schedule, write_schedule
-from rfpipe.stages.watch import MOVES
+from rfpipe.stages.watch import MOVES, alarms_of
 from rfpipe.store import read_manifest
+from rfpipe.text import counted
 from rfpipe.transport import Transport, open_transport
+from rfpipe.transport.base import estimates
 from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
@@ -36,15 +39,31 @@ MANIFEST = "verification.json"
 """The result of a verification, beside the transport that it is about."""
 
 _SEED = 15  # of the pictures
+_MOST_SATURATED = 0.01  # share of samples
 
 Float = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 
 
+class Outcome(NamedTuple):
+    """Comparison of a reached error with its target.
+
+    Attributes
+    ----------
+    standing : {"met", "unsure", "missed", "unknown"}
+        "unsure": above the target by less than a half, within the scatter of few pictures.
+    reason : str
+        The numbers, and the likely cause.
+    """
+
+    standing: Literal["met", "unsure", "missed", "unknown"]
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """What a transport is wrong by, on pictures that were captured for this alone.
+    """Error of a transport on pictures that were captured for this alone.
 
     Attributes
     ----------
@@ -52,7 +71,8 @@ class Verification:
         A row a picture, relative to its light as of `picture_errors`, over the rays that the camera
         knows: ``name``; ``difference``: ``||relit - captured||``; ``noise``: the share of it that
         is expected of the captured picture's noise; ``error``: the difference without that share, 0
-        where nothing but noise is seen; ``standard_error``. NaN where a rig sends no light.
+        where nothing but noise is seen; ``standard_error``; ``plain_error``: the error relative to
+        the picture's norm, however dark it is. NaN where a rig sends no light.
     patterns : ndarray of float32, shape (P, *projector_shape)
     captured, relit : ndarray of float32, shape (P, *camera_shape, C)
         Radiance; rays that the camera doesn't know are 0 in both.
@@ -75,6 +95,29 @@ class Verification:
     def worst(self) -> Any:
         """The row of the largest error, whose ``name`` is the picture's."""
         return self.table.set_index("name").iloc[int(self.table["error"].fillna(-1).argmax())]
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the mean error, for pictures of this kind."""
+        errors, noise = (self.table[name].dropna() for name in ("error", "standard_error"))
+        spread = float(errors.var()) if len(errors) > 1 else 0.0
+        return float(np.sqrt((spread + np.square(noise).mean()) / max(len(errors), 1)))
+
+    def against(self, target: float | None) -> Outcome:
+        """Compare the mean error with the target that the method had."""
+        from rfpipe.config.model import TARGET_MARGIN
+
+        error = self.mean_error
+        if target is None:
+            return Outcome("unknown", "the method has no target_error")
+        if np.isnan(error):
+            return Outcome("unknown", "no picture has light above its noise")
+        if error <= target:
+            return Outcome("met", f"{error:.2%} of {target:.2%}")
+        text = f"the error is {error:.2%} +- {self.standard_error:.2%}, {target:.2%} was the target"
+        if error <= TARGET_MARGIN * target:
+            return Outcome("unsure", f"{text}: {len(self.table)} pictures don't tell more")
+        return Outcome("missed", text)
 
     def facts(self) -> dict[str, Any]:
         """Return plain data for a manifest; None for what isn't known."""
@@ -131,8 +174,9 @@ def compare(
         unit = np.sqrt(light) if light > 0 else np.nan
         lengths = [np.sqrt(squares.sum()), np.sqrt(noise), error, deviation]
         name = f"{KINDS[index % len(KINDS)]} {index // len(KINDS) + 1}"
-        rows.append([name, *(float(length / unit) for length in lengths)])
-    columns = ["name", "difference", "noise", "error", "standard_error"]
+        plain = error / np.sqrt(own) if own > 0 else np.nan
+        rows.append([name, *(float(length / unit) for length in lengths), float(plain)])
+    columns = ["name", "difference", "noise", "error", "standard_error", "plain_error"]
     table = pd.DataFrame(rows, columns=columns)
     return Verification(table, patterns, observed, relit, np.asarray(gain, np.float64))
 
@@ -162,48 +206,82 @@ def run(
     settings : mapping
         Those of the stages "capture" and "merge", see `rfpipe.stages.plan.stages_of`.
     """
-    folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
-    _schedule(folder, pictures)
-    # looks at the rig before the first picture and after the last, if there were any before
-    was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
-    options = {
-        **settings["capture"],
-        "symmetry_frames": 0, "batch_patterns": 1,
-        "watching": {"mode": "warn" if was_watched else "off", "looks": pictures},
-    }  # fmt: skip
+    schedule_pictures(folder, pictures)
+    capture_and_merge(folder, capture, pictures, settings, resources)
+    _compare(folder, settings["merge"]["code"], settings["capture"].get("watching") or {})
+
+
+def capture_and_merge(
+    folder: AcquisitionFolder,
+    capture: Callable[..., None],
+    pictures: int,
+    settings: Mapping[str, Mapping[str, Any]],
+    resources: Resources,
+) -> None:
+    """Capture the scheduled pictures that verify a transport, and merge them; see `run`."""
+    options = capture_options(folder, pictures, settings["capture"])
     capture(folder, VERIFICATION, **options, resources=resources.here)
     merging = {**settings["merge"], "divide_out_drift": True}
     merge.run(folder, VERIFICATION, **merging, resources=resources)
-    _compare(folder, merging["code"])
 
 
-def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where: str) -> None:
-    """Refuse verifications whose mean error is above a relative bound.
+def capture_options(
+    folder: AcquisitionFolder, pictures: int, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Options of the capture of these pictures, made from the options of the levels' captures.
 
-    Raises VerificationError, which names each acquisition above it with its worst picture, those
-    none of whose pictures has light above noise, and `where`, the page that shows the pictures.
-    `manifests` are each ``verification.json`` by the acquisition's name.
+    Looks at the rig are taken before the first picture and after the last, if levels had any.
     """
-    above = [
-        f"{name} is off by {facts['mean_error']:.2%} on average, by {facts['worst_error']:.2%} "
-        f"under '{facts['worst_picture']}' (noise floor {facts['noise']:.2%})"
-        if facts["mean_error"] is not None
-        else f"{name} has no picture with light above its noise: give it more light or exposure"
-        for name, facts in manifests.items()
-        if facts["mean_error"] is None or facts["mean_error"] > bound
-    ]
+    captured = [level for level in folder.levels_above(None) if folder.exists(level, "capture")]
+    is_watched = any(MOVES in folder.read_manifest(level, "capture") for level in captured)
+    mode = "warn" if is_watched else "off"
+    watching = {"mode": mode, "looks": pictures}
+    return {**options, "symmetry_frames": 0, "batch_patterns": 1, "watching": watching}
+
+
+def check_bounds(
+    manifests: Mapping[str, Mapping[str, Any]], bounds: Mapping[str, float], where: str
+) -> None:
+    """Refuse acquisitions whose mean error is above a relative bound.
+
+    Raises VerificationError, which names each acquisition above its bound with its worst picture,
+    those none of whose pictures has light above noise, and `where`, the page that shows the
+    pictures. `manifests` are each ``verification.json``, or ``transport.json`` where no pictures
+    were taken, whose last estimate of the error counts; `bounds` have the same names.
+    """
+    above = [_above(name, manifests[name], bound) for name, bound in bounds.items()]
+    above = [text for text in above if text]
     if above:
         raise VerificationError(
-            f"{'; '.join(above)}. At most {bound:.2%} is accepted (verification.fail_above). The "
-            f"transport and all pictures are kept: see the captured and relit pictures in {where}. "
+            f"{'; '.join(above)}. Set verification.fail_above to accept more. The transport and "
+            f"all pictures are kept: see the captured and relit pictures in {where}. "
             "An error that is large under all of them is the rig's (moved, misaligned, a lamp that "
             "changed); else ask the method for a smaller error. What is shown is full light or "
             "none, which doesn't tell of the projector's response"
         )
 
 
-def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
+def _above(name: str, facts: Mapping[str, Any], bound: float) -> str:
+    """Describe an error that is above a bound; empty where it isn't."""
+    if "levels" in facts:
+        estimated = estimates(facts["levels"])
+        error = estimated[-1]["estimated_error"] if estimated else 0.0
+        above = f"{name} is off by an estimated {error:.2%}, above {bound:.2%}"
+        return "" if error <= bound else above
+    if facts["mean_error"] is None:
+        return f"{name} has no picture with light above its noise: give it more light or exposure"
+    if facts["mean_error"] <= bound:
+        return ""
+    return (
+        f"{name} is off by {facts['mean_error']:.2%} on average, above {bound:.2%}, by "
+        f"{facts['worst_error']:.2%} under '{facts['worst_picture']}' (noise floor "
+        f"{facts['noise']:.2%})"
+    )
+
+
+def schedule_pictures(folder: AcquisitionFolder, pictures: int) -> None:
     """Write the patterns once: a transport made anew doesn't ask for other pictures."""
+    folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
     references = folder.read_manifest(0, "merge")[REFERENCES]["digest"]
     schedule = schedule_of(read_schedule(folder, 0).shape, pictures)
     made_from = fingerprint([references, schedule.digest()])
@@ -224,42 +302,72 @@ def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
     return compare(weights, observed, relit, gain, read_floodlit(folder))
 
 
-def _compare(folder: AcquisitionFolder, code: str) -> None:
+def _compare(folder: AcquisitionFolder, code: str, watching: Mapping[str, Any]) -> None:
     acquired = read_manifest(folder.path / "transport.json")
     merged = folder.read_manifest(VERIFICATION, "merge")
     result = compared(folder, open_transport(folder.path / "transport.zarr"))
     count, worst = len(result.table), result.worst
     if np.isnan(result.mean_error):
-        text = (
-            "%s: not verified: none of %d pictures has light above its noise on rays that are seen"
-        )
-        _log.warning(text, folder.path, count)
+        text = "%s: not verified: of %s none has light above its noise on rays that are seen"
+        _log.warning(text, folder.path, counted(count, "picture"))
     else:
         _log.info(
-            "%s: %d pictures that no method saw are relit to %.2f %% on average, '%s' to %.2f %% "
-            "(noise floor of the pictures %.2f %%)",
-            folder.path, count, 100 * result.mean_error, worst.name, 100 * worst.error,
-            100 * result.table["noise"].mean(),
+            "%s: %s for verification: the transport is off by %.2f %% on average, by %.2f %% under "
+            "'%s' (noise floor of the pictures %.2f %%)",
+            folder.path, counted(count, "picture"), 100 * result.mean_error, 100 * worst.error,
+            worst.name, 100 * result.table["noise"].mean(),
         )  # fmt: skip
     made_from = fingerprint([acquired["digest"], merged["digest"], code])
     arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}
     about = {name: acquired[name] for name in ("scene", "method")}
     facts = {"stage": "verification", "transport": acquired["digest"], "units": RADIANCE_UNIT}
-    facts |= about | result.facts() | _rig_facts(folder)
+    facts |= about | result.facts() | _rig_facts(folder, watching)
+    facts |= _outcome(result, acquired["options"].get("target_error"), facts)
+    if facts["standing"] == "missed":
+        _log.warning("%s: the target is MISSED: %s", folder.path, facts["reason"])
     write_bundle(folder.path / MANIFEST, made_from, arrays, facts)
 
 
-def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
-    """Sum up what the merges of all levels tell of the rig; None where nothing looked."""
-    levels = sorted(int(path.parent.name[1:]) for path in folder.path.glob("L[0-9]*/merge.json"))
-    merged = {level: folder.read_manifest(level, "merge") for level in [*levels, VERIFICATION]}
+def _outcome(
+    result: Verification, target: float | None, facts: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Target, standing, and the reason with its likely cause, for the manifest."""
+    outcome = result.against(target)
+    cause = ""
+    if outcome.standing == "missed":
+        if facts["alarms"]:
+            noticed = dict.fromkeys(alarm.partition(": ")[2] for alarm in facts["alarms"])
+            cause = f". Noticed during the capture: {'; '.join(noticed)}"
+        elif facts["saturated"] > _MOST_SATURATED * facts["samples"]:
+            cause = ". Pictures are saturated: add a shorter exposure"
+        elif facts["noise"] is not None and target is not None and facts["noise"] > target:
+            cause = ". The pictures' noise is above the target: give them more light or exposure"
+    return {
+        "target_error": target,
+        "standard_error": _finite(result.standard_error),
+        "standing": outcome.standing,
+        "reason": outcome.reason + cause,
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if np.isfinite(number) else None
+
+
+def _rig_facts(folder: AcquisitionFolder, watching: Mapping[str, Any]) -> dict[str, Any]:
+    """Sum up the looks at the rig of all levels; None where there were none."""
+    levels = [*folder.levels_above(None), VERIFICATION]
+    merged = {level: folder.read_manifest(level, "merge") for level in levels}
     looks = {level: facts[MOVES] for level, facts in merged.items() if MOVES in facts}
+    rig = folder.read_manifest(0, "capture")["rig"]
+    of_rig = alarm(folder, rig, watching.get("asymmetry", 1.0))
     drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]
     return {
         "drift": max(drift, default=None),
         "moved": max((max(look["change"]) for look in looks.values()), default=None),
         "alarms": [
-            f"{name_of(at)}: the rig or the scene moved" for at in looks if looks[at]["moved"]
+            *([f"level 0: {of_rig}"] if of_rig else []),
+            *(f"{name_of(at)}: {alarm}" for at in looks for alarm in alarms_of(looks[at])),
         ],
         "saturated": sum(facts["saturated"] for facts in merged.values()),
         "samples": sum(facts["samples"] for facts in merged.values()),

@@ -6,7 +6,7 @@ and locks do without it.
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
 from rfpipe.store.files import bytes_on_disk, to_disk
-from rfpipe.store.frames import FrameStore, drop
+from rfpipe.store.frames import FrameStore, drop, is_dropped
 from rfpipe.store.headers import header_is_whole, keep_header, restore_header
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
@@ -20,6 +20,7 @@ __all__ = [
     "bytes_on_disk",
     "drop",
     "header_is_whole",
+    "is_dropped",
     "keep_header",
     "open_arrays",
     "read_manifest",

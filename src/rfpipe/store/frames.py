@@ -80,8 +80,8 @@ class FrameStore:
         self.dropped = (path / _DROPPED).exists()
         if self.dropped and not self.complete:
             raise IntegrityError(
-                f"{path / _JOURNAL}: damaged, and the items that it is about were dropped; remove "
-                f"{path} and run the stage that writes it again"
+                f"{path / _JOURNAL}: damaged, and the items that it is about were dropped",
+                advice=f"remove {path} and run the stage that writes it again",
             )
         self._journal: JournalWriter | None = None
         self._lock = StoreLock(path)
@@ -347,6 +347,11 @@ class FrameStore:
         journal, content = self.path / _JOURNAL, journal_bytes(digests)
         if (journal.read_bytes() if journal.exists() else b"") != content:
             write_atomically(journal, content)
+
+
+def is_dropped(path: Path) -> bool:
+    """Whether the items of a store were dropped once they had been used."""
+    return (path / _DROPPED).exists()
 
 
 def drop(path: Path) -> int:

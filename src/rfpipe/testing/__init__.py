@@ -7,8 +7,11 @@ In a test file of your own, for pytest::
     class TestMyCamera(CameraContract):
         def make_camera(self):
             return MyCamera(...)
+
+`rfpipe.testing.faults` has devices with known faults, to test a calibration's or a driver's checks.
 """
 
+from rfpipe.testing import faults
 from rfpipe.testing.checks import dot_test
 from rfpipe.testing.devices import CameraContract, ProjectorContract
 from rfpipe.testing.methods import MethodContract
@@ -22,4 +25,5 @@ __all__ = [
     "RigContract",
     "SceneContract",
     "dot_test",
+    "faults",
 ]

@@ -55,6 +55,10 @@ class Auto(Method[Any]):
         """Guess the patterns, as the method that the shapes allow does."""
         return self._likely(camera, projector).expected_patterns(camera, projector, options)
 
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
+        """Return the largest number, of the method that the shapes allow."""
+        return self._likely(camera, projector).most_patterns(camera, projector, options)
+
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
     ) -> Any:

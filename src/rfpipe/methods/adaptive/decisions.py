@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpipe.methods.adaptive.state import AdaptiveState
+from rfpipe.methods.base import ErrorOptions
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,14 @@ class Thresholds:
 
 
 _AT = Thresholds()
+
+PATTERNS = (30.0, 0.8)
+"""Patterns of a view for an error of a hundredth, and the power by which they grow.
+
+They do not depend on the number of rays. On the open scenes of ``docs/benchmark`` acquisitions took
+1.1 times as many in the median, half of them 0.75 to 1.75 times, one in ten more than 7 times; on
+the held-out scenes, of which most have mirrors, glass or hair, 3.6 times, half of them 0.8 to 7.
+"""
 
 
 @dataclass(frozen=True)
@@ -155,14 +164,21 @@ def next_round(state: AdaptiveState, most: int) -> int:
 
 def hierarchy_cost(state: AdaptiveState, depth: int, law: tuple[float, float]) -> float:
     """Return how many patterns a hierarchy of so many levels takes for the target."""
+    return hierarchy_patterns(target_of(state), depth, law)
+
+
+def hierarchy_patterns(target: float, depth: int, law: tuple[float, float]) -> float:
+    """Number of patterns that a hierarchy of `depth` levels takes for a total error."""
     a_level, power = law
-    return float(a_level * depth * (0.01 / target_of(state)) ** power)
+    return float(a_level * depth * (0.01 / target) ** power)
 
 
 def target_of(state: AdaptiveState) -> float:
-    """Return the error that a hierarchy has to have in total.
+    """Return the error that a hierarchy has to have in total."""
+    return total_error(state.options)
 
-    That of indirect light is some six times as large.
-    """
-    indirect = state.options.target_indirect or np.inf
-    return float(min(state.options.target_error, indirect / _AT.indirect))
+
+def total_error(options: ErrorOptions) -> float:
+    """Total error that meets both targets; the error of indirect light is six times as large."""
+    indirect = options.target_indirect or np.inf
+    return float(min(options.target_error, indirect / _AT.indirect))

@@ -12,7 +12,6 @@ from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import takewhile
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,9 +19,12 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import (
+    PATTERNS,
     Way,
+    hierarchy_patterns,
     next_round,
     target_of,
+    total_error,
     what_follows,
 )
 from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, error_of, held_out_patterns
@@ -84,9 +86,17 @@ class Adaptive(PackingMethod[AdaptiveState]):
         return 1 + len(self.levels(projector))
 
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return the patterns of all rounds before the hierarchy, which don't grow with size."""
-        rounds = takewhile(lambda each: each[0] != "hierarchy", self.levels(projector))
-        total = 1 + len(HELD_OUT) + sum(count for _, count in rounds)
+        """Guess the patterns from the target, by the benchmark's open scenes; see `PATTERNS`."""
+        a_view, power = PATTERNS
+        typical = projector.views * a_view * float((0.01 / total_error(options)) ** power)
+        return min(round(typical), self.most_patterns(camera, projector, options))
+
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Return the patterns of all rounds, and of a hierarchy between them."""
+        rounds = sum(count for _, count in self.levels(projector))
+        depth = BlockTree(projector).n_levels
+        hierarchy = hierarchy_patterns(total_error(options), depth, self.way.law)
+        total = 1 + len(HELD_OUT) + rounds + round(hierarchy)
         return min(projector.size, options.patterns or total)
 
     def below(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
@@ -159,6 +169,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if following == "done" and not state.reached:
             times = SURE * state.excess[-1]
             _log.warning("ended at an estimated %.2f times the error asked for: %s", times, why)
+            state = state.counted(ended=why)
         elif why:
             _log.info("%s; going on with random blocks", why)
         return state.changed(following=following)

@@ -41,9 +41,13 @@ def check_no_braces(name: str, path: str | Path) -> None:
 
 
 def write_run(
-    results: Path, snakefile: Path, configfiles: Iterable[Path], overrides: dict[str, Any]
+    results: Path,
+    snakefile: Path,
+    configfiles: Iterable[Path],
+    overrides: dict[str, Any],
+    acquisitions: Iterable[tuple[str, str]] = (),
 ) -> None:
-    """Write how a run was started: its files, and the settings given on the command line.
+    """Write how a run was started: its files, the settings of the command line, its acquisitions.
 
     Files in the run's folder have paths relative to it, so that the run can be copied or renamed.
     """
@@ -54,7 +58,17 @@ def write_run(
         ("--config", [f"{name}={value}" for name, value in overrides.items()]),
     ):
         options += [name, *values] if values else []
-    write_manifest(results / RUN, {"options": options})
+    named = [list(acquisition) for acquisition in acquisitions]
+    write_manifest(results / RUN, {"options": options, "acquisitions": named})
+
+
+def acquisitions_of(results: Path) -> list[tuple[str, str]]:
+    """Return scene and method of each acquisition of a run; none where that isn't known."""
+    try:
+        named = read_manifest(results / RUN)["acquisitions"]
+    except (StoreError, KeyError):
+        return []
+    return [(scene, method) for scene, method in named]
 
 
 def run_again(results: Path) -> str:
@@ -97,6 +111,16 @@ def notify(command: str | None, status: Literal["done", "failed"], log: str) -> 
         subprocess.run(shlex.split(command), env=environment, timeout=_PATIENCE_SECONDS, check=True)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         print(f"rfpipe: notify: {command!r} failed: {error}", file=sys.stderr)
+
+
+def list_changed_parameters_alone() -> None:
+    """Let ``--list-changes params`` list outputs of changed parameters, not every output.
+
+    Snakemake 9 lists the outputs of jobs whose parameters are the same, too.
+    """
+    from snakemake.persistence import ParamsChange
+
+    ParamsChange.__iter__ = lambda change: iter(change.files if change else ())
 
 
 def say_failed_jobs(logger: logging.Logger) -> None:

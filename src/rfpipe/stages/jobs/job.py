@@ -6,12 +6,13 @@ import logging
 import os
 import signal
 import sys
-from io import StringIO
 from pathlib import Path
+from time import monotonic
 from types import FrameType, TracebackType
 from typing import Any
 
 from rfpipe.errors import RfpipeError
+from rfpipe.text import counted
 
 _SECONDS_BETWEEN_LINES = 15.0  # of progress, where there is no terminal
 
@@ -75,13 +76,40 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-class _LogLines(StringIO):
-    """Writes the bar's lines into the log."""
+class _LoggedCount:
+    """Progress as lines of the log, at most one in each `_SECONDS_BETWEEN_LINES`.
 
-    def write(self, text: str) -> int:
-        if text.strip():
-            _log.info("%s", text.strip())
-        return len(text)
+    Lines are plain text: a bar moves the cursor by codes that only a terminal understands.
+    """
+
+    def __init__(self, name: str, total: int, done: int, unit: str) -> None:
+        self._name, self._total, self._unit = name, total, unit
+        self._first = self._done = done
+        self._begun = self._logged = monotonic()
+
+    def update(self, count: int) -> None:
+        """Count patterns or steps, and log a line when one is due."""
+        self._done += count
+        now = monotonic()
+        if now >= self._logged + _SECONDS_BETWEEN_LINES:
+            self._logged = now
+            _log.info("%s: %s", self._name, self._line(now - self._begun))
+
+    def close(self) -> None:
+        """Do nothing: the stage logs its end."""
+
+    def _line(self, elapsed: float) -> str:
+        """Describe the progress; the time to go needs a total and something to measure it by."""
+        if not 0 < self._total >= self._done:
+            return counted(self._done, self._unit)
+        line = f"{self._done} of {counted(self._total, self._unit)}"
+        if self._done == self._first:
+            return line
+        seconds = elapsed * (self._total - self._done) / (self._done - self._first)
+        minutes, seconds = divmod(round(seconds), 60)
+        hours, minutes = divmod(minutes, 60)
+        to_go = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes:02d}:{seconds:02d}"
+        return f"{line}, {to_go} to go"
 
 
 class Progress:
@@ -92,7 +120,7 @@ class Progress:
     name : str
         What is in progress.
     total, done : int
-        In all, and those done before.
+        In all, 0 where that is unknown, and those done before.
     shown : bool
     unit : str
         What is counted, one of them.
@@ -101,24 +129,22 @@ class Progress:
     def __init__(
         self, name: str, total: int, done: int = 0, *, shown: bool = True, unit: str = "pattern"
     ) -> None:
-        from tqdm import tqdm
+        self._bar: Any = None
+        if shown and sys.stderr.isatty():
+            from tqdm import tqdm
 
-        to_log: dict[str, Any] = {
-            "file": _LogLines(), "mininterval": _SECONDS_BETWEEN_LINES, "miniters": 1,
-            "delay": _SECONDS_BETWEEN_LINES,
-            "bar_format": "{desc}: {n_fmt} of {total_fmt} {unit}s, {remaining} to go",
-        }  # fmt: skip
-        self._bar: Any = tqdm(
-            total=total, initial=done, desc=name, unit=unit, leave=False, disable=not shown,
-            **({} if sys.stderr.isatty() else to_log),
-        )  # fmt: skip
+            self._bar = tqdm(total=total or None, initial=done, desc=name, unit=unit, leave=False)
+        elif shown:
+            self._bar = _LoggedCount(name, total, done, unit)
 
     def advance(self, count: int) -> None:
         """Count so many as done."""
-        self._bar.update(count)
+        if self._bar is not None:
+            self._bar.update(count)
 
     def __enter__(self) -> Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.close()
+        if self._bar is not None:
+            self._bar.close()

@@ -1,0 +1,156 @@
+"""Taking pictures of a finished acquisition again: the old ones are set aside, never removed."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+
+from rfpipe.errors import InputError
+from rfpipe.stages.folder import (
+    REFERENCE,
+    STAGES,
+    SYMMETRY,
+    VERIFICATION,
+    AcquisitionFolder,
+    with_followers,
+)
+from rfpipe.store import StoreLock, is_dropped
+
+_CAPTURED = ("capture", REFERENCE, SYMMETRY, "sensor", "moves")
+"""Stores of a level's capture."""
+
+_MERGED = ("merge", "sums", "merged_reference")
+"""Stores of its merge, which alone hold the light where raw exposures were dropped."""
+
+_NEAREST = 4  # names in a message
+
+
+@dataclass(frozen=True)
+class Retake:
+    """A level whose pictures are to be taken again; `VERIFICATION` in the place of its number."""
+
+    folder: AcquisitionFolder
+    level: int
+
+    @property
+    def path(self) -> Path:
+        """Folder of the level."""
+        return self.folder.manifest(self.level, "capture").parent
+
+    def set_aside(self) -> list[Path]:
+        """Make way for new pictures; return the stores that hold the old ones.
+
+        Manifests are removed first, the transport's before the capture's. If that is interrupted,
+        the next run makes the missing ones again from the old pictures.
+        """
+        with StoreLock(self.folder.path):
+            for manifest in self._manifests():
+                manifest.unlink(missing_ok=True)
+            stores = [self.path / f"{name}.zarr" for name in _CAPTURED]
+            if is_dropped(self.path / "capture.zarr"):
+                stores += [self.path / f"{name}.zarr" for name in _MERGED]
+            return [store.rename(_aside(store)) for store in stores if store.exists()]
+
+    def _manifests(self) -> list[Path]:
+        """Manifests of the pictures and of the stages after them, in the reverse order of stages.
+
+        Later levels follow from the refinement; those after level 0 are also merged by its black
+        level.
+        """
+        folder, captured = self.folder, with_followers(self.folder.manifest(self.level, "capture"))
+        if self.level == VERIFICATION:
+            return [folder.path / "verification.json", *reversed(captured)]
+        first = "merge" if self.level == 0 else "refine"
+        below = [
+            folder.manifest(level, stage)
+            for level in reversed(folder.levels_above(None))
+            if level > self.level
+            for stage in reversed(STAGES[STAGES.index(first) :])
+        ]
+        return [folder.path / "transport.json", *below, *reversed(captured)]
+
+
+def find_retakes(
+    results: Path, names: Sequence[str], acquisitions: Collection[tuple[str, str]] | None = None
+) -> list[Retake]:
+    """Return the levels of names, ``SCENE/METHOD/LEVEL`` or all of ``SCENE/METHOD``.
+
+    Parameters
+    ----------
+    results : Path
+        Of the run.
+    names : sequence of str
+        A level is its number, ``L02`` or ``2``, or ``verification``, the pictures that were taken
+        to verify the transport, which are among all levels.
+    acquisitions : collection of (str, str), optional
+        Scenes and methods of the settings.
+
+    Raises
+    ------
+    InputError
+        When nothing is captured by a name, which then says the nearest ones, or the settings don't
+        have it.
+    """
+    captured = dict(_captured(results))
+    retakes: dict[str, Retake] = {}
+    for name in names:
+        wanted = [key for key in captured if key == _normal(name) or _is_in(key, _normal(name))]
+        if not wanted:
+            raise InputError(_unknown(name, results, list(captured)))
+        scene, method, *_ = wanted[0].split("/")
+        if acquisitions is not None and (scene, method) not in acquisitions:
+            raise InputError(
+                f"--retake {name}: the settings have no acquisition of {scene} by {method}, only "
+                f"{', '.join('/'.join(each) for each in acquisitions)}. Add it to them first"
+            )
+        retakes |= {key: captured[key] for key in wanted}
+    return list(retakes.values())
+
+
+def _captured(results: Path) -> Iterator[tuple[str, Retake]]:
+    """Yield the name and level of each capture, begun or complete."""
+    stores = (
+        path for stem in ("capture", REFERENCE) for path in results.glob(f"*/*/*/{stem}.zarr")
+    )
+    for place in sorted({store.parent for store in stores}):
+        folder, name = AcquisitionFolder(place.parent), "/".join(place.parts[-3:])
+        if place.name == "verification":
+            yield name, Retake(folder, VERIFICATION)
+        elif place.name.startswith("L") and place.name[1:].isdigit():
+            yield name, Retake(folder, int(place.name[1:]))
+
+
+def _normal(name: str) -> str:
+    """Return a name with its level as folders have it: 2 and L2 are L02."""
+    scene_and_method, _, level = name.strip("/").rpartition("/")
+    number = level.removeprefix("L").removeprefix("l")
+    if number.isdigit() and "/" in scene_and_method:
+        return f"{scene_and_method}/L{int(number):02d}"
+    return name.strip("/")
+
+
+def _is_in(key: str, name: str) -> bool:
+    return name.count("/") == 1 and key.startswith(f"{name}/")
+
+
+def _unknown(name: str, results: Path, known: list[str]) -> str:
+    """Describe a name by which nothing is captured."""
+    if not known:
+        return f"--retake {name}: nothing is captured in {results.absolute()}"
+    acquisitions = dict.fromkeys(key.rpartition("/")[0] for key in known)
+    names = [*acquisitions, *known]
+    close = difflib.get_close_matches(_normal(name), names, n=_NEAREST, cutoff=0.5)
+    nearest = close or list(acquisitions)[:_NEAREST]
+    return (
+        f"--retake {name}: nothing is captured by this name in {results.absolute()}; expected "
+        f"SCENE/METHOD or SCENE/METHOD/LEVEL, such as {', '.join(nearest)}"
+    )
+
+
+def _aside(store: Path) -> Path:
+    """Return a free name for pictures that are set aside."""
+    names = (store.with_name(f"{store.stem}.before_{n}{store.suffix}") for n in count(1))
+    return next(name for name in names if not name.exists())

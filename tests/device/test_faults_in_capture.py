@@ -1,0 +1,150 @@
+"""Six faults that arise in a capture, after a clean calibration: each is named rightly, in time."""
+
+from __future__ import annotations
+
+import logging
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.coaxial_rig import RAYS, coaxial_rig, darker
+from tests.device.test_fault_table import FAULTS
+from tests.workflow.stagewise import acquire as acquire_on_files
+from tests.workflow.stagewise import stages
+
+import rfpipe
+from rfpipe.errors import CaptureError
+from rfpipe.rigs import DeviceRig, stale
+from rfpipe.stages import capture, verification
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import Plan
+from rfpipe.store import read_manifest
+from rfpipe.testing import faults
+
+BEGINNING, LATER = 0, 82
+"""Pictures before a fault: none; and those of level 0, its looks, and the next level's first."""
+
+HARMLESS = {"drift", "late"}
+"""Faults that are mended while they are captured: divided out, and taken again."""
+
+NAMED = {name: case.said for name, case in FAULTS.items()}
+
+
+def acquired(rig: DeviceRig, method: str = "auto", **changes: Any) -> Any:
+    options = {"target_error": 0.03, "progress": False, "verification": 3, **changes}
+    return rfpipe.acquire(rig, method, **options)
+
+
+@pytest.fixture(autouse=True)
+def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stale, "RETAKE_SECONDS", 0.0)
+
+
+@pytest.mark.parametrize("after", [BEGINNING, LATER])
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_named_and_ends_the_capture_early(
+    name: str, after: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = coaxial_rig(FAULTS[name].inject, after)
+    if name in HARMLESS:
+        with caplog.at_level(logging.WARNING):
+            found = acquired(rig)
+        said = caplog.text
+        steady = acquired(coaxial_rig())
+        assert found.patterns == steady.patterns  # nothing is taken for asymmetry
+        assert found.verification.mean_error < 1.1 * steady.verification.mean_error
+    else:
+        with pytest.raises(CaptureError) as caught:
+            acquired(rig)
+        said = str(caught.value)
+        assert "warn" in said  # how to go on all the same
+        assert rig.camera.count <= after + 100  # type: ignore[attr-defined]
+    assert re.search(NAMED[name], said, re.S), said
+    others = set(NAMED) - {name, "geometry"}
+    assert [other for other in others if re.search(NAMED[other], said, re.S)] == []
+
+
+@pytest.mark.parametrize("name", sorted(set(FAULTS) - HARMLESS))
+def test_what_is_warned_of_goes_on(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        acquired(coaxial_rig(FAULTS[name].inject, LATER), watch="warn", method="near_far")
+    assert re.search(NAMED[name], caplog.text, re.S), caplog.text
+
+
+def test_gain_that_changes_from_picture_to_picture_is_not_divided_out(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    rig = coaxial_rig(FAULTS["gain"].inject, camera=darker(2))
+    with caplog.at_level(logging.WARNING):
+        found = acquired(rig, watch="warn", method="near_far", asymmetry=0.5)
+    assert "it is divided out" not in caplog.text
+    assert "it can't be divided out: switch automatic gain off" in caplog.text
+    assert found.verification.against(0.03).standing == "missed"
+    assert "the target is missed" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "standing", "alarm"),
+    [
+        ("gain", 0.02, "missed", "level 0: gain changes from picture to picture"),
+        ("geometry", 0.04, "met", "level 0: this rig was coaxial when it was calibrated"),
+        (None, 0.04, "met", None),
+    ],
+)
+def test_the_files_state_target_error_and_reason(
+    tmp_path: Path, name: str | None, target: float, standing: str, alarm: str | None
+) -> None:
+    rig = coaxial_rig(FAULTS[name].inject if name else None, camera=darker(2))
+    watching = {"mode": "warn", "looks": 8, "asymmetry": 0.05}
+    captured = {"references": (8, 16), "symmetry_frames": 6, "watching": watching}
+    settings = stages(captured, divide_out_drift=True)
+    accepted = 0.05 if name != "gain" else 0.9  # not to go on as on a rig that isn't coaxial
+    plan = Plan("auto", "auto", RAYS, RAYS, 1, {"target_error": target}, accepted)
+    folder = acquire_on_files(tmp_path / "matrix" / "auto", rig, plan, settings)
+    capturing = partial(capture.run, rig)
+    verification.run(folder, capturing, pictures=3, settings=settings, resources=Resources())
+    stated = read_manifest(folder.path / verification.MANIFEST)
+    assert stated["target_error"] == target
+    assert stated["standing"] == standing
+    assert f"{stated['mean_error']:.2%}" in stated["reason"]
+    assert f"{target:.2%}" in stated["reason"]
+    assert any(one.startswith(alarm) for one in stated["alarms"]) if alarm else not stated["alarms"]
+    if standing == "missed":
+        assert stated["reason"].endswith("gain changes from picture to picture")
+
+
+@pytest.mark.parametrize("method", ["auto", "near_far", "dual"])
+@pytest.mark.parametrize(
+    ("inject", "place"),
+    [
+        (faults.mirrored, "mirrored left to right"),
+        (faults.half_dark, "right edge"),
+    ],
+)
+def test_a_rig_that_is_no_longer_as_calibrated_is_refused(inject, place, method) -> None:
+    def projecting(projector, camera, after):
+        return inject(projector, after), camera
+
+    options = {"progress": False, **({} if method == "dual" else {"target_error": 0.03})}
+    said = rf"was coaxial when it was calibrated; it no longer is: .*{place}.*calibrate again"
+    with pytest.raises(CaptureError, match=said):
+        rfpipe.acquire(coaxial_rig(projecting), method, **options)
+    if method == "dual":  # whoever wants it all the same
+        rfpipe.acquire(
+            coaxial_rig(projecting), method, watch="warn", tolerance=0.05, verification=0, **options
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(500, 524))
+@pytest.mark.parametrize("factor", [1, 16])
+def test_a_clean_capture_raises_nothing(
+    factor: float, seed: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = coaxial_rig(seed=seed, camera=darker(factor))
+    with caplog.at_level(logging.WARNING):
+        acquired(rig)
+    assert caplog.text == ""
+    assert rig.statistics["brackets"]["stale"] == 0

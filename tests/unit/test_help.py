@@ -1,0 +1,76 @@
+"""The help of every command on a narrow terminal, and the options of `rfpipe run`."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from rfpipe.cli import app
+from rfpipe.cli.run import _Options
+
+WIDTH = 80
+
+
+def commands(group: Any, *above: str) -> Iterator[tuple[str, ...]]:
+    """Names of all commands, of groups too."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, *above, name)
+        else:
+            yield (*above, name)
+
+
+COMMANDS = list(commands(typer.main.get_command(app)))
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_no_line_is_broken_twice(command: tuple[str, ...]) -> None:
+    shown = CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": str(WIDTH)}).output
+    text = shown.partition("╭")[0]
+    assert all(len(line) <= WIDTH for line in shown.splitlines())
+    for paragraph in re.split(r"\n\s*\n", text.strip()):
+        lines = paragraph.splitlines()
+        if any(line.startswith("   ") for line in lines):
+            continue  # a table
+        for line, following in pairwise(lines):
+            first = following.split()[0]
+            # the next word would not have fitted
+            assert len(line.rstrip()) + 1 + len(first) > WIDTH - 2, (line, following)
+
+
+def test_the_help_of_run_is_ours_and_short() -> None:
+    shown = CliRunner().invoke(app, ["run", "--help"], env={"COLUMNS": str(WIDTH)}).output
+    assert len(shown) < 4000
+    for option in ("--configfile", "--directory", "--retake", "--keep-going", "--help-all"):
+        assert option in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "passed_on", "retake", "looks"),
+    [
+        (["--cores", "2"], ["--cores", "2"], [], False),
+        (["-n", "--retake", "a/b"], ["-n"], ["a/b"], True),
+        (["--retake", "a/b", "a/c/2", "--cores", "1"], ["--cores", "1"], ["a/b", "a/c/2"], False),
+        (["x.json", "--config", "seed=3"], ["x.json", "--config", "seed=3"], [], False),
+        (["--list-changes=params"], ["--list-changes=params"], [], True),
+    ],
+)
+def test_what_is_not_ours_is_passed_on(
+    arguments: list[str], passed_on: list[str], retake: list[str], looks: bool
+) -> None:
+    asked = _Options.of(arguments)
+    assert (asked.passed_on, asked.retake, asked.looks) == (passed_on, retake, looks)
+
+
+def test_all_options_are_snakemake_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "call", lambda command: called.append(command) or 0)
+    assert CliRunner().invoke(app, ["run", "--help-all"]).exit_code == 0
+    assert called[0][1:] == ["--help"]

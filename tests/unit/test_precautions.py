@@ -1,0 +1,113 @@
+"""Rigs that aren't simulated are watched and verified: in a run and by `rfpipe.acquire` alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from tests.helpers import settings_of_a_plane
+from tests.knocked import SHAPE, Knocked, beside, wedge
+
+import rfpipe
+from rfpipe.config import parse_config
+from rfpipe.config.capture import PRECAUTIONS
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs.base import is_simulated
+from rfpipe.stages import acquire as module
+from rfpipe.stages.plan import in_manner, manner_of, stages_of
+from rfpipe.units import LOOK_KEY, VERIFICATION_KEY
+
+FEW = {"floodlit_frames": 8, "progress": False, "symmetry_frames": 0, "tolerance": 1e-2}
+
+
+class Real:
+    """A rig that doesn't call itself simulated."""
+
+    def __init__(self, rig: Any) -> None:
+        self._rig, self.keys = rig, list[tuple[int, ...]]()
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "is_simulated":
+            raise AttributeError(name)
+        return getattr(self._rig, name)
+
+    def capture(self, patterns: Any, keys: Any) -> Any:
+        self.keys += map(tuple, keys)
+        return self._rig.capture(patterns, keys)
+
+
+def rig() -> rfpipe.OperatorRig:
+    return rfpipe.OperatorRig(list(wedge()), SHAPE, SHAPE, CameraModel())
+
+
+def kinds_of(keys: list[tuple[int, ...]]) -> set[int]:
+    return {key[0] for key in keys} & {LOOK_KEY, VERIFICATION_KEY}
+
+
+@pytest.mark.parametrize(
+    ("asked", "pictures", "kinds"),
+    [
+        ({}, 9, {LOOK_KEY, VERIFICATION_KEY}),
+        ({"verification": 0}, 0, {LOOK_KEY}),
+        ({"watch": "off", "verification": 2}, 2, {VERIFICATION_KEY}),
+    ],
+)
+def test_a_real_rig_is_watched_and_verified(
+    asked: dict[str, Any], pictures: int, kinds: set[int]
+) -> None:
+    real = Real(rig())
+    found = rfpipe.acquire(real, "dual", **asked, **FEW).verification
+    assert (0 if found is None else len(found.table)) == pictures
+    assert kinds_of(real.keys) == kinds
+
+
+def test_a_simulated_rig_is_not_unless_that_is_asked_for() -> None:
+    simulated = Knocked(wedge(), wedge(), 10_000, CameraModel())
+    assert is_simulated(simulated)
+    assert rfpipe.acquire(simulated, "dual", **FEW).verification is None
+    assert kinds_of(simulated.keys) == set()
+    for mode in ("refuse", "warn"):
+        watched = Real(rig())
+        watched.is_simulated = True
+        rfpipe.acquire(watched, "dual", watch=mode, **FEW)
+        assert kinds_of(watched.keys) == {LOOK_KEY}
+    with pytest.raises(InputError, match="watch is 'on'; expected one of off, warn, refuse"):
+        rfpipe.acquire(simulated, "dual", watch="on", **FEW)
+
+
+def test_a_camera_that_moves_ends_an_acquisition() -> None:
+    knocked = Real(Knocked(wedge(), beside(wedge(), 1.0), 30, CameraModel()))
+    with pytest.raises(CaptureError, match=r"the rig or the scene moved.*watch='warn'"):
+        rfpipe.acquire(knocked, "dual", **FEW)
+    assert len(knocked._rig.keys) < 45
+
+
+@pytest.mark.parametrize("kind", PRECAUTIONS)
+def test_one_place_decides_for_runs_and_for_acquire(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vase = {"kind": "captured", "shape": [8, 8]}
+    settings = settings_of_a_plane() if kind == "simulated" else parse_config(
+        {"scenes": {"plane": vase}, "methods": {"dual": {}}, "capture": {"rig": kind}}, "c"
+    )  # fmt: skip
+    (_, method), *_ = settings.acquisitions
+    stages = in_manner(stages_of(settings, "plane", method), manner_of(settings, "plane"))
+    of_run = PRECAUTIONS[kind]  # type: ignore[index]
+    assert stages["capture"]["watching"]["mode"] == of_run.watch
+    assert stages["capture"]["watching"]["looks"] == of_run.looks
+    assert stages["merge"]["divide_out_drift"] == of_run.divide_out_drift
+    assert settings.verification_pictures == of_run.verification_pictures
+    if kind == "offline":
+        return
+    seen: dict[str, Any] = {}
+
+    def levels(_plan: Any, _folder: Any, _capture: Any, stages: Any, _resources: Any) -> None:
+        seen.update(stages)
+        raise CaptureError("seen")
+
+    monkeypatch.setattr(module, "run_levels", levels)
+    with pytest.raises(CaptureError, match="seen"):
+        rfpipe.acquire(rig() if kind == "simulated" else Real(rig()), "dual")
+    assert seen["capture"]["watching"]["mode"] == of_run.watch
+    assert seen["merge"]["divide_out_drift"] == of_run.divide_out_drift

@@ -1,0 +1,155 @@
+"""Pictures that are to be taken again, by their names, and what makes way for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.helpers import run
+
+from rfpipe.errors import InputError
+from rfpipe.stages.folder import STAGES
+from rfpipe.stages.retake import find_retakes
+from rfpipe.store import write_manifest
+
+LEVELS = ("L00", "L01", "L02", "verification")
+STORES = {"L00": ("capture", "reference", "moves"), "verification": ("capture",)}
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """Two finished acquisitions of three levels, with verification."""
+    for method in ("dual", "auto"):
+        folder = tmp_path / "results" / "vase" / method
+        for number, level in enumerate(LEVELS):
+            following = number + 1 if number < 2 else None
+            for stage in STAGES[: 3 if level == "verification" else 5]:
+                write_manifest(folder / level / f"{stage}.json", {"next": following})
+            for store in STORES.get(level, ("capture",)):
+                (folder / level / f"{store}.zarr").mkdir()
+                (folder / level / f"{store}.zarr" / "c.0").write_text("light")
+        for name in ("transport", "verification"):
+            write_manifest(folder / f"{name}.json", {"digest": "x"})
+    return tmp_path / "results"
+
+
+def present(results: Path) -> set[str]:
+    return {
+        str(path.relative_to(results)) for path in results.rglob("*") if ".lock" not in path.name
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("vase/dual/L02", ["L02"]),
+        ("vase/dual/2", ["L02"]),
+        ("vase/dual/l2/", ["L02"]),
+        ("vase/dual/verification", ["verification"]),
+        ("vase/dual", ["L00", "L01", "L02", "verification"]),
+    ],
+)
+def test_names_of_levels(results: Path, name: str, expected: list[str]) -> None:
+    retakes = find_retakes(results, [name, name])
+    assert [retake.path for retake in retakes] == [results / "vase/dual" / it for it in expected]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("vase/daul/2", r"vase/daul/2: nothing is captured by this name.*such as vase/dual/L02"),
+        ("vase/dual/7", "such as vase/dual/L0"),
+        ("vase", "such as vase/"),
+        ("jug/dual", "such as vase/dual"),
+        ("../vase/dual", "nothing is captured by this name"),
+    ],
+)
+def test_a_wrong_name_says_the_nearest_ones(results: Path, name: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        find_retakes(results, [name])
+    with pytest.raises(InputError, match="nothing is captured in"):
+        find_retakes(results / "elsewhere", [name])
+
+
+def test_an_acquisition_that_the_settings_do_not_have_stays(results: Path) -> None:
+    with pytest.raises(InputError, match="the settings have no acquisition of vase by auto"):
+        find_retakes(results, ["vase/auto"], [("vase", "dual")])
+
+
+@pytest.mark.parametrize(
+    ("level", "gone", "kept"),
+    [
+        (
+            "L01",
+            {"L01/capture", "L01/merge", "L01/refine", "L02/refine", "transport"},
+            {"L00/refine", "L01/schedule", "L02/capture", "L02/normalize", "verification/capture"},
+        ),
+        (
+            "L00",
+            {"L00/capture", "L01/merge", "L02/merge", "L02/refine", "transport"},
+            {"L00/schedule", "L01/capture", "L02/capture", "L02/schedule"},
+        ),
+        (
+            "verification",
+            {"verification/capture", "verification/merge", "verification"},
+            {"L00/capture", "L02/refine", "transport"},
+        ),
+    ],
+)
+def test_manifests_that_follow_make_way_and_all_pictures_stay(
+    results: Path, level: str, gone: set[str], kept: set[str]
+) -> None:
+    before = present(results)
+    (retake,) = find_retakes(results, [f"vase/dual/{level}"])
+    aside = retake.set_aside()
+    after = present(results)
+    manifests = {path.removesuffix(".json") for path in after if path.endswith(".json")}
+    assert not {f"vase/dual/{name}" for name in gone} & manifests
+    assert {f"vase/dual/{name}" for name in kept} <= manifests
+    assert {path.name for path in aside} == {
+        f"{store}.before_1.zarr" for store in STORES.get(level, ("capture",))
+    }
+    assert sum(path.endswith("c.0") for path in after) == sum(p.endswith("c.0") for p in before)
+    assert {p for p in after if "/auto/" in p} == {p for p in before if "/auto/" in p}
+
+
+def test_pictures_that_are_set_aside_twice_are_both_kept(results: Path) -> None:
+    (retake,) = find_retakes(results, ["vase/dual/1"])
+    retake.set_aside()
+    store = results / "vase/dual/L01/capture.zarr"
+    store.mkdir()
+    assert [path.name for path in retake.set_aside()] == ["capture.before_2.zarr"]
+
+
+def test_where_raw_exposures_were_dropped_the_merged_images_are_kept(results: Path) -> None:
+    level = results / "vase/dual/L02"
+    write_manifest(level / "capture.zarr/dropped.json", {})
+    for name in ("merge", "sums"):
+        (level / f"{name}.zarr").mkdir()
+    (retake,) = find_retakes(results, ["vase/dual/2"])
+    assert {path.name for path in retake.set_aside()} == {
+        f"{name}.before_1.zarr" for name in ("capture", "merge", "sums")
+    }
+
+
+def test_pictures_that_are_taken_by_hand_are_taken_back_instead(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(results.parent)
+    Path("desk.yaml").write_text(
+        "scenes: {vase: {kind: captured, shape: [8, 8]}}\n"
+        "methods: {dual: {}}\n"
+        "capture: {rig: offline}\n"
+    )
+    before = present(results)
+    with pytest.raises(InputError, match="rfpipe import FOLDER --take-back"):
+        run("run", "--configfile", "desk.yaml", "--retake", "vase/dual")
+    assert present(results) == before
+
+
+def test_a_rehearsal_sets_nothing_aside(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(results.parent)
+    before = present(results)
+    said = run("run", "--dry-run", "--retake", "vase/dual/2")
+    assert "results/vase/dual/L02: its pictures would be taken again" in said
+    assert present(results) == before

@@ -1,0 +1,88 @@
+"""The lock of a run's folder: freed where its holder was killed, and only there."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rfpipe.errors import LockedError
+from rfpipe.stages.jobs.running import free_if_dead
+
+RUN = """
+import sys, time
+from pathlib import Path
+from rfpipe.stages.jobs.running import hold
+folder = Path(sys.argv[1])
+locks = folder / ".snakemake" / "locks"
+locks.mkdir(parents=True, exist_ok=True)
+(locks / "0.input.lock").write_text("a")
+(locks / "0.output.lock").write_text("b")
+hold(folder)
+print("held", flush=True)
+time.sleep(600)
+"""
+
+UNLOCK = "rfpipe run --unlock"
+
+
+def locks(folder: Path) -> list[Path]:
+    return sorted(folder.glob(".snakemake/locks/*"))
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that holds the lock of `tmp_path`."""
+    with subprocess.Popen(
+        [sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout
+        assert process.stdout.readline() == "held\n"
+        yield process
+        process.kill()
+
+
+def kill(run: subprocess.Popen[str]) -> None:
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+
+
+def test_a_folder_without_a_lock_is_free(tmp_path: Path) -> None:
+    assert not free_if_dead(tmp_path, UNLOCK)
+
+
+def test_a_killed_run_s_lock_is_removed(tmp_path: Path, run: subprocess.Popen[str]) -> None:
+    kill(run)
+    assert len(locks(tmp_path)) == 2
+    assert free_if_dead(tmp_path, UNLOCK)
+    assert not locks(tmp_path)
+    assert not free_if_dead(tmp_path, UNLOCK)
+
+
+def test_a_run_that_lives_keeps_its_lock(tmp_path: Path, run: subprocess.Popen[str]) -> None:
+    for unlocking in (UNLOCK, None):  # for both commands
+        with pytest.raises(LockedError, match=f"process {run.pid} is running the workflow"):
+            free_if_dead(tmp_path, unlocking)
+    assert len(locks(tmp_path)) == 2
+
+
+@pytest.mark.parametrize("change", ["another", "later"])
+def test_a_lock_that_is_not_known_stays(
+    tmp_path: Path, run: subprocess.Popen[str], change: str
+) -> None:
+    kill(run)
+    folder = tmp_path / ".snakemake" / "locks"
+    if change == "another":  # beside the killed run's lock files
+        (folder / "1.output.lock").touch()
+    else:  # of a Snakemake that came after it
+        (folder / "0.input.lock").unlink()
+        (folder / "0.input.lock").touch()
+    with pytest.raises(LockedError, match=f"isn't known here.*{UNLOCK}"):
+        free_if_dead(tmp_path, UNLOCK)
+    assert not free_if_dead(tmp_path, None)  # which is for Snakemake to do
+    assert locks(tmp_path)

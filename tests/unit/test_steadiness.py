@@ -1,0 +1,227 @@
+"""What changes between pictures of one pattern is named by its cause: gain, lamp, room, queue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import generator
+from rfpipe.rigs import stale
+from rfpipe.rigs.stale import StaleWatch
+from rfpipe.stages.placement import placement_of
+from rfpipe.stages.steadiness import (
+    HARMFUL,
+    Samples,
+    faults_of_references,
+    sample,
+    scatter_of,
+    smooth_changes,
+)
+
+CAMERA = CameraModel()
+SHAPE = (24, 30)
+TEXTURE = generator(5).random(SHAPE) * 0.8
+
+Light = Callable[[int, int], Any]
+"""Gain and room light of an exposure of a bracket, by their numbers."""
+
+
+def brackets(light: Light, count: int, image: Any, camera: CameraModel = CAMERA) -> Any:
+    """Return sampled brackets of an image, (count, E, n), whose light is changed."""
+    taken = []
+    for bracket in range(count):
+        frames = []
+        for number, exposure in enumerate(camera.exposures):
+            gain, room = light(bracket, number)
+            radiance = (gain * image + room)[..., None].astype(np.float32)
+            single = replace(camera, exposures=(exposure,))
+            frames.append(single.expose(radiance, 1, (bracket, number))[0])
+        taken.append(sample(np.stack(frames)))
+    return np.stack(taken)
+
+
+def references(light: Light, camera: CameraModel = CAMERA) -> tuple[Any, Any]:
+    black, white = np.zeros(SHAPE), TEXTURE
+    blacks = brackets(light, 8, black, camera)
+    return blacks, brackets(lambda n, e: light(n + 8, e), 32, white, camera)
+
+
+def jitter(size: float) -> Light:
+    return lambda bracket, _: (np.exp(size * generator(2, bracket).standard_normal()), 0.0)
+
+
+def flicker(size: float) -> Light:
+    """Flicker that fades with the number of the exposure."""
+
+    def light(bracket: int, number: int) -> tuple[float, float]:
+        phase = generator(3, bracket, number).random() * 2 * np.pi
+        return 1 + size / 4**number * np.cos(phase), 0.0
+
+    return light
+
+
+FAULTS: dict[str, tuple[Light, list[str]]] = {
+    "nothing": (lambda *_: (1.0, 0.0), []),
+    "a lamp that drifts": (lambda bracket, _: (1 - 0.002 * bracket, 0.0), []),
+    "a lamp that jumps": (lambda bracket, _: (1.0 if bracket < 20 else 0.9, 0.0), []),
+    "gain, a little": (jitter(0.001), []),
+    "gain": (jitter(0.1), ["gain"]),
+    "gain, worth a word": (jitter(0.01), ["gain"]),
+    "flicker": (flicker(0.2), ["flicker"]),
+    "a room that gets brighter": (lambda bracket, _: (1.0, 0.0005 * bracket), ["room"]),
+    "a room that is bright": (lambda *_: (1.0, 0.05), []),
+    "a room with a shadow": (lambda bracket, _: (1.0, 0.03 * (20 < bracket < 30)), ["room"]),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("dimmer", [1, 16])
+def test_the_references_show_what_changes(name: str, dimmer: int) -> None:
+    light, expected = FAULTS[name]
+    electrons = CAMERA.electrons_per_radiance / dimmer
+    camera = replace(CAMERA, electrons_per_radiance=electrons)
+    found = faults_of_references(*references(light, camera), camera)
+    assert [fault.kind for fault in found] == expected, found
+    if name == "gain":
+        assert found[0].size == pytest.approx(0.1, rel=0.4)
+        assert found[0].is_harmful
+    if name == "gain, worth a word":
+        assert not found[0].is_harmful
+
+
+def test_a_queue_of_old_frames_is_named() -> None:
+    blacks, whites = references(lambda *_: (1.0, 0.0))
+    late = np.concatenate([blacks[-1:], whites[:-1]])
+    rotated = np.roll(whites, 1, axis=1)
+    for wrong in (late, rotated):
+        (found,) = faults_of_references(blacks, wrong, CAMERA)
+        assert found.kind == "late"
+        assert "queue" in found.text
+
+
+def test_with_one_exposure_gain_and_flicker_are_not_told_apart() -> None:
+    camera = replace(CAMERA, exposures=(1 / 64,))
+    found = faults_of_references(*references(jitter(0.1), camera), camera)
+    assert [fault.kind for fault in found] == ["unsteady"]
+    assert "automatic gain" in found[0].text
+    assert "whole periods" in found[0].text
+
+
+def test_few_pictures_are_judged_as_they_are() -> None:
+    for count in (2, 4):
+        steady = Samples(brackets(lambda *_: (1.0, 0.0), count, TEXTURE), np.full((4, 1), 64.0))
+        assert scatter_of(steady, CAMERA) is None
+    unsteady = Samples(brackets(jitter(0.1), 4, TEXTURE), np.full((4, 1), 64.0))
+    found = scatter_of(unsteady, CAMERA)
+    assert found is not None
+    assert found.size > HARMFUL
+    one = Samples(brackets(jitter(0.1), 1, TEXTURE), np.full((4, 1), 64.0))
+    assert scatter_of(one, CAMERA) is None
+
+
+def test_black_pictures_without_light_change_nothing() -> None:
+    blacks = brackets(lambda *_: (1.0, 0.0), 8, np.zeros(SHAPE))
+    assert faults_of_references(blacks, blacks, CAMERA) == []
+
+
+@pytest.mark.parametrize(
+    ("gains", "is_smooth"),
+    [
+        (1 - 0.01 * np.arange(12), True),
+        (np.repeat([1.0, 0.9], 6), True),
+        (np.exp(0.1 * generator(1).standard_normal(12)), False),
+        (1 - 0.01 * np.arange(12) + 0.1 * generator(1).standard_normal(12), False),
+        (np.array([1.0, 0.9, 1.1]), True),  # too few to tell
+    ],
+)
+def test_drift_is_smooth_and_gain_is_not(gains: Any, is_smooth: bool) -> None:
+    assert smooth_changes(gains[:, None]) is is_smooth
+
+
+def half(image: Any) -> Any:
+    columns = np.arange(image.shape[-1])
+    return np.where(columns < image.shape[-1] // 2, image, 0)
+
+
+PLACES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "in place": (lambda pattern: pattern, ""),
+    "mirrored": (lambda pattern: pattern[..., ::-1], "mirrored left to right"),
+    "upside down": (lambda pattern: pattern[..., ::-1, ::-1], "upside down"),
+    "flipped": (lambda pattern: pattern[..., ::-1, :], "mirrored top to bottom"),
+    "moved": (lambda pattern: np.roll(pattern, (1, -2), axis=(-2, -1)), "1 ray down 2 rays left"),
+    "half a ray": (
+        lambda pattern: 0.5 * (pattern + np.roll(pattern, 1, axis=-1)), ""
+    ),
+    "half": (half, "50% of the rays, at the right edge"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("count", [1, 6])
+@pytest.mark.parametrize("indirect", [0.05, 0.3])
+def test_pictures_tell_where_they_lie(name: str, count: int, indirect: float) -> None:
+    projected, expected = PLACES[name]
+    signs = generator(7).integers(0, 2, (count, *SHAPE)) * 2.0 - 1
+    albedo = generator(8).choice([0.02, 0.2, 0.9], SHAPE)  # black things are no missing light
+
+    def seen(patterns: Any) -> Any:
+        light = projected(np.asarray(patterns))
+        return albedo * (light + indirect * light.mean(axis=(-2, -1), keepdims=True))
+
+    floodlit = seen(np.ones((1, *SHAPE)))[0]
+    found = placement_of(signs, seen((signs + 1) / 2), floodlit).text
+    assert (expected in found) if expected else found == ""
+
+
+def test_a_cavity_full_of_light_misses_nothing() -> None:
+    signs = generator(7).integers(0, 2, (6, *SHAPE)) * 2.0 - 1
+    pictures = np.broadcast_to((signs + 1).mean(axis=(1, 2), keepdims=True) / 2, signs.shape)
+    assert placement_of(signs, pictures, np.ones(SHAPE)).text == ""
+    assert placement_of(signs, 0 * pictures, np.zeros(SHAPE)).text == ""
+
+
+def picture(number: int) -> Any:
+    return 0.3 * (generator(number).random(SHAPE) < 0.5).astype(np.float32)
+
+
+def frames(image: Any, *gains: float, seed: int = 0) -> Any:
+    gains = gains or (1.0,) * 4
+    taken = [
+        replace(CAMERA, exposures=(exposure,)).expose(
+            (gain * image)[..., None].astype(np.float32), seed, (number,)
+        )[0]
+        for number, (gain, exposure) in enumerate(zip(gains, CAMERA.exposures, strict=True))
+    ]
+    return np.stack(taken)
+
+
+@pytest.mark.parametrize(
+    ("second", "again", "counted", "said"),
+    [
+        (frames(picture(2)), None, {}, ""),
+        (frames(picture(1), seed=1), frames(picture(2)), {"doubted": 1, "stale": 1}, "queue"),
+        (frames(picture(2), 0.4, 1, 1, 1), frames(picture(2), 1, 1, 1, 1),
+         {"doubted": 1, "unsteady": 1}, "whole periods"),
+    ],
+)  # fmt: skip
+def test_frames_of_the_picture_before_are_told_from_flicker(
+    second: Any,
+    again: Any,
+    counted: dict[str, int],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr(stale, "RETAKE_SECONDS", 0.0)
+    watch = StaleWatch(CAMERA)
+    watch.kept("first", picture(1), lambda: frames(picture(1)))
+    takes = iter([second, again])
+    watch.kept("second", picture(2), lambda: next(takes))
+    assert watch.statistics == {"doubted": 0, "stale": 0, "unsteady": 0, **counted}
+    assert said in caplog.text
+    assert bool(caplog.text) is bool(said)
