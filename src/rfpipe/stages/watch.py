@@ -233,6 +233,8 @@ class Watcher:
             )
         if is_lasting and self.refuse:
             folder = self.of_level.folder
+            if not folder.is_kept:
+                raise CaptureError(f"{text}. Put back what moved, and acquire again")
             raise CaptureError(
                 f"{text}, so the capture ends here; all that is captured is kept. To begin anew: "
                 f"'{folder.retaking()}', with the run's other options. Or put back what moved: "
