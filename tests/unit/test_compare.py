@@ -130,7 +130,7 @@ def test_the_command_prints_and_writes_the_table(tmp_path: Path) -> None:
     assert set(written["error"]) == {0.05, 0.02, 0.01, 0.005, 0.002, 0.001}
     run("compare", tmp_path, "-e", "0.01", "-o", tmp_path / "compared.tex")
     assert r"\begin{tabular}{lllrrrl}" in (tmp_path / "compared.tex").read_text("utf-8")
-    with pytest.raises(InputError, match=r"\.csv or \.tex"):
+    with pytest.raises(InputError, match=r"expected \.csv .*\.tex"):
         run("compare", tmp_path, "-o", tmp_path / "compared.xlsx")
 
 

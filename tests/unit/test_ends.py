@@ -50,3 +50,13 @@ def test_a_copied_run_runs_again_with_its_own_settings(tmp_path: Path) -> None:
             "--configfile", f"{folder}/mine.yaml", f"{folder}/more/mine.yaml",
             f"{tmp_path}/lab.yaml", "--config", "seed=3",
         ]  # fmt: skip
+
+
+def test_outputs_of_unchanged_parameters_are_not_listed() -> None:
+    from snakemake.persistence import NO_PARAMS_CHANGE, ParamsChange
+
+    ends.list_changed_parameters_alone()
+    same = ParamsChange(files={"a.json"})
+    changed = ParamsChange(only_new={"2"}, only_old={"1"}, files={"b.json"})
+    assert list(NO_PARAMS_CHANGE | same) == []
+    assert list(NO_PARAMS_CHANGE | same | changed) == ["b.json"]

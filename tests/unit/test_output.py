@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,7 +16,9 @@ import yaml
 from tests.finished import write_run
 from tests.helpers import contents, run
 from tests.on_full_disk import LARGEST
+from tests.unit.test_compare import relit
 
+import rfpipe
 from rfpipe.cli import app
 from rfpipe.errors import InputError, StoreError
 from rfpipe.output import FOLDER, FORMATS, OUTPUTS, mount_point, suffix_of, whole_file
@@ -40,7 +43,9 @@ INPUTS: dict[str, tuple[str, ...]] = {
     "export --normals": ("export", "dome.zarr", "--normals"),
     "export --photographs": ("export", "dome.zarr", "--photographs", "2", "1"),
     "movie": ("movie", "dome.zarr", "--seconds", "0.2"),
+    "compare": ("compare", "relit"),
     "view": ("view", "dome.zarr"),
+    "calibrate": ("calibrate", "rig.yaml"),
     "fit": ("fit", "lights.exr", "--anyway"),
     "patterns": ("patterns", "offline.yaml", "--results", "offline"),
     "publish": ("publish", "run", *CITED),
@@ -71,6 +76,9 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_run(folder / "run", "desk")
     run("publish", folder / "run", *CITED)  # writes the citation's file
     run("collection", "pack", folder / "run/results", "-o", folder / "packed")
+    rig = Path(__file__).parents[2] / "config/bench.yaml"
+    (folder / "rig.yaml").write_text(rig.read_text())
+    relit(folder / "relit", "room", "symmetric", [(1, 0.4), (19, 0.1), (80, 0.001)])
     return folder
 
 
@@ -113,6 +121,7 @@ def test_on_a_full_disk_no_command_succeeds_or_leaves_a_part_of_a_file(here: Pat
         (command, suffix, [*arguments, "--output"])
         for command, arguments in INPUTS.items()
         for suffix in OUTPUTS[command]
+        if command != "calibrate"  # its writers are those of stores and of reports
     ]
     whole = [(LARGEST, [*call, name_of(*of, "whole")]) for *of, call in calls]
     for (_, arguments), (status, output) in zip(whole, on_full_disk(here, whole), strict=True):
@@ -224,3 +233,38 @@ def test_standard_output_on_a_full_disk_is_an_error_without_a_traceback(here: Pa
     assert done.returncode == 1
     assert done.stderr.startswith("rfpipe: a file can't be written: [Errno 28] No space left")
     assert len(done.stderr.splitlines()) == 1
+
+
+# Modules that write files by themselves: the writer, stores with digests of their own, whose
+# folders are renamed when they are complete, and publications.
+WRITERS_OF_FILES = {"output.py", "items.py", "journal.py", "lock.py", "writing.py"}
+_WRITES = re.compile(
+    r"""\.write_(?:text|bytes)\(|np\.save|\.to_csv\((?!index=)|open\([^)]*["'][wax]b?\+?["']|savetxt\("""
+    r"""|\.savefig\((?!\w*buffer|image)|imsave\((?!buffer)"""
+)
+
+
+def test_no_other_module_writes_files_by_itself() -> None:
+    """Each place that writes is one of those that are known: through `whole_file`, in the end."""
+    source = Path(rfpipe.__file__).parents[1]
+    places = {
+        f"{path.relative_to(source).as_posix()}: {line.strip()}"
+        for path in source.rglob("*.py")
+        if path.name not in WRITERS_OF_FILES and path.parent.name != "kernel"
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if _WRITES.search(line)
+    }
+    known = {
+        # into the temporary file of `whole_file`
+        "rfpipe/cli/relight.py": "partial_file.open",
+        "rfpipe/export/movies.py": "av.open",
+        "rfpipe/transport/matrix_out.py": "archive.open|path.open|zipfile.ZipFile",
+        # a line is added to a log
+        "rfpipe/stages/folder.py": "log.open",
+        # messages in memory
+        "rfpipe/rigs/messages.py": "archive.open",
+    }
+    for place in sorted(places):
+        name, _, line = place.partition(": ")
+        assert name in known, place
+        assert re.search(known[name], line), place

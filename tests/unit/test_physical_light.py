@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 
 from rfpipe.errors import InputError
 from rfpipe.scenes.sight import Pinhole
@@ -17,8 +18,10 @@ from rfpipe_mitsuba.parts import (
     painted,
     sheet,
 )
+from rfpipe_mitsuba.rendering import hits
 from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
 from rfpipe_mitsuba.variant import load_mitsuba
+from rfpipe_mitsuba.views import View
 from rfpipe_mitsuba.world import World, load_scene
 from rfpipe_mitsuba.worlds import WORLDS, view
 
@@ -61,12 +64,18 @@ def differ(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm(one - other) / np.linalg.norm(other))
 
 
-def rendered(scene: MitsubaScene, pattern: np.ndarray) -> np.ndarray:
-    """A picture by Mitsuba's own projector, camera and path tracer."""
+def rendered(
+    scene: MitsubaScene,
+    pattern: np.ndarray,
+    integrator: dict | None = None,
+    times: int = 1,
+) -> np.ndarray:
+    """A picture by Mitsuba's own projector, camera and integrator, by `times` as many samples."""
     mi = load_mitsuba()
     shapes = load_scene(scene.world)
     media = any(shape.is_medium_transition() for shape in shapes.shapes())
     depth = scene.light.bounces + 1
+    by_paths = {"type": "volpath" if media else "path"}
     weights = pattern.reshape(SIZE, SIZE, 1).repeat(3, 2).astype(np.float32)
     lamp = {"type": "bitmap", "bitmap": mi.Bitmap(weights), "raw": True, "filter_type": "nearest"}
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
@@ -78,11 +87,11 @@ def rendered(scene: MitsubaScene, pattern: np.ndarray) -> np.ndarray:
 
     described = {
         "type": "scene",
-        "integrator": {"type": "volpath" if media else "path", "max_depth": depth},
+        "integrator": (integrator or by_paths) | {"max_depth": depth},
         "camera": placed("perspective", scene.camera.pinholes[0]) | {"film": film},
         "light": placed("projector", scene.projector.pinholes[0]) | {"irradiance": lamp},
     } | {f"shape_{k}": shape for k, shape in enumerate(shapes.shapes())}
-    picture = mi.render(mi.load_dict(described), spp=scene.light.samples)
+    picture = mi.render(mi.load_dict(described), spp=times * scene.light.samples)
     # a projector of Mitsuba's lights a surface at distance 1 so that white has radiance 1
     return np.array(picture, np.float64)[..., :3] * scene.recording.scale / np.pi
 
@@ -207,3 +216,42 @@ def test_a_plane_behind_a_plate_of_glass(tmp_path: Path) -> None:
     passed = (1 - REFLECTED) / (1 + REFLECTED)  # with what is reflected to and fro within it
     nearer = away / (away - thick * (1 - 1 / 1.5))
     assert seen / expected == pytest.approx(passed**2 * nearer**2, rel=0.02)
+
+
+FLOOR_AND_WALL = (
+    sheet((0, -1, 0), (4, 0, 0), (0, 0, -4), matt(0.7)),
+    sheet((0, 0, -1.4), (4, 0, 0), (0, 4, 0), matt(0.6)),
+)
+IN_FRONT, BESIDE = view((0, 1.2, 4), (0, -0.3, 0), 38), view((2.8, 1.6, 2.6), (0, -0.5, 0), 38)
+
+
+def traced_from_the_projector(scene: MitsubaScene) -> np.ndarray:
+    """The floodlit picture by Mitsuba's particle tracer, of surfaces that the camera sees first."""
+    return rendered(scene, np.ones(SIZE * SIZE), {"type": "ptracer"}, 16)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("beside", [None, BESIDE], ids=["coaxial", "aside"])
+@pytest.mark.parametrize("material", [glass(), mirror()], ids=["glass", "mirror"])
+def test_what_a_ball_throws_is_what_mitsuba_traces_from_the_projector(
+    tmp_path: Path, material: dict, beside: View | None
+) -> None:
+    of = world(
+        *FLOOR_AND_WALL,
+        ball((0, -0.4, 0), 0.5, material),
+        camera=IN_FRONT,
+        projector=beside,
+        bounces=6,
+    )
+    scene = scene_of(tmp_path, of, 4096)
+    assert scene.light.caustics
+    distances, normals = hits(load_scene(of), scene.camera.pinholes[0])
+    on_ball = np.abs(normals).max(axis=1).reshape(SIZE, SIZE) < 0.999
+    around = ~binary_dilation(on_ball, np.ones((3, 3)))
+    assert np.isfinite(distances).all()
+    assert 0 < around.sum() < SIZE * SIZE
+    expected = traced_from_the_projector(scene)[around].sum()
+    assert flood(scene)[around].sum() == pytest.approx(expected, rel=0.01)
+    without = scene_of(tmp_path, of, 4096, caustics=False)
+    with pytest.warns(UserWarning, match="caustics is false"):
+        assert flood(without)[around].sum() < 0.99 * expected

@@ -18,7 +18,7 @@ from rfpipe.relighting import picture_errors, picture_squares
 from rfpipe.report import errors, glance, setup
 from rfpipe.report.inputs import Inputs, Run, pictures_by_level
 from rfpipe.report.page import Illustration, Section, Table, latex_table, write_page
-from rfpipe.report.targets import missed_targets
+from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import DASH
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
@@ -318,8 +318,6 @@ def test_a_table_is_latex_whatever_its_signs() -> None:
 def test_a_method_states_why_it_ended_above_its_target() -> None:
     rig = SimulatedRig(planes_scene("wedge", ("texture", "texture"), (8, 10), channels=1))
     stopped = acquire(rig, "near_far", progress=False, target_error=1e-4, patterns=13)
-    run: Any = SimpleNamespace(facts={"levels": stopped.transport.level_rows})
-    assert "all patterns" in glance.ending_of(run)
+    assert "all patterns" in ending_of(stopped.transport.level_rows)
     reached = acquire(rig, "near_far", progress=False, target_error=0.5)
-    run = SimpleNamespace(facts={"levels": reached.transport.level_rows})
-    assert glance.ending_of(run) == ""
+    assert ending_of(reached.transport.level_rows) == ""

@@ -23,6 +23,7 @@ from tests.workflow.harness import (
     journal,
     kill_group,
 )
+from tests.workflow.test_run_command import run
 
 BRUTE = "long/brute_force"
 TOKEN = "a-token-for-tests-only"
@@ -148,3 +149,34 @@ def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, serve
     output = workflow.run(LONG, succeeds=False)
     assert "'projector_shape': (16, 16)" in output
     assert "the settings of the scene say" in output
+
+
+def test_a_missed_target_fails_the_run_and_a_level_is_taken_again(
+    tmp_path: Path, server: Server
+) -> None:
+    server.kill()
+    scene = {**CONFIG["scenes"]["long"], "shape": [8, 10]}
+    server.settings["scene"] = scene
+    server.start()
+    workflow = server.workflow(tmp_path / "run", jobs="acquisition")
+    settings = yaml.safe_load(workflow.config.read_text())
+    settings["scenes"] = {"long": scene}
+    settings["methods"] = {"near_far": {"target_error": 1e-4, "patterns": 13}}
+    settings["verification"] = {"pictures": 3}
+    workflow.config.write_text(yaml.safe_dump(settings))
+    output = run(workflow, status=1)
+    assert "long by near_far is off by" in workflow.path("verified.log").read_text()
+    last = output.splitlines()[-1]
+    assert "missed the target error: long by near_far, measured error" in last
+    assert "target 0.01 %" in last
+    assert workflow.path("report/index.html").exists()
+
+    shown = server.status()["brackets"]
+    before = journal(workflow.path("long/near_far/L01/capture.zarr"))
+    settings["verification"]["fail_above"] = 0.99
+    workflow.config.write_text(yaml.safe_dump(settings))
+    output = run(workflow, "--retake", "long/near_far/1")
+    assert "the old ones are kept beside the new ones, as capture.before_1.zarr" in output
+    # pictures for verification are those of before
+    assert server.status()["brackets"] == shown + len(before)
+    assert "missed the target error" in output.splitlines()[-1]

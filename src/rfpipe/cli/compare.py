@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rfpipe.errors import InputError
-
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -53,13 +51,13 @@ def compare(
     Costs are interpolated between its points, which are levels where a transport is known level by
     level. The note says where a method does not reach an error.
     """
+    from rfpipe.output import checked_output
     from rfpipe.report.compare import ERRORS
     from rfpipe.report.compare import compare as compared
     from rfpipe.report.page import latex_table
     from rfpipe.store.files import write_atomically
 
-    if output is not None and output.suffix not in (".csv", ".tex"):
-        raise InputError(f"{output}: expected a name that ends in .csv or .tex")
+    suffix = checked_output("compare", output) if output is not None else ""
     rows = compared(folders, errors or ERRORS, seconds)
     if errors is None:
         reached = rows["patterns"].notna().groupby(rows["error"]).transform("any")
@@ -68,7 +66,7 @@ def compare(
     typer.echo(_aligned(table))
     if output is not None:
         text = rows.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-        write_atomically(output, (latex_table(table) if output.suffix == ".tex" else text).encode())
+        write_atomically(output, (latex_table(table) if suffix == ".tex" else text).encode())
         typer.echo(f"\nwritten: {output}")
 
 

@@ -69,6 +69,7 @@ def calibrate(
 
     from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
     from rfpipe.config import load_rig_config
+    from rfpipe.output import checked_output
     from rfpipe.report.calibration import build_calibration_report
     from rfpipe.rigs.calibrated import STANDINGS
     from rfpipe.stages.jobs.job import Progress
@@ -76,6 +77,8 @@ def calibrate(
     logging.basicConfig(format="%(message)s")
     logging.getLogger("rfpipe").setLevel(logging.INFO)
     config = load_rig_config(rig)
+    if output is not None:
+        checked_output("calibrate", output)
     path = output or Path(config.calibration or "calibration")
     folder = CalibrationFolder(path)
     before, is_complete = folder.written_at(), False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rfpipe.report.text import percent
@@ -16,6 +16,11 @@ _KINDS = (
         "the mean error of indirect light",
     ),
 )
+
+
+def ending_of(level_rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the reason that a method gave for its end above the target, or ""."""
+    return next((row["ended"] for row in reversed(level_rows) if "ended" in row), "")
 
 
 def missed_targets(row: Mapping[str, Any], reason: str) -> Iterator[str]:

@@ -75,7 +75,7 @@ def _picture_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
         ("plain error, %", "plain_error", percent),
         ("noise floor, %", "noise", percent),
     ]
-    labels = [*inputs.labels, ("picture", "name", str)]
+    labels: list[Column] = [*inputs.labels, ("picture", "name", str)]
     return table_of("Errors by picture", about, rows, labels, columns, csv="pictures.csv")
 
 

@@ -104,11 +104,7 @@ def run(
         part.settle(when_patterns_change)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture and folder.is_kept:
-        merged = folder.store(level, "merge")  # of a capture before: replaced
-        camera = rig.sensor, tuple(rig.camera_shape), rig.channels
-        need = disk_bytes(*camera, to_capture, of_level.count)
-        present = bytes_on_disk(merged) if merged.exists() else 0
-        check_disk(of_level.name, need, folder.path, present)
+        _check_disk(rig, folder, level, of_level, to_capture)
         _warm_up(rig, folder, 60 * warm_up_minutes)
     # A sequence is stored when it is complete: long ones, as loading takes most of their time;
     # in hand they have complements.
@@ -247,6 +243,17 @@ def _stands(
     return all(
         stated.get(name, {}).get("fingerprint") == part.made_for for name, part in before.items()
     )
+
+
+def _check_disk(
+    rig: Rig, folder: AcquisitionFolder, level: int, of_level: Brackets, to_capture: int
+) -> None:
+    """Raise StoreError where a level's brackets, and what is made of them, don't fit."""
+    merged = folder.store(level, "merge")  # of a capture before: replaced
+    camera = rig.sensor, tuple(rig.camera_shape), rig.channels
+    need = disk_bytes(*camera, to_capture, of_level.count)
+    present = bytes_on_disk(merged) if merged.exists() else 0
+    check_disk(of_level.name, need, folder.path, present)
 
 
 def _check_references(

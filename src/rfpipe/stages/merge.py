@@ -16,10 +16,10 @@ from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages import symmetry
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
+from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.lamp import LAMP, measure_lamp, with_brightness
+from rfpipe.stages.lamp import measure_lamp, with_brightness
 from rfpipe.stages.merger import (
     REFERENCES,
     LevelSum,

@@ -42,7 +42,7 @@ the room's relative to white pictures, beside which others are dim."""
 _MOST_PIXELS, _MOST_SAMPLES = 20_000, 2_000_000  # that are read of a frame, and of all frames
 _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not judged
 _UNSURE = 4.0  # factor on the variance by the camera's settings, which may not be measured
-_MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are told apart
+_MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are separable
 _MEDIAN = 0.6745  # of the absolute value of a normal variable of deviation 1
 _FLICKER_RATIO = 0.6  # of the scatter at the longest exposure to that at the shortest
 
@@ -58,7 +58,7 @@ class LightFault:
     Attributes
     ----------
     kind : {"late", "gain", "flicker", "unsteady", "room"}
-        "unsteady" is gain or flicker: a single exposure doesn't tell which.
+        "unsteady" is gain or flicker: a single exposure shows no difference.
     size : float
         The change relative to the picture's light.
     text : str
@@ -71,7 +71,7 @@ class LightFault:
 
     @property
     def is_harmful(self) -> bool:
-        """Whether an acquisition is spoilt."""
+        """True if it spoils an acquisition."""
         return self.size > (HARMFUL_ROOM if self.kind == "room" else HARMFUL)
 
 

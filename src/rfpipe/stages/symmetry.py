@@ -35,7 +35,7 @@ _WORTH_A_WORD = 0.2
 # light as it adds up in the floodlit image, and as much again in random ones, over 16 |T p|^2.
 _MASKED = 0.5
 
-# Excess of light that spoils pictures, and standard errors from which on it is no chance.
+# Excess of light that spoils pictures, and standard errors from which on it is significant.
 _LEAST_EXCESS, _SURE = 0.01, 5.0
 
 _log = logging.getLogger(__name__)
@@ -43,11 +43,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Asymmetry:
-    """What relit pictures would be wrong by, relative to their norm, if T were symmetric.
+    """Error of relit pictures, relative to their norm, if T were symmetric.
 
-    The error is 0 where nothing but noise is seen. `place` says what may be wrong with the place of
-    the pictures on the rays, see `rfpipe.stages.placement`. `excess` is light of random pictures
-    beyond what that of the white ones makes, relative to it; 0 unless it surely is there. No
+    The error is 0 where nothing but noise is seen. `place` describes a wrong place of the
+    pictures on the rays, see `rfpipe.stages.placement`. `excess` is the light of random pictures
+    beyond that expected from the white ones, relative to the white; 0 unless it is significant. No
     asymmetry makes it: ``1^T (T - T^T) 1 = 0``.
     """
 
@@ -58,7 +58,7 @@ class Asymmetry:
 
     @property
     def text(self) -> str:
-        """What is wrong with the rig or its light, and by how much."""
+        """Description of the error and its likely cause."""
         text = (
             f"taking the rig for a coaxial one makes an error of {self.error:.1%} +- "
             f"{self.standard_error:.1%} in relit pictures"
@@ -73,7 +73,7 @@ class Asymmetry:
 
     @property
     def least(self) -> float:
-        """What the error surely is, at least."""
+        """Lower bound of the error, `CONFIDENCE` standard errors below it."""
         return self.error - CONFIDENCE * self.standard_error
 
     def judge(
@@ -119,7 +119,7 @@ class Asymmetry:
 
 
 def no_longer_coaxial(text: str) -> str:
-    """Message about a rig that was coaxial when it was calibrated; `text` is what is wrong."""
+    """Message about a rig that was coaxial when it was calibrated; `text` describes it now."""
     return (
         f"this rig was coaxial when it was calibrated; it no longer is: {text}. Check cables, "
         "mirroring and what may have moved, then calibrate again (rfpipe calibrate --again)"
@@ -131,7 +131,7 @@ def measured(
 ) -> dict[str, Any]:
     """Measure a rig by the random patterns that level 0 began with, if any, for the manifest.
 
-    Their pictures are divided by the lamp's `brightness` (count, C): else its drift is taken for
+    Their pictures are divided by the lamp's `brightness` (count, C): its drift would look like
     asymmetry.
     """
     if SYMMETRY not in folder.read_manifest(0, "capture"):

@@ -45,7 +45,7 @@ MOVES = "moves"
 _MOVED = 0.02
 # What the noise itself is known to, as a share of its square.
 _NOISE_KNOWN = 0.1
-# Rays from which on room light is told from brightness.
+# Rays from which on room light and brightness are separable.
 _FEWEST = 16
 # Share of a change's norm that room light must explain at least: it explains a part of any other.
 _EXPLAINED = 0.7
@@ -69,7 +69,7 @@ def look_positions(patterns: int, every: int) -> Double:
 
 
 class Change(NamedTuple):
-    """How a bracket differs from a picture of the same pattern.
+    """Difference of a bracket from a picture of the same pattern.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Change(NamedTuple):
         What differs beyond brightness, room light and noise, relative to the picture's norm; 0
         where nothing.
     room : float
-        Change of the room's light relative to the floodlit picture's; 0 where none is seen.
+        Change of the room's light relative to the floodlit picture's; 0 unless it is significant.
     """
 
     gain: Double
@@ -278,7 +278,7 @@ def look_pattern(shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 
 def ways_on(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
-    """What to do after a capture that ended at a level since the rig or its light changed.
+    """Describe ways on from a capture that ended at a level since the rig or its light changed.
 
     `kind` is the rig's.
     """
@@ -458,5 +458,5 @@ class Watcher:
         raise CaptureError(f"{text}. The capture ends here; {ways_on(folder, self.level)}")
 
     def entries(self) -> dict[str, Any]:
-        """Return what the level's manifest says of the looks."""
+        """Entries of the looks in the level's manifest."""
         return {MOVES: {**self.looks.entry(self.frames), "every": self.every}}

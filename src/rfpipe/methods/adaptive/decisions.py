@@ -59,7 +59,7 @@ PATTERNS = (30.0, 0.8)
 
 They do not depend on the number of rays. On the open scenes of ``docs/benchmark`` acquisitions took
 1.1 times as many in the median, half of them 0.75 to 1.75 times, one in ten more than 7 times; on
-the held-out scenes, of which most have mirrors, glass or hair, 3.6 times, half of them 0.8 to 7.
+the held-out scenes, with glass, mirrors and gloss among them, 3.6 times, half of them 0.8 to 7.
 """
 
 
