@@ -129,6 +129,15 @@ def test_what_a_change_concerns_is_done_anew_and_damage_is_found(tmp_path: Path)
         folder.read("dark")
 
 
+def test_a_step_begins_with_those_that_it_needs(tmp_path: Path) -> None:
+    _, folder, run = begun(tmp_path, (12, 12), (96, 96), (40, 42))
+    run(["dark"])
+    assert [name for name in STEPS if folder.is_done(name)] == ["steadiness", "dark"]
+    before = folder.manifest("steadiness").stat().st_mtime_ns
+    run(["linearity"])
+    assert folder.manifest("steadiness").stat().st_mtime_ns == before
+
+
 def test_a_rig_that_is_not_coaxial_has_no_rays(tmp_path: Path) -> None:
     _, folder, run = begun(tmp_path)
     run(coaxial=False)

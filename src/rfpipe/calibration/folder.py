@@ -286,7 +286,8 @@ def calibrate(
         The rig's settings: ray domain, settings of the calibration, and settings of the devices,
         which are recorded.
     only : iterable of str, optional
-        Steps to do, those that they need being done; None for all, and then `finish`.
+        Steps to do, and those that they need and that are not done yet; None for all, and then
+        `finish`.
     progress : callable, optional
         ``progress(title, pictures)`` makes what counts a step's pictures.
     again : bool
@@ -302,10 +303,13 @@ def calibrate(
         When another process calibrates into this folder.
     """
     steps = steps_of(config.calibrate)
-    wanted = list(steps if only is None else only)
+    wanted = set(steps if only is None else only)
     for name in wanted:
         if name not in steps:
             raise InputError(f"calibration step {name!r} is none of this rig's: {', '.join(steps)}")
+    for name, step in reversed(steps.items()):  # a step needs earlier ones only
+        if name in wanted:
+            wanted |= {need for need in step.needs if not folder.is_done(need)}
     folder.path.mkdir(parents=True, exist_ok=True)
     devices = projector, camera
     with StoreLock(folder.path / "steps"):
