@@ -256,6 +256,8 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
         assert row["minutes"] == pytest.approx((2 * row["patterns"] + 9) / 60, rel=1e-4)
         assert shown[2] == number(row["patterns"])
         assert shown[table.columns.index("error, %")] == percent(row["mean_error"])
+        indirect = shown[table.columns.index("error of indirect light, %")]
+        assert (indirect == "none") == (row["scene"] == "flat")
     assert "error of indirect light, %" in table.columns
     assert not any(column.startswith("indirect") for column in table.columns)
     assert "exact truth" in table.caption

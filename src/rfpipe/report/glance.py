@@ -10,7 +10,7 @@ from rfpipe.report.inputs import Inputs, Run, job_times, pictures_of, rig_of
 from rfpipe.report.page import Block, Column, Gallery, Section, Table, table_of
 from rfpipe.report.pictures import scene_pictures
 from rfpipe.report.targets import ending_of, missed_targets
-from rfpipe.report.text import DASH, ERROR, fixed, number, percent, rig_standing
+from rfpipe.report.text import ERROR, fixed, indirect_percent, number, percent, rig_standing
 from rfpipe.report.verification import alarms_of, summary
 from rfpipe.transport.base import estimates
 
@@ -22,7 +22,7 @@ _NUMBERS: tuple[Column, ...] = (
     ("pictures on the rig", "pictures", number),
     ("error, %", "mean_error", percent),
     ("largest error, %", "worst_error", percent),
-    ("error of indirect light, %", "mean_indirect", percent),
+    ("error of indirect light, %", "mean_indirect", indirect_percent),
     ("estimated error, %", "estimated_error", percent),
 )
 _TIME: Column = ("time, min", "minutes", fixed(1))
@@ -191,10 +191,10 @@ def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table |
 
 
 def _with_deviation(mean: float, deviation: float, text: Callable[[Any], str]) -> str:
-    """Return a mean and its standard deviation, to as many digits, as text; a dash for NaN."""
+    """Return a mean and its standard deviation, to as many digits, as text; a word for none."""
     shown = text(mean)
-    if shown == DASH:
-        return DASH
+    if not any(map(str.isdigit, shown)):
+        return shown
     digits = len(shown.partition(".")[2])
-    scale = 100 if text is percent else 1
+    scale = 100 if text in (percent, indirect_percent) else 1
     return f"{shown} ± {number(deviation, f',.{digits}f', scale)}"
