@@ -200,15 +200,15 @@ def error_of(transport: Transport, held: Pictures, floodlit: Float, dark: Bools)
     every_ray = np.ones((1, patterns[0].shape[1]), np.bool_)
     of_floodlit, noise = relit(transport, every_ray)[0] - floodlit, _noise_of(held)
     full = float(np.square(floodlit[:, known], dtype=np.float64).sum())
-    errors: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    of_parts: dict[str, list[Double]] = {kind: [] for kind in KINDS}
     compared = []
     for index, (kind, parts) in enumerate(zip(HELD_OUT, patterns, strict=True)):
         taken, noisy, unlit = held.radiance[index], noise[index], dark[index]
         each = _compared(transport, parts, taken, of_floodlit, noisy, unlit, known)
         reference = reference_light(each.light, full * parts.mean(axis=1))
-        errors[kind].append(_mean_error(each.wrong, each.chance, reference))
+        of_parts[kind].append(np.stack([each.wrong, each.chance, reference]))
         compared.append(each)
-    by_kind = {kind: float(np.mean(errors[kind])) for kind in KINDS}
+    by_kind = {kind: _mean_error(*np.hstack(each)) for kind, each in of_parts.items()}
     lit = np.array([parts.mean() for parts in patterns])
     return Estimate(**by_kind, indirect=_indirect_error(compared, lit))
 
