@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -16,7 +17,7 @@ from rfpipe.calibration.responses import (
     measure_linearity,
     measure_transfer,
 )
-from rfpipe.calibration.verdicts import Findings
+from rfpipe.calibration.verdicts import Findings, with_error
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
@@ -109,6 +110,44 @@ def test_dark_frames_that_are_cut_off_hot_or_lit_are_said_to_be() -> None:
     every_third = slice(None, None, 3)
     assert "are hot" in dark_of(CAMERA, bend=hot(500, every_third, every_third)).verdict.text
     assert dark_of(replace(CAMERA, exposures=(0.25,)))["current_counts_per_s"] == 0
+
+
+def test_room_light_that_changes_is_named_and_is_no_noise() -> None:
+    def seen(index: int, _: float) -> np.ndarray:
+        return np.full((64, 64), 0.0005 * (index % 4))
+
+    dark = measure_dark(FlatBench(CAMERA, seen))  # type: ignore[arg-type]
+    assert dark.verdict.standing == "poor"
+    assert "room's light changes by" in dark.verdict.text
+    assert "black level" not in dark.verdict.text
+    photons = np.mean([0.0005 * (index % 4) for index in range(6)]) * CAMERA.electrons_per_radiance
+    electrons = np.sqrt(photons + CAMERA.read_noise_electrons**2)
+    assert dark["variance_counts2"][-1] == pytest.approx(
+        (electrons / CAMERA.electrons_per_count) ** 2, rel=0.1
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (5.25, 0.5, "5.25 +- 0.5 electrons"),
+        (0.0, 0.7, "at most 1.4 electrons"),
+        (1e9, 8.8e17, "at most 1.76e+18 electrons"),
+    ],
+)
+def test_no_number_has_an_error_larger_than_itself(value: float, error: float, text: str) -> None:
+    assert with_error(value, error, "{:.3g}") + " electrons" == text
+
+
+def test_a_gain_that_is_not_known_is_not_printed() -> None:
+    random = np.random.default_rng(0)
+
+    def seen(_: int, weight: float) -> np.ndarray:
+        return weight * SCENE + 0.5 * random.random()
+
+    text = transfer_of(CAMERA, seen=seen, levels=2).verdict.text
+    pairs = re.findall(r"([\d.e+-]+) \+- ([\d.e+-]+)", text)
+    assert all(float(error) < float(value) for value, error in pairs), text
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs.looks import BLACK, COMPLEMENT, PATTERN, Look, References, fit_of, thinned
 from rfpipe.rigs.steadiness import Fault, faults_of, is_whole_period, whole_periods
 
-CAMERA = CameraModel(exposures=(1 / 64, 1 / 16, 1 / 4))
+CAMERA = CameraModel(exposures=(1 / 64, 1 / 8, 1 / 4))
 SHAPE = (40, 40)
 LIMIT = 0.01
 SERIES = (BLACK, BLACK, PATTERN, PATTERN, COMPLEMENT, COMPLEMENT) * 2

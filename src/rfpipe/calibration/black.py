@@ -49,7 +49,7 @@ def measure_dark(bench: Bench) -> Findings:
     black, times = frames.mean, np.asarray(model.exposures, float)
     # what all photosites do together is light, not noise
     together = np.var(levels, axis=0, ddof=1).reshape(-1, *(1,) * (black.ndim - 1))
-    spread = np.maximum(frames.variance - together, 0)
+    spread = frames.variance - together
     usable = np.logical_and.accumulate(frames.most < SATURATION_FRACTION * white_level, axis=0)
     if not usable[0].any():
         raise CaptureError(
@@ -60,7 +60,8 @@ def measure_dark(bench: Bench) -> Findings:
     last = max(k for k in range(len(black)) if k == 0 or usable[k].mean() > 0.5)
     hot = _hot(black[: last + 1], spread, usable, frames.count)
     good = ~hot & usable[last]
-    level, variance = black[:, good].mean(axis=1), spread[:, good].mean(axis=1)
+    level = black[:, good].mean(axis=1)
+    variance = np.maximum(spread[:, good].mean(axis=1), 0)
     # counts are whole: rounding hides what is far below it
     error = np.sqrt(np.maximum(variance, 1 / 12) / (frames.count * good.sum()))[: last + 1]
     (current, black_level), covariance = (0.0, float(level[0])), np.diag([0, error[0] ** 2])

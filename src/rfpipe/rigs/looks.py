@@ -249,7 +249,8 @@ def fit_of(look: Look, references: References) -> Fit:
         frame = look.frames[index].astype(np.float64)
         usable = np.logical_and(_usable(references, index), frame < references.saturated)
         shown = references.light_of(look.picture)[index, usable]
-        if usable.sum() < _LEAST_PIXELS or not np.isfinite(references.noise[index]):
+        is_known = usable.sum() >= _LEAST_PIXELS and np.isfinite(references.noise[index])
+        if not is_known or shown.sum() <= 0:
             continue
         counts = frame[usable] - references.frames[BLACK, index, usable]
         solutions[index], rest, covariance = _regression(

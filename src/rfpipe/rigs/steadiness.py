@@ -44,7 +44,7 @@ ROOM = 0.2
 _MOVED = 0.05  # residual from which on a picture has another shape: half a pixel makes 0.15
 _LATE = 0.5  # distance to the picture before over that to the picture shown
 _COMMON = 0.3  # range of exposures' ratios over that of gains, from which on brackets flicker
-_AVERAGED_SECONDS = 0.05  # exposures from which on flicker at mains frequency is small
+_AVERAGED_SECONDS = 0.1  # exposures from which on flicker at mains frequency is small
 
 
 class Fault(NamedTuple):
