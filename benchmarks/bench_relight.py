@@ -8,7 +8,6 @@ float32 numbers. Times are the best of many, floors and relighting in turn.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +18,7 @@ import numba
 import numpy as np
 
 import rfpipe
-from benchmarks.harness import shortest_ms, write
+from benchmarks.harness import is_full, shortest_ms, write
 from rfpipe.config import StorageConfig
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
@@ -94,4 +93,4 @@ def measure(shape: tuple[int, int]) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    write("relight", map(measure, (*SIZES, FULL_SIZE) if "--full" in sys.argv[1:] else SIZES))
+    write("relight", map(measure, (*SIZES, FULL_SIZE) if is_full() else SIZES))

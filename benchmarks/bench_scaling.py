@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import multiprocessing
 import resource
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from math import prod
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import rfpipe
-from benchmarks.harness import shortest_ms, write
+from benchmarks.harness import is_full, shortest_ms, write
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene
 
@@ -56,7 +55,7 @@ def measure(method: str, shape: tuple[int, int]) -> dict[str, Any]:
 def rows() -> Iterator[dict[str, Any]]:
     """Measure each case in a process of its own."""
     context = multiprocessing.get_context("spawn")
-    sizes = (*SIZES, FULL) if "--full" in sys.argv[1:] else SIZES
+    sizes = (*SIZES, FULL) if is_full() else SIZES
     with ProcessPoolExecutor(1, mp_context=context, max_tasks_per_child=1) as pool:
         for method in METHODS:
             for shape in sizes:

@@ -8,7 +8,6 @@ relighting patterns' errors; `error` is the same against the scene.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +18,7 @@ from unittest.mock import patch
 import numpy as np
 
 import rfpipe
-from benchmarks.harness import errors, write
+from benchmarks.harness import errors, given, write
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
 from rfpipe.store import arrays
@@ -66,5 +65,5 @@ def rows(shape: tuple[int, int]) -> Iterator[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    height, width = map(int, sys.argv[1:3] or (124, 140))
+    height, width, *_ = [*given("side", int, (124, 140)), 140]
     write("storage", rows((height, width)))

@@ -9,7 +9,6 @@ Writes results/bench/symmetry.csv.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import rfpipe
-from benchmarks.harness import errors, write
+from benchmarks.harness import errors, given, write
 from benchmarks.localise_errors import recorded
 from rfpipe.calibration.symmetry import (
     measure_symmetry,
@@ -30,6 +29,7 @@ from rfpipe.calibration.symmetry import (
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes import planes_scene
 from rfpipe.scenes.relighting import relighting_patterns
+from rfpipe_mitsuba.worlds import WORLDS
 
 SCENES = ("wedge", "two_blocks", "translucent")
 SIDE = 32
@@ -105,7 +105,7 @@ def predicted(rig: rfpipe.OperatorRig, count: int, seed: int) -> float:
 def rows() -> Iterator[dict[str, Any]]:
     """Yield a row a scene and rig."""
     lit = np.stack(list(relighting_patterns((SIDE, SIDE)).values())).astype(np.float32)
-    for scene in sys.argv[1:] or SCENES:
+    for scene in given("scene", str, SCENES, ("wedge", *WORLDS)):
         right = matrix_of(scene)
         for name, (spoil, light) in RIGS.items():
             matrix = spoil(right)

@@ -2,16 +2,57 @@
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from rfpipe.store.files import write_atomically
+
+T = TypeVar("T")
+
 FOLDER = Path("results/bench")
+
+
+def given(
+    name: str,
+    kind: Callable[[str], T],
+    default: Sequence[T] = (),
+    choices: Container[T] | None = None,
+) -> list[T]:
+    """Return a script's arguments; a wrong one ends the script with a message.
+
+    Parameters
+    ----------
+    name : str
+        The arguments' name in the message.
+    kind : callable
+        Returns an argument's value, or raises ValueError.
+    default, choices
+        Values without arguments, and those that are possible; any where None.
+    """
+    parser = argparse.ArgumentParser()
+    parser.add_argument(name, nargs="*", type=kind, choices=choices, default=list(default))  # type: ignore[arg-type]
+    return list(getattr(parser.parse_args(), name))
+
+
+def is_full() -> bool:
+    """Whether a script was called with ``--full``, its only option."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--full", action="store_true")
+    return bool(parser.parse_args().full)
+
+
+def existing(text: str) -> Path:
+    """Return the path of a file or folder; ValueError where there is none."""
+    if not Path(text).exists():
+        raise argparse.ArgumentTypeError(f"there is no file or folder {text}")
+    return Path(text)
 
 
 def write(name: str, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
@@ -22,12 +63,12 @@ def write(name: str, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     DataFrame
         All rows; each is printed as it comes.
     """
-    FOLDER.mkdir(parents=True, exist_ok=True)
     done: list[Mapping[str, Any]] = []
     for row in rows:
         done.append(row)
         print(", ".join(f"{key} {_text(value)}" for key, value in row.items()), flush=True)
-        pd.DataFrame(done).to_csv(FOLDER / f"{name}.csv", index=False, float_format="%.5g")
+        text = pd.DataFrame(done).to_csv(index=False, float_format="%.5g")
+        write_atomically(FOLDER / f"{name}.csv", text.encode())
     return pd.DataFrame(done)
 
 

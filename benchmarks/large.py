@@ -8,8 +8,8 @@ method saw, of the scene without noise; ``verified`` is over other pictures, tak
 
 from __future__ import annotations
 
+import io
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks.harness import existing, given
 from rfpipe.config import Config, load_config
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, scene_from_config
@@ -26,6 +27,7 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan, plan_of
 from rfpipe.stages.verification import compared
 from rfpipe.store import open_arrays
+from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import estimates
 
 SETTINGS = Path("config/large.yaml").absolute()
@@ -36,7 +38,7 @@ _AT_A_TIME = 8
 Float = NDArray[np.float32]
 
 
-def main(folder: str = "large") -> None:
+def main(folder: Path) -> None:
     """Write the tables and the picture."""
     os.chdir(folder)  # where a run's settings look for files
     config = load_config(SETTINGS)
@@ -48,10 +50,14 @@ def main(folder: str = "large") -> None:
             rows += curve(config, name, method, scene, test)
             print(pd.DataFrame(rows[-1:]).to_string(index=False), flush=True)
     table = pd.DataFrame(rows)
-    table.to_csv(TABLES / "large.csv", index=False, float_format="%.4g", lineterminator="\n")
+    text = table.to_csv(index=False, float_format="%.4g", lineterminator="\n")
+    write_atomically(TABLES / "large.csv", text.encode())
     stages = pd.concat([stage_costs(name, method) for name, method in acquisitions(config)])
-    stages.to_csv(TABLES / "large_stages.csv", index=False, lineterminator="\n")
-    draw(config, table).savefig(PICTURE, dpi=100)
+    text = stages.to_csv(index=False, lineterminator="\n")
+    write_atomically(TABLES / "large_stages.csv", text.encode())
+    image = io.BytesIO()
+    draw(config, table).savefig(image, format="png", dpi=100)
+    write_atomically(PICTURE, image.getvalue())
 
 
 def acquisitions(config: Config) -> Iterator[tuple[str, str]]:
@@ -155,4 +161,4 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(*given("folder", existing, [Path("large")])[:1])

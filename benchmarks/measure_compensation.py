@@ -8,7 +8,6 @@ picture, over the pixels within reach of the former. Writes results/bench/compen
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rfpipe
-from benchmarks.harness import write
+from benchmarks.harness import given, write
 from benchmarks.methods.scenes import stage_of
 
 _SCENES = ("wedge_30", "wedge_iii", "wedge_iv", "wedge_120")
@@ -50,4 +49,4 @@ def rows(side: int) -> Iterator[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    write("compensation", (r for side in sys.argv[1:] or ["48"] for r in rows(int(side))))
+    write("compensation", (r for side in given("side", int, [48]) for r in rows(side)))

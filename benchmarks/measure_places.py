@@ -7,7 +7,6 @@ lit surface; noise is that of the default camera. Writes results/bench/places.cs
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rfpipe
-from benchmarks.harness import write
+from benchmarks.harness import given, write
 from benchmarks.methods.scenes import ASIDE, stage_of
 from rfpipe.calibration.correspondence import AxisCode
 from rfpipe.rigs import Rig
@@ -82,4 +81,4 @@ def _structured(rig: Rig) -> tuple[int, NDArray[Any], NDArray[Any]]:
 
 
 if __name__ == "__main__":
-    write("places", (r for side in sys.argv[1:] or ["48"] for r in rows(int(side))))
+    write("places", (r for side in given("side", int, [48]) for r in rows(side)))

@@ -31,6 +31,8 @@ THESIS = {  # Table 5.1: patterns and MB
     "sweets": ("translucent sweets, for Fig. 5.6", 2417, 337),
     "light_field": ("3 x 3 views, for Fig. 5.8", 3368, 1470),
 }
+_INDIRECT = "error of indirect light, %"
+_PATTERNS = "patterns (thesis, which gives no errors)"
 _ALIKE = 1.1  # errors of which the larger is no larger than so many times the other
 _SIDES = ("48", "96", "192")
 _THESIS_SIDE = "310x350"
@@ -75,8 +77,8 @@ def all_cases() -> Iterator[Case]:
 def of_run(tables: Path) -> str:
     """Return what is shown of a run's tables, as CSV."""
     told = pd.read_csv(tables / "results.csv")
-    columns = ["scene", "method", "patterns", "megabytes", "mean_error", "estimated_error",
-               "worst_error", "mean_indirect"]  # fmt: skip
+    columns = ["scene", "method", "patterns", "pictures", "megabytes", "mean_error",
+               "estimated_error", "worst_error", "mean_indirect"]  # fmt: skip
     return str(told[columns].to_csv(index=False, float_format="%.4g", lineterminator="\n"))
 
 
@@ -108,12 +110,13 @@ def _percent(value: Any) -> str:
 
 
 def _default(rows: pd.DataFrame) -> str:
-    head = ["scene", "method", "patterns", "MB stored", "mean error, %", "estimated, %",
-            "largest, %", "indirect, %"]  # fmt: skip
+    head = ["scene", "method", "patterns", "pictures on the rig", "MB stored", "mean error, %",
+            "estimated, %", "largest, %", _INDIRECT]  # fmt: skip
     return markdown(
         head,
         (
-            [row.scene, f"`{row.method}`", str(row.patterns), f"{row.megabytes:.2f}",
+            [row.scene, f"`{row.method}`", str(row.patterns), str(row.pictures),
+             f"{row.megabytes:.2f}",
              *map(_percent, (row.mean_error, row.estimated_error, row.worst_error,
                              row.mean_indirect))]
             for row in rows.itertuples()
@@ -125,8 +128,8 @@ def _methods(rows: pd.DataFrame) -> str:
     """Return the methods on the default run's scene IV."""
     own = rows[rows["scene"] == "planes_iv"]
     return markdown(
-        ["method", "patterns", "mean error, %", "of indirect light, %"],
-        ([f"`{row.method}`", str(row.patterns), _percent(row.mean_error),
+        ["method", "patterns", "pictures on the rig", "mean error, %", _INDIRECT],
+        ([f"`{row.method}`", str(row.patterns), str(row.pictures), _percent(row.mean_error),
           _percent(row.mean_indirect)] for row in own.itertuples()),
     )  # fmt: skip
 
@@ -176,8 +179,8 @@ def _of_thesis(rows: pd.DataFrame, last: int | None = None) -> str:
              f"{row.megabytes:.1f} ({megabytes:,})",
              *map(_percent, (row.mean_error, row.worst_error, row.mean_indirect))]
         )  # fmt: skip
-    head = ["scene", "method", "patterns (thesis)", "MB stored (thesis)",
-            "mean error, %", "largest, %", "of indirect light, %"]  # fmt: skip
+    head = ["scene", "method", _PATTERNS, "MB stored (thesis)", "mean error, %", "largest, %",
+            _INDIRECT]  # fmt: skip
     return markdown(head, lines)
 
 
@@ -204,15 +207,17 @@ def _beaten(rows: pd.DataFrame) -> str:
                f"{_percent(each.mean_indirect)}" for each in (theirs, best)),
              f"{patterns / best.patterns:.0f}, {megabytes / best.megabytes:.0f}"]
         )  # fmt: skip
-    head = ["scene", "thesis: patterns, MB", "`symmetric`: error, of indirect light, %",
-            "`near_far` or `auto`", "times fewer than the thesis: patterns, MB"]  # fmt: skip
+    both = "patterns, MB: error, error of indirect light, %"
+    head = ["scene", "thesis, without errors: patterns, MB", f"`symmetric`: {both}",
+            f"`near_far` or `auto`: {both}",
+            "times fewer than the thesis: patterns, MB"]  # fmt: skip
     return markdown(head, lines)
 
 
 def _large(rows: pd.DataFrame) -> str:
     """Return the physically based scenes at the size of a rig."""
     head = ["scene", "method", "patterns", "MB stored", "estimated, %", "mean error, %",
-            "largest, %", "indirect, %", "verified, %"]  # fmt: skip
+            "largest, %", _INDIRECT, "verified, %"]  # fmt: skip
     return markdown(
         head,
         (

@@ -18,6 +18,8 @@ from typing import Any
 
 import psutil
 
+from benchmarks.harness import existing, given
+
 SECONDS = 10
 
 
@@ -68,8 +70,8 @@ def main() -> None:
     with sync_playwright() as driver:
         path = shutil.which("chromium")
         chromium = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        for page in sys.argv[1:]:
-            rows.append(measure(chromium, Path(page)))
+        for page in given("page", existing):
+            rows.append(measure(chromium, page))
             print(rows[-1], file=sys.stderr)
     if rows:
         folder = Path("results/bench")

@@ -1,8 +1,8 @@
 """Make a script's figures and tables: ``python -m figures SCRIPT FOLDER [--side 48 ...]``.
 
-Writes ``{slug}.png`` and ``{slug}.csv`` into the folder and, last, ``{script}.json`` with their
-names, captions and costs; ``python -m figures index FOLDER`` makes the page of all of them, and
-``python -m figures check`` tells whether LLVM is here.
+Writes ``{slug}.png``, ``{slug}.pdf`` of vectors and ``{slug}.csv`` into the folder and, last,
+``{script}.json`` with their names, captions and costs; ``python -m figures index FOLDER`` makes the
+page of all of them, and ``python -m figures check`` tells whether LLVM is here.
 """
 
 from __future__ import annotations
@@ -12,19 +12,30 @@ import io
 import json
 import sys
 from dataclasses import asdict, fields
+from difflib import SequenceMatcher, get_close_matches
 from importlib import import_module
 from pathlib import Path
 
 from figures.common import Picture, Size, Table
 from figures.index import write_index
 from rfpipe.errors import RfpipeError
+from rfpipe.report.page import pdf_of
 from rfpipe.store.files import write_atomically
+
+SCRIPTS = tuple(
+    sorted(
+        path.stem
+        for path in Path(__file__).parent.glob("*.py")
+        if "\ndef items(" in path.read_text(encoding="utf-8")
+    )
+)
+"""Modules of this folder that yield figures and tables."""
 
 
 def main() -> None:
     """Run a script, or write the page."""
     parser = argparse.ArgumentParser(prog="python -m figures", description=__doc__)
-    parser.add_argument("script", help="a module of this folder, index, or check")
+    parser.add_argument("script", help=f"{', '.join(SCRIPTS)}, index, or check")
     parser.add_argument("folder", type=Path, nargs="?", default=Path())
     for each in fields(Size):
         kind = type(each.default)
@@ -32,6 +43,8 @@ def main() -> None:
         parser.add_argument(f"--{each.name}", default=each.default, **many)
     given = vars(parser.parse_args())
     script, folder = given.pop("script"), given.pop("folder")
+    if script not in (*SCRIPTS, "index", "check"):
+        parser.error(unknown(script))
     if script == "check":
         _check()
     elif script == "index":
@@ -39,6 +52,14 @@ def main() -> None:
     else:
         folder.mkdir(parents=True, exist_ok=True)
         run(script, folder, Size(**given))
+
+
+def unknown(script: str) -> str:
+    """Return the message for a script that isn't there: all names, the most similar first."""
+    names = (*SCRIPTS, "index", "check")
+    nearest = sorted(names, key=lambda name: -SequenceMatcher(None, script, name).ratio())
+    meant = f"did you mean {nearest[0]}? " if get_close_matches(script, names) else ""
+    return f"there is no script {script!r}; {meant}There are {', '.join(nearest)}"
 
 
 def _check() -> None:
@@ -60,6 +81,7 @@ def run(script: str, folder: Path, size: Size) -> None:
             image = io.BytesIO()
             item.figure.savefig(image, format="png", metadata={"Software": None})
             write_atomically(folder / f"{item.slug}.png", image.getvalue())
+            write_atomically(folder / f"{item.slug}.pdf", pdf_of(item.figure))
             shown.append({"file": f"{item.slug}.png", "name": item.name, "thesis": item.thesis,
                           "caption": item.caption})  # fmt: skip
         elif isinstance(item, Table):
@@ -73,4 +95,7 @@ def run(script: str, folder: Path, size: Size) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except RfpipeError as error:
+        sys.exit(f"figures: {error}")

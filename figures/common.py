@@ -43,7 +43,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page: written as ``{slug}.png``."""
+    """A figure of the page: written as ``{slug}.png`` and ``{slug}.pdf``."""
 
     slug: str
     name: str

@@ -162,9 +162,11 @@ def _figure(folder: Path, item: dict[str, Any]) -> str:
     )
     if item["file"].endswith(".csv"):
         return _table(name, caption, folder / item["file"])
+    vectors = Path(item["file"]).with_suffix(".pdf").name
     return (
         f"<figure><img src='{item['file']}' alt='{name}'><figcaption><b>{name}.</b> "
-        f"<i>The thesis: {thesis}</i> {caption}</figcaption></figure>"
+        f"<i>The thesis: {thesis}</i> {caption} <a href='{vectors}'>{vectors}</a></figcaption>"
+        "</figure>"
     )
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import sys
+from pathlib import Path
 
 from figures.common import acquired, dual_truth, error, exposure, matte, percent, seen
 from rfpipe.config import SceneSettings
 from rfpipe.report.drawing import Panel, draw
 from rfpipe.scenes import scene_from_config
+from rfpipe.store.files import write_atomically
 
 
 def main(path: str, side: int = 128, samples: int = 1024) -> None:
@@ -16,7 +19,7 @@ def main(path: str, side: int = 128, samples: int = 1024) -> None:
     Parameters
     ----------
     path : str
-        The picture to write.
+        The picture to write, PNG.
     side : int
         Pixels of the camera's and the projector's pictures, both square.
     samples : int
@@ -33,7 +36,9 @@ def main(path: str, side: int = 128, samples: int = 1024) -> None:
         panels.append(Panel(image, title, "", exposure(truth)))
     grain = percent(scene.recording.noise["half_lit"]["whole"])
     print(f"{path}: {result.patterns} patterns; the truth is recorded with a grain of {grain}")
-    draw([panels], width=4.2).savefig(path)
+    image = io.BytesIO()
+    draw([panels], width=4.2).savefig(image, format="png")
+    write_atomically(Path(path), image.getvalue())
 
 
 if __name__ == "__main__":

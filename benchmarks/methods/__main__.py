@@ -14,9 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.methods.cases import (
+    AUTO,
     CAMERAS,
     NAMES,
     SEEDS,
+    SIDE,
+    SMALL_SIDES,
     Case,
     Rows,
     appending,
@@ -53,7 +56,8 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--lights", nargs="+", choices=CAMERAS, default=list(CAMERAS))
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--settings", type=int, help="of each method, from the coarsest; all")
-    parser.add_argument("--side", default="48", help="pixels, or HEIGHTxWIDTH; 48")
+    parser.add_argument("--side", nargs="+",
+                        help=f"pixels, or HxW; {SIDE}, and smaller ones of {AUTO}")  # fmt: skip
     parser.add_argument("--values", nargs="+", type=float, help="of the option")
     parser.add_argument("--channels", type=int, choices=(1, 3), default=1)
     parser.add_argument("--samples", type=int, default=16384, help="paths of light a pixel; 16384")
@@ -68,9 +72,13 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def asked_cases(asked: argparse.Namespace) -> list[Case]:
     """List what the command line asks for."""
-    names = ("scenes", "methods", "lights", "seeds", "settings", "values", "side", "channels",
-             "samples")  # fmt: skip
-    return list(cases_of(**{name: getattr(asked, name) for name in names}))
+    names = ("scenes", "methods", "lights", "seeds", "settings", "values", "channels", "samples")
+    settings = {name: getattr(asked, name) for name in names}
+    if asked.side:
+        return [case for side in asked.side for case in cases_of(**settings, side=side)]
+    small = [case for side in SMALL_SIDES for case in cases_of(**settings, side=side)]
+    estimated = [case for case in small if case.method == AUTO and case.light == "full"]
+    return [*cases_of(**settings), *estimated]
 
 
 def run(cases: Sequence[Case], table: Path, rows: Rows, cache: Path, seconds: float) -> None:

@@ -40,6 +40,12 @@ TARGETS = (0.02, 0.01, 0.005)
 TOLERANCES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006, 0.004, 0.0025, 0.0015, 0.001, 6e-4, 4e-4, 3e-4)
 """What others are run at, so close that in hindsight little is lost between two of them."""
 
+SIDE = "48"
+"""Pixels along either side of a picture, at which all methods are compared."""
+
+SMALL_SIDES = ("16x18", "24x27", "32x36", "40x45")
+"""Heights and widths at which `AUTO` is compared with its own estimates, in full light."""
+
 _SETTINGS = {"target_error": TARGETS, "tolerance": TOLERANCES}
 _OWN = Path(__file__).with_name("scenes.py")
 
@@ -162,7 +168,7 @@ def cases_of(
     seeds: Sequence[int] = SEEDS,
     settings: int | None = None,
     values: Sequence[float] | None = None,
-    side: str = "48",
+    side: str = SIDE,
     channels: int = 1,
     samples: int = 16384,
 ) -> Iterator[Case]:

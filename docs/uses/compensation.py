@@ -1,6 +1,11 @@
-"""A checkerboard on a textured crease: projected as it is, and by the pattern that makes it."""
+"""A checkerboard on a textured crease: projected as it is, and by the pattern that makes it.
+
+Usage: ``python docs/uses/compensation.py [SIDE [FOLDER]]``, by default 64 and results/uses. Writes
+``FOLDER/compensation.png``, and nothing else.
+"""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot
@@ -9,6 +14,8 @@ import rfpipe
 from rfpipe.scenes import reference_scene
 
 side = int(sys.argv[1]) if len(sys.argv) > 1 else 64
+folder = Path(sys.argv[2] if len(sys.argv) > 2 else "results/uses")
+folder.mkdir(parents=True, exist_ok=True)
 scene = reference_scene("IV", (side, side))
 rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, rfpipe.CameraModel(), seed=1)
 transport = rfpipe.acquire(rig, "auto", target_error=0.005).transport
@@ -36,4 +43,5 @@ for axis, (title, image) in zip(axes, pictures.items(), strict=True):
     off = np.linalg.norm(image - goal) / np.linalg.norm(goal)
     axis.imshow(np.clip(image / (2 * wished.max()), 0, 1) ** (1 / 2.2))
     axis.set(title=f"{title}: {off:.1%} off" if off else title, xticks=[], yticks=[])
-figure.savefig("compensation.png")
+figure.savefig(folder / "compensation.png")
+print(f"wrote {folder / 'compensation.png'}")

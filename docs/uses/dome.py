@@ -1,7 +1,12 @@
-"""Photographs under the lights of a dome in a folder, relit by a panorama, and their normals."""
+"""Photographs under the lights of a dome in a folder, relit by a panorama, and their normals.
+
+Usage: ``python docs/uses/dome.py [SIDE [FOLDER]]``, by default 128 and results/uses. Writes
+``FOLDER/dome.png``, and nothing else.
+"""
 
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import OpenImageIO as oiio
@@ -11,6 +16,8 @@ import rfpipe
 from rfpipe.fitting import fit_transport, read_series
 
 side = int(sys.argv[1]) if len(sys.argv) > 1 else 128
+folder = Path(sys.argv[2] if len(sys.argv) > 2 else "results/uses")
+folder.mkdir(parents=True, exist_ok=True)
 count = 40
 turn = np.arange(count) * np.pi * (3 - 5**0.5)  # evenly over the camera's half of the sphere
 z = 1 - 0.95 * (np.arange(count) + 0.5) / count
@@ -27,13 +34,13 @@ albedo = np.where(np.sin(6 * np.arctan2(y, x))[..., None] > 0, [0.8, 0.55, 0.3],
 facing = np.maximum(np.moveaxis(normals @ lights.T, -1, 0), 0)[..., None]
 noise = 1.5 * np.random.default_rng(1).standard_normal((count, side, side, 3))
 counts = np.clip(240 * albedo * facing + noise, 0, 255)
-folder = Path("dome")
-folder.mkdir(exist_ok=True)
+temporary = TemporaryDirectory()
+photographs = Path(temporary.name)
 for index, picture in enumerate(np.rint(counts).astype(np.uint8)):
-    oiio.ImageBuf(np.ascontiguousarray(picture)).write(str(folder / f"{index + 1:02d}.png"))
-np.savetxt(folder / "lights.txt", lights, header=f"{count}", comments="")
+    oiio.ImageBuf(np.ascontiguousarray(picture)).write(str(photographs / f"{index + 1:02d}.png"))
+np.savetxt(photographs / "lights.txt", lights, header=f"{count}", comments="")
 
-fit = fit_transport(read_series(folder))  # as `rfpipe fit` does
+fit = fit_transport(read_series(photographs))  # as `rfpipe fit` does
 surface = fit.transport.normals()
 up, right = np.meshgrid(np.linspace(90, -90, 64), np.linspace(-180, 180, 128), indexing="ij")
 sky = np.where(up[..., None] > 0, [0.3, 0.45, 0.8], [0.25, 0.2, 0.15])
@@ -54,4 +61,6 @@ for axis, (title, image) in zip(axes, images.items(), strict=True):
     axis.set(title=title, xticks=[], yticks=[])
 assert fit.error is not None
 figure.suptitle(f"photographs under lights that were left out are {fit.error:.1%} off")
-figure.savefig("dome.png", dpi=68)
+figure.savefig(folder / "dome.png", dpi=68)
+print(f"wrote {folder / 'dome.png'}")
+temporary.cleanup()

@@ -1,6 +1,11 @@
-"""A sphere under 60 lights, one at a time, relit by a panorama that turns around it."""
+"""A sphere under 60 lights, one at a time, relit by a panorama that turns around it.
+
+Usage: ``python docs/uses/environment.py [SIDE [FOLDER]]``, by default 128 and results/uses. Writes
+``FOLDER/environment.png``, and nothing else.
+"""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot
@@ -8,6 +13,8 @@ from matplotlib import pyplot
 import rfpipe
 
 side = int(sys.argv[1]) if len(sys.argv) > 1 else 128
+folder = Path(sys.argv[2] if len(sys.argv) > 2 else "results/uses")
+folder.mkdir(parents=True, exist_ok=True)
 turn = np.arange(60) * np.pi * (3 - 5**0.5)  # evenly over the sphere
 height = 1 - 2 * (np.arange(60) + 0.5) / 60
 ring = np.sqrt(1 - height**2)
@@ -35,4 +42,5 @@ images = {"panorama": panorama, "as it is": views[0], "turned by 60": views[1], 
 for axis, (title, image) in zip(axes, images.items(), strict=True):
     axis.imshow(np.clip(image / np.quantile(image, 0.97), 0, 1) ** (1 / 2.2))
     axis.set(title=title, xticks=[], yticks=[])
-figure.savefig("environment.png")
+figure.savefig(folder / "environment.png")
+print(f"wrote {folder / 'environment.png'}")

@@ -1,7 +1,12 @@
-"""Photographs of Gray code in a folder, and the fit, places and relit pictures that follow."""
+"""Photographs of Gray code in a folder, and the fit, places and relit pictures that follow.
+
+Usage: ``python docs/uses/gray_code.py [SIDE [FOLDER]]``, by default 96 and results/uses. Writes
+``FOLDER/gray_code.png``, and nothing else.
+"""
 
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import OpenImageIO as oiio
@@ -12,6 +17,8 @@ from rfpipe.fitting.codes import code_patterns
 from rfpipe.scenes import Pinhole, planes_scene
 
 side = int(sys.argv[1]) if len(sys.argv) > 1 else 96
+folder = Path(sys.argv[2] if len(sys.argv) > 2 else "results/uses")
+folder.mkdir(parents=True, exist_ok=True)
 code = f"gray:{side}x{side}"
 camera, lamp = Pinhole((side, side)), Pinhole((side, side), (1.72, 0, 0.54), (0, 0, 3))
 scene = planes_scene("wedge_120", ("white", "texture"), camera.shape, projector=lamp)
@@ -23,13 +30,13 @@ patterns = [np.array(read()) for read in code_patterns(code, count, white_and_bl
 light = scene.apply(np.reshape(patterns, (count, -1)).astype(np.float32))
 light *= 200 / np.quantile(light, 0.99)
 counts = np.clip(light + 10 + 1.5 * np.random.default_rng(1).standard_normal(light.shape), 0, 255)
-folder = Path("pictures")
-folder.mkdir(exist_ok=True)
+temporary = TemporaryDirectory()
+photographs = Path(temporary.name)
 for index, picture in enumerate(np.rint(counts).astype(np.uint8)):
     pixels = np.ascontiguousarray(picture.reshape(*camera.shape, -1))
-    oiio.ImageBuf(pixels).write(str(folder / f"im{index + 1:02d}.png"))
+    oiio.ImageBuf(pixels).write(str(photographs / f"im{index + 1:02d}.png"))
 
-fit = fit_transport(read_series(folder, patterns=code))  # as `rfpipe fit` does
+fit = fit_transport(read_series(photographs, patterns=code))  # as `rfpipe fit` does
 matches = fit.transport.correspondence()
 row, column = np.indices(lamp.shape) / side
 pattern = ((8 * row).astype(int) + (8 * column).astype(int)) % 2  # not one of the code
@@ -49,4 +56,6 @@ for axis, (title, image) in zip(axes, images.items(), strict=True):
     axis.set(title=title, xticks=[], yticks=[])
 summary = f"by {fit.model}: left-out photographs are {fit.error:.1%} off"
 figure.suptitle(f"{summary}, {fit.errors['the mean picture']:.0%} by the mean picture")
-figure.savefig("gray_code.png", dpi=60)
+figure.savefig(folder / "gray_code.png", dpi=60)
+print(f"wrote {folder / 'gray_code.png'}")
+temporary.cleanup()

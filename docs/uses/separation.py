@@ -1,6 +1,11 @@
-"""Direct, near-range and far-range light of a coloured room, a band of which is lit."""
+"""Direct, near-range and far-range light of a coloured room, a band of which is lit.
+
+Usage: ``python docs/uses/separation.py [SIDE [FOLDER]]``, by default 96 and results/uses. Writes
+``FOLDER/separation.png``, and nothing else.
+"""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot
@@ -9,6 +14,8 @@ import rfpipe
 from rfpipe.scenes import planes_scene
 
 side = int(sys.argv[1]) if len(sys.argv) > 1 else 96
+folder = Path(sys.argv[2] if len(sys.argv) > 2 else "results/uses")
+folder.mkdir(parents=True, exist_ok=True)
 scene = planes_scene("coloured_room", ["white"] * 7, (side, side * 9 // 8))
 rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, rfpipe.CameraModel(), seed=1)
 transport = rfpipe.acquire(rig, "auto", target_error=0.005).transport
@@ -25,4 +32,5 @@ figure, axes = pyplot.subplots(1, 4, figsize=(12, 3.3), layout="constrained")
 for axis, (title, (image, gain)) in zip(axes, pictures.items(), strict=True):
     axis.imshow(np.clip(gain * image / white, 0, 1) ** (1 / 2.2))
     axis.set(title=title, xticks=[], yticks=[])
-figure.savefig("separation.png")
+figure.savefig(folder / "separation.png")
+print(f"wrote {folder / 'separation.png'}")

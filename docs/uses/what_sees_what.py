@@ -1,6 +1,11 @@
-"""What each camera pixel sees of a projector that stands aside, and the depth behind it."""
+"""What each camera pixel sees of a projector that stands aside, and the depth behind it.
+
+Usage: ``python docs/uses/what_sees_what.py [SIDE [FOLDER]]``, by default 96 and results/uses.
+Writes ``FOLDER/what_sees_what.png`` and ``FOLDER/cloud.ply``, and nothing else.
+"""
 
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,6 +16,8 @@ from rfpipe.scenes import planes_scene
 from rfpipe.scenes.sight import Pinhole
 
 side = int(sys.argv[1]) if len(sys.argv) > 1 else 96
+folder = Path(sys.argv[2] if len(sys.argv) > 2 else "results/uses")
+folder.mkdir(parents=True, exist_ok=True)
 camera, lamp = Pinhole((side, side)), Pinhole((side, side), (1.72, 0, 0.54), (0, 0, 3))
 scene = planes_scene("wedge_120", ("white", "texture"), camera.shape, projector=lamp)
 rig = rfpipe.OperatorRig(scene, camera.shape, lamp.shape, rfpipe.CameraModel(), seed=1)
@@ -29,7 +36,7 @@ kinds = ("float x", "float y", "float z", "uchar red", "uchar green", "uchar blu
 head = "".join(f"property {kind}\n" for kind in kinds) + "end_header"
 head = f"ply\nformat ascii 1.0\nelement vertex {seen.sum()}\n{head}"
 cloud = np.column_stack([(point[:3] / point[3]).T, (255 * shown[seen]).astype(int)])
-np.savetxt("cloud.ply", cloud, fmt="%.5f %.5f %.5f %d %d %d", header=head, comments="")
+np.savetxt(folder / "cloud.ply", cloud, fmt="%.5f %.5f %.5f %d %d %d", header=head, comments="")
 
 figure, axes = pyplot.subplots(1, 4, figsize=(12, 3.2), layout="constrained")
 column = np.where(seen, found.places[..., 1], np.nan)
@@ -37,4 +44,5 @@ titles = ("floodlit", "projector's column", "confidence", "depth")
 for axis, title, image in zip(axes, titles, (shown, column, found.confidence, depth), strict=True):
     axis.imshow(image, vmin=np.nanquantile(image, 0.01), vmax=np.nanquantile(image, 0.99))
     axis.set(title=title, xticks=[], yticks=[])
-figure.savefig("what_sees_what.png")
+figure.savefig(folder / "what_sees_what.png")
+print(f"wrote {folder / 'what_sees_what.png'} and {folder / 'cloud.ply'}")

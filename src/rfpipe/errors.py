@@ -26,10 +26,27 @@ def installing(extra: str) -> str:
 
 
 class RfpipeError(Exception):
-    """Base of every error that rfpipe raises on purpose; its message shows no password of a URL."""
+    """Base of every error that rfpipe raises on purpose; its message shows no password of a URL.
 
-    def __init__(self, *args: object) -> None:
-        super().__init__(*(_USER.sub(r"\1", a) if isinstance(a, str) else a for a in args))
+    Parameters
+    ----------
+    *args
+        The message.
+    advice : str
+        Remedy, the end of the message; a sentence of its own where it begins with a capital letter.
+
+    Attributes
+    ----------
+    fault : str
+        The message without the advice.
+    """
+
+    def __init__(self, *args: object, advice: str = "") -> None:
+        shown = [_USER.sub(r"\1", a) if isinstance(a, str) else a for a in args]
+        self.fault = str(shown[0]) if shown else ""
+        if advice:
+            shown[:1] = [f"{self.fault}{'. ' if advice[0].isupper() else '; '}{advice}"]
+        super().__init__(*shown)
 
 
 class ConfigError(RfpipeError):

@@ -8,6 +8,7 @@ is ``module:Class``, the module found as Python finds it or in the folder where 
 from __future__ import annotations
 
 import sys
+from difflib import get_close_matches
 from functools import cache
 from hashlib import sha256
 from importlib import import_module
@@ -66,8 +67,10 @@ def path_of(group: str, name: str) -> str:
         return name
     if name not in names(group):
         choices = f"one of {', '.join(names(group))}, or " if names(group) else ""
+        close = get_close_matches(name, names(group), n=1)
+        expected = f"did you mean {close[0]}? Expected" if close else "expected"
         raise InputError(
-            f"{name!r} is unknown; expected {choices}a class of your own as module:Class or "
+            f"{name!r} is unknown; {expected} {choices}a class of your own as module:Class or "
             "file.py:Class"
         )
     return _installed()[group][name]
@@ -91,6 +94,19 @@ def sources_of(group: str, name: str) -> tuple[Path, ...]:
     if package.startswith("rfpipe_"):
         return tuple(sorted(Path(str(_module(package).__file__)).parent.rglob("*.py")))
     return () if file is None else (Path(file),)
+
+
+def is_of_rfpipe(group: str, name: str) -> bool:
+    """Test whether a name leads to rfpipe or one of its extras, not to a user's code.
+
+    Raises
+    ------
+    InputError
+        When the group has no such name.
+    """
+    module = path_of(group, name).rpartition(":")[0]
+    package = module.partition(".")[0]
+    return not module.endswith(".py") and (package == "rfpipe" or package.startswith("rfpipe_"))
 
 
 def find(group: str, name: str) -> Any:

@@ -49,8 +49,20 @@ def fingerprint(value: object) -> str:
     str
         32 hexadecimal digits (blake2b-128).
     """
+    return _digest(_json_text(value).encode())
+
+
+def plain_data(value: object) -> Any:
+    """Return a value as JSON reads it again: tuples as lists, arrays as their digests.
+
+    Takes the values, and raises the errors, that `fingerprint` does.
+    """
+    return json.loads(_json_text(value))
+
+
+def _json_text(value: object) -> str:
     try:
-        text = json.dumps(
+        return json.dumps(
             value, default=_plain, sort_keys=True, separators=(",", ":"), allow_nan=False
         )
     except (ValueError, TypeError) as error:
@@ -58,7 +70,6 @@ def fingerprint(value: object) -> str:
             f"fingerprint: {error}; pass finite numbers, strings, arrays, lists, dicts or pydantic "
             "models"
         ) from error
-    return _digest(text.encode())
 
 
 @cache
@@ -92,6 +103,17 @@ def code_digest(*own: Path, pages: bool = False) -> str:
     }
     sources |= {f"{number} {path.name}": path for number, path in enumerate(own)}
     return fingerprint({name: _parsed(path) for name, path in sources.items()})
+
+
+def source_digest(*files: Path) -> str:
+    """Return the digest of Python files; comments, what docstrings say and layout don't count.
+
+    Raises
+    ------
+    InputError
+        When a file can't be read or isn't Python.
+    """
+    return fingerprint([_parsed(path) for path in files])
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -140,6 +141,35 @@ def reference_light(light: Double, typical: Double | float) -> Double:
     return np.maximum(light, _LEAST**2 * np.asarray(typical))
 
 
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """Summed squares of P relit pictures, of all rays or of those without direct light.
+
+    Attributes
+    ----------
+    wrong : ndarray of float64, shape (P,) or (L, P)
+        Of the difference between relit pictures and truth.
+    light : ndarray of float64, shape (P,)
+        Of the truth.
+    typical : ndarray of float64, shape (P,)
+        Of the light that as many lit pixels send back on average.
+    """
+
+    wrong: Double
+    light: Double
+    typical: Double
+
+    @property
+    def errors(self) -> Double:
+        """Norms of the difference over `reference_light`; 0 where that is nought."""
+        return relative_errors(self.wrong, reference_light(self.light, self.typical))
+
+    @property
+    def plain_errors(self) -> Double:
+        """Norms of the difference over those of the pictures; 0 of a picture without light."""
+        return relative_errors(self.wrong, self.light)
+
+
 def picture_errors(
     images: Iterable[NDArray[Any]],
     truth: Iterable[NDArray[Any]],
@@ -150,6 +180,31 @@ def picture_errors(
     """Return the errors of relit pictures, in total and of their indirect light.
 
     Norms of the difference, over `reference_light`; 0 where that is nought.
+
+    Parameters
+    ----------
+    images, truth, patterns, floodlit, dark
+        As of `picture_squares`.
+
+    Returns
+    -------
+    total : ndarray of float64, shape (P,) or (L, P)
+    indirect : ndarray of float64, of the same shape
+        On the dark pixels alone, of the light there; NaN where `dark` isn't given.
+    """
+    total, indirect = picture_squares(images, truth, patterns, floodlit, dark)
+    errors = total.errors
+    return errors, np.full(errors.shape, np.nan) if indirect is None else indirect.errors
+
+
+def picture_squares(
+    images: Iterable[NDArray[Any]],
+    truth: Iterable[NDArray[Any]],
+    patterns: NDArray[Any],
+    floodlit: NDArray[Any],
+    dark: Bools | None = None,
+) -> tuple[Squares, Squares | None]:
+    """Sum the squares that errors of relit pictures are made of.
 
     Parameters
     ----------
@@ -164,10 +219,10 @@ def picture_errors(
 
     Returns
     -------
-    total : ndarray of float64, shape (P,) or (L, P)
-    indirect : ndarray of float64, of the same shape
-        On the dark pixels alone, of the light there; NaN where `dark` isn't given. What pictures
-        send there typically is their own mean, for as many lit pixels.
+    total : Squares
+    indirect : Squares or None
+        On the dark pixels alone; None where `dark` isn't given. What pictures send there typically
+        is their mean, for as many lit pixels.
     """
     count = len(patterns)
     lit = np.square(patterns, dtype=np.float64).mean(axis=tuple(range(1, patterns.ndim)))
@@ -181,11 +236,10 @@ def picture_errors(
         light[:, index] = own.sum(), own[where].sum()
     full = float(np.square(floodlit, dtype=np.float64).sum())
     of_all, of_dark = np.moveaxis(np.array(wrong), 0, -1) if count else np.zeros((2, 0))
-    total = relative_errors(of_all, reference_light(light[0], full * lit))
+    total = Squares(of_all, light[0], full * lit)
     if dark is None:
-        return total, np.full(total.shape, np.nan)
-    typical = typical_indirect(light[1], lit)
-    return total, relative_errors(of_dark, reference_light(light[1], typical))
+        return total, None
+    return total, Squares(of_dark, light[1], typical_indirect(light[1], lit))
 
 
 def relative_errors(wrong: Double, reference: Double) -> Double:

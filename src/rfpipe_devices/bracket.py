@@ -26,6 +26,8 @@ _log = logging.getLogger(__name__)
 class FrameOptions(Settings):
     """What cameras have in common."""
 
+    without_effect_on_frames: ClassVar[frozenset[str]] = frozenset({"timeout_seconds"})
+
     shape: tuple[PictureExtent, PictureExtent] | None = Field(
         None, description="Height and width of the frames in pixels, or null for the whole sensor."
     )
@@ -186,7 +188,7 @@ class BracketCamera(Closing, ABC):
             )  # fmt: skip
         raise CaptureError(
             f"{self._name}: no good frame of {exposure:g} s in {self.attempts} attempts; "
-            f"the last: {problem}. {self.advice}, or raise camera.timeout_seconds"
+            f"the last: {problem}. {self.advice}, or raise camera.options.timeout_seconds"
         )
 
 

@@ -276,8 +276,8 @@ class GenicamCamera(BracketCamera):
             self._set("GainRaw", int(nodes.bounds("GainRaw")[0]))
         else:
             raise CaptureError(
-                "camera: has no gain in decibels; set camera.gain_db to 0 and camera.nodes to "
-                "{GainRaw: ...}"
+                "camera: has no gain in decibels; set camera.options.gain_db to 0 and "
+                "camera.options.nodes to {GainRaw: ...}"
             )
         for name, value in options.nodes.items():
             self._set(name, value)
@@ -352,5 +352,5 @@ def chosen(connected: Iterable[str], serial: str | None) -> int:
     name = "any camera" if serial is None else f"camera {serial}"
     raise CaptureError(
         f"{name}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
-        "Check power, cable and network, and name the camera by camera.serial"
+        "Check power, cable and network, and name the camera by camera.options.serial"
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,10 @@ _log = logging.getLogger(__name__)
 
 class PhotoOptions(FrameOptions):
     """A photo camera, by gphoto2."""
+
+    without_effect_on_frames: ClassVar[frozenset[str]] = frozenset(
+        {*FrameOptions.without_effect_on_frames, "keep_pictures"}
+    )
 
     model: Text | None = Field(
         None,
@@ -190,7 +194,7 @@ class PhotoCamera(BracketCamera):
         raise CaptureError(
             f"{self._options.model or 'any camera'}: {len(answering)} photo cameras answer"
             f"{': ' if names else ''}{names}. Check power, cable and that the camera is awake, and "
-            "name the camera by camera.model"
+            "name the camera by camera.options.model"
         )
 
     def _set_up(self) -> None:
@@ -230,7 +234,7 @@ class PhotoCamera(BracketCamera):
         except InputError as error:
             raise CaptureError(
                 f"{self._name}: {error}. Set the camera to raw files alone, in its menu or by "
-                "camera.settings"
+                "camera.options.settings"
             ) from error
 
     def _learn(self, raw: Raw, times: list[ShutterTime]) -> None:

@@ -120,7 +120,7 @@ class Webcam(BracketCamera):
         if self.channels == 1:
             return (frame if grey else frame[..., 1]).astype(np.uint16)
         if grey:
-            raise CaptureError(f"{self._name}: is a grey camera; set camera.channels to 1")
+            raise CaptureError(f"{self._name}: is a grey camera; set camera.options.channels to 1")
         return frame[..., 2::-1].astype(np.uint16)
 
     def _opened(self) -> Any:
@@ -136,7 +136,7 @@ class Webcam(BracketCamera):
             raise CaptureError(
                 f"{self._name}: can't be opened. Check that it is there (v4l2-ctl --list-devices), "
                 "that no other program uses it, that you may read it (group video), and "
-                "camera.device and camera.backend"
+                "camera.options.device and camera.options.backend"
             )
         try:
             self._set_up()
@@ -151,8 +151,9 @@ class Webcam(BracketCamera):
         if size is not None and (height, width) != tuple(size):
             self._drop()
             raise CaptureError(
-                f"{self._name}: gives frames of {height} x {width} pixels where camera.shape asks "
-                f"for {size[0]} x {size[1]}; set it to a size that the camera has"
+                f"{self._name}: gives frames of {height} x {width} pixels where "
+                f"camera.options.shape asks for {size[0]} x {size[1]}; set it to a size that the "
+                "camera has"
             )
         return height, width
 

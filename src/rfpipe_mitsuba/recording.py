@@ -11,7 +11,6 @@ square root of two.
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +34,7 @@ Double = NDArray[np.float64]
 
 _DENSE_BYTES = 192 * 2**20  # of sums that are traced at a time
 _PIECE_BYTES = 192 * 2**20  # of entries, before compression
+_MANIFEST = "matrix.json"
 _WAIT_SECONDS = 1.0
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB (ITU-R BT.709)
 
@@ -144,6 +144,11 @@ def _terms(pieces: list[Piece], coaxial: bool) -> Iterator[tuple[Piece, float, b
             yield piece, 1.0, piece.by_row
 
 
+def is_recorded(folder: Path) -> bool:
+    """Whether a folder holds a complete recording."""
+    return (folder / _MANIFEST).exists()
+
+
 def record(
     scene: Callable[[], Any],
     camera: Side,
@@ -164,7 +169,7 @@ def record(
     StoreError
         When the disk is full or the folder isn't writable.
     """
-    manifest, lock = folder / "matrix.json", StoreLock(folder / "recording")
+    manifest, lock = folder / _MANIFEST, StoreLock(folder / "recording")
     while not manifest.exists():
         try:
             lock.acquire()
@@ -189,13 +194,7 @@ def _record(
     from rfpipe_mitsuba.tracing import Tracer
 
     tracer = Tracer(scene, camera, projector, light)
-    if coaxial and not tracer.is_whole:
-        coaxial = False
-        warnings.warn(
-            "the scene has mirrors or lenses, but caustics aren't followed: the transport that is "
-            "recorded isn't symmetric, which methods for coaxial rigs rely on",
-            stacklevel=2,
-        )
+    coaxial = coaxial and tracer.is_whole
     half_lit = np.zeros((len(projector.pinholes), *projector.shape))
     half_lit[..., : projector.shape[1] // 2] = 1
     pattern = half_lit.reshape(-1, 1)

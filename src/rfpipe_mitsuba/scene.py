@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict
 from functools import cached_property
 from importlib import metadata
@@ -13,17 +14,27 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from rfpipe.config.base import Extent
-from rfpipe.config.scenes import SceneSettings
+from rfpipe.config.scenes import Choice, SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe_mitsuba.recording import Piece, Recording, dense, product, record
-from rfpipe_mitsuba.variant import need_llvm
+from rfpipe_mitsuba.materials import (
+    Surface,
+    check_traceable,
+    choose_bounces,
+    choose_caustics,
+    omissions_of,
+    surfaces_of,
+)
+from rfpipe_mitsuba.recording import Piece, Recording, dense, is_recorded, product, record
+from rfpipe_mitsuba.variant import lacking_llvm
 from rfpipe_mitsuba.views import Side, View
 from rfpipe_mitsuba.world import Light, World, load_scene, world_of_file
 from rfpipe_mitsuba.worlds import WORLDS
 
 Double = NDArray[np.float64]
+
+_SET, _DECLARED = "set", "declared with the scene"
 
 
 class MitsubaOptions(SceneSettings):
@@ -55,11 +66,12 @@ class MitsubaOptions(SceneSettings):
         ge=1,
         le=64,
         description="Surfaces or scatterings of a path of light at most; null: what the scene "
-        "needs.",
+        "needs, of a file 6, 10 with bodies of glass, 48 with translucent ones.",
     )
     caustics: bool | None = Field(
         None,
-        description="Whether to follow light by mirrors or lenses; null: what the scene needs.",
+        description="Whether to follow light by mirrors or lenses; null: what the scene needs, "
+        "true where any surface is a smooth mirror or lens.",
     )
     seed: int = Field(0, ge=0, description="Seed of textures or paths of light, 0 or more.")
     cache: str = Field(
@@ -84,14 +96,63 @@ class MitsubaOptions(SceneSettings):
     @property
     def followed(self) -> Light:
         """The light that is followed."""
-        caustics = self.world.caustics if self.caustics is None else self.caustics
-        return Light(self.bounces or self.world.bounces, self.samples, caustics, self.seed)
+        return Light(self._bounces.value, self.samples, self._caustics.value, self.seed)
 
-    def own_options(self) -> dict[str, Any]:
-        """Return the options of the kind, with the light that is followed in numbers."""
+    @cached_property
+    def surfaces(self) -> list[Surface]:
+        """The scene's surfaces; raises InputError where it can't be loaded, or not be traced."""
+        surfaces = surfaces_of(load_scene(self.world))
+        check_traceable(surfaces, self.world.name)
+        return surfaces
+
+    @cached_property
+    def _bounces(self) -> Choice:
+        """The setting `bounces`, or what the scene chooses for it."""
+        if self.bounces is not None:
+            return Choice("bounces", self.bounces, _SET)
+        if self.world.bounces is not None:
+            return Choice("bounces", self.world.bounces, _DECLARED)
+        return choose_bounces(self.surfaces)
+
+    @cached_property
+    def _caustics(self) -> Choice:
+        """The setting `caustics`, or what the scene chooses for it."""
+        if self.caustics is not None:
+            return Choice("caustics", self.caustics, _SET)
+        if self.world.caustics is not None:
+            return Choice("caustics", self.world.caustics, _DECLARED)
+        return choose_caustics(self.surfaces, self._bounces.value)
+
+    @property
+    def _projectors(self) -> Choice:
+        """The setting `projectors`, or what a file chooses for it."""
+        if self.projectors is not None or self.scene in WORLDS:
+            return Choice("projectors", self.projectors, _SET)
+        if self.cameras is not None:
+            return Choice("projectors", "coaxial", "cameras is set: they stand there, too")
+        if self.world.projectors is None:
+            return Choice("projectors", "coaxial", "the file has no emitter of type projector")
+        return Choice("projectors", "the file's", "its first emitter of type projector")
+
+    @property
+    def choices(self) -> list[Choice]:
+        """Values of the settings that are null and depend on the scene."""
+        choices = self._projectors, self._bounces, self._caustics
+        return [choice for choice in choices if choice.reason != _SET]
+
+    @property
+    def omissions(self) -> list[str]:
+        """Sentences on the light that isn't recorded, though the scene has it."""
         light = self.followed
-        numbers = {"bounces": light.bounces, "caustics": light.caustics}
-        return {**super().own_options(), **numbers}
+        return omissions_of(self.surfaces, light.bounces, caustics=light.caustics)
+
+    @property
+    def obstacles(self) -> list[str]:
+        """Sentences on what recording needs and this machine lacks, unless it was recorded."""
+        if MitsubaScene(self).is_recorded:
+            return []
+        obstacle = lacking_llvm(f"scene {self.world.name}")
+        return [] if obstacle is None else [obstacle]
 
     @property
     def is_coaxial(self) -> bool:
@@ -166,11 +227,19 @@ class MitsubaScene(Scene):
     @cached_property
     def recording(self) -> Recording:
         """The recorded matrix; recorded now, unless it was before."""
+        sides = self.camera, self.projector
+        return record(self._loaded, *sides, self.light, self._folder, coaxial=self.coaxial)
+
+    @property
+    def is_recorded(self) -> bool:
+        """True where the matrix was recorded before."""
+        return is_recorded(self._folder)
+
+    @property
+    def _folder(self) -> Path:
+        """Folder of the recorded matrix."""
         described = {**self.describe(), "channels": 3}
-        folder = Path(self.options.cache) / f"{self.world.name}-{fingerprint(described)[:12]}"
-        return record(
-            self._loaded, self.camera, self.projector, self.light, folder, coaxial=self.coaxial
-        )
+        return Path(self.options.cache) / f"{self.world.name}-{fingerprint(described)[:12]}"
 
     @property
     def recorded(self) -> dict[str, Any]:
@@ -178,7 +247,11 @@ class MitsubaScene(Scene):
         return {"grain": self.recording.noise["half_lit"], "versions": self.recording.versions}
 
     def _loaded(self) -> Any:
-        need_llvm(f"scene {self.world.name}")
+        obstacle = lacking_llvm(f"scene {self.world.name}")
+        if obstacle is not None:
+            raise InputError(obstacle)
+        for sentence in self.options.omissions:
+            warnings.warn(f"scene {self.world.name}: {sentence}", stacklevel=2)
         return load_scene(self.world)
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import generator
 from rfpipe_mitsuba.beams import Pinholes, Rig, Sums
 from rfpipe_mitsuba.caustics import Ends, trace_chains, trace_particles
+from rfpipe_mitsuba.materials import surfaces_of
 from rfpipe_mitsuba.paths import trace_paths, trace_volumes
 from rfpipe_mitsuba.views import Side
 from rfpipe_mitsuba.world import Light
@@ -38,13 +38,10 @@ class Tracer:
     def __init__(self, scene: Any, camera: Side, projector: Side, light: Light) -> None:
         self._rig = Rig(scene, Pinholes(camera), Pinholes(projector), light.bounces)
         self._light = light
-        through = _has(scene, mi.BSDFFlags.Null) or any(
-            shape.is_medium_transition() for shape in scene.shapes()
-        )
+        surfaces = surfaces_of(scene)
+        through = any(surface.is_filled or surface.has("Null") for surface in surfaces)
         self._trace_rows = trace_volumes if through else trace_paths
-        self._bends = _has(scene, mi.BSDFFlags.DeltaReflection) or _has(
-            scene, mi.BSDFFlags.DeltaTransmission
-        )
+        self._bends = any(surface.is_smooth for surface in surfaces)
         self.is_whole = light.caustics or not self._bends
         self._ends: dict[int, Ends | None] = {}
 
@@ -99,8 +96,3 @@ class Tracer:
             sums.flush()
         mean: Double = sums.to_numpy() / (passed * passes)
         return mean
-
-
-def _has(scene: Any, flag: Any) -> bool:
-    """Tell whether a surface of the scene has a flag of `BSDFFlags`."""
-    return any(mi.has_flag(shape.bsdf().flags(), flag) for shape in scene.shapes())

@@ -51,19 +51,20 @@ def load_mitsuba() -> Any:
     return mitsuba
 
 
-def need_llvm(what: str) -> None:
-    """Raise InputError, which names what asks for it, where there is no LLVM to trace with.
+def lacking_llvm(what: str) -> str | None:
+    """Return a sentence on what needs LLVM and how to get it, None where LLVM can be used here.
 
     Mitsuba's scalar variant can render pictures, but not trace the transport between pixels. That
     of pictures has their noise: an asymmetry of 14 to 21 % by 64 paths a pixel, of 3 to 6 % by 16
     times as many.
     """
-    if usable_llvm() is None:
-        raise InputError(
-            f"{what} needs the library LLVM, version {_LEAST_LLVM} or later, which isn't here: on "
-            f"Debian, apt-get install libllvm{_LEAST_LLVM}; elsewhere name its file in the "
-            f"environment variable {_VARIABLE}"
-        )
+    if usable_llvm() is not None:
+        return None
+    return (
+        f"{what} needs the library LLVM, version {_LEAST_LLVM} or later, which isn't here: on "
+        f"Debian, apt-get install libllvm{_LEAST_LLVM}; elsewhere name its file in the "
+        f"environment variable {_VARIABLE}"
+    )
 
 
 def usable_llvm() -> Path | None:

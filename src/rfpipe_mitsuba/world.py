@@ -60,18 +60,20 @@ class World:
     cameras : tuple of View
     projectors : tuple of View, or None
         None of a coaxial rig, whose projectors stand where its cameras stand.
-    bounces : int
-        Vertices of a path of light from projector to camera that are worth following.
-    caustics : bool
-        Whether mirrors or lenses throw light on surfaces, which is followed from the projector.
+    bounces : int, optional
+        Vertices of a path of light from projector to camera that are worth following; None leaves
+        it to the materials.
+    caustics : bool, optional
+        Whether mirrors or lenses throw light on surfaces, which is followed from the projector;
+        None leaves it to the materials.
     """
 
     name: str
     build: Callable[[], dict[str, Any]]
     cameras: tuple[View, ...]
     projectors: tuple[View, ...] | None = None
-    bounces: int = 6
-    caustics: bool = False
+    bounces: int | None = None
+    caustics: bool | None = None
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints: the scene alone."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from datetime import date
 from pathlib import Path
@@ -64,10 +65,13 @@ def publish(
     and creators are asked for once and kept in FOLDER/publication.yaml, with a title, a version
     and more to edit. Without a terminal, give --license and --creator.
     """
+    from rfpipe.output import checked_output
     from rfpipe_publish.metadata import CITATION_FILE, kept_values, write_citation
     from rfpipe_publish.publication import publish as write
     from rfpipe_publish.run import find_run
 
+    if output is not None:
+        checked_output("publish", output)
     run = find_run(folder)
     facts = {"title": run.title, "published": date.today()}
     values: dict[str, Any] = facts | kept_values(run.folder)
@@ -79,7 +83,7 @@ def publish(
             values[name] = [answer] if name == "creators" else answer
     citation = write_citation(run.folder, values)
     place = output or run.folder / "publication.zip"
-    files, nbytes = write(
+    written = write(
         run,
         citation,
         place,
@@ -87,11 +91,14 @@ def publish(
         config=config,
         overwrite=overwrite,
     )
-    typer.echo(f"{place}: {files:,} files, {nbytes / 1e6:,.1f} MB, {citation.license}")
+    megabytes = f"{written.nbytes / 1e6:,.1f} MB"
+    typer.echo(f"{place}: {written.files:,} files, {megabytes}, {citation.license}")
     typer.echo(f"cite as: {citation.text}")
-    typer.echo(f"check:   rfpipe verify {place}")
+    typer.echo(f"check:   {shlex.join(['rfpipe', 'verify', str(place)])}")
     if run.settings is None and config is None:
         typer.echo("left out: its settings, which no report knows; give --config", err=True)
+    for note in written.notes:
+        typer.echo(f"left out: {note}", err=True)
     if run.incomplete:
         typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
 
@@ -119,7 +126,7 @@ def keep(
         f"{record.address}: {record.objects:,} objects, {record.nbytes / 1e6:,.1f} MB; sent "
         f"{record.sent:,} of them, {record.nbytes_sent / 1e6:,.1f} MB"
     )
-    typer.echo(f"check: rfpipe verify {record.address}")
+    typer.echo(f"check: {shlex.join(['rfpipe', 'verify', record.address])}")
 
 
 collection = typer.Typer(
@@ -146,9 +153,11 @@ def pack(
     rfpipe.open_collection reads it as it lies. 'rfpipe verify' checks it; 'unpack' gives back the
     same files.
     """
+    from rfpipe.output import checked_output
     from rfpipe.transport.storage import STORE_NAME
     from rfpipe_publish.places import pack as store
 
+    checked_output("collection pack", output)
     if not results.is_dir():
         raise InputError(f"{results}: is no folder; give a run's results")
     if output.absolute().is_relative_to(results.absolute()):
@@ -182,9 +191,11 @@ def unpack(
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
 ) -> None:
     """Write the files of a packed run as they were; each is checked."""
+    from rfpipe.output import checked_output
     from rfpipe_publish.places import PackedPlace, locate, packed_in
     from rfpipe_publish.places import unpack as write
 
+    checked_output("collection unpack", output)
     place = locate(packed)
     contents = place if isinstance(place, PackedPlace) else packed_in(place)
     if contents is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from rfpipe.config.base import Settings, explained
 from rfpipe.config.reading import read_yaml
@@ -23,7 +24,17 @@ CITATION_FILE = "publication.yaml"
 CRATE_FILE = "ro-crate-metadata.json"
 
 _UNPUBLISHED = ":unav"  # DataCite's word for what isn't known yet
-_SPDX = r"[A-Za-z0-9][A-Za-z0-9.+-]*-[A-Za-z0-9.+-]*[0-9][A-Za-z0-9.+-]*"
+_LICENCES = (
+    *("CC0-1.0", "CC-BY-4.0", "CC-BY-SA-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "CC-BY-ND-4.0"),
+    *("CC-BY-NC-ND-4.0", "ODbL-1.0", "ODC-By-1.0", "PDDL-1.0", "CDLA-Permissive-2.0", "MIT"),
+    *("Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "GPL-3.0-only", "GPL-3.0-or-later"),
+    *("LGPL-3.0-or-later", "AGPL-3.0-or-later", "MPL-2.0", "EUPL-1.2", "ISC", "Unlicense"),
+)
+"""Licences that are suggested for a misspelt one; all others of the SPDX list are accepted."""
+
+_ORCID = re.compile(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]")
+_DOI = re.compile(r"10\.\d{4,9}/\S+")
+_VERSION = re.compile(r"\d+\.\d+\.\d+")
 _PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
     "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
@@ -43,6 +54,58 @@ def _bare(text: object) -> str:
     return re.sub(r"^(https://(doi|orcid)\.org/|doi:)", "", str(text))
 
 
+def check_digit(digits: str) -> str:
+    """Return the check digit of an ORCID iD's first 15 digits, by ISO 7064 MOD 11-2."""
+    total = 0
+    for digit in digits:
+        total = 2 * (total + int(digit))
+    value = (12 - total % 11) % 11
+    return "X" if value == 10 else str(value)
+
+
+def _orcid(text: str) -> str:
+    """Return an ORCID iD as it is; ValueError when it is none, or a digit is wrong."""
+    if _ORCID.fullmatch(text) is None:
+        raise ValueError("should be four groups of four digits, of which the last may be X")
+    expected = check_digit(text[:-1].replace("-", ""))
+    if text[-1] != expected:
+        raise ValueError(
+            f"should end in {expected}, the check digit of the digits before it: one of its digits "
+            "is wrong, or two are exchanged"
+        )
+    return text
+
+
+def _licence(text: str) -> str:
+    """Return a licence's address, or its name as the SPDX list has it; ValueError for others."""
+    from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
+
+    if re.fullmatch(r"https?://\S+", text):
+        return text
+    try:
+        name = str(canonicalize_license_expression(text))
+    except InvalidLicenseExpression:
+        name = ""
+    if name and " " not in name and not name.startswith("LicenseRef-"):
+        return name
+    spelt = {licence.lower(): licence for licence in _LICENCES}
+    key = re.sub(r"[^a-z0-9.]+", "-", text.lower())
+    close = difflib.get_close_matches(key, spelt, n=1, cutoff=0.5)
+    meant = f" (did you mean {spelt[close[0]]}?)" if close else ""
+    raise ValueError(f"should be the name of one licence of the SPDX list{meant}")
+
+
+def _matching(pattern: re.Pattern[str], expected: str) -> AfterValidator:
+    """Return a validator of texts that match a pattern, which its message says in words."""
+
+    def check(text: str) -> str:
+        if pattern.fullmatch(text) is None:
+            raise ValueError(f"should be {expected}")
+        return text
+
+    return AfterValidator(check)
+
+
 Line = Annotated[str, Field(min_length=1, max_length=4000, pattern=r"\S")]
 Bare = Annotated[str, BeforeValidator(_bare)]
 
@@ -51,10 +114,8 @@ class Creator(Settings):
     """One who is to be cited; read from ``Family, Given; ORCID; affiliation``, too."""
 
     name: Line
-    orcid: Bare | None = Field(
-        None,
-        pattern=r"^\d{4}-\d{4}-\d{4}-\d{3}[\dX]$",
-        description="ORCID iD such as 0000-0002-1825-0097",
+    orcid: Annotated[Bare, AfterValidator(_orcid)] | None = Field(
+        None, description="ORCID iD such as 0000-0002-1825-0097"
     )
     affiliation: Line | None = None
 
@@ -88,16 +149,15 @@ class Citation(Settings):
     creators: tuple[Creator, ...] = Field(
         min_length=1, description="each as 'Family, Given; ORCID; affiliation'; or give --creator"
     )
-    license: str = Field(
-        pattern=rf"^(https?://\S+|{_SPDX}|MIT|ISC|Unlicense|WTFPL)$",
+    license: Annotated[str, AfterValidator(_licence)] = Field(
         description="its name in the SPDX list, such as CC-BY-4.0, or an address; or --license",
     )
     publisher: Line = _UNPUBLISHED
     published: date
-    version: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")] = "1.0.0"
+    version: Annotated[str, _matching(_VERSION, "three numbers such as 1.0.0")] = "1.0.0"
     keywords: tuple[Line, ...] = ("light transport", "reflectance field", "relighting")
-    doi: Bare | None = Field(
-        None, pattern=r"^10\.\d{4,9}/\S+$", description="such as 10.5281/zenodo.1234567"
+    doi: Annotated[Bare, _matching(_DOI, "10., a number, a slash and a name")] | None = Field(
+        None, description="such as 10.5281/zenodo.1234567"
     )
 
     @property

@@ -7,7 +7,7 @@ import mimetypes
 from collections.abc import Iterator, Set
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
@@ -19,8 +19,10 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import REFERENCES
 from rfpipe.transport.storage import MANIFEST, STORE_NAME
 from rfpipe.version import __version__
+from rfpipe_publish.inputs import FOLDER as INPUTS
+from rfpipe_publish.inputs import inputs_of
 from rfpipe_publish.metadata import CRATE_FILE, Citation, crate, datacite
-from rfpipe_publish.run import SETTINGS, Acquisition, Run, files_below, settings_of
+from rfpipe_publish.run import SETTINGS, Acquisition, Run, files_below, settings_file, settings_of
 from rfpipe_publish.writing import Source, Writer, size_of, writing
 
 _WORKFLOW = "source/Snakefile"
@@ -36,6 +38,14 @@ _FORMATS = {
 _TIMELESS = {"DateTime": "1980:01:01 00:00:00"}
 
 
+class Published(NamedTuple):
+    """Files and bytes of a publication, and notes on what could not be taken along."""
+
+    files: int
+    nbytes: int
+    notes: list[str]
+
+
 def publish(
     run: Run,
     citation: Citation,
@@ -44,8 +54,8 @@ def publish(
     captured: bool = False,
     config: Path | None = None,
     overwrite: bool = False,
-) -> tuple[int, int]:
-    """Write a run's results as a crate, complete or not at all; return its files and bytes.
+) -> Published:
+    """Write a run's results as a crate, complete or not at all.
 
     Of equal results and citations the bytes are equal, too.
 
@@ -72,16 +82,18 @@ def publish(
     output = output.absolute()
     _check_output(run, output, overwrite)
     settings = settings_of(run, config)
+    inputs = None if settings is None else inputs_of(run.folder, settings)
     for acquisition in run.acquisitions:
         acquisition.check()
     data = list(_data(run, captured=captured))
-    if settings is not None:
-        data.append((SETTINGS, settings))
+    if inputs is not None:
+        data += [(SETTINGS, settings_file(inputs.settings)), *sorted(inputs.files.items())]
     with writing(output, sum(size_of(source) for _, source in data)) as writer:
         for name, source in data:
             writer.add(name, source)
         _add_metadata(writer, run, citation)
-        return len(writer.written), sum(size for _, size in writer.written.values())
+        sizes = [size for _, size in writer.written.values()]
+    return Published(len(sizes), sum(sizes), inputs.notes if inputs else [])
 
 
 def _check_output(run: Run, output: Path, overwrite: bool) -> None:
@@ -186,7 +198,7 @@ def _crate(writer: Writer, run: Run, citation: Citation) -> dict[str, Any]:
         citation,
         parts,
         workflow=_WORKFLOW if _WORKFLOW in parts else None,
-        settings=[name for name in (SETTINGS,) if name in parts],
+        settings=[name for name in parts if name == SETTINGS or name.startswith(f"{INPUTS}/")],
         outputs=[*stores, *(name for name in (_REPORT,) if name in parts)],
         times=run.times,
     )

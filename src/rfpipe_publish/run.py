@@ -14,6 +14,7 @@ import yaml
 
 from rfpipe.config import load_config
 from rfpipe.errors import InputError, IntegrityError
+from rfpipe.stages.folder import BY_PRODUCTS
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.places import METADATA
 from rfpipe.transport.storage import STORE_NAME, transports_in
@@ -24,7 +25,6 @@ SETTINGS = "settings.yaml"
 """Under which the settings are published."""
 
 _TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # which stay at home
-_LEFT_OUT = (".log", ".benchmark.tsv", ".asked", ".tmp")
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
     files = [file.relative_to(folder) for file in folder.rglob("*") if file.is_file()]
     for inside in sorted(files, key=lambda file: [(part != METADATA, part) for part in file.parts]):
         hidden = any(part.startswith((".", "__pycache__")) for part in inside.parts)
-        if not hidden and not inside.name.endswith(_LEFT_OUT):
+        if not hidden and not inside.name.endswith(BY_PRODUCTS):
             yield f"{name}/{inside.as_posix()}", folder / inside
 
 
@@ -173,14 +173,16 @@ def find_run(folder: Path) -> Run:
     return Run(folder, items, settings)
 
 
-def settings_of(run: Run, config: Path | None) -> bytes | None:
+def settings_of(run: Run, config: Path | None) -> dict[str, Any] | None:
     """Return the settings that shaped a run's results, of its report or else as given.
 
     What shapes no result (a server's address, a token's place, a command to notify) isn't in it.
     """
-    shaping = run.settings or (config and load_config(config).shaping())
-    if not shaping:
-        return None
+    return run.settings or (load_config(config).shaping() if config else None)
+
+
+def settings_file(shaping: dict[str, Any]) -> bytes:
+    """Return the content of a file of settings."""
     text = yaml.safe_dump(
         _without_unset_methods(shaping), sort_keys=False, allow_unicode=True, width=98
     )

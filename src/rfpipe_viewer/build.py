@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.store.files import storage_errors, write_atomically
+from rfpipe.output import OUTPUTS, suffix_of, write_atomically
 from rfpipe.transport.base import Transport
 from rfpipe.transport.filling import looks_coaxial
 from rfpipe_viewer.lowering import lower
@@ -105,8 +105,7 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     StoreError
         If it can't be written.
     """
-    if output.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{output}: expected the name of a page, one that ends in .html")
+    suffix_of(output, OUTPUTS["view"])
     transport = view.transport
     program = lower(transport, transport.known_levels)
     beside = _compared(view)
@@ -134,8 +133,6 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
         for index, blob in enumerate(packed.blobs)
     }
     text = _render(view, manifest, embedded).encode()
-    with storage_errors(output, "write", len(text)):
-        output.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(output, text)
     return Written(output, len(text), chosen)
 

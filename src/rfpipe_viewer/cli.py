@@ -42,10 +42,13 @@ def view(
 
     For example: rfpipe view results/planes_iv/symmetric -o scene.html
     """
+    from rfpipe.output import checked_output
     from rfpipe.transport.storage import find_transport
     from rfpipe_viewer import write_view
     from rfpipe_viewer.stored import view_of
 
+    if output is not None:
+        checked_output("view", output)
     store = find_transport(path)
     content, facts = view_of(store, title)
     if compare is not None:

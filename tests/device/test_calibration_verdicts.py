@@ -68,7 +68,7 @@ def test_a_healthy_bench_is_good(tmp_path: Path) -> None:
 def test_light_that_fills_the_dark_leads_no_step_astray(
     tmp_path: Path, light: dict[str, float]
 ) -> None:
-    only = ["scene", "dark", "linearity", "light", "transfer"]
+    only = ["steadiness", "scene", "dark", "linearity", "light", "transfer"]
     verdicts, facts, _ = calibrated(tmp_path, only, bench=light)
     assert "The all-off picture isn't dark" in verdicts["dark"]["verdict"]
     assert facts["dark"]["hot_photosites"] == 0

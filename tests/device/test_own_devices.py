@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from rfpipe import acquire
 from rfpipe.cli import app
 from rfpipe.config import RigConfig, load_rig_config, parse_rig_config
-from rfpipe.errors import ConfigError
+from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry import CameraModel
 from rfpipe.plugins import CAMERAS, PROJECTORS, find
 from rfpipe.rigs import DeviceRig
@@ -94,11 +94,32 @@ def test_calibrate_drives_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(tmp_path)
     quick = {"dark_frames": 4, "levels": 4, "coaxial": False}
     path = settings_file(tmp_path, {**PAIR, "calibration": "found", "calibrate": quick})
-    for step in ("scene", "dark"):
-        asked = ["calibrate", str(path), "--output", "found", "--step", step]
-        done = CliRunner().invoke(app, asked)
+    for step in ("steadiness", "scene", "dark"):
+        done = CliRunner().invoke(app, ["calibrate", str(path), "--step", step])
         assert done.exit_code == 0, done.output
+        assert "report: found/report.html" in done.output
     assert (tmp_path / "found" / "steps" / "dark.json").exists()
+    assert not Path("calibration").exists()
+    done = CliRunner().invoke(app, ["calibrate", str(path), "--step", "scene", "-o", "other"])
+    assert "report: other/report.html" in done.output
+    assert "rig.yaml has calibration: found; to use this one, set it to calibration: oth" in (
+        " ".join(done.output.split())
+    )
+
+
+def test_devices_that_do_not_open_leave_no_report_of_another_rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = settings_file(tmp_path, {**PAIR, "calibration": "found"})
+    done = CliRunner().invoke(app, ["calibrate", str(path), "--step", "scene"])
+    assert "report: " in done.output
+    lost = (tmp_path / "desk.py").read_text().replace("self.seed = seed", "raise CaptureError('x')")
+    (tmp_path / "lost.py").write_text(f"from rfpipe.errors import CaptureError\n{lost}")
+    path.write_text(path.read_text().replace("desk.py", "lost.py"))
+    done = CliRunner().invoke(app, ["calibrate", str(path), "--step", "scene"])
+    assert isinstance(done.exception, CaptureError)
+    assert "report: " not in done.output
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from benchmarks.methods.cases import (
     COLUMNS,
     NAMES,
     SEEDS,
+    SMALL_SIDES,
     TARGETS,
     TOLERANCES,
     Case,
@@ -20,7 +21,7 @@ from benchmarks.methods.cases import (
     newest,
 )
 from benchmarks.methods.measure import measure
-from benchmarks.methods.page import regrets
+from benchmarks.methods.page import regrets, small_scenes
 from benchmarks.methods.scenes import KINDS
 
 from rfpipe.errors import InputError
@@ -152,6 +153,33 @@ def test_regret_is_against_the_best_setting_in_hindsight():
     assert list(regret.loc[1, "missed"]) == [False, True, False]
     assert list(regret.loc[1, "indirect"]) == pytest.approx([40 / 50, 80 / 160, 100 / 2304])
     assert math.isnan(regret.loc[(2, 0.02), "error"])
+
+
+def test_small_scenes_compare_estimates_with_the_truth():
+    rows = [
+        acquisition("auto", 0.02, 20, 0.02, estimated_error=0.01, side="16x18"),
+        acquisition("auto", 0.01, 20, 0.02, estimated_error=0.04, side="16x18", seed=0),
+        acquisition("auto", 0.01, 20, 0.01, estimated_error=0.03, side="40x45", section="held out"),
+        acquisition("auto", 0.01, 20, 0.01, estimated_error=0.03, side="40x45", light="sixteenth"),
+        acquisition("dual", 0.01, 20, 0.01, estimated_error=0.03, side="8"),
+    ]
+    table = small_scenes(pd.DataFrame(rows)).splitlines()
+    assert [cell.strip() for cell in table[0].split("|")[1:-1]] == ["scene", "16x18", "40x45"]
+    assert table[2].endswith("| 1.00 | 3.00 |")
+    assert table[3] == "| **mean, open** | 1.00, 69%; 50% of 2 met |  |"
+    assert table[4] == "| **mean, held out** |  | 3.00, 0%; 100% of 1 met |"
+    assert small_scenes(pd.DataFrame(rows[-1:])) == ""
+
+
+def test_small_scenes_are_run_by_auto_in_full_light_unless_sides_are_named():
+    def of(*arguments):
+        return benchmark.asked_cases(benchmark.parsed(["--scenes", "wedge_iv", *arguments]))
+
+    small = [case for case in of() if case.side in SMALL_SIDES]
+    assert {case.method for case in small} == {"auto"}
+    assert {case.light for case in small} == {"full"}
+    assert {case.side for case in of()} == {"48", *SMALL_SIDES}
+    assert {case.side for case in of("--side", "8", "16x18")} == {"8", "16x18"}
 
 
 def test_a_tolerance_is_needless_once_a_coarser_one_has_reached_all():

@@ -19,7 +19,7 @@ from rfpipe.calibration.folder import (
     calibrate_rig,
     finish,
 )
-from rfpipe.config import CalibrationConfig, parse_rig_config
+from rfpipe.config import CalibrationConfig, RigConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.report.calibration import build_calibration_report
 from rfpipe.rigs.calibrated import load_calibration as load
@@ -37,7 +37,8 @@ def begun(
 
     def run(only: list[str] | None = None, bench: Bench = bench, **changed: Any) -> None:
         settings = SETTINGS.model_copy(update=changed)
-        calibrate(bench.projector, bench.camera, place, settings, rays, only)
+        config = RigConfig(calibrate=settings, rays=rays)
+        calibrate(bench.projector, bench.camera, place, config, only)
 
     return bench, place, run
 
@@ -66,6 +67,11 @@ def test_a_calibration_finds_the_bench(calibrated: Any) -> None:
     standings = {name: facts["standing"] for name, facts in found.facts.items()}
     assert set(standings.values()) <= {"good", "unknown"}, standings
     json.dumps(found.facts)
+    recorded = found.settings
+    assert recorded["sensor.bits"] == 12
+    assert recorded["rays"] == list(RAYS)
+    assert recorded["calibrate.codes"] == SETTINGS.codes
+    assert "projector.options.settle_seconds" in recorded
 
 
 def test_steps_that_are_done_are_not_repeated(
@@ -84,7 +90,7 @@ def test_steps_that_are_done_are_not_repeated(
 
 def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
     bench, folder, run = begun(tmp_path)
-    expose, left = bench.camera.expose, [35]
+    expose, left = bench.camera.expose, [70]
 
     def failing() -> np.ndarray:
         left[0] -= 1
@@ -96,7 +102,7 @@ def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="lost"):
         run()
     done = [name for name in STEPS if folder.is_done(name)]
-    assert done == ["latency", "scene", "dark", "linearity"]
+    assert done == ["latency", "steadiness", "scene", "dark", "linearity"]
     with pytest.raises(StoreError, match="light isn't done"):
         finish(folder, SETTINGS)
     dark = folder.manifest("dark").stat().st_mtime_ns
@@ -109,7 +115,7 @@ def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
 
 def test_what_a_change_concerns_is_done_anew_and_damage_is_found(tmp_path: Path) -> None:
     _, folder, run = begun(tmp_path)
-    only = ["scene", "dark", "linearity"]
+    only = ["steadiness", "scene", "dark", "linearity"]
     run(only)
     first = {name: folder.made_for(name) for name in only}
     run(only, tolerance=0.05)
@@ -148,7 +154,7 @@ def test_what_builds_on_a_step_that_is_not_good_says_so(tmp_path: Path) -> None:
     bench, folder, run = begun(tmp_path)
     expose, full = bench.camera.expose, CAMERA.white_level
     bench.camera.expose = lambda: (expose() * (0.3 + expose() / full) / 1.3).astype(np.uint16)  # type: ignore[method-assign]
-    run(["dark", "linearity", "light"])
+    run(["steadiness", "dark", "linearity", "light"])
     assert folder.read("linearity")["response_gamma"] == 1
     assert "NOT GOOD. Mend linearity first" in str(folder.read("light").verdict)
 
@@ -163,7 +169,7 @@ def test_a_bracket_is_proposed_that_suits_a_dim_projector_and_the_room(
 ) -> None:
     bench, folder, run = begun(tmp_path, sensor=replace(CAMERA, exposures=(first, 4 * first)))
     bench.path._ambient = np.float32(ambient)
-    run(["scene", "dark"])
+    run(["steadiness", "scene", "dark"])
     scene, dark = (folder.read(name) for name in ("scene", "dark"))
     assert longest < scene["proposed_exposures_s"][-1] < min(2 * longest, 1.02 * dark["bearable_s"])
     assert re.match(said, str(scene.verdict))

@@ -35,10 +35,15 @@ def shifted(share: float) -> np.ndarray:
     return matrix @ wedge()
 
 
-def taken(matrix: np.ndarray, noise: CameraModel | None = None, count: int = 12):
+def taken(
+    matrix: np.ndarray, noise: CameraModel | None = None, count: int = 12, drift: float = 0.0
+):
+    """Pictures of a rig whose lamp fades, by `drift` from the first to the last."""
     rig = OperatorRig(matrix, SHAPE, SHAPE, noise=noise)
     signs = random_signs(SHAPE, count, 0)
     lit = symmetry_patterns(signs, 4).astype(np.float32)
+    lamp = np.linspace(1, 1 - drift, len(lit), dtype=np.float32)
+    lit *= (lamp / lamp.max())[:, None, None]
     frames = rig.capture(lit, [(0, index) for index in range(len(lit))])
     return merged_pictures(frames, rig.sensor, signs, 4)
 
@@ -60,21 +65,44 @@ def true_error(matrix: np.ndarray) -> float:
     ids=["a little", "misaligned", "half a pixel", "unequal gains", "flare"],
 )
 def test_the_error_of_asymmetry_is_predicted(matrix: np.ndarray, count: int) -> None:
-    found = measure_symmetry(*taken(matrix, count=count))
+    found = measure_symmetry(*taken(matrix, count=count)[0])
     assert found[0] == pytest.approx(true_error(matrix), rel=0.35)
 
 
 def test_a_symmetric_rig_is_good_and_half_a_pixel_is_not() -> None:
     camera = CameraModel()
-    good = symmetry_findings(taken(wedge(), camera, 16), 0.02)
+    good = symmetry_findings(*taken(wedge(), camera, 16), tolerance=0.02)
     assert good.verdict.standing == "good"
-    poor = symmetry_findings(taken(shifted(0.5), camera), 0.02)
+    poor = symmetry_findings(*taken(shifted(0.5), camera), tolerance=0.02)
     assert poor.verdict.standing == "poor"
     assert "dual photography" in poor.verdict.text
 
 
 def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
     dim = replace(CameraModel(), electrons_per_radiance=300.0)
-    findings = symmetry_findings(taken(wedge(), dim), 0.005)
+    findings = symmetry_findings(*taken(wedge(), dim), tolerance=0.005)
     assert findings.verdict.standing == "unknown"
     assert "noise can't tell" in findings.verdict.text
+
+
+@pytest.mark.parametrize("drift", [0.06, -0.06, 0.3])
+@pytest.mark.parametrize("camera", [None, CameraModel()])
+def test_a_lamp_that_drifts_is_no_asymmetry(drift: float, camera: CameraModel | None) -> None:
+    steady, change = taken(wedge(), camera, 16, drift=drift)
+    findings = symmetry_findings(steady, change, tolerance=0.02)
+    assert findings.verdict.standing == "good"
+    assert findings["error"] < 0.005
+    assert change == pytest.approx(abs(drift), rel=0.25)
+    assert "lamp's light changed by" in findings.verdict.text
+
+
+def test_asymmetry_is_found_beside_a_drift() -> None:
+    found = measure_symmetry(*taken(shifted(0.1), count=12, drift=0.06)[0])
+    assert found[0] == pytest.approx(true_error(shifted(0.1)), rel=0.35)
+
+
+def test_an_error_above_the_number_gives_a_bound() -> None:
+    dim = replace(CameraModel(), electrons_per_radiance=300.0)
+    text = symmetry_findings(*taken(wedge(), dim), tolerance=0.005).verdict.text
+    assert "errors of at most" in text
+    assert "+-" not in text

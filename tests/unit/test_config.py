@@ -106,7 +106,7 @@ capture: 3 -> capture is 3; it should be a group of 'key: value' settings
 capture: {url: 'http://host:99999'} -> capture.url is .* port from 1 to 65535
 normalization: all -> normalization is 'all'; it should be 'none', 'per_channel'
 notify: mail -s 'done -> notify is .*No closing quotation
-scenes: {a: {kind: wegde}} -> scenes.a: 'wegde' is unknown; expected one of captured,
+scenes: {a: {kind: wegde}} -> scenes.a: 'wegde' is unknown; did you mean wedge? Expected one
 scenes: {a: {surfaces: [white]}} -> scenes.a.kind is missing; add it. .*'rfpipe settings scenes'
 scenes: {a: {kind: plane, shpae: 8 x 8}} -> scenes.a.shpae is unknown; did you mean shape?
 scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surfaces (left, right), not

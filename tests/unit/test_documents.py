@@ -50,6 +50,18 @@ def test_no_text_installs_by_name_what_is_not_published() -> None:
     assert found == []
 
 
+def test_there_is_one_way_to_make_a_token() -> None:
+    """It works without a package of the system, and before rfpipe is installed."""
+    way = "python3 -c 'import secrets; print(secrets.token_urlsafe(32))'"
+    makes = re.compile(r"openssl rand|uuidgen|/dev/u?random|secrets\.token_\w+\(\d+\)\)'")
+    pages = [ROOT / document for document in DOCUMENTS]
+    pages.append(ROOT / "src" / "rfpipe" / "rigs" / "messages.py")
+    lines = [line for page in pages for line in page.read_text("utf-8").splitlines()]
+    found = [line for line in lines if makes.search(line)]
+    assert len(found) == 3
+    assert [line for line in found if way not in line] == []
+
+
 @pytest.mark.parametrize("block", BLOCKS)
 def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(EXAMPLES)  # where the documents' own classes are
@@ -89,7 +101,7 @@ def test_the_room_of_the_opening_page_is_the_measured_one() -> None:
 
 
 def test_all_that_is_registered_stands_beside_its_tests() -> None:
-    page = (ROOT / "docs" / "what-you-can-do.md").read_text("utf-8")
+    page = (ROOT / "docs" / "tests.md").read_text("utf-8")
     files = re.findall(r"`(\w+/test_\w+)`", page)
     assert [name for name in files if not (ROOT / "tests" / f"{name}.py").is_file()] == []
     named = {name for row in re.findall(r"^\| (`[^|]*)\|", page, re.M)

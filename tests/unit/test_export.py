@@ -164,7 +164,7 @@ def test_a_movie_is_whole_or_absent(tmp_path: Path) -> None:
 
 def test_movies_that_can_t_be_written(tmp_path: Path, monkeypatch) -> None:
     picture = np.zeros((32, 32, 3), np.uint8)
-    with pytest.raises(InputError, match=r"ends in \.mp4"):
+    with pytest.raises(InputError, match=r"expected \.mp4"):
         write_movie(tmp_path / "movie.gif", [picture], 25)
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(StoreError, match=r"pip install '\.\[export\]'"):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
+import figures
 import numpy as np
 import pandas as pd
 import pytest
-from figures.__main__ import run
+import yaml
+from figures.__main__ import SCRIPTS, main, run
 from figures.common import Size
 from figures.growth import line_fit
 from figures.index import cost_table, write_index
@@ -59,6 +63,52 @@ def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> No
     (folder / "box.json").write_text(json.dumps({"shown": [], "costs": [ROW]}))
     write_index(folder)
     page = (folder / "index.html").read_text()
+    assert (folder / "fig_3_1.pdf").read_bytes().startswith(b"%PDF")
+    assert "href='fig_3_1.pdf'" in page
     for shown in ("fig_3_1.png", "Table 3.1", "Table 5.1", "takes 21 patterns", "table_5_1.csv"):
         assert shown in page
     assert pd.read_csv(folder / "table_5_1.csv")["thesis_patterns"].tolist() == [1085]
+
+
+@pytest.mark.parametrize(
+    ("script", "first", "is_meant"),
+    [("plane", "planes", True), ("lightfield", "light_field", True), ("nope", "", False)],
+)
+def test_a_script_that_isn_t_there_names_those_that_are(
+    script: str, first: str, is_meant: bool, monkeypatch, capsys
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["figures", script])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    message = capsys.readouterr().err
+    assert f"there is no script '{script}'; " in message
+    names = message.rpartition("There are ")[2].strip().split(", ")
+    assert {*names} == {*SCRIPTS, "index", "check"}
+    assert names[0] == (first or names[0])
+    assert (f"did you mean {first}?" in message) == is_meant
+
+
+def test_all_scripts_of_the_settings_are_known() -> None:
+    folder = Path(figures.__file__).parent
+    for settings in folder.glob("figures*.yaml"):
+        assert {*yaml.safe_load(settings.read_text())["scripts"]} <= {*SCRIPTS}
+
+
+WRONG = {
+    "bench_symmetry": "nope",
+    "bench_storage": "wide",
+    "measure_places": "large",
+    "bench_relight": "--ful=1",
+    "viewer_speed": "nope.html",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", WRONG)
+def test_a_wrong_argument_of_a_benchmark_ends_it_with_a_message(script: str) -> None:
+    command = [sys.executable, "-m", f"benchmarks.{script}", WRONG[script]]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "error: " in done.stderr
+    assert "Traceback" not in done.stderr

@@ -9,25 +9,31 @@ from tests.helpers import scene_matrices
 from rfpipe.methods.adaptive.estimate import HELD_OUT, error_of, held_out_parts, held_out_patterns
 from rfpipe.methods.images import Pictures
 from rfpipe.provenance import generator
-from rfpipe.relighting import picture_errors
+from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.transport.arrays import DenseTransport
 
 SHAPE = (24, 32)
 TRUTH = scene_matrices("IV", SHAPE)
 
 
-def transport(matrix: np.ndarray) -> DenseTransport:
+def transport(matrix: np.ndarray, shape: tuple[int, int] = SHAPE) -> DenseTransport:
     arrays = {"matrix": matrix.astype(np.float32)}
-    return DenseTransport(SHAPE, SHAPE, len(matrix), [], arrays)
+    return DenseTransport(shape, shape, len(matrix), [], arrays)
 
 
-def held_out(sigma: float, seed: int = 0, stated: float = 1.0) -> tuple[Pictures, np.ndarray]:
+def held_out(
+    sigma: float,
+    seed: int = 0,
+    stated: float = 1.0,
+    truth: np.ndarray = TRUTH,
+    shape: tuple[int, int] = SHAPE,
+) -> tuple[Pictures, np.ndarray]:
     """Return held-out pictures with noise of a deviation, and the floodlit image."""
-    lit = held_out_patterns(SHAPE).reshape(len(HELD_OUT), -1)
-    radiance = np.einsum("cmn,pn->pcm", TRUTH, lit).astype(np.float32)
+    lit = held_out_patterns(shape).reshape(len(HELD_OUT), -1)
+    radiance = np.einsum("cmn,pn->pcm", truth, lit).astype(np.float32)
     noise = sigma * generator(seed).standard_normal(radiance.shape)
     variance = np.full_like(radiance, np.square(stated * sigma))
-    floodlit = TRUTH.sum(axis=2).astype(np.float32)
+    floodlit = truth.sum(axis=2).astype(np.float32)
     return Pictures(lit, (radiance + noise).astype(np.float32), variance), floodlit
 
 
@@ -95,6 +101,43 @@ def test_each_spot_is_judged_by_itself() -> None:
     ones = np.ones((1, len(missing)), np.float32)
     found = error_of(transport(equal * ~missing), pictures, ones, ~held.lit)
     assert found.spots == pytest.approx(1 / 40, rel=0.3)
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (14, 15), (16, 18), (32, 36)])
+def test_bars_and_spots_light_about_half_of_an_image_at_most(shape: tuple[int, int]) -> None:
+    lit = held_out_patterns(shape).mean(axis=(1, 2))
+    assert lit.max() < 0.55
+
+
+@pytest.mark.parametrize("shape", [(12, 14), (16, 18), (22, 24)])
+@pytest.mark.parametrize("light", ["direct", "indirect"])
+@pytest.mark.parametrize("errors", ["independent", "of indirect light", "nought floodlit"])
+def test_the_estimate_is_that_of_parts_relit_alone(
+    shape: tuple[int, int], light: str, errors: str
+) -> None:
+    """Errors of parts cancel where the floodlit picture is known; light of parts adds up."""
+    rays = int(np.prod(shape))
+    truth = np.eye(rays) + (0.5 / rays if light == "indirect" else 1e-6)
+    random = generator(11, rays)
+    wrong = 0.2 * random.standard_normal((rays, rays)) / rays
+    if errors == "independent":
+        wrong = np.diag(0.02 * random.standard_normal(rays))
+    if errors == "nought floodlit":
+        wrong -= wrong.mean(axis=1, keepdims=True)
+    held, floodlit = held_out(0.0, truth=truth[None], shape=shape)
+    estimate = error_of(transport(truth[None] + wrong, shape), held, floodlit, ~held.lit)
+    pictures = relighting_pictures(shape, 300).reshape(300, -1)
+    images, true = (
+        (pictures @ matrix.T)[..., None].reshape(300, *shape, 1)
+        for matrix in (truth + wrong, truth)
+    )
+    total, _ = picture_errors(
+        images, true, pictures.reshape(300, *shape), floodlit.reshape(*shape, 1)
+    )
+    for index, kind in enumerate(("shapes", "bars", "spots")):
+        mean = total[index::3].mean()
+        assert getattr(estimate, kind) == pytest.approx(mean, rel=0.35), kind
+    assert estimate.error == pytest.approx(total.mean(), rel=0.2)
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-3, 1.0])

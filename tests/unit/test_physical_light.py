@@ -162,8 +162,12 @@ def test_a_mirror_throws_a_pattern_as_from_behind_it(tmp_path: Path) -> None:
     assert differ(left, 0.9 * right) < 0.05
     assert left.sum() == pytest.approx(0.9 * right.sum(), rel=0.01)
     without = scene_of(tmp_path, thrown, caustics=False)
-    with pytest.raises(InputError, match="no light comes back"):
-        without.apply(np.ones((1, SIZE * SIZE)))
+    ones = np.ones((1, SIZE * SIZE))
+    with (
+        pytest.warns(UserWarning, match="caustics is false"),
+        pytest.raises(InputError, match="no light comes back"),
+    ):
+        without.apply(ones)
 
 
 WHITE = sheet((2, 0, 0), (0, 0, 2), (0, 2, 0), matt(0.5))

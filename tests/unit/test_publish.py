@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import pty
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -21,7 +22,7 @@ from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.store import write_manifest
-from rfpipe_publish.metadata import Citation, kept_values
+from rfpipe_publish.metadata import Citation, check_digit, kept_values
 from rfpipe_publish.publication import encoded
 from rfpipe_publish.publication import publish as publish_run
 from rfpipe_publish.run import find_run
@@ -118,9 +119,20 @@ def test_licence_and_creators_are_asked_for_once(run: Path) -> None:
 @pytest.mark.parametrize(
     ("kept", "says"),
     [
-        ({"license": "CC BY 4.0"}, "license is 'CC BY 4.0'; it should match .* SPDX"),
+        ({"license": "CC BY 4.0"}, r"'CC BY 4.0'; it should be .* SPDX .*did you mean CC-BY-4.0\?"),
+        ({"license": "cc-by"}, r"did you mean CC-BY-4.0\?"),
+        ({"license": "CC-BY-4.1"}, r"did you mean CC-BY-4.0\?"),
+        ({"license": "Apache 2"}, r"did you mean Apache-2.0\?"),
+        ({"license": "MIT AND ISC"}, "should be the name of one licence"),
+        ({"license": "LicenseRef-mine"}, "or an address"),
         ({"creators": ["Doe, Jane; 000-0002"]}, "ORCID iD such as"),
-        ({"doi": "zenodo.12"}, "doi is .*such as 10"),
+        (
+            {"creators": ["Doe, Jane; 0000-0002-1825-0096"]},
+            "0096'; it should end in 7",
+        ),
+        ({"creators": ["Doe, Jane; 0000-0002-1852-0097"]}, "two are exchanged"),
+        ({"doi": "zenodo.12"}, "doi is .*should be 10.*such as 10"),
+        ({"version": "1.0"}, "version is '1.0'; it should be three numbers"),
         ({"titel": "A desk"}, "titel is unknown; did you mean title"),
         ("a desk", "a desk is unknown"),
     ],
@@ -132,6 +144,99 @@ def test_what_a_citation_cannot_be_is_said(kept: object, says: str, run: Path) -
         published(run, *given)
     assert yaml.safe_load((run / "publication.yaml").read_text()) == kept
     assert not (run / "publication.zip").exists()
+
+
+@pytest.mark.parametrize(
+    "orcid",  # of ORCID's documentation and of its registry
+    ["0000-0002-1825-0097", "0000-0001-5109-3700", "0000-0002-1694-233X", "0000-0003-1415-9269"],
+)
+def test_check_digits_are_those_of_iso_7064(orcid: str) -> None:
+    assert check_digit(orcid[:-1].replace("-", "")) == orcid[-1]
+    for place, digit in enumerate(orcid[:-1]):
+        if digit.isdigit():
+            wrong = f"{orcid[:place]}{(int(digit) + 1) % 10}{orcid[place + 1 :]}"
+            assert check_digit(wrong[:-1].replace("-", "")) != orcid[-1]
+
+
+@pytest.mark.parametrize("name", ["mit", "cc0-1.0", "odbl-1.0", "https://example.org/licence"])
+def test_licences_have_the_spelling_of_their_list(name: str) -> None:
+    expected = {"mit": "MIT", "cc0-1.0": "CC0-1.0", "odbl-1.0": "ODbL-1.0"}.get(name, name)
+    facts = {"title": "a", "creators": ["Doe, Jane"], "published": "2026-01-01"}
+    assert Citation.model_validate({**facts, "license": name}).license == expected
+
+
+OWN = {
+    "lab/__init__.py": "",
+    "lab/methods.py": "import tools\nfrom lab.more import x\nclass Mine: ...",
+    "lab/more.py": "x = 1",
+    "tools.py": "import numpy",
+    "unused.py": "",
+    "scenes/desk.py": "import tools\nclass Desk: ...",
+    "scenes/box.xml": """<scene version="3.0.0"><include filename="lamp.xml"/>
+        <shape type="ply"><string name="filename" value="../meshes/a.ply"/></shape></scene>""",
+    "scenes/lamp.xml": """<scene version="3.0.0"><texture type="bitmap">
+        <string name="filename" value="wood.png"/></texture></scene>""",
+    "scenes/wood.png": "wood",
+    "meshes/a.ply": "a mesh",
+    "matrix.npy": "numbers",
+}
+
+
+def test_files_of_a_user_s_own_are_published_where_the_settings_find_them(
+    run: Path, tmp_path: Path
+) -> None:
+    for name, content in OWN.items():
+        (run / name).parent.mkdir(exist_ok=True)
+        (run / name).write_text(content)
+    far = tmp_path / "far away"
+    far.mkdir()
+    (far / "room.xml").write_text(OWN["scenes/box.xml"].replace("../meshes/a", "b"))
+    (far / "lamp.xml").write_text("<scene/>")
+    (far / "b.ply").write_text("another mesh")
+    (far / "gone.xml").write_text(f"<a value='{far / 'b.ply'}'/>")
+    results = run / "results/report/results.json"
+    about = json.loads(results.read_bytes())
+    about["provenance"]["configuration"] |= {
+        "scenes": {
+            "desk": {"kind": "scenes/desk.py:Desk", "cache": "results/recorded"},
+            "box": {"kind": "mitsuba", "scene": "scenes/box.xml"},
+            "room": {"kind": "mitsuba", "scene": str(far / "room.xml")},
+            "gone": {"kind": "mitsuba", "scene": str(far / "gone.xml")},
+            "given": {"kind": "matrix", "file": "matrix.npy"},
+            "lost": {"kind": "lost.py:Lost"},
+        },
+        "methods": {"mine": {"method": "lab.methods:Mine"}, "other": {"method": "numpy.fft:Other"}},
+    }
+    results.write_text(json.dumps(about))
+    output = published(run, *GIVEN)
+    files = contents(run / "publication.zip")
+    inputs = {name.removeprefix("inputs/"): text.decode() for name, text in files.items()
+              if name.startswith("inputs/")}  # fmt: skip
+    own = {name: text for name, text in OWN.items() if name != "unused.py"}
+    outside = {name: (far / name).read_text() for name in ("room.xml", "lamp.xml", "b.ply")}
+    gone = {"outside/1/gone.xml": (far / "gone.xml").read_text()}
+    assert inputs == own | {f"outside/1/{name}": text for name, text in outside.items()} | gone
+    settings = yaml.safe_load(files["settings.yaml"])
+    assert settings["scenes"]["room"]["scene"] == "outside/1/room.xml"
+    assert settings["scenes"]["desk"] == {
+        "kind": "scenes/desk.py:Desk",
+        "cache": "results/recorded",
+    }
+    assert settings["methods"]["mine"]["method"] == "lab.methods:Mine"
+    assert "methods.other.method is numpy.fft:Other: numpy is an installed package" in output
+    assert "scenes.lost.kind is lost.py:Lost: there is no file lost.py" in output
+    assert "gone.xml names it by an absolute path" in output
+    assert b"cp -r inputs again" in files["README.md"]
+    graph = json.loads(files["ro-crate-metadata.json"])["@graph"]
+    (action,) = [entity for entity in graph if entity["@id"] == "#run"]
+    assert {"@id": "inputs/lab/methods.py"} in action["object"]
+
+
+def test_printed_commands_can_be_pasted(run: Path, tmp_path: Path) -> None:
+    output = published(run, *GIVEN, "-o", tmp_path / "a crate; of mine.zip")
+    (command,) = [line for line in output.splitlines() if "rfpipe verify" in line]
+    words = shlex.split(command.partition(":")[2])
+    assert words == ["rfpipe", "verify", str(tmp_path / "a crate; of mine.zip")]
 
 
 def test_the_example_runs_from_the_zip_and_the_folder(run: Path) -> None:

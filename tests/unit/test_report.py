@@ -124,6 +124,8 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     assert "verified_grey_brute_force_spots_1_relit" in stems(tmp_path, "figures/*.exr")
     (row,) = pd.read_csv(tmp_path / "report/tables/verification.csv").to_dict("records")
     assert (row["drift"], row["moved"]) == (0.004, 0.3)
+    pictures = pd.read_csv(tmp_path / "report/tables/pictures.csv")
+    assert (pictures["plain_error"] >= pictures["error"] * 0.999).all()
 
 
 @pytest.mark.slow
@@ -132,7 +134,8 @@ def test_the_same_results_give_the_same_bytes(results, tmp_path):
     shutil.copytree(results, again)
     built(again, BOTH)
     written = [path for path in (results / "report").rglob("*") if path.is_file()]
-    assert {path.suffix for path in written} == {".html", ".json", ".png", ".exr", ".csv"}
+    kinds = {".html", ".json", ".png", ".pdf", ".exr", ".csv", ".tex"}
+    assert {path.suffix for path in written} == kinds
     for path in written:
         assert path.read_bytes() == (again / path.relative_to(results)).read_bytes(), path.name
 
@@ -165,11 +168,12 @@ def test_pictures_of_light_lie_beside_the_page_as_they_are(results, page):
     assert stems(results, "figures/*.exr") == {
         f"scene_{scene}_{name}"
         for scene in ("flat", "corner")
-        for name in ("floodlit", "relit", "truth")
+        for name in ("floodlit", "relit_symmetric", "relit_dual", "truth")
     }
     images = open_arrays(results / "corner" / "symmetric" / "relight.zarr")
-    for name in ("relit", "truth"):  # linear, and not brightened
-        kept = read_image(results / f"report/figures/scene_corner_{name}.exr")
+    for name, kept_as in (("relit", "relit_symmetric"), ("truth", "truth")):
+        # linear, and not brightened
+        kept = read_image(results / f"report/figures/scene_corner_{kept_as}.exr")
         index = list(RELIGHTING_PATTERNS).index("horizontal_bar")
         np.testing.assert_array_equal(kept, images.read(name)[index])
     assert "White is radiance" in page.words
@@ -229,10 +233,19 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
     assert (first.anchor, second.anchor) == ("glance", "speed")
     table, gallery = first.blocks
     assert [figure.name for figure in gallery.figures] == ["flat", "corner"]
+    pictures = ["floodlit", *(name.replace("_", " ") for name in RELIGHTING_PATTERNS)]
     for figure in gallery.figures:
-        assert list(figure.light) == ["floodlit", "relit", "truth"]
-        titles = [axis.get_title() for axis in figure.figure.axes[:4]]
-        assert titles == ["floodlit", "relit", "truth", "error"]
+        assert list(figure.light) == ["floodlit", "truth", "relit_symmetric", "relit_dual"]
+        panels = figure.figure.axes[:30]
+        assert [axis.get_title() for axis in panels[:6]] == pictures
+        rows = [axis.get_ylabel().replace("\n", " ") for axis in panels[::6]]
+        methods = ["Symmetric photography", "Dual photography"]
+        assert rows == ["truth", methods[0], "difference", methods[1], "difference"]
+        for first, method in ((6, "symmetric"), (18, "dual")):
+            own = inputs.errors.set_index(["scene", "method", "pattern"])["error"]
+            expected = [own.loc[figure.name, method, name] for name in RELIGHTING_PATTERNS]
+            shown = [axis.get_xlabel().partition("\n")[0] for axis in panels[first + 1 : first + 6]]
+            assert shown == [f"error {percent(error)} %" for error in expected]
     errors = inputs.errors.set_index(["pattern", "scene", "method"])["error"]
     written = pd.read_csv(results / "report" / "tables" / "results.csv")
     for row, shown in zip(written.to_dict("records"), table.rows, strict=True):
@@ -242,8 +255,10 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
         assert row["mean_indirect"] == 0 if row["scene"] == "flat" else row["mean_indirect"] > 0
         assert row["minutes"] == pytest.approx((2 * row["patterns"] + 9) / 60, rel=1e-4)
         assert shown[2] == number(row["patterns"])
-        assert "Of indirect light" in table.caption
-        assert shown[3:5] == [percent(row["mean_error"]), "exact truth"]
+        assert shown[table.columns.index("error, %")] == percent(row["mean_error"])
+    assert "error of indirect light, %" in table.columns
+    assert not any(column.startswith("indirect") for column in table.columns)
+    assert "exact truth" in table.caption
 
 
 class Aside:
@@ -309,10 +324,11 @@ def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_pat
     assert errors["indirect_error"].isna().all()
     page = built(tmp_path, ASIDE)
     assert "times brighter" not in page.words
-    assert "Of indirect light" not in page.words  # no pixel is known to be unlit
     assert "scene_desk" in stems(tmp_path)
-    (row,) = glance_of(tmp_path)[0].rows
-    assert {"recording", "0.30", "5.20"} < set(row)
+    table = glance_of(tmp_path)[0]
+    assert "indirect" not in table.caption  # no pixel is known to be unlit
+    assert "recording" in table.rows[0]
+    assert "desk 0.30 % (5.20 % on unlit pixels)" in table.caption
     assert "drjit 1.5.0" in page.words.replace("  ", " ")
 
 
@@ -321,12 +337,29 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     captured(tmp_path, relight.relit_of_captured(aside_transport(), floodlit))
     page = built(tmp_path, ASIDE)
     (table, gallery) = glance_of(tmp_path)
-    assert list(gallery.figures[0].light) == ["floodlit", *RELIGHTING_PATTERNS]
-    assert table.rows[0][2:4] == ["12", "not verified"]
+    patterns = [f"{name}_dual" for name in RELIGHTING_PATTERNS]
+    assert list(gallery.figures[0].light) == ["floodlit", *patterns]
+    assert {"12", "not verified"} < set(table.rows[0])
     assert "error, %" not in table.columns
     assert "the truth of a real scene is not known" in page.words
     # levels that asked for nothing are left out
     assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
+
+
+def test_it_says_what_scenes_chose_and_what_light_is_left_out(tmp_path):
+    choice = {"setting": "caustics", "value": True, "reason": "by ball (SmoothDielectric)"}
+    light = {"choices": [choice], "omissions": ["light that ball throws is missing"]}
+    arrays = relight.relit_arrays(aside_transport(), Aside())
+    errors = relight.mean_errors(
+        aside_transport(), Aside(), arrays["floodlit_truth"], is_coaxial=False
+    )
+    captured(tmp_path, arrays, {**errors, "light": light})
+    page = built(tmp_path, ASIDE)
+    assert "desk: light that ball throws is missing." in page.words
+    for cell in ("caustics", "true", choice["reason"]):
+        assert f" {cell} " in page.words
+    summary = json.loads((tmp_path / "report" / "results.json").read_text())
+    assert summary["provenance"]["acquisitions"][0]["light"] == light
 
 
 def test_without_anything_relit_there_is_no_report(tmp_path):

@@ -165,7 +165,7 @@ def test_a_full_disk_loses_nothing_that_is_captured(tmp_path: Path) -> None:
     frames_error, bundle_error = errors.splitlines()
     assert f"{tmp_path / 's'}: writing the items from 2 on failed" in frames_error
     assert "80,000 bytes needed" in frames_error
-    assert "bytes free on its file system; make room and run again" in frames_error
+    assert "make room and run again" in frames_error
     assert f"{tmp_path / 'bundle'}: writing arrays failed" in bundle_error
     assert open_arrays(tmp_path / "bundle").shape("a") == (5,)
     frames = np.random.default_rng(0).integers(0, 65536, (4, 200, 200)).astype("u2")

@@ -50,6 +50,19 @@ def test_only_a_hierarchy_knows_what_it_was_at_an_earlier_level(transport: Trans
             transport.truncate(level)
 
 
+def test_levels_in_messages_are_those_that_showed_patterns() -> None:
+    shown = [{"level": level, "patterns": 9 - level} for level in range(3)]
+    rows = [*shown, *({"level": level, "patterns": 0} for level in range(3, 28))]
+    matrix = {"matrix": np.ones((3, 6, 6), np.float32)}
+    whole = DenseTransport((2, 3), (2, 3), 3, rows, matrix)
+    both = SumTransport([whole, whole], rows)
+    for each in (whole, both):
+        assert list(each.known_levels) == [each.last_level] == [2]
+        assert each.truncate(2) is each
+        with pytest.raises(InputError, match=r"level 99 .*known after level 2 alone"):
+            each.truncate(99)
+
+
 def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_path: Path) -> None:
     for acquired in (transport, dual):
         sizes = []

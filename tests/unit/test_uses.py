@@ -140,9 +140,31 @@ def test_rays_without_places_are_refused(shape, light, calls, match) -> None:
             getattr(transport, call)(*arguments)
 
 
+USES = sorted((Path(__file__).parents[2] / "docs/uses").glob("*.py"))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("script", sorted((Path(__file__).parents[2] / "docs/uses").glob("*.py")))
-def test_the_scripts_of_the_page_make_their_pictures(script: Path, tmp_path: Path) -> None:
-    settings = {**os.environ, "MPLBACKEND": "agg"}
-    subprocess.run([sys.executable, script, "24"], cwd=tmp_path, env=settings, check=True)
-    assert (tmp_path / script.with_suffix(".png").name).stat().st_size > 5000
+@pytest.mark.parametrize("script", USES)
+def test_the_scripts_of_the_page_write_what_they_say_and_nothing_else(
+    script: Path, tmp_path: Path
+) -> None:
+    here, there, temporary = (tmp_path / name for name in ("here", "there", "temporary"))
+    for folder in (here, temporary):
+        folder.mkdir()
+    settings = {**os.environ, "MPLBACKEND": "agg", "TMPDIR": str(temporary)}
+    command = [sys.executable, script, "24", there / "inside"]
+    done = subprocess.run(
+        command, cwd=here, env=settings, check=True, capture_output=True, text=True
+    )
+    written = [file for file in tmp_path.rglob("*") if file.is_file()]
+    assert all(str(file) in done.stdout.splitlines()[-1] for file in written)
+    picture = there / "inside" / script.with_suffix(".png").name
+    more = [picture.with_name("cloud.ply")] if script.stem == "what_sees_what" else []
+    assert sorted(written) == sorted([picture, *more])
+    assert picture.stat().st_size > 5000
+
+
+@pytest.mark.parametrize("script", USES)
+def test_the_scripts_of_the_page_have_a_folder_by_default(script: Path) -> None:
+    assert f"``python docs/uses/{script.name} [SIDE [FOLDER]]``" in script.read_text()
+    assert 'else "results/uses")' in script.read_text()

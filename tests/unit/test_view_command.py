@@ -60,7 +60,7 @@ def test_a_large_one_has_the_last_level_alone(results: Path) -> None:
         (["results"], "has 2 transports(.|\\n)*symmetric"),
         (["nothing"], "nothing"),
         (["results/corner/symmetric", "--compare", "small.exr"], r"3 x 4 pixels.*expected 20 x 24"),
-        (["results/corner/symmetric", "-o", "page.pdf"], r"ends in \.html"),
+        (["results/corner/symmetric", "-o", "page.pdf"], r"\.pdf; expected \.html"),
     ],
 )
 def test_what_is_wrong_is_said(results: Path, arguments: list[str], message: str) -> None:

@@ -210,11 +210,55 @@ def test_a_path_is_recorded_and_played(page: Any) -> None:
     wait_until(page, "state.x > 0.7")
 
 
-def test_the_picture_is_saved(page: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("scale", "factor"), [(None, 32), ("1", 1), ("4", 4)])
+def test_the_picture_is_saved_at_a_size(
+    page: Any, tmp_path: Path, scale: str | None, factor: int
+) -> None:
+    if scale is not None:
+        page.locator("#scale").select_option(scale)
+        slide(page, "size", 20)  # which doesn't change the size
     with page.expect_download() as download:
         page.locator("#save").click()
     download.value.save_as(tmp_path / "saved.png")
-    assert read_image(tmp_path / "saved.png").shape == (*SHAPE, 3)
+    saved = read_image(tmp_path / "saved.png")
+    assert saved.shape == (factor * SHAPE[0], factor * SHAPE[1], 3)
+    pixels = saved[::factor, ::factor]
+    np.testing.assert_array_equal(saved, pixels.repeat(factor, axis=0).repeat(factor, axis=1))
+    assert page.inner_text("#kept").endswith(f"{saved.shape[1]} x {saved.shape[0]} pixels.")
+
+
+def test_what_is_said_of_a_comparison_goes_with_it(page: Any) -> None:
+    def begin() -> None:
+        page.locator("#difference").check()
+        settled(page)
+        assert "Differs by" in page.inner_text("#compared")
+
+    ends = {
+        "reset": lambda: page.locator("#reset").click(),
+        "difference": lambda: page.locator("#difference").uncheck(),
+        "play": lambda: page.locator("#play").click(),
+    }
+    for name, end in ends.items():
+        begin()
+        end()
+        if name == "play":
+            wait_until(page, "$('compared').textContent === ''")
+        else:
+            settled(page)
+        assert page.inner_text("#compared") == "", name
+    page.locator("#play").click()
+    with page.expect_download():
+        page.locator("#save").click()
+    wait_until(page, "$('kept').textContent !== ''")
+    page.locator("#reset").click()
+    assert page.inner_text("#kept") == ""
+
+
+@pytest.mark.parametrize("width", [1280, 1920])
+def test_all_parts_of_the_page_are_in_one_column(page: Any, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 1000})
+    boxes = [page.locator(part).bounding_box() for part in ("header", "main", "footer")]
+    assert len({(box["x"], box["width"]) for box in boxes}) == 1
 
 
 @pytest.mark.parametrize("colours", ["light", "dark"])

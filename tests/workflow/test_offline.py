@@ -256,8 +256,22 @@ def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path)
     assert not kept.exists()
     exchange()
     command("import", level_0)
-    assert f"{kept}: removed" in command("import", level_0, "--take-back").replace("\n", "")
+    (_, level_1) = sheets(level_0.parent)
+    taken_back = command("import", level_0, "--take-back").replace("\n", "")
+    assert f"{kept}: removed" in taken_back
+    assert f"{level_1}: removed" in taken_back
     assert not kept.exists()
+    assert sheets(level_0.parent) == [level_0]
+    assert len(list((level_0 / "pictures").iterdir())) == 28
+
+
+def test_a_later_sheet_with_pictures_stays(level_0: Path) -> None:
+    command("import", level_0)
+    (_, level_1) = sheets(level_0.parent)
+    picture = level_1 / "pictures" / "IMG_0.tif"
+    picture.write_bytes(b"a picture")
+    assert "move them away" in command("import", level_0, "--take-back")
+    assert picture.exists()
 
 
 def test_counts_beyond_the_camera_s_bits(level_0: Path) -> None:

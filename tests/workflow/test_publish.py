@@ -2,6 +2,7 @@
 
 import importlib.resources
 import json
+import shutil
 import subprocess
 import zipfile
 from datetime import date
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.helpers import contents
 from tests.workflow.harness import ROOT, Workflow
 
 import rfpipe
@@ -96,6 +98,24 @@ def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:
     assert entities["#run"]["instrument"]["@id"] == "source/Snakefile"
     assert (crate / "source/Snakefile").read_bytes() == (ROOT / "Snakefile").read_bytes()
     assert entities["#run"]["startTime"] <= entities["#run"]["endTime"]
+
+
+@pytest.mark.slow
+def test_a_run_with_code_of_one_s_own_runs_again_from_its_crate(
+    of_ones_own: Workflow, tmp_path: Path
+) -> None:
+    facts = {"title": "a", "creators": ["Doe, Jane"], "license": "MIT", "published": "2026-01-01"}
+    crate = tmp_path / "crate"
+    written = publish(find_run(of_ones_own.folder), Citation.model_validate(facts), crate)
+    assert written.notes == []
+    again = Workflow(tmp_path / "again")
+    shutil.copytree(crate / "inputs", again.folder, dirs_exist_ok=True)
+    again.config.write_bytes((crate / "settings.yaml").read_bytes())
+    acquired = ("tiny/wide", "tiny/module", "glass/brute_force")
+    again.run(*(f"results/{name}/transport.json" for name in acquired))
+    for name in acquired:
+        transport = contents(again.path(f"{name}/transport.zarr"))
+        assert transport == contents(crate / f"results/{name}/transport.zarr")
 
 
 def test_pictures_and_transports_are_the_runs(crate: Path, undisturbed: Workflow) -> None:

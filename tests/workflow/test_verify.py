@@ -15,10 +15,13 @@ from tests.workflow.harness import TINY, Workflow
 from tests.workflow.stagewise import CAMERA, FaultyRig, damage, left, matrix_rig
 from tests.workflow.stagewise import acquire as acquire_matrix
 
-from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.folder import CalibrationFolder, MadeFor
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import IntegrityError
-from rfpipe.stages.checking import check, command_for
+from rfpipe.stages.checking import check
+from rfpipe.stages.folder import STAGES
+from rfpipe.stages.mending import command_for
+from rfpipe.store import read_manifest, write_arrays, write_manifest
 
 
 def acquire(path: Path, method: str = "symmetric") -> list[tuple[int, ...]]:
@@ -128,6 +131,132 @@ def test_damage_is_found_and_mended_to_the_same_bytes(
     assert left(results) == left(intact)
 
 
+# Names of folders of runs, calibrations, recordings and clones; scenes and methods may have them.
+FOLDERS = (
+    "bench", "report", "recorded", "logs", "cache", "view", "catalogue", "figures", "tables",
+    "results", "calibration", "steps", "dark", "verification", "provenance", "source", "objects",
+    "venv", "transport", "capture", "matrix", "relit", "pictures", "patterns", "l00", "keep",
+)  # fmt: skip
+
+
+NAMES = [
+    name if name in ("bench", "recorded") else pytest.param(name, marks=pytest.mark.slow)
+    for name in FOLDERS
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("of", ["scene", "method", "both", "folder above"])
+def test_what_is_read_follows_from_manifests_whatever_a_folder_is_called(
+    intact: Path, tmp_path: Path, name: str, of: str
+) -> None:
+    above = tmp_path / name if of == "folder above" else tmp_path
+    scene = name if of in ("scene", "both") else "matrix"
+    run = above / "results" / scene / (name if of in ("method", "both") else "symmetric")
+    shutil.copytree(intact / "matrix/symmetric", run)
+    checked = check(above / "results")
+    assert (checked.findings, checked.notes) == ([], [])
+    assert (checked.stores, checked.manifests) == (4 * 6 + 2 + 1, 4 * 5 + 1)
+    damage(run / "L01/capture.zarr")
+    shutil.rmtree(run / "transport.zarr")
+    for place in (above, above / "results", run.parent, run):
+        found = {finding.path: finding for finding in check(place).findings}
+        assert set(found) == {run / "L01/capture.zarr", run / "transport.zarr"}
+        levels = [run / f"L01/{stage}.json" for stage in STAGES[1:]]
+        assert found[run / "L01/capture.zarr"].mend.remove == (*levels, run / "transport.json")
+        assert found[run / "transport.zarr"].mend.remove == (run / "transport.json",)
+        for finding in found.values():
+            assert f"run --directory {above.resolve()} " in command_for(finding)
+
+
+def test_files_that_no_manifest_names_are_said(results: Path) -> None:
+    run = results / "matrix/symmetric"
+    (run / "L00/notes.txt").write_text("mine")
+    (run / "capture.log").write_text("a log")
+    (run / "transport.zarr/forgotten").mkdir()
+    checked = check(results)
+    assert checked.findings == []
+    assert checked.notes == [
+        f"{run / 'L00'}: 1 file that no manifest names is not checked: notes.txt",
+        f"{run / 'transport.zarr'}: 1 file that no manifest names is not checked: forgotten",
+    ]
+    assert checked.unnamed == [run / "L00/notes.txt", run / "transport.zarr/forgotten"]
+
+
+def test_a_transport_that_is_missing_is_found_by_what_is_made_of_it(results: Path) -> None:
+    run = results / "matrix/symmetric"
+    made = {"stage": "relight", "transport": read_manifest(run / "transport.json")["digest"]}
+    write_manifest(run / "relight.json", made)
+    assert check(results).findings == []
+    shutil.rmtree(run / "transport.zarr")
+    (run / "transport.json").unlink()
+    (finding,) = check(results).findings
+    assert finding.path == run / "transport.json"
+    assert finding.what == "is missing, and relight.json is made of it"
+    acquire(run)
+    assert check(results).findings == []
+
+
+def test_links_to_other_disks_are_followed_and_broken_ones_found(
+    results: Path, tmp_path: Path
+) -> None:
+    (results / "matrix/dual").rename(tmp_path / "other disk")
+    link = results / "matrix/dual"
+    link.symlink_to(tmp_path / "other disk")
+    (tmp_path / "other disk" / "again").symlink_to(link)  # a circle
+    assert check(results).stores == 2 * (4 * 6 + 2 + 1)
+    damage(tmp_path / "other disk/L01/merge.zarr")
+    (finding,) = check(results).findings
+    assert finding.path == link / "L01/merge.zarr"
+    shutil.rmtree(tmp_path / "other disk")
+    (finding,) = check(results).findings
+    assert finding.path == link
+    assert "which is missing" in finding.what
+
+
+PIECES = ("rows_00000000", "rows_00000040")
+
+
+@pytest.mark.parametrize(
+    ("harm", "harmed"),
+    [
+        (lambda folder: damage(folder / "rows_00000040.zarr"), "rows_00000040.zarr"),
+        (lambda folder: shutil.rmtree(folder / "rows_00000040.zarr"), "rows_00000040.zarr"),
+        (lambda folder: flip(folder / "matrix.json", "pieces", "places"), "matrix.json"),
+    ],
+)
+def test_recorded_light_is_checked_by_its_manifest(
+    tmp_path: Path, harm: Callable[[Path], object], harmed: str
+) -> None:
+    folder = tmp_path / "results/light/box-0123456789ab"
+    for piece in PIECES:
+        write_arrays(folder / f"{piece}.zarr", {"values": np.arange(9000.0)}, {})
+    pieces = [["rows", int(name[-8:]), 40] for name in PIECES]
+    write_manifest(folder / "matrix.json", {"pieces": pieces})
+    checked = check(tmp_path)
+    assert (checked.findings, checked.stores, checked.manifests) == ([], 2, 1)
+    harm(folder)
+    (finding,) = check(tmp_path).findings
+    assert finding.path == folder / harmed
+    assert "recorded again" in finding.mend.cost
+    assert set(finding.mend.remove) == {folder / "matrix.json", folder / harmed}
+
+
+def test_a_finding_has_one_remedy(results: Path) -> None:
+    run = results / "matrix/symmetric"
+    damage(run / "transport.zarr")
+    flip(run / "L01/refine.json", "symmetric", "symmetrik")
+    shutil.rmtree(run / "L02/schedule.zarr")
+    flip(run / "L02/normalize.zarr/zarr.json", "per_channel", "per_chanmel")
+    (run / "L00/merge.zarr/zarr.json").write_text("{")
+    findings = check(results).findings
+    assert len(findings) == 5
+    for finding in findings:
+        assert "emove" not in finding.what
+        assert "run" not in finding.what.replace("truncated", "")
+        assert not finding.what.endswith((".", ";"))
+
+
 @pytest.mark.parametrize("kind", [kind for kind in DAMAGES if "transport" not in kind])
 def test_a_run_heals_what_it_finds_damaged_and_shows_no_pattern(
     intact: Path, results: Path, kind: str, caplog: pytest.LogCaptureFixture
@@ -151,8 +280,9 @@ def test_a_run_heals_what_it_finds_damaged_and_shows_no_pattern(
 
 def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     folder = CalibrationFolder(tmp_path / "calibration")
-    folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), "x")
-    folder.write("light", Findings(Verdict("good", ""), {"a": 1}, {"light": np.ones(9)}), "x")
+    measured = MadeFor({"sensor.bits": 12}, {}, {})
+    folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), measured)
+    folder.write("light", Findings(Verdict("good", ""), {"a": 1}, {"light": np.ones(9)}), measured)
     assert check(folder.path).findings == []
     shutil.rmtree(folder.store("dark"))
     shutil.copytree(folder.store("light"), folder.store("dark"))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.devices import STEPS as WEIGHTS
-from rfpipe.rigs.devices import Camera, Projector, bracket_of, code_table
+from rfpipe.rigs.devices import Camera, Projector, bracket_of, code_table, shown_bracket
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -96,6 +98,7 @@ class Bench:
         *,
         linear: bool = False,
         drawn: Callable[[Any], Float] = np.asarray,
+        wait: float = 0.0,
     ) -> Iterator[NDArray[Any]]:
         """Show pictures one by one; yield the bracket of each, shape (E, Hc, Wc[, C]).
 
@@ -106,6 +109,8 @@ class Bench:
         linear : bool
             Whether the weights are light, looked up in the projector's measured response.
         drawn : callable, optional
+        wait : float
+            Seconds between picture and bracket, beyond those that the projector waits itself.
         """
         codes = code_table(self.found["light"]["light"]) if linear else None
         with self.progress(len(pictures)) as counts:
@@ -115,10 +120,32 @@ class Bench:
                     at = np.rint(np.clip(shown, 0, 1) * WEIGHTS).astype(np.int64)
                     shown = (codes[at] / np.float32(255)).astype(np.float32)
                 with driving():
+                    if wait:
+                        self.projector.show(shown)
+                        time.sleep(wait)
                     frames = bracket_of(self.projector, self.camera, shown, f"picture {index}")
                 if counts is not None:
                     counts.advance(1)
                 yield frames
+
+    def take_primaries(self) -> NDArray[Any] | None:
+        """Show red, green and blue everywhere; return the brackets, shape (3, E, Hc, Wc).
+
+        None where the projector shows no colours.
+        """
+        show_colour = getattr(self.projector, "show_colour", None)
+        if show_colour is None:
+            return None
+        brackets = []
+        with self.progress(3) as counts, driving():
+            for index, name in enumerate(("red", "green", "blue")):
+                picture = np.zeros((*self.projector.shape, 3), np.float32)
+                picture[..., index] = 1
+                show = partial(show_colour, picture)
+                brackets.append(shown_bracket(show, self.projector, self.camera, name))
+                if counts is not None:
+                    counts.advance(1)
+        return np.stack(brackets)
 
     def radiance(
         self, pictures: Sequence[Float], *, linear: bool = False

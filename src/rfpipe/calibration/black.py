@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,9 +41,15 @@ def measure_dark(bench: Bench) -> Findings:
     """
     model = bench.model
     frames, white_level = DarkFrames(), model.white_level
+    levels, taken_at = [], []
     for bracket in bench.take([bench.flat(0)] * bench.settings.dark_frames):
         frames.add(bracket[None])
-    black, spread, times = frames.mean, frames.variance, np.asarray(model.exposures, float)
+        levels.append(bracket.reshape(len(bracket), -1).mean(axis=1))
+        taken_at.append(time.time())
+    black, times = frames.mean, np.asarray(model.exposures, float)
+    # what all photosites do together is light, not noise
+    together = np.var(levels, axis=0, ddof=1).reshape(-1, *(1,) * (black.ndim - 1))
+    spread = np.maximum(frames.variance - together, 0)
     usable = np.logical_and.accumulate(frames.most < SATURATION_FRACTION * white_level, axis=0)
     if not usable[0].any():
         raise CaptureError(
@@ -66,7 +74,11 @@ def measure_dark(bench: Bench) -> Findings:
     span, longest, noise = white_level - black_level, float(times[-1]), np.sqrt(variance)
     headroom = np.divide(level, noise, out=np.full(level.shape, np.inf), where=noise > 0)
     filled = current * longest / span
+    change = np.ptp(levels, axis=0)[: last + 1]
     facts = {
+        "room_change": float((change / np.maximum(noise[: last + 1], 0.5)).max()),
+        "room_change_share": float(change.max() / span),
+        "room_seconds": float(np.ptp(taken_at)),
         "frames": frames.count,
         "exposures_s": times.tolist(),
         "longest_s": longest,

@@ -5,28 +5,42 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from rfpipe.calibration.bench import Bench, DeviceError, Progress, camera_model, camera_numbers
 from rfpipe.calibration.black import measure_dark
 from rfpipe.calibration.correspondence import measure_correspondence
 from rfpipe.calibration.latency import measure_latency
+from rfpipe.calibration.mosaic import mosaic_facts
 from rfpipe.calibration.rays import measure_rays
 from rfpipe.calibration.responses import measure_light, measure_linearity, measure_transfer
 from rfpipe.calibration.sight import measure_sight, sight_pictures
+from rfpipe.calibration.steady import measure_steadiness, witnessed
 from rfpipe.calibration.symmetry import measure_rig
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig, RigConfig
 from rfpipe.errors import InputError, RfpipeError, StoreError
 from rfpipe.photometry import Resampling
-from rfpipe.provenance import fingerprint
+from rfpipe.provenance import fingerprint, plain_data
 from rfpipe.rigs.build import devices_from_config
 from rfpipe.rigs.calibrated import Calibration, read_parts, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.rigs.settings import (
+    RAYS,
+    SETTLE,
+    Flat,
+    differences,
+    flat,
+    identities,
+    settings_of_all_steps,
+    shaping_settings,
+)
 from rfpipe.store import StoreLock, read_manifest, write_arrays, write_manifest
 
 _log = logging.getLogger(__name__)
@@ -50,19 +64,30 @@ class Step:
 def _scene(bench: Bench) -> Findings:
     model, period = camera_model(bench.camera), bench.settings.period_pixels
     frames = list(bench.take(sight_pictures(bench.projector.shape, period)))
-    return measure_sight(frames, model.exposures, model.white_level, period)
+    findings = measure_sight(frames, model.exposures, model.white_level, period)
+    if model.bayer is None:
+        return findings
+    black, white = np.mean(frames[:2], axis=0), np.maximum(*frames[2:4])
+    primaries = bench.take_primaries()
+    of_mosaic = mosaic_facts(model.bayer, black, white, primaries, model.white_level)
+    return Findings.of("scene", {**findings.facts, **of_mosaic}, findings.arrays)
 
 
-_LIT = ("dark", "linearity", "light")
+_STEADY = ("steadiness",)
+_LIT = (*_STEADY, "dark", "linearity", "light")
 
 STEPS: dict[str, Step] = {
     step.name: step
     for step in (
         Step("latency", "Delay from display to camera", (), (), measure_latency),
-        Step("scene", "What the camera sees", (), ("period_pixels",), _scene),
-        Step("dark", "Black level and dark frames", (), ("dark_frames",), measure_dark),
-        Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), measure_linearity),
-        Step("light", "Response of the projector", _LIT[:2], ("codes", "tolerance"), measure_light),
+        Step("steadiness", "Steadiness of the rig", (), ("period_pixels",), measure_steadiness),
+        Step("scene", "What the camera sees", _STEADY, ("period_pixels",), _scene),
+        Step("dark", "Black level and dark frames", _STEADY, ("dark_frames",), measure_dark),
+        Step(
+            "linearity", "Linearity of the camera", (*_STEADY, "dark"), ("tolerance",),
+            measure_linearity,
+        ),
+        Step("light", "Response of the projector", _LIT[:3], ("codes", "tolerance"), measure_light),
         Step("transfer", "Photon-transfer curve", _LIT, ("levels",), measure_transfer),
         Step(
             "correspondence", "Correspondence of projector and camera",
@@ -87,6 +112,33 @@ def steps_of(settings: CalibrationConfig) -> dict[str, Step]:
 
 
 @dataclass(frozen=True)
+class MadeFor:
+    """The rig that a step is measured for; it is measured again where one part differs.
+
+    Attributes
+    ----------
+    settings : dict
+        Those of the rig's file that shape the step, by dotted name.
+    devices : dict
+        What projector, camera and sensor say of themselves, by dotted name.
+    needs : dict
+        Fingerprints of the steps that this one builds on.
+    """
+
+    settings: Flat
+    devices: Flat
+    needs: dict[str, str]
+
+    def changes_since(self, before: MadeFor) -> list[str]:
+        """Return a line for each setting that changed, or for what the devices say otherwise."""
+        if not before.settings:
+            return ["it was made by rfpipe's first version, which didn't record its settings"]
+        return differences(before.settings, self.settings) or differences(
+            before.devices, self.devices
+        )
+
+
+@dataclass(frozen=True)
 class CalibrationFolder:
     """A calibration's folder: a manifest and a store for each step, and its result."""
 
@@ -103,6 +155,12 @@ class CalibrationFolder:
     def is_done(self, step: str) -> bool:
         """Whether a step has left its manifest."""
         return self.manifest(step).is_file()
+
+    def written_at(self) -> dict[str, int]:
+        """Times, in ns, at which the manifests of the steps that are done were written."""
+        return {
+            name: self.manifest(name).stat().st_mtime_ns for name in STEPS if self.is_done(name)
+        }
 
     def read(self, step: str) -> Findings:
         """Read the findings of a step.
@@ -131,25 +189,56 @@ class CalibrationFolder:
             for name, one in done.items()
         }
 
-    def made_for(self, step: str) -> str | None:
-        """Return the fingerprint that a step was measured for, None where it isn't done."""
-        return str(read_manifest(self.manifest(step))["made_for"]) if self.is_done(step) else None
+    def made_for(self, step: str) -> MadeFor | None:
+        """Return the rig that a step was measured for, None where it isn't done."""
+        if not self.is_done(step):
+            return None
+        manifest = read_manifest(self.manifest(step))
+        # steps of rfpipe's first version name a fingerprint alone
+        parts = {name: manifest.get(name, {}) for name in ("settings", "devices", "needs")}
+        return MadeFor(**parts)
 
-    def write(self, step: str, findings: Findings, made_for: str) -> None:
+    def write(self, step: str, findings: Findings, made_for: MadeFor) -> None:
         """Write the findings of a step; its manifest last."""
         self.path.joinpath("steps").mkdir(parents=True, exist_ok=True)
         self.manifest(step).unlink(missing_ok=True)
         standing, text = findings.verdict
         digest = write_arrays(self.store(step), findings.arrays, {})
-        about = {"step": step, "made_for": made_for, "standing": standing, "verdict": text}
+        about = {"step": step, **asdict(made_for), "standing": standing, "verdict": text}
         write_manifest(self.manifest(step), {**about, "facts": findings.facts, "arrays": digest})
 
 
 def settings_of_step(config: RigConfig, step: Step) -> dict[str, Any]:
     """Return a rig's settings as plain data, with those of the calibration that shape a step."""
-    shaping = config.calibrate.model_dump(mode="json", include={"coaxial", *step.settings})
     elsewhere = {"calibrate", "calibration", "seconds_per_pattern"}
+    shaping = _calibrate_settings(config, step)
     return {**config.model_dump(mode="json", exclude=elsewhere), "calibrate": shaping}
+
+
+def _calibrate_settings(config: RigConfig, step: Step) -> dict[str, Any]:
+    return config.calibrate.model_dump(mode="json", include={"coaxial", *step.settings})
+
+
+def _made_for(
+    config: RigConfig,
+    step: Step,
+    devices: tuple[Projector, Camera],
+    folder: CalibrationFolder,
+) -> MadeFor:
+    """Return the rig that a step would be measured for now."""
+    projector, camera = devices
+    described = {
+        "projector": projector.describe(),
+        "camera": camera.describe(),
+        "sensor": camera.sensor.describe(),
+    }
+    settings = shaping_settings(config) | flat({"calibrate": _calibrate_settings(config, step)})
+    if not step.is_coaxial:
+        del settings[RAYS]
+    if step.name != "latency":
+        settings.pop(SETTLE, None)
+    needs = {name: fingerprint(read_manifest(folder.manifest(name))) for name in step.needs}
+    return MadeFor(settings, flat(plain_data(described)), needs)
 
 
 def calibrate_rig(
@@ -166,16 +255,15 @@ def calibrate_rig(
     """
     projector, camera = devices_from_config(config.model_copy(update={"calibration": None}))
     with closing(projector), closing(camera):
-        place, settings = CalibrationFolder(folder), config.calibrate
-        calibrate(projector, camera, place, settings, config.rays, only, progress, again=again)
+        place = CalibrationFolder(folder)
+        calibrate(projector, camera, place, config, only, progress, again=again)
 
 
 def calibrate(
     projector: Projector,
     camera: Camera,
     folder: CalibrationFolder,
-    settings: CalibrationConfig,
-    rays: tuple[int, int] | None = None,
+    config: RigConfig,
     only: Iterable[str] | None = None,
     progress: Progress | None = None,
     *,
@@ -192,10 +280,11 @@ def calibrate(
 
     Parameters
     ----------
-    projector, camera, folder, settings
+    projector, camera, folder
         The projector shows codes: weight times 255, without a response of its own.
-    rays : (int, int), optional
-        Ray domain, or that of each view; None: each projector pixel is a ray.
+    config : RigConfig
+        The rig's settings: ray domain, settings of the calibration, and settings of the devices,
+        which are recorded.
     only : iterable of str, optional
         Steps to do, those that they need being done; None for all, and then `finish`.
     progress : callable, optional
@@ -212,38 +301,62 @@ def calibrate(
     LockedError
         When another process calibrates into this folder.
     """
-    steps = steps_of(settings)
+    steps = steps_of(config.calibrate)
     wanted = list(steps if only is None else only)
     for name in wanted:
         if name not in steps:
             raise InputError(f"calibration step {name!r} is none of this rig's: {', '.join(steps)}")
     folder.path.mkdir(parents=True, exist_ok=True)
-    devices = {"projector": projector.describe(), "camera": camera.describe()}
-    devices["sensor"] = camera.sensor.describe()  # with the exposures
+    devices = projector, camera
     with StoreLock(folder.path / "steps"):
         if only is None and all(map(folder.is_done, steps)):
             standings = {folder.read(name).verdict.standing for name in steps}
             again = again or not standings <= {"good", "unknown"}
+        logged: set[str] = set()
         for step in (step for name, step in steps.items() if name in wanted):
-            needs = {name: folder.read(name) for name in step.needs}
-            made_for = fingerprint(
-                {
-                    "devices": devices,
-                    "settings": settings.model_dump(mode="json", include=set(step.settings)),
-                    "rays": rays if step.is_coaxial else None,
-                    "needs": {n: fingerprint(read_manifest(folder.manifest(n))) for n in needs},
-                }
-            )
-            if folder.made_for(step.name) == made_for and not again:
+            made_for = _made_for(config, step, devices, folder)
+            before = folder.made_for(step.name)
+            if before == made_for and not again:
                 _log.info("%s: done before", step.title)
                 continue
-            count = partial(progress, step.title) if progress else lambda _: nullcontext()
-            findings = _measured(step, Bench(projector, camera, settings, rays, needs, count))
-            folder.write(step.name, findings, made_for)
-            level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
-            _log.log(level, "%s: %s", step.title, findings.verdict)
+            _check_needs(step, made_for, folder)
+            changes = made_for.changes_since(before) if before else []
+            for change in (change for change in changes if change not in logged):
+                _log.warning("to be measured again: %s", change)
+            logged.update(changes)
+            _measure_step(step, config, devices, folder, made_for, progress)
         if only is None:
-            finish(folder, settings)
+            finish(folder, config.calibrate)
+
+
+def _check_needs(step: Step, made_for: MadeFor, folder: CalibrationFolder) -> None:
+    """Raise InputError where a step that this one builds on was measured with other settings."""
+    now = settings_of_all_steps(made_for.settings)
+    for need in step.needs:
+        before = folder.made_for(need)
+        lines = differences(settings_of_all_steps(before.settings), now) if before else []
+        if lines:
+            raise InputError(
+                f"calibration step {step.name} needs {need}, which was measured with other "
+                f"settings: {'; '.join(lines)}. Calibrate without --step, or do that step first"
+            )
+
+
+def _measure_step(
+    step: Step,
+    config: RigConfig,
+    devices: tuple[Projector, Camera],
+    folder: CalibrationFolder,
+    made_for: MadeFor,
+    progress: Progress | None,
+) -> None:
+    """Measure a step, write its findings and log its verdict."""
+    count = partial(progress, step.title) if progress else lambda _: nullcontext()
+    needs = {name: folder.read(name) for name in step.needs}
+    findings = _measured(step, Bench(*devices, config.calibrate, config.rays, needs, count))
+    folder.write(step.name, findings, made_for)
+    level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
+    _log.log(level, "%s: %s", step.title, findings.verdict)
 
 
 def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
@@ -255,6 +368,10 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
         When a step isn't done.
     """
     every, verdicts = {name: folder.read(name) for name in steps_of(settings)}, folder.verdicts()
+    made_with, devices = Flat(), Flat()
+    for made_for in filter(None, map(folder.made_for, every)):
+        made_with |= made_for.settings
+        devices |= made_for.devices
     found = {name: one for name, one in every.items() if one.verdict.standing != "failed"}
     rays = found["rays"].arrays if "rays" in found else None
     calibration = Calibration(
@@ -263,21 +380,31 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
         camera_numbers(found),
         found["light"]["light"] if "light" in found else None,
         {name: {**verdicts[name], **findings.facts} for name, findings in every.items()},
+        made_with,
+        identities(devices),
     )
     write_calibration(folder.path, calibration)
 
 
 def _measured(step: Step, bench: Bench) -> Findings:
-    """Measure a step; where that can't be done though the devices work, that is the finding."""
+    """Measure a step, with looks before and after it where it needs a steady rig.
+
+    A step that can't be measured though the devices work has failed: that is the finding.
+    """
     standings = {name: one.verdict.standing for name, one in bench.found.items()}
     bad = [name for name, standing in standings.items() if standing in ("poor", "failed")]
     mend = f"Mend {bad[0]} first. " if bad else ""
     if "failed" in standings.values():
         return Findings(Verdict("failed", f"{mend}There is nothing that this can build on."))
+
+    def measure(bench: Bench) -> Findings:
+        try:
+            return step.measure(bench)
+        except RfpipeError as error:
+            return Findings(Verdict("failed", f"Could not be measured: {error}."))
+
     try:
-        found = step.measure(bench)
+        found = witnessed(bench, measure)
     except DeviceError as failure:
         raise failure.args[0] from None
-    except RfpipeError as error:
-        found = Findings(Verdict("failed", f"Could not be measured: {error}."))
     return replace(found, verdict=found.verdict._replace(text=mend + found.verdict.text))

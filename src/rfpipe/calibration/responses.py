@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.bench import Bench
-from rfpipe.calibration.verdicts import Findings
+from rfpipe.calibration.verdicts import Findings, with_error
 from rfpipe.errors import CaptureError
 
 Double = NDArray[np.float64]
@@ -254,14 +254,21 @@ def measure_transfer(bench: Bench) -> Findings:
         "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * gain),
         "misfit": misfit,
         "known_within": 2 * max(gain_error / gain, of_darkness),
-        "numbers": f"{gain:.3g} +- {gain_error:.2g} electrons a count, read noise "
-        f"{electrons:.3g} +- {electrons_error:.2g} electrons",
+        "numbers": _numbers(gain, gain_error, electrons, electrons_error),
     }
     curve = read + signal / gain + step**2 / 12
     arrays = {
         "signal": signal, "variance": variance, "error": error, "model": curve, "used": used
     }  # fmt: skip
     return Findings.of("transfer", facts, arrays)
+
+
+def _numbers(gain: float, gain_error: float, electrons: float, electrons_error: float) -> str:
+    """Return gain and read noise as a person reads them; not what is known to its own size only."""
+    if gain_error >= gain:
+        return "gain and read noise are not known"
+    read = with_error(electrons, electrons_error, "{:.3g}")
+    return f"{gain:.3g} +- {gain_error:.2g} electrons a count, read noise {read} electrons"
 
 
 def _fit_noise(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.bench import Bench
-from rfpipe.calibration.verdicts import Findings
+from rfpipe.calibration.verdicts import Findings, with_error
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import generator
@@ -86,15 +86,32 @@ def _mean_square(difference: Double, noise: Double, count: int) -> tuple[float, 
 
 
 def symmetry_patterns(signs: Double, references: int) -> NDArray[np.bool_]:
-    """Return what is lit, (n, *shape): `references` times nothing, and all, then random rays."""
-    ones = np.ones((references, *signs.shape[1:]), bool)
-    return np.concatenate([~ones, ones, signs > 0])
+    """Return the lit rays of each picture, (n, *shape).
+
+    `references` times no ray; then random rays, with all rays before, between and after them, as
+    `is_white_picture` says, so that they show the lamp's drift.
+    """
+    is_white = is_white_picture(len(signs), references)
+    lit = np.ones((len(is_white), *signs.shape[1:]), bool)
+    lit[~is_white] = signs > 0
+    return np.concatenate([np.zeros((references, *signs.shape[1:]), bool), lit])
+
+
+def is_white_picture(count: int, references: int) -> NDArray[np.bool_]:
+    """Test which pictures are white, of `count` random ones and two white ones at least."""
+    whites = max(2, references)
+    places = np.rint(np.linspace(0, count + whites - 1, whites)).astype(np.int64)
+    return np.isin(np.arange(count + whites), places)
 
 
 def merged_pictures(
     brackets: Iterable[NDArray[Any]], sensor: Sensor, signs: Double, references: int
-) -> Taken:
-    """Merge brackets (E, ...) under the patterns of `symmetry_patterns`, for `measure_symmetry`."""
+) -> tuple[Taken, float]:
+    """Merge brackets (E, ...) under the patterns of `symmetry_patterns`, for `measure_symmetry`.
+
+    Brightness is that of the first white picture: the change of the lamp until each picture, by the
+    white pictures around it, is divided out. Also returns the largest change.
+    """
     remaining = iter(brackets)
     black = np.mean([next(remaining) for _ in range(references)], axis=0).astype(np.float32)
     merge = sensor.merging(black, references)
@@ -103,9 +120,30 @@ def merged_pictures(
         np.concatenate(images).astype(np.float64).reshape(len(merged), -1, images[0].shape[-1])
         for images in ([one.radiance for one in merged], [one.variance for one in merged])
     )
-    floodlit = radiance[:references].mean(axis=0)
-    pictures = signs.reshape(len(signs), -1), radiance[references:], variance[references:]
-    return floodlit, variance[:references].mean(axis=0) / references, Pictures(*pictures)
+    is_white = is_white_picture(len(signs), references)
+    light = lamp_light(radiance[is_white].sum(axis=(1, 2)), np.flatnonzero(is_white), len(is_white))
+    radiance /= light[:, None, None]
+    variance /= np.square(light)[:, None, None]
+    floodlit = radiance[is_white].mean(axis=0), variance[is_white].mean(axis=0) / is_white.sum()
+    pictures = Pictures(signs.reshape(len(signs), -1), radiance[~is_white], variance[~is_white])
+    return (*floodlit, pictures), float(np.abs(light - 1).max())
+
+
+def lamp_light(white: Double, places: NDArray[np.int64], count: int) -> Double:
+    """Return the lamp's light at each of `count` pictures, relative to the first white one.
+
+    Parameters
+    ----------
+    white : ndarray of float64, shape (n,)
+        Light of the white pictures.
+    places : ndarray of int64, shape (n,)
+        Their places, ascending.
+    count : int
+    """
+    if white[0] <= 0:
+        return np.ones(count)
+    light: Double = np.interp(np.arange(count), places, white / white[0])
+    return np.asarray(np.maximum(light, _LEAST))
 
 
 def measure_rig(bench: Bench) -> Findings:
@@ -116,17 +154,22 @@ def measure_rig(bench: Bench) -> Findings:
     lit = list(symmetry_patterns(signs, settings.dark_frames))
     brackets = bench.take(lit, linear=True, drawn=layout.picture)
     sensor = ResampledSensor(bench.model, resampling)
-    taken = merged_pictures(brackets, sensor, signs, settings.dark_frames)
-    return symmetry_findings(taken, settings.tolerance)
+    taken, drift = merged_pictures(brackets, sensor, signs, settings.dark_frames)
+    return symmetry_findings(taken, drift, settings.tolerance)
 
 
-def symmetry_findings(taken: Taken, tolerance: float) -> Findings:
-    """Predict the error that asymmetry makes in relit pictures, which `tolerance` is for."""
+def symmetry_findings(taken: Taken, drift: float, tolerance: float) -> Findings:
+    """Predict the error that asymmetry makes in relit pictures, which `tolerance` is for.
+
+    `drift` is the change of the lamp's light that was divided out.
+    """
     error, standard_error = measure_symmetry(*taken)
     facts = {
         "tolerance": tolerance,
+        "drift": drift,
         "error": error,
         "standard_error": standard_error,
+        "error_range": with_error(error, standard_error, "{:.2%}"),
         "least_error": error - CONFIDENCE * standard_error,
         "most_error": error + CONFIDENCE * standard_error,
     }

@@ -79,6 +79,9 @@ latency poor short_seconds > 0: A picture is seen {delay_ms:.0f} ms after it was
     projector's driver waits for {settle_seconds:g} s: frames are taken of the picture before. Set
     projector.options.settle_seconds to {proposed_settle_seconds:g}, or let a `show` of your own
     wait as long, and calibrate again.
+steadiness good: Gain, lamp and room are steady: {looks} looks at a pattern agree within
+    {range:.2%}.
+steadiness unknown is_seen < 1: The projector's pattern is not seen; the step scene says why.
 scene good: The projector lights {lit_share:.0%} of the picture; white would reach
     {brighter_level:.2g} times full scale at the longest exposure. Stripes of {stripes_pixels}
     projector pixels keep {focus_contrast:.0%} of their contrast.
@@ -94,6 +97,9 @@ scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.
 scene poor is_stripeless > 0: No stripes of the projector are seen, at {longest_s:.3g} s at most. Is
     the lamp on, the lens cap off, does the camera see what the projector lights, are both in focus?
     Then take much longer exposures, or open the aperture.
+scene poor is_other_order > 0: The colours of the camera's mosaic lie in another order than
+    sensor.bayer, {bayer}, says: {bayer_evidence}. Set sensor.bayer to {bayer_orders}, and calibrate
+    again.
 scene note longer_times > 4: Dim: with sensor.exposures: {proposed_exposures_s},
     {longer_times:,.0f} times as long, dark parts have {less_noise:.1f} times less noise, and
     methods take fewer patterns or end at a smaller error.
@@ -101,6 +107,8 @@ scene note bearable_s < wanted_s: The all-off picture's light bears exposures up
     s; darken the room for longer ones.
 scene note edges_left > 0: It leaves the camera's view at the {edges} edge.
 dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites left out.
+dark poor room_change > 1: The room's light changes by {room_change_share:.1%} of the camera's range
+    in {room_seconds:.2g} s: darken the room, cover windows and screens, and switch lamps off.
 dark poor headroom_deviations < 4: The black level, {black_level_counts:.1f} counts, is less than
     four times the noise ({noise_counts:.2f}) above zero: darkness is cut off and biased. Raise the
     camera's black level.
@@ -162,12 +170,23 @@ symmetry poor least_error > tolerance: Not good enough for symmetric photography
     doesn't need symmetry.
 symmetry unknown most_error > tolerance: The noise can't tell: use more patterns, or longer
     exposures.
-symmetry note error > -1: Asymmetry alone makes errors of {error:.2%} +- {standard_error:.2%} in
-    relit pictures, {tolerance:.1%} accepted.
+symmetry note error > -1: Asymmetry alone makes errors of {error_range} in relit pictures,
+    {tolerance:.1%} accepted.
+symmetry note drift > 0.01: The lamp's light changed by {drift:.1%}, which is divided out.
 symmetry note least_error > tolerance: Align the devices' centres, and focus both; clean and shade
     the lens, and cover what is bright beside the scene, against flare; close the aperture against
     vignetting.
 """
+
+
+def with_error(value: float, error: float, number: str) -> str:
+    """Return a number with its standard error, or a bound where the error is the larger one.
+
+    `number` is the format of both, as in "{:.3g} electrons".
+    """
+    if error < abs(value):
+        return f"{number.format(value)} +- {number.format(error)}"
+    return f"at most {number.format(abs(value) + 2 * error)}"
 
 
 def verdict_of(step: str, facts: Facts) -> Verdict:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 from typing import Annotated
 
 import typer
 
 from rfpipe import plugins
+from rfpipe.cli.compare import compare
 from rfpipe.cli.fit import fit
 from rfpipe.cli.offline import import_, patterns
 from rfpipe.cli.relight import relight
@@ -18,6 +20,7 @@ from rfpipe.cli.settings import settings
 from rfpipe.cli.transports import export, info, movie
 from rfpipe.cli.verify import verify
 from rfpipe.errors import RfpipeError
+from rfpipe.output import is_full
 from rfpipe.version import __version__
 
 __all__ = ["app", "main"]
@@ -46,6 +49,7 @@ app.command(context_settings=PASSED_ON)(run)
 app.command()(plan)
 app.command()(settings)
 app.command()(catalogue)
+app.command()(compare)
 app.command()(verify)
 app.command()(info)
 app.command()(relight)
@@ -66,7 +70,7 @@ for _name in plugins.names(plugins.COMMANDS):
 
 
 def _reflow(commands: typer.Typer) -> None:
-    """Give each command its docstring with a line a paragraph, which a terminal breaks by itself.
+    """Join the lines of each paragraph of the commands' docstrings, for terminals of any width.
 
     A paragraph of indented lines, such as a table, stays as it is.
     """
@@ -91,4 +95,11 @@ def main() -> None:
         app()
     except RfpipeError as error:
         typer.echo(f"rfpipe: {error}", err=True)
+        sys.exit(1)
+    except OSError as error:
+        if not is_full(error):
+            raise
+        # Python writes what is left of its output when it ends, which would fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        typer.echo(f"rfpipe: a file can't be written: {error}; make room and run again", err=True)
         sys.exit(1)

@@ -90,12 +90,14 @@ def fit(
     from rfpipe.config import load_camera
     from rfpipe.errors import InputError
     from rfpipe.fitting import fit_transport, read_series
+    from rfpipe.output import checked_output
     from rfpipe.photometry import CameraModel, sensor_from_config
     from rfpipe.stages.jobs.job import Progress
     from rfpipe.steps import counted_by
     from rfpipe.text import counted
     from rfpipe.transport import save_transport
 
+    checked_output("fit", output)
     if patterns and lights:
         raise InputError("--patterns and --lights: give the one that the pictures show")
     camera = None

@@ -14,6 +14,7 @@ from rfpipe.text import counted
 
 if TYPE_CHECKING:
     from rfpipe.rigs.offline import Sheet
+    from rfpipe.stages.offline import OfflineAcquisition
 
 
 def patterns(
@@ -32,8 +33,10 @@ def patterns(
     nothing is asked for. What is captured already isn't asked for again.
     """
     from rfpipe.config import load_config
+    from rfpipe.output import checked_output
     from rfpipe.stages.offline import OfflineAcquisition
 
+    checked_output("patterns", output)
     settings = load_config(config)
     for scene, name in settings.acquisitions:
         acquisition = OfflineAcquisition(settings, scene, name, results / scene / name)
@@ -80,9 +83,7 @@ def import_(
     acquisition = OfflineAcquisition(load_config(config), scene, name, results / scene / name)
     if take_back:
         picture_files(pictures or folder / PICTURES)  # nothing else is left of them
-        for path in acquisition.take_back(about["level"]):
-            typer.echo(f"{path}: removed")
-        typer.echo(f"{folder}: taken back. Import its pictures again when they are right")
+        _take_back(acquisition, sheet)
         return
     checked = acquisition.read(sheet, pictures or folder / PICTURES, anyway=anyway)
     for note in checked.notes:
@@ -101,6 +102,24 @@ def import_(
     )
     further = None if level is None else acquisition.write(rig, folder.parent, config, results)
     _tell(f"{scene} by {name}", further, results / scene / name, config)
+
+
+def _take_back(acquisition: OfflineAcquisition, sheet: Sheet) -> None:
+    """Remove the results of a sheet's pictures, and the sheets that follow from them."""
+    from rfpipe.rigs.offline import PICTURES, later_sheets, remove_sheet
+
+    for path in acquisition.take_back(sheet.about["level"]):
+        typer.echo(f"{path}: removed")
+    for later in later_sheets(sheet):
+        if remove_sheet(later):
+            typer.echo(f"{later.folder}: removed")
+        else:
+            typer.echo(
+                f"{later.folder / PICTURES}: holds pictures of patterns that may be others now; "
+                "move them away",
+                err=True,
+            )
+    typer.echo(f"{sheet.folder}: taken back. Import its pictures again when they are right")
 
 
 def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -84,14 +85,13 @@ def relight(
     Several views stand one above the other in patterns and pictures. All .png of one call, and a
     movie, have one white; without --white it is found by relighting twice.
     """
-    import numpy as np
     from tqdm import tqdm
 
     from rfpipe.blocks import RayDomain
-    from rfpipe.export.movies import movie_of, white_of
-    from rfpipe.export.photographs import write_picture
-    from rfpipe.store.files import whole_file
+    from rfpipe.export.movies import movie_of
+    from rfpipe.output import FOLDER, checked_output
 
+    suffix = checked_output("relight", output)
     if bool(pattern) == bool(environment) or (pattern and (turns > 1 or mirror)):
         raise InputError("give --pattern, or --environment, which alone has --turns and --mirror")
     light = opened(path, dual, level, view)
@@ -109,31 +109,60 @@ def relight(
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
-    if output.suffix == ".mp4":
+    if suffix == ".mp4":
         white = movie_of(pictures, output, enlarge=enlarged(light), white=white)
         typer.echo(f"{output}: {counted(count, 'picture')}, white is {white:.4g}")
-        return
-    if output.suffix == ".npy":
-        stack = np.stack(list(pictures()))
-        with whole_file(output) as partial_file:
-            np.save(partial_file, stack)
-        typer.echo(f"{output}: {times(stack.shape)}, radiance up to {stack.max():.4g}")
-        return
-    is_picture = count == 1 and output.suffix in (".exr", ".png")
-    if not is_picture and output.suffix in (".exr", ".png", ".gif"):
+    elif suffix == ".npy":
+        _write_stack(output, (count, *shape, light.channels), pictures())
+    elif suffix == FOLDER:
+        _write_folder(output, names, pictures, form, white)
+    elif count > 1:
         raise InputError(f"{output}: for {counted(count, 'picture')}, name a folder, .npy or .mp4")
-    if not is_picture:
-        output.mkdir(parents=True, exist_ok=True)
-    files = [output if is_picture else output / f"{name}.{form}" for name in names]
-    if white is None and count > 1 and form == "png":
-        white = white_of(pictures("white"))
-    for file, name, image in zip(files, names, pictures(), strict=True):
-        write_picture(file, image, white or None, {"rfpipe:pattern": name})
-    if is_picture:
-        typer.echo(f"{output}: {times(image.shape[:2])}, radiance up to {image.max():.4g}")
     else:
-        suffix = f", white is {white:.4g}" if white and form == "png" else ""
-        typer.echo(f"{output}: {counted(count, 'picture')}{suffix}")
+        _write_picture(output, names[0], next(pictures()), white)
+
+
+def _write_picture(output: Path, name: str, image: Float, white: float | None) -> None:
+    """Write one picture, and print its size."""
+    from rfpipe.pictures.images import write_image
+
+    write_image(output, image, white or None, {"rfpipe:pattern": name})
+    typer.echo(f"{output}: {times(image.shape[:2])}, radiance up to {image.max():.4g}")
+
+
+def _write_folder(
+    folder: Path,
+    names: Sequence[str],
+    pictures: Callable[..., Iterator[Float]],
+    form: str,
+    white: float | None,
+) -> None:
+    """Write pictures of one white into a folder, a file each by its name."""
+    from rfpipe.export.movies import white_of
+    from rfpipe.pictures.images import write_image
+
+    if white is None and len(names) > 1 and form == "png":
+        white = white_of(pictures("white"))
+    for name, image in zip(names, pictures(), strict=True):
+        write_image(folder / f"{name}.{form}", image, white or None, {"rfpipe:pattern": name})
+    suffix = f", white is {white:.4g}" if white and form == "png" else ""
+    typer.echo(f"{folder}: {counted(len(names), 'picture')}{suffix}")
+
+
+def _write_stack(output: Path, shape: tuple[int, ...], pictures: Iterator[Float]) -> None:
+    """Write pictures as one array (count, H, W, channels) of NumPy, one at a time."""
+    import numpy as np
+
+    from rfpipe.output import whole_file
+
+    brightest = 0.0
+    with whole_file(output, 4 * math.prod(shape)) as partial_file, partial_file.open("wb") as file:
+        header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, header)
+        for image in pictures:
+            file.write(np.ascontiguousarray(image, "<f4").data)
+            brightest = max(brightest, float(image.max()))
+    typer.echo(f"{output}: {times(shape)}, radiance up to {brightest:.4g}")
 
 
 def _turning(

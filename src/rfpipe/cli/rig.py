@@ -43,8 +43,13 @@ def aim(
 def calibrate(
     rig: RigFile,
     output: Annotated[
-        Path, typer.Option(help="Folder of the calibration; steps that are done there stay.")
-    ] = Path("calibration"),
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Folder of the calibration; by default that of the rig's setting calibration.",
+        ),
+    ] = None,
     step: Annotated[
         list[str] | None,
         typer.Option(help="Do this step alone, those that it needs being done; may be repeated."),
@@ -55,16 +60,16 @@ def calibrate(
 ) -> None:
     """Calibrate a rig: what it sees, noise, responses, correspondence, rays, symmetry; a report.
 
-    Steps that are done and good, for the same devices and settings, are not repeated; a whole
-    calibration that is not good is done anew. The report is written whatever happens. Exit status
-    1 when a step is not good, or could not be measured.
+    Steps that are done and good, for the same devices and settings, are not repeated; where a
+    setting changed, the steps that it concerns are. A whole calibration that is not good is
+    repeated. The report is written whatever happens. Exit status 1 when a step is not good, or
+    could not be measured.
     """
     import logging
-    from contextlib import suppress
 
     from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
     from rfpipe.config import load_rig_config
-    from rfpipe.errors import StoreError
+    from rfpipe.output import checked_output
     from rfpipe.report.calibration import build_calibration_report
     from rfpipe.rigs.calibrated import STANDINGS
     from rfpipe.stages.jobs.job import Progress
@@ -72,17 +77,28 @@ def calibrate(
     logging.basicConfig(format="%(message)s")
     logging.getLogger("rfpipe").setLevel(logging.INFO)
     config = load_rig_config(rig)
-    folder = CalibrationFolder(output)
+    if output is not None:
+        checked_output("calibrate", output)
+    path = output or Path(config.calibration or "calibration")
+    folder = CalibrationFolder(path)
+    before, is_complete = folder.written_at(), False
     try:
-        calibrate_rig(config, output, step, Progress, again=again)
+        calibrate_rig(config, path, step, Progress, again=again)
+        is_complete = True
     finally:
-        with suppress(StoreError):  # nothing is done yet
+        if is_complete or folder.written_at() != before:
             typer.echo(f"report: {build_calibration_report(folder)}")
     bad = [one for one in folder.verdicts().values() if one["standing"] in ("poor", "failed")]
     if bad:
         names = "; ".join(f"{one['title']}: {STANDINGS[one['standing']]}" for one in bad)
         typer.echo(f"{names}. rfpipe serve refuses such a rig", err=True)
         raise typer.Exit(1)
+    if config.calibration is None or Path(config.calibration) != path:
+        named = config.calibration or "null"
+        typer.echo(
+            f"{rig} has calibration: {named}; to use this one, set it to calibration: {path}",
+            err=True,
+        )
 
 
 def serve(
@@ -104,13 +120,15 @@ def serve(
         typer.Option(min=0.5, help="Seconds that a client keeps the rig without a sign of life."),
     ] = 15.0,
     force: Annotated[
-        bool, typer.Option("--force", help="Serve a rig whose calibration is not good, too.")
+        bool,
+        typer.Option("--force", help="Serve a rig whose calibration is not good or outdated."),
     ] = False,
 ) -> None:
     """Run the acquisition server, next to a rig's devices, until Ctrl-C or SIGTERM.
 
-    A rig whose calibration found faults is refused: mend it, or say --force. Other machines are
-    served over plain HTTP: an SSH tunnel is safer.
+    A rig whose calibration found faults, or whose settings changed afterwards, is refused: mend it
+    and calibrate again, or say --force. Other machines are served over plain HTTP: an SSH tunnel is
+    safer.
     """
     from rfpipe.config import load_rig_config
     from rfpipe.rigs.build import rig_from_config
@@ -128,4 +146,4 @@ def serve(
     config = load_rig_config(rig)
     if config.kind == "devices" and config.rig is None:
         check_verdicts(calibration_of(config).facts, config.calibration, force=force)
-    run(lambda: rig_from_config(config), read_token(token_file), settings)
+    run(lambda: rig_from_config(config, str(rig), force=force), read_token(token_file), settings)

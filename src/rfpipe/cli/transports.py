@@ -155,14 +155,17 @@ def export(
     import numpy as np
 
     from rfpipe.export import write_lights, write_normals, write_photographs
+    from rfpipe.output import checked_output
     from rfpipe.transport import coarser
     from rfpipe.transport.matrix_out import write_matrix
 
+    option = " --normals" if normals else " --photographs" if photographs else ""
+    suffix = checked_output(f"export{option}", output)
     light, limit_bytes = opened(path, level=level), int(limit_gib * _GIB)
     joint = coarser(light, joined) if joined > 1 else light
     light, joint = (light.T, joint.T) if dual else (light, joint)
     seen, lit = _rays(rows, joint.camera_shape), _rays(columns, joint.projector_shape)
-    is_exr = output.suffix.lower() == ".exr"
+    is_exr = suffix == ".exr"
     if (is_exr and rows) or (photographs and (rows or columns)):
         raise InputError("pictures are of all camera rays, photographs under all projector rays")
     if normals:
@@ -208,7 +211,9 @@ def movie(
     Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
     """
     from rfpipe.export import relit_movie
+    from rfpipe.output import checked_output
 
+    checked_output("movie", output)
     light = opened(path, dual, level, view)
     enlarge = enlarged(light)
     count = round(seconds * fps) if 0 < seconds * fps < 1e6 else 0

@@ -41,7 +41,8 @@ def verify(
     from tqdm import tqdm
 
     from rfpipe.report.page import check_page
-    from rfpipe.stages.checking import check, command_for
+    from rfpipe.stages.checking import check
+    from rfpipe.stages.mending import command_for
 
     with tqdm(unit="B", unit_scale=True, leave=False, disable=None) as bar:
         checked = check(folder, bar.update)
@@ -81,6 +82,8 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
         f"{checked.stores} stores, {checked.manifests} manifests and {checked.files} other files, "
         f"{checked.bytes / 1e6:,.1f} MB"
     )
+    if checked.unnamed:
+        amount += f"; not read: {len(checked.unnamed)} that no manifest names"
     if not checked.findings:
         typer.echo(f"{named}: whole. {amount}")
         return

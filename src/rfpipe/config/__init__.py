@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rfpipe.config.files import parse_rig_config as parse_rig_config
     from rfpipe.config.model import Config as Config
     from rfpipe.config.reading import read_yaml as read_yaml
+    from rfpipe.config.scenes import Choice as Choice
     from rfpipe.config.scenes import SceneSettings as SceneSettings
 
 _MODULES = {
@@ -32,7 +33,7 @@ _MODULES = {
     ],
     "model": ["Config"],
     "reading": ["read_yaml"],
-    "scenes": ["SceneSettings"],
+    "scenes": ["Choice", "SceneSettings"],
 }  # fmt: skip
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

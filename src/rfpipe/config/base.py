@@ -74,7 +74,15 @@ def check_command(command: str | None) -> str | None:
 
 
 class Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, values can't change, numbers are finite."""
+    """Base of all settings: unknown keys are errors, values can't change, numbers are finite.
+
+    Attributes
+    ----------
+    without_effect_on_frames : frozenset of str
+        Options of a device that may change after a calibration, such as time-outs.
+    """
+
+    without_effect_on_frames: ClassVar[frozenset[str]] = frozenset()
 
     # validators are built when they are first used: a process needs those of few models
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)

@@ -49,8 +49,10 @@ class DeviceDriver(Settings):
     @field_validator("options", mode="before")
     @classmethod
     def _are_of_the_driver(cls, options: Any, info: ValidationInfo) -> Any:
-        driver = info.data.get("driver")  # missing where it is wrong itself
-        if driver is None or (isinstance(options, Settings) and type(options) is not FreeOptions):
+        driver = info.data.get("driver")
+        if driver is None:  # it is wrong itself, and nothing is known of its options
+            return FreeOptions()
+        if isinstance(options, Settings) and type(options) is not FreeOptions:
             return options
         values = options.model_dump() if isinstance(options, FreeOptions) else options or {}
         return cls.options_model(driver).model_validate(values)

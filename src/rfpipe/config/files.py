@@ -44,6 +44,13 @@ def parse_config(data: object, source: str, folders: Sequence[Path] = ()) -> Con
     folders
         Where else to look for a collection than where rfpipe runs.
     """
+    keys = _keys_of(RigConfig, data) if isinstance(data, Mapping) and is_rig(data) else []
+    if any(key not in ("scene", "rig") for key in keys):  # these may be scenes or rigs, misspelt
+        raise ConfigError(
+            f"{source}: holds the settings of a rig ({', '.join(keys)}), for rfpipe aim, "
+            "calibrate and serve, not of a run; a run's file is like config/config.yaml, and names "
+            "a rig's file by rig_file or its server by capture.url"
+        )
     collection = _collection(data, folders) if isinstance(data, Mapping) else None
     if collection is None:
         return _parsed(Config, data, source)
@@ -114,6 +121,13 @@ def load_rig_config(path: str | Path) -> RigConfig:
 
 def parse_rig_config(data: object, source: str) -> RigConfig:
     """Check settings of a rig that are already in memory; errors as `load_config`."""
+    if isinstance(data, Mapping) and not is_rig(data) and (keys := _keys_of(Config, data)):
+        named = data.get("rig_file")
+        like = f"this run's is {named}" if named else "one is like config/rig.yaml"
+        raise ConfigError(
+            f"{source}: holds the settings of a run ({', '.join(keys)}), not of a rig. Give the "
+            f"rig's file: {like}"
+        )
     return _parsed(RigConfig, data, source)
 
 
@@ -123,6 +137,13 @@ def is_rig(data: object) -> bool:
         return False
     of_rig = sum(key in RigConfig.model_fields for key in data)
     return of_rig > sum(key in Config.model_fields for key in data)
+
+
+def _keys_of(kind: type[Settings], data: Mapping[Any, Any]) -> list[str]:
+    """Return the keys that belong to settings of one kind only: rig or run."""
+    second_kind = RigConfig if kind is Config else Config
+    shared = second_kind.model_fields
+    return [key for key in data if key in kind.model_fields and key not in shared]
 
 
 def _parsed(kind: type[_S], data: object, source: str, collection: Collection | None = None) -> _S:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import prod
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import Field
 
@@ -17,6 +17,23 @@ from rfpipe.config.base import (
     ViewCount,
     setting,
 )
+
+
+class Choice(NamedTuple):
+    """Value that a scene chooses for a setting which is null.
+
+    Attributes
+    ----------
+    setting : str
+    value : object
+        In plain data.
+    reason : str
+        Why, as a clause.
+    """
+
+    setting: str
+    value: Any
+    reason: str
 
 
 class SceneSettings(Described):
@@ -105,9 +122,20 @@ class SceneSettings(Described):
         """Whether its light under any pattern is known, to compare with."""
         return not self.is_captured
 
-    def own_options(self) -> dict[str, Any]:
-        """Return the options that the kind has beside those of any scene, as plain data."""
-        return self.model_dump(mode="json", exclude=set(SceneSettings.model_fields))
+    @property
+    def choices(self) -> list[Choice]:
+        """Values of the settings that are null and depend on the scene."""
+        return []
+
+    @property
+    def omissions(self) -> list[str]:
+        """Sentences on the light that the simulation leaves out, though the scene has it."""
+        return []
+
+    @property
+    def obstacles(self) -> list[str]:
+        """Sentences on what the simulation needs and this machine lacks, with the remedy."""
+        return []
 
 
 class Views(SceneSettings):

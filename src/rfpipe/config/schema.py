@@ -19,6 +19,7 @@ from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import CameraDriver, DeviceDriver, ProjectorDriver, RigDriver
 from rfpipe.config.model import Config
 from rfpipe.config.scenes import SceneSettings
+from rfpipe.output import write_atomically
 
 _REFERENCE = "#/$defs/{model}"
 
@@ -163,4 +164,4 @@ def _choices(annotation: object) -> list[object]:
 
 if __name__ == "__main__":
     for _name, _text in generated().items():
-        Path("config", _name).write_text(_text, encoding="utf-8")
+        write_atomically(Path("config", _name), _text.encode())

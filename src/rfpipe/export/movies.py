@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, StoreError, installing
+from rfpipe.output import OUTPUTS, suffix_of, whole_file
 from rfpipe.pictures.images import srgb
-from rfpipe.store.files import storage_errors, whole_file
 from rfpipe.transport.light import Light
 
 Float = NDArray[np.float32]
@@ -152,8 +152,7 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -
     An odd side is filled up by repeating its last pixels, since the encoder keeps colour for
     squares of four. Errors as `relit_movie`.
     """
-    if path.suffix.lower() != ".mp4":
-        raise InputError(f"{path}: expected a name that ends in .mp4")
+    suffix_of(path, OUTPUTS["movie"])
     try:
         import av
     except ImportError as error:
@@ -161,7 +160,7 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -
             f"movies are written by PyAV, which can't be loaded: {error}. To install it, "
             f"{installing('export')}"
         ) from error
-    with storage_errors(path, "writing", resumes=False), whole_file(path) as partial:
+    with whole_file(path) as partial:
         try:
             _encode(partial, pictures, fps)
         except av.error.FFmpegError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,11 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.export.movies import relit_pictures
 from rfpipe.lights.interpolation import unit
+from rfpipe.output import OUTPUTS, suffix_of
 from rfpipe.pictures.images import write_code_picture, write_image, write_parts
 from rfpipe.provenance import generator
 from rfpipe.relighting import shapes
-from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, whole_file
+from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, write_atomically
 from rfpipe.transport.algebra import Rays, chosen_rays, refuse_larger
 from rfpipe.transport.light import LIMIT, Light
 from rfpipe.transport.normals import Normals
@@ -57,8 +58,7 @@ def write_lights(
     places = np.transpose(np.unravel_index(chosen, grid))
     names = ["_".join(map(str, ("light", *place))) for place in places]
     patterns = (members[[ray]].toarray().reshape(light.projector_shape) for ray in chosen)
-    with storage_errors(file, "writing", resumes=False), whole_file(file) as partial:
-        write_parts(partial, names, shape, relit_pictures(light, patterns))
+    write_parts(file, names, shape, relit_pictures(light, patterns))
     beside = file.with_suffix(".lp")
     beside.unlink(missing_ok=True)
     if light.lights is not None:
@@ -67,8 +67,7 @@ def write_lights(
             f"{name} {x:.7g} {y:.7g} {z:.7g}\n"
             for name, (x, y, z) in zip(names, directions.tolist(), strict=True)
         ]
-        with storage_errors(beside, "writing", resumes=False), whole_file(beside) as partial:
-            partial.write_text(f"{len(lines)}\n{''.join(lines)}", encoding="utf-8")
+        write_atomically(beside, f"{len(lines)}\n{''.join(lines)}".encode())
     return len(names)
 
 
@@ -89,21 +88,17 @@ def write_normals(light: Light, file: Path) -> Normals:
     InputError
         As `rfpipe.transport.normals.normals_of`, or if the file has another suffix.
     """
-    suffix = file.suffix.lower()
-    if suffix not in (".exr", ".png"):
-        raise InputError(f"{file}: expected a name that ends in .exr or .png")
+    suffix = suffix_of(file, OUTPUTS["export --normals"])
     result = light.normals()
     shape = RayDomain(light.camera_shape).picture_shape
     normals = result.normals.reshape(*shape, 3)
-    with storage_errors(file, "writing", resumes=False), whole_file(file) as partial:
-        if suffix == ".png":
-            codes = (normals / 2 + 0.5) * result.mask.reshape(*shape, 1)
-            write_code_picture(partial, codes)
-        else:
-            albedo = np.broadcast_to(result.albedo.reshape(*shape, -1), (*shape, 3))
-            uncertainty = np.broadcast_to(result.uncertainty.reshape(*shape, 1), (*shape, 3))
-            parts = {"normals": normals, "albedo": albedo, "uncertainty": uncertainty}
-            write_parts(partial, list(parts), (*shape, 3), parts.values())
+    if suffix == ".png":
+        write_code_picture(file, (normals / 2 + 0.5) * result.mask.reshape(*shape, 1))
+    else:
+        albedo = np.broadcast_to(result.albedo.reshape(*shape, -1), (*shape, 3))
+        uncertainty = np.broadcast_to(result.uncertainty.reshape(*shape, 1), (*shape, 3))
+        parts = {"normals": normals, "albedo": albedo, "uncertainty": uncertainty}
+        write_parts(file, list(parts), (*shape, 3), parts.values())
     return result
 
 
@@ -141,21 +136,12 @@ def write_photographs(
         for name, pattern in _patterns(light, training, validation, seed):
             (photograph,) = relit_pictures(light, [pattern.reshape(*light.projector_shape, -1)])
             for place, picture, top in (("", pattern, 1.0), ("cam/raw", photograph, white)):
-                write_picture(new / place / f"{name}.{form}", picture, top)
+                write_image(new / place / f"{name}.{form}", picture, top)
         with storage_errors(folder, "writing", resumes=False):
             new.rename(folder)
     finally:
         remove_tree(new)
     return white
-
-
-def write_picture(
-    path: Path, picture: Float, white: float | None, about: Mapping[str, str] | None = None
-) -> None:
-    """Write a picture, complete or not at all; see `rfpipe.pictures.images.write_image`."""
-    failing = storage_errors(path, "writing", picture.nbytes, resumes=False)
-    with failing, whole_file(path) as partial:
-        write_image(partial, picture, white, about)
 
 
 def _patterns(

@@ -97,6 +97,11 @@ class CameraModel(Sensor):
         return int(2**self.bits) - 1 if self.white_level_counts is None else self.white_level_counts
 
     @property
+    def full_scale_radiance(self) -> float:
+        """Radiance that fills a pixel's well in the shortest exposure."""
+        return self.full_well_electrons / (self.electrons_per_radiance * self.exposures[0])
+
+    @property
     def electrons_per_count(self) -> float:
         """Gain of a linear camera: the full well gives full scale."""
         return self.full_well_electrons / (self.white_level - self.black_level_counts)
@@ -233,7 +238,7 @@ class CountsMerge:
         self._collection = [
             camera.electrons_per_radiance * exposure for exposure in camera.exposures
         ]
-        self._full_scale = camera.full_well_electrons / self._collection[0]
+        self._full_scale = camera.full_scale_radiance
         self._usable_below = COUNTS(np.ceil(SATURATION_FRACTION * camera.white_level))
         table = electrons_of_counts(camera)
         background = np.interp(black, np.arange(len(table)), table).astype(np.float32)

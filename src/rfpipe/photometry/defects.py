@@ -168,11 +168,16 @@ def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
     return outlying
 
 
-def check_floodlit(radiance: NDArray[Any], variance: NDArray[Any]) -> None:
+def check_floodlit(
+    radiance: NDArray[Any],
+    variance: NDArray[Any],
+    remedy: str = "Check that the projector is on, and that the exposures are long enough",
+) -> None:
     """Raise CaptureError where the floodlit image is below the black level or black.
 
     Light must exceed `SIGNIFICANCE` standard deviations of noise in the sum over the image or,
-    beyond what the largest of as many noisy samples reaches, in a sample.
+    beyond what the largest of as many noisy samples reaches, in a sample. `remedy` is what to do
+    about a black image.
     """
     image = np.asarray(radiance, np.float64)
     spread = np.asarray(variance, np.float64)
@@ -187,6 +192,5 @@ def check_floodlit(radiance: NDArray[Any], variance: NDArray[Any]) -> None:
     if total <= SIGNIFICANCE * error and not lit.any():
         raise CaptureError(
             f"the floodlit image is all black: radiance {total:.3g} in all, noise {error:.3g}. "
-            "Check that the projector is on, that the camera sees what it lights, and that the "
-            "exposures are long enough"
+            f"{remedy}"
         )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.pictures.files import read_picture
+from rfpipe.output import damage_of, suffix_of, whole_file
+from rfpipe.pictures.files import read_parts, read_picture
 
-_SUFFIXES = (".exr", ".png")
+PICTURE_SUFFIXES = (".exr", ".png")
+"""Of the files that `write_image` writes."""
+
+_ROUNDING = 0.6 / 255  # of 8 bits
 
 UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     1: lambda pixels: pixels,
@@ -57,7 +64,7 @@ def write_image(
     white: float | None = None,
     about: Mapping[str, str] | None = None,
 ) -> None:
-    """Write radiance as a picture.
+    """Write radiance as a picture, complete or not at all.
 
     Parameters
     ----------
@@ -73,14 +80,14 @@ def write_image(
     Raises
     ------
     InputError
-        When the suffix is another one, or the file can't be written.
+        When the suffix is another one.
+    StoreError
+        When the file can't be written.
     """
     import OpenImageIO as oiio
 
-    if path.suffix.lower() not in _SUFFIXES:
-        raise InputError(f"{path}: expected a name that ends in {' or '.join(_SUFFIXES)}")
     pixels, kind = image, "float"
-    if path.suffix.lower() == ".png":
+    if suffix_of(path, PICTURE_SUFFIXES) == ".png":
         top = float(image.max()) if white is None else white
         pixels, kind = srgb(image, top or 1.0)[..., : image.shape[-1]], "uint8"
     picture = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
@@ -94,7 +101,7 @@ def write_parts(
 ) -> None:
     """Write radiance, pictures of one shape (H, W, C), as the named parts of one EXR file, float32.
 
-    InputError when it can't be written.
+    The file is complete or absent. StoreError when it can't be written.
     """
     import OpenImageIO as oiio
 
@@ -102,13 +109,40 @@ def write_parts(
     specs = [oiio.ImageSpec(width, height, channels, "float") for _ in names]
     for spec, name in zip(specs, names, strict=True):
         spec.attribute("oiio:subimagename", name)
-    file: Any = oiio.ImageOutput.create(str(path))
-    written = file.open(str(path), specs)
-    for index, picture in enumerate(pictures):
-        written = written and (not index or file.open(str(path), specs[index], "AppendSubimage"))
-        written = written and file.write_image(np.ascontiguousarray(picture, np.float32))
-    if not (file.close() and written):
-        raise InputError(f"{path}: can't be written: {file.geterror()}")
+    digests: list[bytes] = []
+
+    def check(partial: Path) -> None:
+        with _raising_damage(path, partial):
+            parts = read_parts(partial)
+            if [_digest(part.read().pixels) for part in parts] != digests:
+                raise InputError("it holds other pixels")
+
+    with whole_file(path, 4 * len(names) * math.prod(shape), check=check) as partial:
+        file: Any = oiio.ImageOutput.create(str(partial))
+        written = file.open(str(partial), specs)
+        for index, picture in enumerate(pictures):
+            pixels = np.ascontiguousarray(picture, np.float32)
+            digests.append(_digest(pixels))
+            written = written and (
+                not index or file.open(str(partial), specs[index], "AppendSubimage")
+            )
+            written = written and file.write_image(pixels)
+        if not (file.close() and written):
+            raise damage_of(path, partial, file.geterror())
+
+
+def _digest(pixels: NDArray[Any]) -> bytes:
+    return hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).digest()
+
+
+@contextmanager
+def _raising_damage(path: Path, partial: Path) -> Iterator[None]:
+    """Turn an InputError into the OSError of a damaged file."""
+    try:
+        yield
+    except InputError as error:
+        text = str(error).removeprefix(f"{partial}: ")
+        raise damage_of(path, partial, text) from error
 
 
 def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
@@ -150,5 +184,20 @@ def write_code_picture(path: Path, light: NDArray[Any], gamma: float = 1.0) -> N
 
 
 def _write(path: Path, picture: Any, kind: str) -> None:
-    if not picture.write(str(path), kind):
-        raise InputError(f"{path}: can't be written: {picture.geterror()}")
+    """Write a picture, and read it back: OpenImageIO writes cut PNG files without an error."""
+    import OpenImageIO as oiio
+
+    pixels = np.asarray(picture.get_pixels(oiio.FLOAT))
+
+    def check(partial: Path) -> None:
+        with _raising_damage(path, partial):
+            stored = read_picture(partial).fractions
+            close = np.isclose(stored, pixels, rtol=0, atol=_ROUNDING, equal_nan=True)
+            if kind == "float":
+                close = (stored == pixels) | np.isnan(pixels)
+            if stored.shape != pixels.shape or not close.all():
+                raise InputError("it holds other pixels")
+
+    with whole_file(path, pixels.nbytes, check=check) as partial:
+        if not picture.write(str(partial), kind):
+            raise damage_of(path, partial, picture.geterror())

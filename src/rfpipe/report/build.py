@@ -15,7 +15,7 @@ from rfpipe.report.text import STANDING_COLOURS, ray_size
 from rfpipe.stages.folder import FILES, write_files
 from rfpipe.store.files import write_atomically
 
-_SUFFIXES = (".csv", ".exr", ".html", ".json", ".png")
+_SUFFIXES = (".csv", ".exr", ".html", ".json", ".pdf", ".png", ".tex")
 
 
 def build_report(
@@ -29,8 +29,8 @@ def build_report(
     results : Path
         What the stages left, see `rfpipe.report.inputs.load_inputs`.
     page : Path
-        The page to write; pictures embedded. ``figures/*.png`` and ``*.exr``, ``tables/*.csv``
-        and ``results.json`` come to lie beside it.
+        The page to write; pictures embedded. ``figures/*.png``, ``*.pdf`` and ``*.exr``,
+        ``tables/*.csv`` and ``*.tex``, and ``results.json`` come to lie beside it.
     errors, speed_error : Path
         The tables of the evaluate stage.
     note : str

@@ -107,6 +107,14 @@ def _latency(one: Findings) -> Figure:
     return figure
 
 
+def _steadiness(one: Findings) -> Figure:
+    figure, axis = _plot("look", "light over its mean, less 1, %")
+    axis.axhline(0, color=_GREY, linewidth=0.8)
+    for gain in one["gain"].T:
+        axis.plot(np.arange(1, 1 + len(gain)), 100 * (gain - 1), **_DOTS)
+    return figure
+
+
 def _scene(one: Findings) -> Figure:
     picture = sight_picture(*(one[name] for name in ("white", "saturated", "dark", "lit")))
     sight = Map(picture, "white, less black")
@@ -166,6 +174,10 @@ def _rays(one: Findings) -> Figure:
 
 _CHARTS: dict[str, tuple[Callable[[Findings], Figure], str]] = {
     "latency": (_latency, "Least share of a picture's step that the first exposure saw."),
+    "steadiness": (
+        _steadiness,
+        "Light of a pattern that is shown repeatedly, by exposures: the long ones are noisier.",
+    ),
     "scene": (_scene, "Red: saturated; blue: within the noise; yellow: the projector's outline."),
     "dark": (_dark, "Counts without light, whose slope is dark current and leaking light."),
     "linearity": (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +23,9 @@ ABREAST = 4
 """Panels beside one another."""
 
 _ERROR = "difference,\n% of white"
-_WIDTH, _TEXT = 2.2, 0.4  # inches of a panel, and of what stands above and below it
+_WIDTH, _LINE = 2.2, 0.16  # inches of a panel, and of a line of text
 _RATIOS = (0.25, 1.4)
+_LEGEND_MARK, _LEGEND_SIGN, _LEGEND_ROW = 0.6, 0.062, 0.18  # inches of a mark, a letter and a row
 _LEAST_LIMIT = 1e-3  # per cent of white, of pictures without any error
 _STYLE: Any = {
     "font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
@@ -41,6 +42,10 @@ class Map:
     below: str = ""
     scale: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
+
+    def untitled(self) -> Map:
+        """Return the map without its title."""
+        return replace(self, title="")
 
 
 @dataclass(frozen=True)
@@ -100,26 +105,13 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
         What stands at the left of each row.
     """
     columns = max(map(len, rows))
-    heights = [width * _ratio(filter(None, row)) + _TEXT for row in rows]
-    size = (width * columns + 0.9, sum(heights))
+    heights = [width * _ratio(filter(None, row)) for row in rows]
+    lines = max((name.count("\n") + 1 for name in left), default=0)
+    size = (width * columns + 0.9 + _LINE * lines, sum(heights) + sum(map(_text_height, rows)))
     figure, axes = new_figure(len(rows), columns, size, "compressed", height_ratios=heights)
     _fill(figure, axes, rows)
     for axis, name in zip(axes[:, 0], left, strict=False):
         axis.set_ylabel(name)
-    return figure
-
-
-def draw_large(large: Sequence[Drawn], small: Sequence[Drawn]) -> Figure:
-    """Draw two panels large, and beside them, one above the other, two of half their size."""
-    ratio = _ratio(filter(None, large))
-    size = (4.1 * _WIDTH + 0.9, 1.64 * _WIDTH * ratio + _TEXT)
-    figure, axes = new_figure(2, 5, size, "compressed")
-    for axis in (*axes[0, 1:4:2], *axes[1, :4]):
-        axis.remove()
-    for column in (0, 2):
-        axis = axes[0, column]
-        axis.set_subplotspec(axis.get_gridspec()[:, column : column + 2])
-    _fill(figure, [axes[0, :4:2], axes[:, 4]], [large, small])
     return figure
 
 
@@ -149,6 +141,13 @@ def _fill(figure: Figure, axes: Iterable[Any], rows: Rows) -> None:
         bar.ax.tick_params(labelsize=7.5)
 
 
+def _text_height(row: Sequence[Drawn]) -> float:
+    """Return the height of the titles above a row and of the texts below it, in inches."""
+    above = 0.05 + _LINE * any(panel.title for panel in row if panel)
+    lines = max((panel.below.count("\n") + 1 for panel in row if panel and panel.below), default=0)
+    return above + _LINE * lines
+
+
 def _ratio(panels: Iterable[Panel | Map]) -> float:
     """Return height over width of panels, as the tallest of them needs, within reason."""
     maps = (panel.image if isinstance(panel, Panel) else panel.values for panel in panels)
@@ -176,26 +175,29 @@ def new_figure(
         return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def scene_curves(scenes: Sequence[str], draw_scene: Callable[[Axes, str], None]) -> Figure:
+def scene_curves(
+    scenes: Sequence[tuple[str, Any]], draw_scene: Callable[[Axes, Any], None]
+) -> Figure:
     """Draw errors against patterns, both logarithmic, a panel a scene.
 
     Parameters
     ----------
-    scenes : sequence of str
+    scenes : sequence of (str, object)
+        Title of the panel, and what `draw_scene` takes.
     draw_scene : callable
         Draws the curves of a scene, errors in per cent.
     """
     columns = min(ABREAST, len(scenes))
     rows = -(-len(scenes) // columns)
-    size = (2.5 * columns + 0.5, 2.4 * rows + 0.4)
+    size = (max(2.5 * columns, 7.0) + 0.5, 2.4 * rows + 0.4)
     figure, axes = new_figure(rows, columns, size, sharex=True, sharey=True)
     for axis in axes.flat[len(scenes) :]:
         axis.set_axis_off()
-    for axis, scene in zip(axes.flat, scenes, strict=False):
-        axis.set_title(scene, fontsize=9, pad=4)
+    for axis, (title, scene) in zip(axes.flat, scenes, strict=False):
+        axis.set_title(title, fontsize=9, pad=4)
         axis.set(xscale="log", yscale="log", xlabel="patterns", ylabel="error, %")
         axis.grid(True, linewidth=0.4, color="#dddddd")
-        for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 3))):
+        for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 2, 5))):
             plain_numbers(direction, marks)
         draw_scene(axis, scene)
         axis.label_outer()
@@ -217,7 +219,11 @@ def shared_legend(figure: Figure) -> None:
     handles: dict[str, Any] = {}
     for axis in figure.axes:
         handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-    columns = min(max(int(figure.get_figwidth() / 1.9), 1), len(handles))
+    longest = max(map(len, handles), default=1)
+    across = _LEGEND_MARK + _LEGEND_SIGN * longest
+    columns = min(max(int(figure.get_figwidth() / across), 1), len(handles))
+    rows = -(-len(handles) // columns)
+    figure.set_figheight(figure.get_figheight() + _LEGEND_ROW * rows)
     look: dict[str, Any] = {"ncols": columns, "fontsize": 8.5, "frameon": False}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", **look)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import scene_curves
-from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.inputs import Inputs, Run, SeedGroup
 from rfpipe.report.page import Block, Column, Illustration, Section, table_of
 from rfpipe.report.text import ERROR, fixed, percent, words
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
@@ -18,32 +18,44 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _GREY = "#5c5c5c"
+_FILLING = 0.35  # opacity of a mark's inside: what lies on it shows
+_ESTIMATED: dict[str, Any] = {
+    "linestyle": ":", "linewidth": 1.1, "marker": "x", "markersize": 4.5,
+}  # fmt: skip
 
 
 def speed_section(inputs: Inputs) -> Section | None:
     """Error against patterns, level by level, true and as methods estimated it; and by pattern."""
-    table, steps = inputs.speed_error, histories(inputs.runs)
+    table, steps = known_errors(inputs), histories(inputs.runs)
     names = {*table["scene"], *steps["scene"]}
     if not names:
         return None
-    scenes = [scene for scene in inputs.scenes if scene in names]
+    groups = [group for group in inputs.seed_groups if names & {*group.scenes}]
     caption = (
         "Mean error of relit pictures, as if the acquisition had stopped after each level, against "
-        "the patterns shown by then. Methods that fit all their pictures together have their last "
-        "level alone. Dotted: the mean error that a method itself estimated while it ran. Numbers: "
-        "tables/speed_error.csv."
+        "the patterns shown by then. Filled marks: methods that fit all their pictures together, "
+        "whose error is known after their last level alone. Crosses: the mean error that a method "
+        "itself estimated while it ran, each where the estimate was made. "
     )
-    figure = speed_figure(inputs, scenes, table, steps)
+    if any(is_verified_alone(run) for run in inputs.runs):
+        caption += "Of real scenes: the error of pictures that no method saw. "
+    if any(len(group.scenes) > 1 for group in groups):
+        caption += "Means over seeds; bars: standard deviations. "
+    caption += "Numbers: tables/speed_error.csv."
+    figure = speed_figure(inputs, groups, table, steps)
     name = "Speed against error"
     blocks: list[Block] = [Illustration(name, caption, "speed_error", figure)]
     if len(inputs.errors):
         about = (
-            f"{ERROR}; means of shapes, bars and spots, and single patterns. Indirect: on pixels "
-            "that a pattern leaves dark, of the light there, where those are known."
+            f"{ERROR}; means of shapes, bars and spots, and single patterns. Plain error: relative "
+            "to the picture's norm alone, which is larger for dark pictures. Error of indirect "
+            "light: on pixels that a pattern leaves dark, relative to the light there, where those "
+            "are known."
         )
         columns: list[Column] = [
             ("error, %", "error", percent),
-            ("indirect, %", "indirect_error", percent),
+            ("plain error, %", "plain_error", percent),
+            ("error of indirect light, %", "indirect_error", percent),
             ("CIEDE2000", "ciede2000", fixed(2)),
         ]
         labels = [*inputs.labels, ("pattern", "pattern", words)]
@@ -52,31 +64,117 @@ def speed_section(inputs: Inputs) -> Section | None:
     return Section("speed", name, blocks)
 
 
+def is_verified_alone(run: Run) -> bool:
+    """Whether the error of a run is known by verification pictures and not by a truth."""
+    return not run.has_truth and run.verified.get("mean_error") is not None
+
+
+def known_errors(inputs: Inputs) -> pd.DataFrame:
+    """Return the speed table, with a row for each run that is known by verification alone."""
+    import pandas as pd
+
+    verified = [
+        {"scene": run.scene, "method": run.method, "patterns": run.patterns,
+         "error": run.verified["mean_error"]}
+        for run in inputs.runs
+        if is_verified_alone(run)
+    ]  # fmt: skip
+    if not verified:
+        return inputs.speed_error
+    return pd.concat([inputs.speed_error, pd.DataFrame(verified)], ignore_index=True)
+
+
 def speed_figure(
-    inputs: Inputs, scenes: Sequence[str], table: pd.DataFrame, steps: pd.DataFrame
+    inputs: Inputs, groups: Sequence[SeedGroup], table: pd.DataFrame, steps: pd.DataFrame
 ) -> Figure:
-    """Draw true errors of the speed table, and the estimates of `histories`."""
+    """Draw true errors of the speed table, and the estimates of `histories`, a panel a group."""
+    labelled = {*table["method"]}
 
-    def draw_scene(axis: Axes, scene: str) -> None:
-        for method, rows in table[table["scene"] == scene].groupby("method", sort=False):
-            axis.plot(rows["patterns"], 100 * rows["error"], **inputs.style(str(method)))
-        for method, rows in steps[steps["scene"] == scene].groupby("method", sort=False):
-            estimated = {**inputs.style(str(method)), "linestyle": ":"}
-            axis.plot(rows["patterns"], 100 * rows["estimated_error"], **estimated)
-        brute: dict[str, Any] = {"color": _GREY, "linewidth": 0.9, "linestyle": ":"}
-        rays = inputs.of_scene(scene)[0].rays
+    def draw_group(axis: Axes, group: SeedGroup) -> None:
+        for method, rows in _of_group(table, group):
+            _draw_curve(axis, over_seeds(rows, "error"), inputs.style(method))
+        for method, rows in _of_group(steps, group):
+            name = {"label": "_" if method in labelled else inputs.title(method)}
+            style = {**inputs.style(method), **_ESTIMATED, **name}
+            _draw_bars(axis, over_seeds(rows, "estimated_error"), style)
+        brute: dict[str, Any] = {"color": _GREY, "linewidth": 0.9, "linestyle": "-."}
+        rays = inputs.of_scene(group.scenes[0])[0].rays
         axis.axvline(rays, label="patterns of brute force", **brute)
+        if len(steps):
+            axis.plot([], [], label="as a method estimated it", color=_GREY, **_ESTIMATED)
 
-    return scene_curves(scenes, draw_scene)
+    return scene_curves([(group.title, group) for group in groups], draw_group)
+
+
+def _of_group(table: pd.DataFrame, group: SeedGroup) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield each method and its rows of the scenes of a group."""
+    chosen = table[table["scene"].isin(group.scenes)]
+    for method, rows in chosen.groupby("method", sort=False):
+        yield str(method), rows
+
+
+def _draw_curve(axis: Axes, rows: pd.DataFrame, style: Mapping[str, Any]) -> None:
+    """Draw a method's true errors; a single one as a large filled mark."""
+    if len(rows) == 1:
+        filled = {"markerfacecolor": (style["color"], _FILLING), "markersize": 8, "linestyle": ""}
+        style = {**style, **filled, "marker": style["marker"] or "o"}
+    _draw_bars(axis, rows, style)
+
+
+def _draw_bars(axis: Axes, rows: pd.DataFrame, style: Mapping[str, Any]) -> None:
+    """Draw errors against patterns, both with their standard deviations where there are any."""
+    spread: dict[str, Any] = {
+        direction: rows[name].fillna(0) if rows[name].notna().any() else None
+        for direction, name in (("xerr", "patterns_sd"), ("yerr", "error_sd"))
+    }
+    lines: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2}
+    axis.errorbar(rows["patterns"], rows["error"], **spread, **lines, **style)
+
+
+def over_seeds(rows: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Return means and standard deviations over seeds of a method's steps, errors in per cent.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        ``scene``, ``patterns`` and the column, of one method, the steps of each scene in order.
+    column : str
+        Errors as fractions.
+
+    Returns
+    -------
+    DataFrame
+        ``patterns``, ``error``, ``patterns_sd`` and ``error_sd``, a row a step; NaN for the
+        deviations of one scene.
+    """
+    step = rows.groupby("scene", sort=False).cumcount()
+    groups = rows.assign(error=100 * rows[column]).groupby(step)[["patterns", "error"]]
+    return groups.mean().join(groups.std().add_suffix("_sd"))
 
 
 def histories(runs: Sequence[Run]) -> pd.DataFrame:
-    """Return the estimates of all runs: ``scene``, ``method`` and `HISTORY_COLUMNS`."""
+    """Return the estimates of all runs where they were made.
+
+    Returns
+    -------
+    DataFrame
+        ``scene``, ``method`` and `HISTORY_COLUMNS`. While a hierarchy is refined, and where a fit
+        to more pictures is worse, the estimate of the previous level stands in a level's row;
+        such rows are left out.
+    """
     import pandas as pd
 
     rows = [
         {"scene": run.scene, "method": run.method, **step}
         for run in runs
-        for step in estimates(run.facts["levels"])
+        for step in made_estimates(run.facts["levels"])
     ]
     return pd.DataFrame(rows, columns=["scene", "method", *HISTORY_COLUMNS])
+
+
+def made_estimates(level_rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return the `estimates` of levels that differ from the one before them."""
+    steps = estimates(level_rows)
+    previous = [None, *(step["estimated_error"] for step in steps[:-1])]
+    pairs = zip(steps, previous, strict=True) if steps else ()
+    return [step for step, error in pairs if step["estimated_error"] != error]

@@ -1,67 +1,121 @@
-"""What each run took and how good it is: one table, and a large picture of each scene."""
+"""What each run took and how good it is: one table, and pictures of each scene."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from rfpipe.relighting import picture_errors
-from rfpipe.report.drawing import ABREAST, UNLIT_GAIN, Panel, draw, draw_large, unlit_gain
-from rfpipe.report.inputs import Inputs, Run, job_times, rig_of
-from rfpipe.report.page import Column, Gallery, Illustration, Section, table_of
-from rfpipe.report.text import ERROR, fixed, number, percent, rig_standing, words
-from rfpipe.report.verification import summaries
-from rfpipe.stages.evaluate import relative_rms
+from rfpipe.report.inputs import Inputs, Run, job_times, pictures_of, rig_of
+from rfpipe.report.page import Block, Column, Gallery, Section, Table, table_of
+from rfpipe.report.pictures import scene_pictures
+from rfpipe.report.targets import ending_of, missed_targets
+from rfpipe.report.text import DASH, ERROR, fixed, number, percent, rig_standing
+from rfpipe.report.verification import alarms_of, summary
 from rfpipe.transport.base import estimates
 
-_SHOWN = "horizontal_bar"  # crosses the edge of two planes, where indirect light shows best
+_EXACT, _RECORDED, _NOTHING = "exact truth", "recording", "not verified"
+_SIMULATED = "simulated"
+
+_NUMBERS: tuple[Column, ...] = (
+    ("patterns", "patterns", number),
+    ("pictures on the rig", "pictures", number),
+    ("error, %", "mean_error", percent),
+    ("largest error, %", "worst_error", percent),
+    ("error of indirect light, %", "mean_indirect", percent),
+    ("estimated error, %", "estimated_error", percent),
+)
+_TIME: Column = ("time, min", "minutes", fixed(1))
 
 
 def glance_section(inputs: Inputs) -> Section:
-    """Every run on one line, and a picture of each scene."""
+    """Every run on one line, what missed its target, and pictures of each scene."""
+    import pandas as pd
+
     results = [result_of(inputs, run) for run in inputs.runs]
-    kinds = {row["verified"] for row in results}
+    missed = [
+        [*missed_targets(row, ending_of(run.facts["levels"]))]
+        for row, run in zip(results, inputs.runs, strict=True)
+    ]
+    shown = [
+        {**row, "target": f"{percent(row['target_error'])}{' MISSED' if sentences else ''}"}
+        for row, sentences in zip(results, missed, strict=True)
+    ]
+    alarms = [
+        f"{run.scene}, {inputs.title(run.method).lower()}: {sentence}"
+        for run, sentences in zip(inputs.runs, missed, strict=True)
+        for sentence in [*sentences, *alarms_of(inputs, run)]
+    ]
+    verified = {row["verified"] for row in results} != {_EXACT}
+    on_rigs = {row["rig"] for row in results} != {_SIMULATED}
     columns: list[Column] = [
-        ("patterns", "patterns", number),
-        ("error, %", "mean_error", percent),
-        ("verified by", "verified", str),
-        ("its grain, %", "grain", percent),
-        ("grain where unlit, %", "grain_unlit", percent),
-        ("rig", "rig", str),
-        ("largest error, %", "worst_error", percent),
-        ("indirect light, %", "mean_indirect", percent),
-        ("estimated error, %", "estimated_error", percent),
-        ("time, min", "minutes", fixed(1)),
+        *_NUMBERS,
+        ("target, %", "target", str),
+        *([("verified by", "verified", str)] if verified else []),
+        *([("rig", "rig", str)] if on_rigs else []),
+        _TIME,
         ("stored, MB", "megabytes", fixed(2)),
     ]
-    about = []
+    table = table_of(
+        "What it took", _about(inputs, results), shown, inputs.labels, columns,
+        csv="results.csv", numbers=pd.DataFrame(results), is_folded=False, has_latex=True,
+        alarmed=frozenset(index for index, sentences in enumerate(missed) if sentences),
+    )  # fmt: skip
+    blocks: list[Block] = [table]
+    over_seeds = seeds_table(inputs, results)
+    if over_seeds is not None:
+        blocks.append(over_seeds)
+    blocks.append(Gallery([scene_pictures(inputs, group) for group in inputs.seed_groups]))
+    text = _omissions(inputs)
+    text += [summary(inputs, run) for run in inputs.runs if run.verified]
+    return Section("glance", "At a glance", blocks, text, alarms)
+
+
+def _omissions(inputs: Inputs) -> list[str]:
+    """Return sentences on the light that scenes have and their simulation leaves out."""
+    return [
+        f"{scene}: {sentence}."
+        for scene in inputs.scenes
+        for sentence in inputs.light_of(scene).get("omissions", [])
+    ]
+
+
+def _about(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
+    """Return the caption of the main table."""
+    kinds = {row["verified"] for row in results}
+    pictures = (
+        "Pictures on the rig: of the patterns, black and white references, patterns that test "
+        "symmetry, and looks at the rig; those that verify are not counted."
+    )
+    about = [pictures]
     if kinds != {_NOTHING}:
         about.append(f"{ERROR}, mean of shapes, bars and spots.")
+    if kinds == {_EXACT}:
+        about.append("Errors are against the exact truth.")
     if any(row["mean_indirect"] is not None for row in results):
-        about.append("Of indirect light: on pixels that a picture leaves dark.")
+        about.append(
+            "Error of indirect light: on pixels that a picture leaves dark, relative to the light "
+            "there; it is no share of the light."
+        )
     if _RECORDED in kinds:
+        grains = dict.fromkeys(
+            f"{row['scene']} {percent(row['grain'])} % ({percent(row['grain_unlit'])} % on unlit "
+            "pixels)"
+            for row in results
+            if row["grain"] is not None
+        )
         about.append(
             "Recording: the truth is light transport that was traced by Monte Carlo, by which the "
-            "rig is simulated, too; its grain is its own standard error, in a half-lit picture."
+            "rig is simulated, too; its grain is its standard error, in a half-lit picture: "
+            f"{', '.join(grains)}."
         )
     if _NOTHING in kinds:
         about.append("Not verified: the truth of a real scene is not known.")
     about.append(
-        f"Time: capture, at {inputs.config.capture.seconds_per_pattern:g} s a pattern and without "
-        "the reference brackets, and processing. 1 MB = 10⁶ bytes."
+        f"Time: capture of the patterns, at {inputs.config.capture.seconds_per_pattern:g} s each, "
+        "and processing. 1 MB = 10⁶ bytes."
     )
-    table = table_of(
-        "What it took", " ".join(about), results, inputs.labels, columns, csv="results.csv",
-        is_folded=False,
-    )  # fmt: skip
-    pictures = Gallery([scene_picture(inputs, inputs.of_scene(name)[0]) for name in inputs.scenes])
-    text = [sentence for run in inputs.runs if run.verified for sentence in summaries(inputs, run)]
-    return Section("glance", "At a glance", [table, pictures], text)
-
-
-_EXACT, _RECORDED, _NOTHING = "exact truth", "recording", "not verified"
+    return " ".join(about)
 
 
 def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
@@ -70,16 +124,18 @@ def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``scene``, ``method``; ``rays``: patterns of brute force; ``patterns``;
-        ``megabytes`` (10^6 bytes on disk); ``capture_s`` at the rig's stated seconds a pattern;
-        ``processing_s``: wall seconds of all jobs but the capture's, NaN where they left none;
-        ``minutes`` of capture and processing; ``verified``: by what, in words, and ``rig``: what it
-        is or how good; ``mean_error``, ``mean_indirect``, ``worst_error`` as of `mean_errors` in
+        ``scene``, ``method``; ``rays``: patterns of brute force; ``patterns``; ``pictures`` that
+        the rig took, see `rfpipe.report.inputs.pictures_of`; ``megabytes`` (10^6 bytes on disk);
+        ``capture_s`` at the rig's stated seconds a pattern; ``processing_s``: wall seconds of all
+        jobs but the capture's, NaN where they left none; ``minutes`` of capture and processing;
+        ``verified``: by what, in words, and ``rig``: what it is or how good; ``mean_error``,
+        ``mean_indirect`` (the error of indirect light), ``worst_error`` as of `mean_errors` in
         `rfpipe.stages.relight`, or of pictures that no method saw where the truth isn't known;
-        ``target_error`` and ``estimated_error`` of the method; ``grain``, ``grain_unlit`` of the
-        truth, see `Scene.recorded`; None of what isn't known.
+        ``target_error``, ``target_indirect``, ``estimated_error`` and ``estimated_indirect`` of the
+        method; ``grain``, ``grain_unlit`` of the truth, see `Scene.recorded`; None of what isn't
+        known.
     """
-    found = run.facts if run.has_truth else run.verified
+    errors = run.facts if run.has_truth else run.verified
     folder = inputs.results / run.scene / run.method
     capture = run.patterns * inputs.config.capture.seconds_per_pattern
     jobs = [*job_times(folder)]
@@ -88,71 +144,67 @@ def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
     pictures = f"{len(run.verified['pictures'])} pictures" if run.verified else _NOTHING
     by_truth = _RECORDED if recorded else _EXACT
     *_, last = {}, *estimates(run.facts["levels"])
+    options = run.facts["options"]
     return {
         "scene": run.scene,
         "method": run.method,
         "rays": run.rays,
         "patterns": run.patterns,
+        "pictures": pictures_of(folder),
         "megabytes": run.facts["bytes"] / 1e6,
         "capture_s": capture,
         "processing_s": processing,
         "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
         "verified": by_truth if run.has_truth else pictures,
         "rig": rig_standing(rig_of(inputs.results, run)),
-        **{name: found.get(name) for name in ("mean_error", "mean_indirect", "worst_error")},
-        "target_error": run.facts["options"].get("target_error"),
-        "estimated_error": last.get("estimated_error"),
+        **{name: errors.get(name) for name in ("mean_error", "mean_indirect", "worst_error")},
+        **{name: options.get(name) for name in ("target_error", "target_indirect")},
+        **{name: _known(last.get(name)) for name in ("estimated_error", "estimated_indirect")},
         "grain": recorded.get("whole"),
         "grain_unlit": recorded.get("unlit"),
     }
 
 
-def scene_picture(inputs: Inputs, run: Run) -> Illustration:
-    """Show a scene under floodlight and relit, beside truth or a picture that no method saw."""
-    light, errors, said = _compared(run)
-    images = {panel.title.replace(" ", "_"): panel.image for panel in light}
-    figure: Figure
-    if errors:
-        figure = draw_large(light[:2], [light[2], *errors])
-    else:
-        figure = draw([light[at : at + ABREAST] for at in range(0, len(light), ABREAST)], 2.6)
-    caption = (
-        f"By {inputs.title(run.method).lower()}, {number(run.patterns)} patterns: {said}. White is "
-        f"radiance {run.white:.3g}."
-    )
-    return Illustration(run.scene, caption, f"scene_{run.scene}", figure, images)
+def _known(value: float | None) -> float | None:
+    """Return a number, None for NaN."""
+    return None if value is None or math.isnan(value) else value
 
 
-def _compared(run: Run) -> tuple[list[Panel], list[Any], str]:
-    """Return a scene's pictures, floodlit first, the error of the second, and what is said of it.
+def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table | None:
+    """Return the means and standard deviations over scenes that differ by their seeds alone."""
+    import pandas as pd
 
-    Without anything to compare with they are relit by all patterns, and there is no error.
-    """
-    floodlit = run.read("floodlit_truth" if run.has_truth else "floodlit_captured")
-    light = [run.panel(run.middle(floodlit), "floodlit")]
-    names = run.facts["names"]
-    unseen = run.verified_images
-    if not run.has_truth and unseen is None:
-        images = run.middle(run.read("relit"))
-        light += map(run.panel, images, map(words, names))
-        error = relative_rms(run.read("floodlit_relit"), floodlit)
-        return light, [], f"relit, the floodlit picture is {percent(error)} % off the captured one"
-    gain: Any = 1.0
-    if run.has_truth:
-        index = names.index(_SHOWN) if _SHOWN in names else 0
-        name, title = words(names[index]), "truth"
-        image, truth, pattern = (run.read(it)[index] for it in ("relit", "truth", "patterns"))
-        error = picture_errors(image[None], truth[None], pattern[None], floodlit)[0].item()
-        said = f"error {percent(error)} % with the {name}"
-        if run.is_coaxial and not run.settings.is_light_field:
-            gain = unlit_gain(pattern)
-            said += f"; unlit pixels are shown {UNLIT_GAIN} times brighter"
-    elif unseen is not None:
-        title, picture = "captured", run.verified["pictures"][0]
-        image, truth = (unseen.read(it)[0] for it in ("relit", "captured"))
-        said = f"error {percent(picture['error'])} % of a picture that no method saw"
-    relit, true = (
-        run.panel(run.middle(it), called, gain=gain)
-        for it, called in ((image, "relit"), (truth, title))
-    )
-    return [*light, relit, true], [relit.less(true)], said
+    every, rows = pd.DataFrame(results), []
+    for group in inputs.seed_groups:
+        if len(group.scenes) < 2:
+            continue
+        of_group = every[every["scene"].isin(group.scenes)]
+        for method, of_method in of_group.groupby("method", sort=False):
+            row: dict[str, Any] = {"scene": group.name, "method": method, "seeds": len(of_method)}
+            for _, name, _ in (*_NUMBERS, _TIME):
+                values: pd.Series[Any] = of_method[str(name)].astype("float64")
+                row |= {name: values.mean(), f"{name}_sd": values.std()}
+            rows.append(row)
+    if not rows:
+        return None
+    columns: list[Column] = [("seeds", "seeds", number)]
+    shown = [dict(row) for row in rows]
+    for heading, name, text in (*_NUMBERS, _TIME):
+        columns.append((heading, f"{name}_text", str))
+        for row in shown:
+            row[f"{name}_text"] = _with_deviation(row[name], row[f"{name}_sd"], text)
+    about = "Mean ± standard deviation over scenes that differ by their seeds alone."
+    return table_of(
+        "Over seeds", about, shown, inputs.labels, columns,
+        csv="seeds.csv", numbers=pd.DataFrame(rows), is_folded=False, has_latex=True,
+    )  # fmt: skip
+
+
+def _with_deviation(mean: float, deviation: float, text: Callable[[Any], str]) -> str:
+    """Return a mean and its standard deviation, to as many digits, as text; a dash for NaN."""
+    shown = text(mean)
+    if shown == DASH:
+        return DASH
+    digits = len(shown.partition(".")[2])
+    scale = 100 if text is percent else 1
+    return f"{shown} ± {number(deviation, f',.{digits}f', scale)}"

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from rfpipe.config import Config, SceneSettings
+from rfpipe.provenance import fingerprint
 from rfpipe.report.drawing import Panel
 from rfpipe.report.page import Column
 from rfpipe.report.text import words
@@ -20,6 +22,12 @@ from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_COLOURS = (
+    "#0f8a5f", "#d1669a", "#1599ab", "#8a7a00", "#7a4b2a", "#7d5ba6", "#5fa02c", "#e0a100",
+    "#1f5a9e", "#c4611a", "#b3263a", "#2a2a2a",
+)  # fmt: skip
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h", "<", ">", "p", "*")
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,26 @@ class Run:
 
 
 @dataclass(frozen=True)
+class SeedGroup:
+    """Scenes that differ by their seeds alone.
+
+    Attributes
+    ----------
+    name : str
+        What their names have in common.
+    scenes : tuple of str
+    """
+
+    name: str
+    scenes: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        """The name, and how many seeds if there are several."""
+        return self.name if len(self.scenes) == 1 else f"{self.name}, {len(self.scenes)} seeds"
+
+
+@dataclass(frozen=True)
 class Inputs:
     """All that a report shows.
 
@@ -134,6 +162,11 @@ class Inputs:
         """Return the runs of a scene."""
         return [run for run in self.runs if run.scene == scene]
 
+    def light_of(self, scene: str) -> dict[str, Any]:
+        """Return a scene's ``choices`` and ``omissions``, see `SceneSettings`; empty if unknown."""
+        light: dict[str, Any] = self.of_scene(scene)[0].facts.get("light", {})
+        return light
+
     @cached_property
     def _subjects(self) -> dict[str, Any]:
         sections = (self.config.methods_of(scene).items() for scene in self.config.scenes)
@@ -146,16 +179,61 @@ class Inputs:
         return f"{subject.title}{suffix}"
 
     def style(self, method: str) -> dict[str, Any]:
-        """Return matplotlib's label, colour, marker and line of a method's curve."""
-        of = self._subjects[method]
-        drawn = {"color": of.colour, "marker": of.marker, "linestyle": of.line}
+        """Return matplotlib's label, colour, marker and line of a method's curve.
+
+        A second setting of a method has a colour and a marker that no other curve has.
+        """
+        return self._styles[method]
+
+    @cached_property
+    def _styles(self) -> dict[str, dict[str, Any]]:
+        styles: dict[str, dict[str, Any]] = {}
         size = {"linewidth": 1.4, "markersize": 4.5, "markerfacecolor": "white"}
-        return {"label": self.title(method), **drawn, **size}
+        used: dict[str, set[str]] = {"color": set(), "marker": set()}
+        for method in self.methods:
+            of = self._subjects[method]
+            drawn = {
+                "color": _unused(of.colour, _COLOURS, used["color"]),
+                "marker": of.marker and _unused(of.marker, _MARKERS, used["marker"]),
+            }
+            for name, value in drawn.items():
+                used[name].add(value)
+            styles[method] = {"label": self.title(method), **drawn, "linestyle": of.line, **size}
+        return styles
+
+    @cached_property
+    def seed_groups(self) -> list[SeedGroup]:
+        """The scenes, those that differ by their seeds alone together."""
+        groups: dict[str, list[str]] = {}
+        for scene in self.scenes:
+            groups.setdefault(_without_seeds(self.config, scene), []).append(scene)
+        return [SeedGroup(_common_name(scenes), tuple(scenes)) for scenes in groups.values()]
 
     @property
     def labels(self) -> list[Column]:
         """The columns that name a run at the left of a table."""
         return [("scene", "scene", str), ("method", "method", self.title)]
+
+
+def _unused(wished: str, others: Sequence[str], used: set[str]) -> str:
+    """Return the wished one, or the first of others that isn't used; once all are, the wished."""
+    return next((one for one in (wished, *others) if one not in used), wished)
+
+
+def _without_seeds(config: Config, scene: str) -> str:
+    """Return a fingerprint of all that shapes the results of a scene except its seeds."""
+    shaping = config.of_scene(scene).shaping()
+    of_scene = {**shaping.pop("scenes")[scene], "seed": None, "settings": None}
+    methods = {name: one.model_dump() for name, one in config.methods_of(scene).items()}
+    return fingerprint([{**shaping, "seed": None}, {**of_scene, "methods": None}, methods])
+
+
+def _common_name(scenes: Sequence[str]) -> str:
+    """Return what the names of scenes begin with; of names without it, the first."""
+    if len(scenes) == 1:
+        return scenes[0]
+    alike = takewhile(lambda signs: len({*signs}) == 1, zip(*scenes, strict=False))
+    return "".join(signs[0] for signs in alike).rstrip("_0123456789") or scenes[0]
 
 
 def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) -> Inputs:
@@ -198,11 +276,48 @@ def job_times(folder: Path) -> Iterator[tuple[str, float]]:
     """Yield stage and seconds of the jobs of an acquisition, as many as left them."""
     for path in sorted([*folder.glob("*.benchmark.tsv"), *folder.glob("L*/*.benchmark.tsv")]):
         stage = path.name.removesuffix(".benchmark.tsv").replace("transport", "assemble")
-        lines = path.read_text(encoding="ascii").splitlines()[1:]
-        if lines and (path.parent != folder or stage == "assemble"):
-            yield stage, float(lines[0].split("\t")[0])
+        seconds = job_seconds(path)
+        if seconds is not None and (path.parent != folder or stage == "assemble"):
+            yield stage, seconds
+
+
+def job_seconds(path: Path) -> float | None:
+    """Return the wall seconds in a job's ``*.benchmark.tsv``, None where it has none."""
+    lines = path.read_text(encoding="ascii").splitlines()[1:]
+    return float(lines[0].split("\t")[0]) if lines else None
 
 
 def rig_of(results: Path, run: Run) -> dict[str, Any]:
     """Return the description of the rig that captured a run, or {}."""
     return dict(read_json(results / run.scene / run.method / "L00/capture.json").get("rig", {}))
+
+
+def pictures_of(folder: Path) -> int | None:
+    """Return the pictures that a rig took for an acquisition, None where that isn't known."""
+    by_level = pictures_by_level(folder)
+    return sum(by_level.values()) if by_level else None
+
+
+def pictures_by_level(folder: Path) -> dict[int, int]:
+    """Return the pictures that a rig took for each level of an acquisition.
+
+    They are of the level's patterns, black and white references, patterns that test symmetry, and
+    looks at the rig; those of verification are not counted.
+    """
+    pictures = {}
+    for path in sorted(folder.glob("L[0-9]*/capture.json")):
+        facts = read_json(path)
+        stores = [one for name, one in facts.items() if name != "rig" and isinstance(one, dict)]
+        more = sum(one["shape"][0] for one in stores if "digest" in one and "shape" in one)
+        pictures[int(path.parent.name[1:])] = facts["patterns"] + more
+    return pictures
+
+
+def seconds_by_level(folder: Path) -> dict[int, float]:
+    """Return the wall seconds of all jobs of each level of an acquisition except the captures."""
+    seconds: dict[int, float] = {}
+    for path in sorted(folder.glob("L[0-9]*/*.benchmark.tsv")):
+        stage, level = path.name.removesuffix(".benchmark.tsv"), int(path.parent.name[1:])
+        if stage != "capture":
+            seconds[level] = seconds.get(level, 0.0) + (job_seconds(path) or 0.0)
+    return seconds

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import ABREAST, new_figure, shared_legend
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import Block, Column, Illustration, Section, table_of
 from rfpipe.report.text import number
+from rfpipe.stages.evaluate import is_used
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+_TITLE = 26  # letters of a panel's title on a line
 _KINDS = {
     "rank1": ("rank-1 leaves (dual: stored)", "#3a6fb0"),
     "scalar": ("scalar leaves", "#9dc0e6"),
@@ -33,7 +36,7 @@ def leaves_section(inputs: Inputs) -> Section | None:
             {"scene": run.scene, "method": run.method, **row}
             for run in inputs.runs
             for row in run.facts["levels"]
-            if row["patterns"] or row["nodes"]
+            if is_used(row)
         ]
     )
     kinds = {"rank1": "rank-1 or stored"}
@@ -84,6 +87,7 @@ def _figure(inputs: Inputs, runs: list[Run], table: pd.DataFrame) -> Figure:
         }
         shares.plot.bar(stacked=True, ax=axis, color=[*colours], rot=0, **bars)
         axis.set(ylim=(0, 100), yticks=[0, 50, 100], ylabel="nodes, %")
-        axis.set_title(f"{run.scene}\n{inputs.title(run.method)}", fontsize=8.5, pad=4)
+        title = textwrap.fill(inputs.title(run.method), _TITLE)
+        axis.set_title(f"{run.scene}\n{title}", fontsize=8.5, pad=4)
     shared_legend(figure)
     return figure

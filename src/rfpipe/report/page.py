@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHARPER = 1.5  # pixels of a figure for each at which it is shown, for larger and finer screens
+_PRINTED = 300  # dots an inch of the pictures in a figure of vectors
 _LINK = re.compile(r'(?:href|src)="(?!#|data:|https?:)([^"]+)"')
 
 
@@ -33,7 +34,8 @@ class Illustration:
     ----------
     name, caption : str
     slug : str
-        Stem of its files, ``figures/{slug}.png`` and ``figures/{slug}_{picture}.exr``.
+        Stem of its files, ``figures/{slug}.png``, ``figures/{slug}.pdf`` of vectors, and
+        ``figures/{slug}_{picture}.exr``.
     figure : Figure
     light : mapping of str to ndarray, shape (H, W, C)
         Pictures that are kept as linear radiance, too.
@@ -70,6 +72,10 @@ class Table:
         What is written there; None where another stage wrote it.
     is_folded : bool
         Whether a reader has to open it.
+    has_latex : bool
+        Whether a ``.tex`` file of it lies beside the CSV file.
+    alarmed : frozenset of int
+        Rows that are shown in red.
     """
 
     name: str
@@ -80,6 +86,17 @@ class Table:
     csv: str = ""
     numbers: pd.DataFrame | None = None
     is_folded: bool = True
+    has_latex: bool = False
+    alarmed: frozenset[int] = frozenset()
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Paths of its files, as seen from the page, and texts of the links to them."""
+        if not self.csv:
+            return {}
+        path = f"tables/{self.csv}"
+        latex = path.removesuffix(".csv") + ".tex"
+        return {path: path} | ({latex: "LaTeX"} if self.has_latex else {})
 
 
 Block = Gallery | Illustration | Table
@@ -88,12 +105,13 @@ Column = tuple[str, Any, Callable[[Any], str]]
 
 @dataclass(frozen=True)
 class Section:
-    """Paragraphs, then blocks."""
+    """Alarms, shown in red, then paragraphs, then blocks."""
 
     anchor: str
     title: str
     blocks: Sequence[Block]
     text: Sequence[str] = ()
+    alarms: Sequence[str] = ()
 
 
 def table_of(
@@ -174,10 +192,16 @@ def _placed(folder: Path, block: Block) -> dict[str, Any]:
     if isinstance(block, Table):
         if block.numbers is not None and block.csv:
             write_table(folder / "tables" / block.csv, block.numbers)
+        if block.has_latex:
+            path = (folder / "tables" / block.csv).with_suffix(".tex")
+            write_atomically(path, latex_table(block).encode())
         return {"table": block}
     image, name = _png(block.figure), f"figures/{block.slug}.png"
+    vectors = f"figures/{block.slug}.pdf"
     write_atomically(folder / name, image)
-    files = {name: name}
+    block.figure.set_layout_engine("none")  # as it was laid out for the PNG
+    write_atomically(folder / vectors, pdf_of(block.figure))
+    files = {name: name, vectors: "PDF"}
     for of, radiance in block.light.items():
         name = f"figures/{block.slug}_{of}.exr"
         write_image(folder / name, radiance, about={"DateTime": ""})  # of writing otherwise
@@ -191,6 +215,53 @@ def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_SHARPER * figure.dpi, metadata={"Software": None})
     return buffer.getvalue()
+
+
+def pdf_of(figure: Figure) -> bytes:
+    """Return a figure as PDF: lines and text as vectors, pictures pixel by pixel."""
+    from matplotlib import rc_context
+
+    buffer = io.BytesIO()
+    about: Any = {"Creator": None, "Producer": None, "CreationDate": None}
+    with rc_context({"pdf.fonttype": 42}):  # fonts that publishers accept, and texts to search for
+        figure.savefig(buffer, format="pdf", dpi=_PRINTED, metadata=about)
+    return buffer.getvalue()
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "\N{EN DASH}": "--", "\N{PLUS-MINUS SIGN}": r"$\pm$", "\N{MULTIPLICATION SIGN}": r"$\times$",
+    "\N{NO-BREAK SPACE}": "~", "\N{SUPERSCRIPT SIX}": r"\textsuperscript{6}",
+    "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
+}  # fmt: skip
+
+
+def latex_table(table: Table) -> str:
+    """Return a table as LaTeX for the package booktabs."""
+
+    def line(cells: Sequence[str]) -> str:
+        return " & ".join(map(latex_text, cells)) + r" \\"
+
+    columns = [*zip(*table.rows, strict=True)][table.text_columns :]
+    others = ("l" if any(cell[:1].isalpha() for cell in column) else "r" for column in columns)
+    kinds = "l" * table.text_columns + "".join(others)
+    lines = [
+        "% needs \\usepackage{booktabs}",
+        rf"\begin{{tabular}}{{{kinds}}}",
+        r"\toprule",
+        line(table.columns),
+        r"\midrule",
+        *map(line, table.rows),
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def latex_text(text: str) -> str:
+    """Return a text as LaTeX shows it, whatever signs it has."""
+    return "".join(_LATEX.get(sign, sign) for sign in text)
 
 
 def check_page(page: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a report was made from: settings, versions and digests."""
+"""What a report was made from: settings, rigs, versions and digests."""
 
 from __future__ import annotations
 
@@ -7,20 +7,67 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Section, Table
+from rfpipe.report.text import plain
+from rfpipe.rigs.calibrated import VERDICTS_KEY
 
 
 def setup_section(inputs: Inputs) -> Section:
-    """Settings and versions."""
+    """Settings, with what scenes choose for those that are null, and versions."""
     names = ["setting", "value"]
-    settings = [[name, str(value)] for name, value in _flat(inputs.config.shaping())]
+    shaping = inputs.config.shaping()
+    about = "As config/all.yaml describes them."
+    if inputs.config.capture.rig == "remote":
+        # the camera of the settings is that of a simulated or offline rig
+        shaping = {name: value for name, value in shaping.items() if name != "camera"}
+        about += " The camera is the rig's, below."
+    settings = [[name, str(value)] for name, value in _flat(shaping)]
     packages = [[name, version] for name, version in _versions(inputs).items()]
     tables = [
-        Table("Settings", "As config/all.yaml describes them.", names, settings, 2),
+        *_choices_table(inputs),
+        Table("Settings", about, names, settings, 2),
+        *_rig_tables(inputs),
         Table("Versions", "", ["package", "version"], packages, 2),
     ]
     return Section("setup", "Settings and versions", tables)
+
+
+def _choices_table(inputs: Inputs) -> list[Table]:
+    """Return the table of what scenes choose for settings that are null, if any does."""
+    rows = [
+        [scene, choice["setting"], plain(choice["value"]), choice["reason"]]
+        for scene in inputs.scenes
+        for choice in inputs.light_of(scene).get("choices", [])
+    ]
+    names = ["scene", "setting", "value", "reason"]
+    caption = "Settings that are null, and what the scene chooses for them."
+    return [Table("Chosen by scenes", caption, names, rows, 4, is_folded=False)] if rows else []
+
+
+def _rig_tables(inputs: Inputs) -> Iterator[Table]:
+    """Yield the devices and the sensor of each rig that isn't simulated, as it described itself."""
+    groups: dict[str, list[str]] = {}
+    rigs: dict[str, dict[str, Any]] = {}
+    for run in inputs.runs:
+        rig = rig_of(inputs.results, run)
+        if not rig or rig.get("kind") == "simulated":
+            continue
+        others = {name: it for name, it in rig.items() if name not in ("sensor", VERDICTS_KEY)}
+        described = {"sensor": _camera_of(rig.get("sensor", {})), **others}
+        key = fingerprint(described)
+        rigs[key] = described
+        groups.setdefault(key, []).append(f"{run.scene} by {run.method}")
+    for number, (key, runs) in enumerate(groups.items(), 1):
+        name = "Rig" if len(groups) == 1 else f"Rig {number}"
+        rows = [[fact, str(value)] for fact, value in _flat(rigs[key])]
+        about = f"As it described itself when it captured {', '.join(runs)}."
+        yield Table(name, about, ["fact", "value"], rows, 2)
+
+
+def _camera_of(sensor: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the camera of a sensor's description, whether it is resampled onto rays or not."""
+    return _camera_of(sensor["sensor"]) if "sensor" in sensor else dict(sensor)
 
 
 def _versions(inputs: Inputs) -> dict[str, str]:
@@ -56,6 +103,7 @@ def _acquisition(run: Run) -> dict[str, Any]:
         "scene": run.scene,
         "method": run.method,
         "options": run.facts["options"],
+        "light": run.facts.get("light", {}),
         "versions": run.facts.get("versions", {}),
         "transport_digest": run.acquired.get("digest"),
         "relit_digest": run.images.digest,

@@ -50,6 +50,11 @@ def rig_standing(rig: Mapping[str, Any]) -> str:
     return next((STANDINGS[it] for it in reversed(STANDINGS) if it in found), "no calibration")
 
 
+def plain(value: Any) -> str:
+    """Return a setting's value as YAML has it."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def words(name: Any) -> str:
     """Return a name of the settings or of a table as words."""
     return str(name).replace("_", " ")

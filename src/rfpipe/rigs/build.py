@@ -16,6 +16,8 @@ from rfpipe.rigs.base import Key, Rig, check_patterns
 from rfpipe.rigs.calibrated import (
     VERDICTS_KEY,
     calibration_of,
+    check_devices,
+    check_settings,
     resampled_sensor,
     sensor_of,
     verdicts_of,
@@ -153,11 +155,29 @@ class DeviceRig(Closing):
             self.projector.close()
 
 
-def rig_from_config(config: RigConfig) -> Rig:
+def rig_from_config(
+    config: RigConfig, source: str = "the rig's settings", *, force: bool = False
+) -> Rig:
     """Return the rig of a settings file; close it, if it has devices, when done.
 
-    CaptureError where a device doesn't answer, StoreError where the calibration can't be read,
-    InputError where it doesn't fit the devices.
+    Parameters
+    ----------
+    config : RigConfig
+    source : str
+        Name of the settings in messages, such as their file.
+    force : bool
+        Whether settings and devices may differ from those that were calibrated.
+
+    Raises
+    ------
+    CaptureError
+        When a device doesn't answer.
+    StoreError
+        When the calibration can't be read.
+    ConfigError
+        When settings or devices changed after the calibration.
+    InputError
+        When the calibration doesn't fit the devices.
     """
     if config.rig is not None:
         rig: Rig = config.rig.make(sensor=config.sensor and sensor_of(config))
@@ -172,9 +192,12 @@ def rig_from_config(config: RigConfig) -> Rig:
             config.seed,
             config.seconds_per_pattern,
         )
+    check_settings(config, source, force=force)
     calibration = calibration_of(config)
     projector, camera = devices_from_config(config)
     try:
+        described = {"projector": projector.describe(), "camera": camera.describe()}
+        check_devices(calibration, described, config, source, force=force)
         layout = calibration.layout
         if layout is None and config.rays is not None:
             layout = ProjectorLayout.grid(projector.shape, config.rays)

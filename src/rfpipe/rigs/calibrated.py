@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.rigs.settings import differences, flat, identities, is_of_a_step, shaping_settings
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 
 if TYPE_CHECKING:
@@ -54,6 +56,10 @@ class Calibration:
         Light of each code as a fraction of that of code 255, ascending from 0 to 1.
     facts : mapping
         Plain data: verdicts, measured numbers with their standard errors, settings.
+    settings : mapping
+        Settings of the rig's file that it was measured with, by dotted name; empty where unknown.
+    devices : mapping
+        Models and serial numbers of the devices, by names such as ``camera.serial``.
     """
 
     layout: ProjectorLayout | None = None
@@ -61,6 +67,8 @@ class Calibration:
     camera: Mapping[str, float] = field(default_factory=dict)
     projector_response: NDArray[np.float64] | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    devices: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
@@ -74,8 +82,13 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     (folder / FACTS).unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
     digest = write_arrays(folder / ARRAYS, arrays, {})
-    facts = {"camera": dict(calibration.camera), "arrays": digest, "facts": dict(calibration.facts)}
-    write_manifest(folder / FACTS, facts)
+    parts = {
+        "camera": dict(calibration.camera),
+        "facts": dict(calibration.facts),
+        "settings": dict(calibration.settings),
+        "devices": dict(calibration.devices),
+    }
+    write_manifest(folder / FACTS, {**parts, "arrays": digest})
 
 
 def load_calibration(folder: str | Path) -> Calibration:
@@ -85,9 +98,10 @@ def load_calibration(folder: str | Path) -> Calibration:
     """
     folder = Path(folder)
     if not (folder / FACTS).is_file():
+        command = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", str(folder)])
         raise StoreError(
             f"{folder}: holds no complete calibration ({FACTS} is missing); make one with "
-            f"`rfpipe calibrate RIG.yaml --output {folder}`, or set the rig's calibration to null"
+            f"`{command}`, or set the rig's calibration to null"
         )
     manifest, arrays = read_parts(folder / FACTS, folder / ARRAYS)
     return Calibration(
@@ -96,6 +110,8 @@ def load_calibration(folder: str | Path) -> Calibration:
         manifest["camera"],
         arrays.get("projector_response"),
         manifest["facts"],
+        manifest.get("settings", {}),  # calibrations of rfpipe's first version have none
+        manifest.get("devices", {}),
     )
 
 
@@ -180,6 +196,68 @@ def check_verdicts(facts: Mapping[str, Any], folder: str | None, *, force: bool)
         )
     for fault in faults:
         _log.warning("%s: %s", folder, fault)
+
+
+def check_settings(config: RigConfig, source: str, *, force: bool = False) -> None:
+    """Raise an error where a rig's settings aren't those that it was calibrated with.
+
+    Parameters
+    ----------
+    config : RigConfig
+        The settings of a rig of devices.
+    source : str
+        Name of the settings in messages, such as their file.
+    force : bool
+        Whether to log warnings instead.
+
+    Raises
+    ------
+    ConfigError
+        Names each setting that changed, both values, and what to do.
+    """
+    if config.calibration is None:
+        return
+    made_with = load_calibration(config.calibration).settings
+    if not made_with:
+        _log.warning(
+            "%s: doesn't record the settings that it was made with, as rfpipe's first version made "
+            "it: nothing can be said of changes since. Calibrate again", config.calibration,
+        )  # fmt: skip
+        return
+    now = shaping_settings(config) | flat({"calibrate": config.calibrate.model_dump(mode="json")})
+    relevant = {
+        name: value for name, value in now.items() if name in made_with or not is_of_a_step(name)
+    }
+    _refuse(differences(made_with, relevant), "settings", config.calibration, source, force=force)
+
+
+def check_devices(
+    calibration: Calibration,
+    devices: Mapping[str, Mapping[str, Any]],
+    config: RigConfig,
+    source: str,
+    *,
+    force: bool = False,
+) -> None:
+    """Raise an error where models or serial numbers aren't those of the calibrated devices.
+
+    `devices` are the descriptions of ``projector`` and ``camera``; the others as `check_settings`.
+    """
+    connected = identities(flat(devices))
+    lines = differences(calibration.devices, connected) if calibration.devices else []
+    _refuse(lines, "devices", str(config.calibration), source, force=force)
+
+
+def _refuse(lines: list[str], what: str, folder: str, source: str, *, force: bool) -> None:
+    """Raise ConfigError with lines of what changed since the calibration, or log them if forced."""
+    if lines and not force:
+        listed = "\n".join(f"  {line}" for line in lines)
+        raise ConfigError(
+            f"{source}: has other {what} than its calibration {folder} was made with:\n{listed}\n"
+            "Run `rfpipe calibrate` again, or set them back. To go on all the same, add --force"
+        )
+    for line in lines:
+        _log.warning("%s: since its calibration %s, %s", source, folder, line)
 
 
 def was_coaxial(described: Mapping[str, Any]) -> bool:

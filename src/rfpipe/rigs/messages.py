@@ -33,8 +33,8 @@ API = 1
 """Version of the interface."""
 
 _ADVICE = (
-    "make one with: (umask 077; python -c 'import secrets; print(secrets.token_urlsafe(32))' "
-    "> rig.token)"
+    "make one with: (umask 077; python3 -c 'import secrets; print(secrets.token_urlsafe(32))' "
+    "> rig.token), and name it by --token-file, or in a run by capture.token_file"
 )
 
 Float = NDArray[np.float32]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from math import prod
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
@@ -274,6 +275,34 @@ def _clear(folder: Path) -> None:
             old.unlink()
     except OSError as error:
         raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
+
+
+def later_sheets(sheet: Sheet) -> list[Sheet]:
+    """Sheets beside a sheet of the same acquisition's later levels."""
+    beside = [path.parent for path in sheet.folder.absolute().parent.glob(f"*/{MANIFEST}")]
+    sheets = [read_sheet(sheet.folder.parent / folder.name) for folder in sorted(beside)]
+    level, names = sheet.about["level"], ("scene", "method", *RUN_PATHS)
+    return [
+        later
+        for later in sheets
+        if later.about["level"] > level
+        and all(later.about[name] == sheet.about[name] for name in names)
+    ]
+
+
+def remove_sheet(sheet: Sheet) -> bool:
+    """Remove a sheet and its folder, unless pictures were taken of it; return whether it is gone.
+
+    StoreError where it can't be removed.
+    """
+    pictures = sheet.folder / PICTURES
+    if pictures.is_dir() and any(pictures.iterdir()):
+        return False
+    _clear(sheet.folder)
+    with suppress(OSError):  # files that aren't the sheet's stay, in their folder
+        pictures.rmdir()
+        sheet.folder.rmdir()
+    return True
 
 
 def _is_same(previous: Sheet, sheet: Sheet) -> bool:

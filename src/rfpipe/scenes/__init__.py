@@ -12,7 +12,7 @@ from rfpipe.scenes.relighting import (
 )
 from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
 from rfpipe.scenes.sight import Pinhole, surface_points
-from rfpipe.scenes.surfaces import Occluder, Plane
+from rfpipe.scenes.surfaces import Occluder, Plane, Sphere
 
 __all__ = [
     "GEOMETRIES",
@@ -26,6 +26,7 @@ __all__ = [
     "Plane",
     "RadiosityScene",
     "Scene",
+    "Sphere",
     "apply_in_batches",
     "planes_scene",
     "reference_scene",

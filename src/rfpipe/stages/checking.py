@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import re
-import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 from urllib.parse import unquote
 
-from rfpipe.errors import InputError, StoreError
+from rfpipe.errors import InputError, RfpipeError, StoreError
 from rfpipe.stages.capture import SENSOR
-from rfpipe.stages.folder import FILES, REFERENCE, STAGES, SYMMETRY, with_followers
-from rfpipe.stages.jobs.ends import RUN, run_again
+from rfpipe.stages.folder import BY_PRODUCTS, REFERENCE, STAGES, SYMMETRY
+from rfpipe.stages.jobs.ends import RUN
+from rfpipe.stages.mending import RESTORE, Finding, Mend, is_acquisition, mend_of, part_of
 from rfpipe.stages.merge import SUMS
 from rfpipe.stages.merger import REFERENCES
-from rfpipe.stages.verification import MANIFEST as VERIFICATION
 from rfpipe.stages.watch import MOVES
 from rfpipe.store import (
     FrameStore,
@@ -38,36 +37,13 @@ _TAGS = "tagmanifest-sha256.txt"
 _OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, MOVES, SENSOR), "capture") | dict.fromkeys(
     (SUMS, REFERENCES), "merge"
 )
-_LEFT_OUT = (".snakemake", ".git", ".venv", "bench")
-_LEVEL = re.compile(r"L\d\d+")
-_NAMED = 8  # files that a finding names
-
-
-class Mend(NamedTuple):
-    """What mends a finding: the workflow, `rfpipe calibrate`, or a copy alone.
-
-    Attributes
-    ----------
-    remove : tuple of Path
-        Removed first, so that the workflow notices that something is missing.
-    cost : str
-        What it takes, where that is more than some computing.
-    """
-
-    how: Literal["run", "calibrate", "restore"]
-    remove: tuple[Path, ...] = ()
-    cost: str = ""
-
-
-_RESTORE = Mend("restore")
-
-
-class Finding(NamedTuple):
-    """A store, manifest or file that is damaged: its path, the damage, and what mends it."""
-
-    path: Path | Place
-    what: str
-    mend: Mend
+_STAGES_OF: dict[str, tuple[str, ...]] = {
+    "acquisition": ("transport", "relight", "verification"),
+    "level": STAGES,
+    "verification": STAGES,
+    "recording": ("matrix",),
+}
+_NAMED = 8  # files that a finding or a note names
 
 
 @dataclass
@@ -80,8 +56,12 @@ class Checked:
         Remarks on what is no damage.
     stores, manifests, files, bytes : int
         Counts of what was checked, and the bytes read, of which `progress` is told.
+    unnamed : list of Path
+        Files that no manifest names: they are not checked.
     seen : set of Path
-        Stores that are checked.
+        Stores, manifests and files that are checked.
+    folders : set of Path
+        Folders that were visited, without symbolic links.
     facts : dict of Path to dict
         The content of each whole manifest.
     """
@@ -93,7 +73,9 @@ class Checked:
     manifests: int = 0
     files: int = 0
     bytes: int = 0
+    unnamed: list[Path] = field(default_factory=list)
     seen: set[Path] = field(default_factory=set)
+    folders: set[Path] = field(default_factory=set)
     facts: dict[Path, dict[str, Any]] = field(default_factory=dict)
 
     def wrong(self, path: Path | Place, what: str, mend: Mend) -> None:
@@ -136,28 +118,13 @@ def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> C
     for root in inside if (folder / "results").is_dir() else [folder]:
         if root.is_dir():
             _check_below(root, checked)
+    _note_unnamed(checked)
     if not checked.stores + checked.manifests and not checked.notes:
         raise InputError(
             f"{folder}: holds nothing of a run; expected results, one of its folders, a "
             "calibration, or a published folder or zip file"
         )
     return checked
-
-
-def command_for(finding: Finding) -> str:
-    """Return the shell command that mends a finding; none where only a copy does."""
-    if finding.mend.how == "restore":
-        return ""
-    path = Path(str(finding.path)).absolute()
-    if finding.mend.how == "calibrate":
-        of_steps = (each.parent for each in path.parents if each.name == "steps")
-        output = str(next(of_steps, path.parent))
-        again = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", output])
-    else:
-        above = (each for each in (path, *path.parents) if each.name == "results")
-        again = run_again(next(above, path.parent))
-    gone = shlex.join(map(str, finding.mend.remove))
-    return f"rm -rf {gone} && {again}" if gone else again
 
 
 def _check_published(place: Path | Place, checked: Checked) -> None:
@@ -181,7 +148,7 @@ def _check_published(place: Path | Place, checked: Checked) -> None:
             _check_published(locate(store), checked)
             continue
         for what in _check_arrays(store, checked)[0]:
-            checked.wrong(store, what, _RESTORE)
+            checked.wrong(store, what, RESTORE)
 
 
 def _check_list(root: Path | Place, checked: Checked) -> None:
@@ -196,14 +163,14 @@ def _check_list(root: Path | Place, checked: Checked) -> None:
         try:
             content = (root / name).read_bytes()
         except FileNotFoundError:
-            checked.wrong(root / name, "is missing", _RESTORE)
+            checked.wrong(root / name, "is missing", RESTORE)
         except (StoreError, OSError) as error:
-            checked.wrong(root / name, f"can't be read: {error}", _RESTORE)
+            checked.wrong(root / name, f"can't be read: {error}", RESTORE)
         else:
             checked.read(len(content))
             if hashlib.sha256(content).hexdigest() != digest:
                 text = "is altered: its SHA-256 isn't that of the list"
-                checked.wrong(root / name, text, _RESTORE)
+                checked.wrong(root / name, text, RESTORE)
     if isinstance(root, Place):
         with suppress(StoreError):  # a web server doesn't list its files
             _note_others(root, set(root.files()) - listed.keys(), checked)
@@ -220,69 +187,122 @@ def _note_others(root: Path | Place, names: set[str], checked: Checked) -> None:
 
 
 def _check_below(folder: Path, checked: Checked) -> None:
-    """Check a folder and all below it."""
-    if folder.name in _LEFT_OUT or folder in checked.seen:
+    """Check a folder and all below it, whatever their names, through symbolic links, too.
+
+    Hidden ones are left out: they are temporary, or of other programs. No scene, method or stage
+    has such a name.
+    """
+    if folder in checked.seen or folder.resolve() in checked.folders:
         return
+    checked.folders.add(folder.resolve())
     if folder.suffix == ".zarr":
         _check_alone(folder, checked)
         return
-    is_acquisition = (folder / "transport.json").is_file() or (folder / "L00").is_dir()
-    if is_acquisition and StoreLock.holder(folder) is not None:
+    is_whole = is_acquisition(folder)
+    if is_whole and StoreLock.holder(folder) is not None:
         checked.notes.append(f"{folder}: is being acquired at this moment; not checked")
         return
-    for path in sorted(folder.glob("*.json")):
-        is_about = path.name == RUN or path.with_suffix(".zarr").exists()
-        if is_about or b'"checksum"' in path.read_bytes():
-            _check_manifest(path, checked)
-    for inner in sorted(folder.iterdir()):
-        if inner.is_dir() and not inner.is_symlink():
+    inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    files = [path for path in inside if path.is_file()]
+    for path in filter(_is_manifest, files):
+        _check_manifest(path, checked)
+    for inner in inside:
+        if inner.is_dir():
             _check_below(inner, checked)
-    if is_acquisition:
+        elif not inner.exists():
+            checked.wrong(inner, f"is a link to {inner.readlink()}, which is missing", RESTORE)
+    checked.unnamed += files
+    if is_whole:
         _check_acquisition(folder, checked)
+
+
+def _is_manifest(path: Path) -> bool:
+    """Test whether a file is a manifest, which may be damaged."""
+    if path.suffix != ".json":
+        return False
+    is_about = path.name == RUN or path.with_suffix(".zarr").exists()
+    is_of_stage = path.stem in _STAGES_OF.get(part_of(path), ())
+    return is_about or is_of_stage or b'"checksum"' in path.read_bytes()
+
+
+def _note_unnamed(checked: Checked) -> None:
+    """Note the files that were not checked, since no manifest names them, a line a folder."""
+    checked.unnamed = sorted(
+        path
+        for path in checked.unnamed
+        if path not in checked.seen and not path.name.endswith(BY_PRODUCTS) and path.stat().st_size
+    )
+    for folder in dict.fromkeys(path.parent for path in checked.unnamed):
+        names = [path.name for path in checked.unnamed if path.parent == folder]
+        shown = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
+        count = (
+            "1 file that no manifest names is"
+            if len(names) == 1
+            else (f"{len(names)} files that no manifest names are")
+        )
+        checked.notes.append(f"{folder}: {count} not checked: {shown}")
 
 
 def _check_manifest(path: Path, checked: Checked) -> None:
     """Check a manifest by itself, and the stores and files beside it that it is about."""
     checked.manifests += 1
+    checked.seen.add(path)
     try:
         facts = checked.facts[path] = read_manifest(path)
     except StoreError as error:  # its stores are checked alone
-        checked.wrong(path, _damage_of(error, path), _mend(path))
+        checked.wrong(path, _damage_of(error, path), mend_of(path))
         return
-    of_patterns = facts.get("stage") == "schedule"
+    for store, digest in _stores_of(path, facts):
+        damage, stored = _check_store(store, checked)
+        if digest is not None and stored not in (None, digest):
+            damage.append(f"isn't the store of {path.name}: its digest is {stored}, not {digest}")
+        is_patterns = store.stem == path.stem and facts.get("stage") == "schedule"
+        if is_patterns and not damage and open_arrays(store).attributes["facts"] != facts:
+            damage.append(f"holds other patterns than {path.name} says")
+        for what in damage:
+            checked.wrong(store, what, mend_of(path, store))
+    for name, digest in facts.get("files", {}).items():
+        _check_file(path, path.parent / name, digest, checked)
+
+
+def _stores_of(path: Path, facts: dict[str, Any]) -> Iterator[tuple[Path, str | None]]:
+    """Yield the stores that a manifest names, each with its digest, None where it states none."""
+    for kind, first, _ in facts.get("pieces", ()):  # of recorded light
+        yield path.with_name(f"{kind}_{first:08d}.zarr"), None
     for name, entry in {path.stem: facts, **{key: facts.get(key) for key in _OWNERS}}.items():
         store = path.with_name(f"{name}.zarr")
         # a calibration calls the digest of its store arrays
         stated = isinstance(entry, dict) and (entry.get("digest") or entry.get("arrays"))
-        if not stated and (name != path.stem or not (store.exists() or of_patterns)):
-            continue
-        damage, digest = _check_store(store, checked)
-        if stated and digest not in (None, stated):
-            damage.append(f"isn't the store of {path.name}: its digest is {digest}, not {stated}")
-        if of_patterns and not damage and open_arrays(store).attributes["facts"] != facts:
-            damage.append(f"holds other patterns than {path.name} says")
-        for what in damage:
-            checked.wrong(store, what, _mend(path, store))
-    for name, digest in facts.get("files", {}).items():
-        file = path.parent / name
-        content = content_of(file)
-        checked.files += 1
-        checked.read(len(content or b""))
-        if content is None:
-            checked.wrong(file, "is missing", _mend(path, file))
-        elif digest_of(content) != digest:
-            what = f"is altered: its digest isn't that of {path.name}"
-            checked.wrong(file, what, _mend(path, file))
+        if stated:
+            yield store, str(stated)
+        elif name == path.stem and (store.exists() or facts.get("stage") == "schedule"):
+            yield store, None
+
+
+def _check_file(manifest: Path, file: Path, digest: str, checked: Checked) -> None:
+    """Check a file that a manifest names with its digest."""
+    checked.seen.add(file)
+    checked.files += 1
+    content = content_of(file)
+    checked.read(len(content or b""))
+    if content is None:
+        checked.wrong(file, "is missing", mend_of(manifest, file))
+    elif digest_of(content) != digest:
+        what = f"is altered: its digest isn't that of {manifest.name}"
+        checked.wrong(file, what, mend_of(manifest, file))
 
 
 def _check_alone(path: Path, checked: Checked) -> None:
-    """Check a store that no whole manifest tells of: one kept aside, a recording, a user's own."""
+    """Check a store that no whole manifest names: one kept aside, a recording, a user's own."""
     manifest = path.with_name(f"{_OWNERS.get(path.stem, path.stem)}.json")
+    is_recording = part_of(path) == "recording"
     for what in _check_store(path, checked)[0]:
         if "not in its journal" in what:  # an interrupted capture
             checked.notes.append(f"{path}: {what}")
+        elif is_recording:
+            checked.wrong(path, what, mend_of(path))
         else:
-            checked.wrong(path, what, _mend(manifest, path) if manifest.exists() else _RESTORE)
+            checked.wrong(path, what, mend_of(manifest, path) if manifest.exists() else RESTORE)
 
 
 def _check_store(path: Path, checked: Checked) -> tuple[list[str], str | None]:
@@ -301,6 +321,10 @@ def _check_arrays(path: Path | Place, checked: Checked) -> tuple[list[str], str 
         bundle = open_arrays(path)
     except StoreError as error:
         return [_damage_of(error, path)], None
+    if isinstance(path, Path):
+        named = {path / name for name in (METADATA, *bundle.names)}
+        entries = [each for each in path.iterdir() if not each.name.startswith(".")]
+        checked.unnamed += [each for each in entries if each not in named]
     for name in bundle.names:
         try:
             checked.read(bundle.read(name).nbytes)
@@ -330,15 +354,16 @@ def _check_frames(path: Path, checked: Checked) -> tuple[list[str], str | None]:
 
 
 def _damage_of(error: Exception, path: Path | Place) -> str:
-    """Return an error's message without the place that a finding names."""
-    return str(error).removeprefix(f"{path}: ").removeprefix(f"{path}/")
+    """Return an error's message without the place and the remedy, which a finding names."""
+    text = error.fault if isinstance(error, RfpipeError) else str(error)
+    return text.removeprefix(f"{path}: ").removeprefix(f"{path}/")
 
 
 def _check_acquisition(folder: Path, checked: Checked) -> None:
     """Check that a transport is made of the levels beside it, and what is made of it is."""
     transport = folder / "transport.json"
     if not transport.exists():
-        checked.notes.append(f"{folder}: not finished; the next run goes on there")
+        _check_unfinished(folder, checked)
     made = checked.facts.get(transport)
     if made is None:
         return
@@ -346,39 +371,23 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
         level = folder / f"L{number:02d}"
         for manifest in (level / f"{stage}.json" for stage in STAGES):
             if not manifest.exists():
-                checked.wrong(manifest, "is missing", _mend(manifest))
+                checked.wrong(manifest, "is missing", mend_of(manifest))
         refined = checked.facts.get(level / "refine.json")
         if refined and refined["digest"] != digest:
             text = f"was made of another {level.name}/refine.json than stands there"
-            checked.wrong(transport, text, _mend(transport))
+            checked.wrong(transport, text, mend_of(transport))
     for path, facts in checked.facts.items():
         if path.parent == folder and facts.get("transport", made["digest"]) != made["digest"]:
-            checked.wrong(path, "is of another transport than stands beside it", _mend(path))
+            checked.wrong(path, "is of another transport than stands beside it", mend_of(path))
 
 
-def _mend(manifest: Path, damaged: Path | None = None) -> Mend:
-    """Return what makes that anew which a manifest is about."""
-    folder, name = manifest.parent, manifest.name
-    if folder.name == "steps" or name == "calibration.json":
-        return Mend("calibrate", (manifest,), "the step is measured again, with the rig")
-    if "recorded" in manifest.parts:
-        return Mend("run", (folder,), "the light of this scene is recorded again")
-    if folder.name == "verification":
-        return Mend("run", (manifest, folder.with_name(VERIFICATION)))
-    if name == FILES:  # the workflow knows of the page and of the tables
-        return Mend("run", (damaged or manifest, folder / "index.html"))
-    if not _LEVEL.fullmatch(folder.name):
-        return Mend("run", (manifest,))
-    gone, cost = tuple(with_followers(manifest)), ""
-    if manifest.stem == "capture":
-        cost = (
-            "what is whole stays; the damaged patterns are shown again, so the scene must stand as "
-            "it did"
-        )
-    elif manifest.stem == "merge" and (folder / "capture.zarr" / "dropped.json").exists():
-        gone = tuple(sorted(folder.parent.glob("L*")))
-        cost = (
-            "the raw exposures were dropped after their merge (capture.keep_raw): ALL patterns are "
-            "taken again. A copy of the folder, if there is one, is better"
-        )
-    return Mend("run", (*gone, folder.with_name("transport.json")), cost)
+def _check_unfinished(folder: Path, checked: Checked) -> None:
+    """Check that nothing is made of the transport of an acquisition that has none."""
+    transport = folder / "transport.json"
+    later = [path for path, of in checked.facts.items() if path.parent == folder and
+             "transport" in of]  # fmt: skip
+    if later:
+        names = " and ".join(path.name for path in later)
+        checked.wrong(transport, f"is missing, and {names} is made of it", Mend("run"))
+    else:
+        checked.notes.append(f"{folder}: not finished; the next run goes on there")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.relighting import picture_errors
+from rfpipe.relighting import picture_squares
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 from rfpipe.store.files import write_atomically
 
@@ -37,31 +37,43 @@ def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``scene``, ``method``, ``pattern``: those of the reference patterns, and the kinds of
-        pictures that the mean is of. ``error`` and ``indirect_error``, see `picture_errors`, of a
-        kind the mean. Of the patterns ``ciede2000``, the mean, with the true floodlit image's
+        pictures that the mean is of. ``error`` and ``indirect_error``, that of indirect light, see
+        `picture_errors`, of a kind the mean; ``plain_error``: relative to the picture's norm,
+        however dark it is. Of the patterns ``ciede2000``, the mean, with the true floodlit image's
         maximum as white.
     """
     import pandas as pd
 
-    columns = [*_ABOUT, "pattern", "error", "indirect_error", "ciede2000"]
-    rows = []
+    columns = [*_ABOUT, "pattern", "error", "plain_error", "indirect_error", "ciede2000"]
+    rows: list[list[Any]] = []
     for facts, images in _with_truth(relight_manifests):
         about, nan = [facts[key] for key in _ABOUT], float("nan")
-        for kind, error in facts["errors"].items():
-            indirect = facts.get("indirect_errors", {}).get(kind, nan)
-            rows.append([*about, kind, error, indirect, nan])
-        floodlit = images.read("floodlit_truth")
-        relit, truth, patterns = (images.read(name) for name in ("relit", "truth", "patterns"))
-        # a camera aside has no pixels that are known to get no direct light
-        dark = patterns == 0 if facts["coaxial"] else None
-        errors = picture_errors(relit, truth, patterns, floodlit, dark)
-        white = float(floodlit.max(initial=0.0))
-        each = zip(facts["names"], *errors, relit, truth, patterns, strict=True)
-        for name, error, indirect, image, true, pattern in each:
-            known = indirect if (pattern == 0).any() else nan
-            figures = [error, known, colour_difference(image, true, white)]
-            rows.append([*about, name, *figures])
+        plain, indirect = (facts.get(f"{name}_errors", {}) for name in ("plain", "indirect"))
+        rows += [
+            [*about, kind, error, plain.get(kind, nan), indirect.get(kind, nan), nan]
+            for kind, error in facts["errors"].items()
+        ]
+        rows += [[*about, *row] for row in _pattern_rows(facts, images)]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _pattern_rows(facts: dict[str, Any], images: ArrayBundle) -> Iterator[list[Any]]:
+    """Yield the name of each reference pattern and the errors of its relit picture."""
+    floodlit = images.read("floodlit_truth")
+    relit, truth, patterns = (images.read(name) for name in ("relit", "truth", "patterns"))
+    # a camera aside has no pixels that are known to get no direct light
+    dark = patterns == 0 if facts["coaxial"] else None
+    total, unlit = picture_squares(relit, truth, patterns, floodlit, dark)
+    white = float(floodlit.max(initial=0.0))
+    for index, name in enumerate(facts["names"]):
+        is_known = unlit is not None and (patterns[index] == 0).any()
+        yield [
+            name,
+            total.errors[index],
+            total.plain_errors[index],
+            unlit.errors[index] if unlit is not None and is_known else float("nan"),
+            colour_difference(relit[index], truth[index], white),
+        ]
 
 
 def speed_error_table(
@@ -73,20 +85,37 @@ def speed_error_table(
     -------
     pandas.DataFrame
         ``scene``, ``method``, ``level``; ``patterns`` and seconds of capture, ``capture_s``, up to
-        there; ``error``, the mean.
+        there; ``error``, the mean. A transport that is fitted to all its pictures together has one
+        row, of the last level with any.
     """
     import pandas as pd
 
     rows = []
     for facts, _ in _with_truth(relight_manifests):
-        errors = facts["level_errors"]
-        levels = facts["levels"][-len(errors) :]
-        shown = np.cumsum([row["patterns"] for row in facts["levels"]])[-len(errors) :]
-        for row, patterns, error in zip(levels, shown, errors, strict=True):
-            if row["patterns"] or len(errors) == 1:
-                about = (*(facts[key] for key in _ABOUT), row["level"], int(patterns))
-                rows.append((*about, patterns * seconds_per_pattern, error))
+        about = [facts[key] for key in _ABOUT]
+        for level, patterns, error in errors_by_level(facts):
+            rows.append([*about, level, patterns, patterns * seconds_per_pattern, error])
     return pd.DataFrame(rows, columns=[*_ABOUT, "level", "patterns", "capture_s", "error"])
+
+
+def errors_by_level(facts: Mapping[str, Any]) -> list[tuple[int, int, float]]:
+    """Return level, patterns shown by then and mean error of a ``relight.json`` with a truth.
+
+    Levels without patterns are left out, as they are of ``levels.csv``.
+    """
+    errors, levels = facts["level_errors"], facts["levels"]
+    shown = np.cumsum([row["patterns"] for row in levels])
+    if len(errors) == 1:
+        used = [index for index, row in enumerate(levels) if is_used(row)]
+        last = used[-1] if used else len(levels) - 1
+        return [(levels[last]["level"], int(shown[-1]), errors[0])]
+    known = zip(levels[-len(errors) :], shown[-len(errors) :], errors, strict=True)
+    return [(row["level"], int(count), error) for row, count, error in known if row["patterns"]]
+
+
+def is_used(level_row: Mapping[str, Any]) -> bool:
+    """Whether a level showed patterns or has nodes."""
+    return bool(level_row["patterns"] or level_row.get("nodes"))
 
 
 def write_table(path: Path, table: pd.DataFrame) -> None:

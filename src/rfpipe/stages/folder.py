@@ -30,7 +30,7 @@ from rfpipe.store import (
     write_arrays,
     write_manifest,
 )
-from rfpipe.store.files import digest_of
+from rfpipe.store.files import digest_of, storage_errors, write_atomically
 from rfpipe.store.places import Place
 from rfpipe.transport.arrays import LazyArrays
 from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
@@ -47,6 +47,9 @@ LAMP = "lamp"
 VERIFICATION = VERIFICATION_KEY
 """In the place of a level's number: the pictures that verify the transport, taken after it."""
 
+VERIFICATION_FOLDER = "verification"
+"""Name of their folder, among those of the levels."""
+
 STAGES_LOG = "stages.log"
 """Beside the transport: the stages of a whole acquisition, of which Snakemake keeps no records.
 
@@ -55,6 +58,9 @@ Where it is newer than level 0's schedule, Snakemake does all stages again; no l
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 """Of a level, in their order."""
+
+BY_PRODUCTS = (".log", ".benchmark.tsv", ".asked", ".tmp")
+"""Ends of the names of files beside results that tell of their making alone."""
 
 FILES = "files.json"
 """Name of the manifest of a report's files."""
@@ -237,8 +243,9 @@ class AcquisitionFolder:
         yield
         if manifest.stat().st_mtime_ns != before:
             times = manifest.with_suffix(".benchmark.tsv")
-            times.write_text(f"s\n{perf_counter() - began:.4f}\n", encoding="ascii")
-            with (self.path / STAGES_LOG).open("a", encoding="utf-8") as done:
+            write_atomically(times, f"s\n{perf_counter() - began:.4f}\n".encode())
+            log = self.path / STAGES_LOG
+            with storage_errors(log, "writing"), log.open("a", encoding="utf-8") as done:
                 done.write(f"{manifest.parent.name}/{stage}\n")
 
     def has_merged_raw(self) -> bool:
@@ -280,7 +287,7 @@ class AcquisitionFolder:
 
 def folder_of(level: int) -> str:
     """Name of a level's folder."""
-    return "verification" if level == VERIFICATION else f"L{level:02d}"
+    return VERIFICATION_FOLDER if level == VERIFICATION else f"L{level:02d}"
 
 
 def name_of(level: int) -> str:

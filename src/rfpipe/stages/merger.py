@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel
 from rfpipe.photometry.defects import (
     DarkFrames,
     DefectMap,
@@ -23,6 +24,7 @@ from rfpipe.photometry.defects import (
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.stages.remedies import REMEDIES, Fault, Kind, kind_of
 from rfpipe.units import RADIANCE
 
 REFERENCES = "merged_reference"
@@ -128,6 +130,7 @@ class Merger:
         black_frames: Iterable[Frames],
         floodlit_frames: Iterable[Frames],
         mask_defects: bool = True,
+        kind: Kind = Kind.DEVICES,
     ) -> Merger:
         """Learn black level and defects from the first brackets of an acquisition.
 
@@ -137,6 +140,8 @@ class Merger:
             Brackets of the all-off pattern, used up first, and of the all-on one, a few at a time.
         mask_defects : bool
             Whether to look for dead and hot pixels. Exact radiance has none.
+        kind : Kind
+            Kind of the rig, which remedies of too much or too little light depend on.
 
         Raises
         ------
@@ -165,10 +170,11 @@ class Merger:
             total.add(merged)
         assert total is not None
         count = total.count
-        _check_saturation(total.saturated / (count * first[0, 0].size), sensor)
+        _check_saturation(total.saturated / (count * first[0, 0].size), sensor, kind)
         if is_camera:
             known = np.isfinite(total.variance)
-            check_floodlit(total.radiance[known], total.variance[known])
+            remedy = REMEDIES[Fault.DARK][kind]
+            check_floodlit(total.radiance[known], total.variance[known], remedy)
         return replace(
             merger,
             floodlit=(total.radiance / count).astype(np.float32),
@@ -221,12 +227,15 @@ def _check_defects(defects: DefectMap) -> None:
         )  # fmt: skip
 
 
-def _check_saturation(share: float, sensor: Sensor) -> None:
+def _check_saturation(share: float, sensor: Sensor, kind: Kind) -> None:
     if share > _MOST_SATURATED:
+        full = ""
+        if isinstance(sensor, CameraModel):
+            full = f", at which radiance {sensor.full_scale_radiance:.3g} is full scale"
         raise CaptureError(
             f"{share:.1%} of the floodlit image is saturated even at the shortest exposure, "
-            f"{sensor.exposures[0]:.3g} s: its light would come out too dark. Add a shorter "
-            "exposure, close the aperture, or dim the projector"
+            f"{sensor.exposures[0]:.3g} s{full}: its light would come out too dark. "
+            f"{REMEDIES[Fault.BRIGHT][kind]}"
         )
     if share:
         text = "%.2g%% of the floodlit image is saturated at the shortest exposure, and clipped"
@@ -239,7 +248,8 @@ def learn_references(sensor: Sensor, folder: AcquisitionFolder, mask_defects: bo
     with folder.frames(0, "capture", REFERENCE) as frames:
         brackets = (frames.read(index, index + 1) for index in range(off + on))
         black = islice(brackets, off)
-        return Merger.from_references(sensor, black, brackets, mask_defects)
+        kind = kind_of(folder.read_manifest(0, "capture")["rig"])
+        return Merger.from_references(sensor, black, brackets, mask_defects, kind)
 
 
 def _reference_counts(folder: AcquisitionFolder) -> dict[str, int]:

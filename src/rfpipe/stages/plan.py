@@ -159,8 +159,12 @@ def _rays(scene: SceneSettings) -> dict[str, Any]:
 
 
 MANNER = (
-    *("batch_patterns", "warm_up_minutes", "when_patterns_change", "keep_raw"),
-    *("watch", "asymmetry"),
+    "batch_patterns",
+    "warm_up_minutes",
+    "when_patterns_change",
+    "watch",
+    "asymmetry",
+    "keep_raw",
 )
 """Settings of a capture that shape no result: a change of them runs nothing again."""
 
@@ -169,7 +173,7 @@ def manner_of(config: Config, scene: str) -> dict[str, str]:
     """Return the settings `MANNER` of a scene as text, as the resources of a job have them."""
     capture = config.of_scene(scene).capture
     manner = {name: str(getattr(capture, name)) for name in MANNER}
-    return {**manner, "watch": "off"} if capture.rig == "simulated" else manner
+    return {**manner, "watch": "off" if capture.rig == "simulated" else capture.watch}
 
 
 def in_manner(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
-from rfpipe.relighting import KINDS, picture_errors, relighting_pictures
+from rfpipe.relighting import KINDS, picture_squares, relighting_pictures
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.stages.merger import read_floodlit
 from rfpipe.store import open_arrays, read_manifest
@@ -147,9 +147,10 @@ def mean_errors(
     Returns
     -------
     dict
-        ``mean_error``, ``worst_error``, ``errors``: the mean of each of `KINDS`, ``level_errors``:
-        the mean as of each of `Transport.known_levels`. With a coaxial rig ``mean_indirect`` and
-        ``indirect_errors`` of each kind: those of indirect light.
+        ``mean_error``, ``worst_error``, ``errors``: the mean of each of `KINDS`, and
+        ``plain_errors``: the same relative to each picture's norm, however dark it is;
+        ``level_errors``: the mean as of each of `Transport.known_levels`. With a coaxial rig
+        ``mean_indirect`` and ``indirect_errors`` of each kind: errors of indirect light.
     """
     count = min(max(int(_PIXELS / floodlit[..., 0].size), len(KINDS)), _PICTURES)
     patterns = relighting_pictures(transport.projector_shape, count, _SEED)
@@ -160,16 +161,18 @@ def mean_errors(
     )
     truth = chain.from_iterable(images_of(scene, batch) for batch in batches)
     dark = patterns == 0 if is_coaxial else None
-    levels, indirect = picture_errors(images, truth, patterns, floodlit, dark)
+    total, indirect = picture_squares(images, truth, patterns, floodlit, dark)
+    levels = total.errors
     facts = {
         "mean_error": float(levels[-1].mean()),
         "worst_error": float(levels[-1].max()),
         "errors": _by_kind(levels[-1]),
+        "plain_errors": _by_kind(total.plain_errors[-1]),
         "level_errors": levels.mean(axis=1).tolist(),
     }
-    if is_coaxial:
-        facts["mean_indirect"] = float(indirect[-1].mean())
-        facts["indirect_errors"] = _by_kind(indirect[-1])
+    if indirect is not None:
+        facts["mean_indirect"] = float(indirect.errors[-1].mean())
+        facts["indirect_errors"] = _by_kind(indirect.errors[-1])
     return facts
 
 
@@ -263,12 +266,17 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     transport = open_transport(folder / "transport.zarr")
     errors: dict[str, Any] = {}
     recorded: dict[str, Any] = {}
+    light: dict[str, Any] = {}
     if scene.has_truth:
         simulated = scene_from_config(scene)
         arrays = relit_arrays(transport, simulated)
         truth = arrays["floodlit_truth"]
         errors = mean_errors(transport, simulated, truth, is_coaxial=scene.is_coaxial)
         recorded = simulated.recorded
+        light = {
+            "choices": [each._asdict() for each in scene.choices],
+            "omissions": scene.omissions,
+        }
     else:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
@@ -284,6 +292,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "levels": transport.level_rows,
         "units": RADIANCE_UNIT,
         "recorded": recorded,
+        "light": light,
         **errors,
     }
     write_bundle(folder / "relight.json", made_from, arrays, facts)

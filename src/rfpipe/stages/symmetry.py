@@ -99,9 +99,9 @@ class Asymmetry:
             if calibrated:
                 raise CaptureError(f"{no_longer_coaxial(self.text)}. {accepts}")
             raise CaptureError(
-                f"{found}, and {accepts}. Align the two "
-                "devices' centres to a fraction of a pixel, and focus both; or use a method for "
-                "any rig, such as dual photography"
+                f"{found}, and {accepts}. Use a method for any rig, such as dual photography; or "
+                "align a real rig's two devices to a fraction of a pixel, and focus both; a "
+                "simulated one's matrix must equal its transpose"
             )
         wished: float = min(accepted, getattr(options, "target_error", None) or accepted)
         chosen = method.on_rig(self.least <= wished)

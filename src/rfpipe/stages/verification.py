@@ -71,7 +71,8 @@ class Verification:
         A row a picture, relative to its light as of `picture_errors`, over the rays that the camera
         knows: ``name``; ``difference``: ``||relit - captured||``; ``noise``: the share of it that
         is expected of the captured picture's noise; ``error``: the difference without that share, 0
-        where nothing but noise is seen; ``standard_error``. NaN where a rig sends no light.
+        where nothing but noise is seen; ``standard_error``; ``plain_error``: the error relative to
+        the picture's norm, however dark it is. NaN where a rig sends no light.
     patterns : ndarray of float32, shape (P, *projector_shape)
     captured, relit : ndarray of float32, shape (P, *camera_shape, C)
         Radiance; rays that the camera doesn't know are 0 in both.
@@ -173,8 +174,9 @@ def compare(
         unit = np.sqrt(light) if light > 0 else np.nan
         lengths = [np.sqrt(squares.sum()), np.sqrt(noise), error, deviation]
         name = f"{KINDS[index % len(KINDS)]} {index // len(KINDS) + 1}"
-        rows.append([name, *(float(length / unit) for length in lengths)])
-    columns = ["name", "difference", "noise", "error", "standard_error"]
+        plain = error / np.sqrt(own) if own > 0 else np.nan
+        rows.append([name, *(float(length / unit) for length in lengths), float(plain)])
+    columns = ["name", "difference", "noise", "error", "standard_error", "plain_error"]
     table = pd.DataFrame(rows, columns=columns)
     return Verification(table, patterns, observed, relit, np.asarray(gain, np.float64))
 

@@ -70,7 +70,7 @@ class ArrayBundle:
             is_whole = False
         if not is_whole:
             raise IntegrityError(
-                f"{path}: its attributes don't match their digest. {_advice(path)}"
+                f"{path}: its attributes don't match their digest", advice=_advice(path)
             )
         self.names: tuple[str, ...] = tuple(sorted(self._entries))
 
@@ -165,7 +165,8 @@ class ArrayBundle:
         name = self._prefix + name
         return IntegrityError(
             f"{self.path / name}: array {name!r} is missing, truncated or altered; expected the "
-            f"digest {entry['digest']}. {_advice(self.path)}"
+            f"digest {entry['digest']}",
+            advice=_advice(self.path),
         )
 
 

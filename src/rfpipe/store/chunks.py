@@ -69,7 +69,7 @@ def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
         content = content_of(path / METADATA)
     if content is None:
         advice = "run the stage that writes it" if isinstance(path, Path) else "check the address"
-        raise StoreError(f"{path}: no store of {kind} here; {advice}")
+        raise StoreError(f"{path}: no store of {kind} here", advice=advice)
     try:
         attributes = json.loads(content)["attributes"]
         stored = attributes["kind"]
@@ -88,7 +88,7 @@ def damaged_metadata(path: Path | Place, error: Exception) -> IntegrityError:
         else "check that the address gives this file and no page for people, or fetch it anew"
     )
     return IntegrityError(
-        f"{path / METADATA}: damaged metadata ({type(error).__name__}: {error}); {advice}"
+        f"{path / METADATA}: damaged metadata ({type(error).__name__}: {error})", advice=advice
     )
 
 

@@ -80,8 +80,8 @@ class FrameStore:
         self.dropped = (path / _DROPPED).exists()
         if self.dropped and not self.complete:
             raise IntegrityError(
-                f"{path / _JOURNAL}: damaged, and the items that it is about were dropped; remove "
-                f"{path} and run the stage that writes it again"
+                f"{path / _JOURNAL}: damaged, and the items that it is about were dropped",
+                advice=f"remove {path} and run the stage that writes it again",
             )
         self._journal: JournalWriter | None = None
         self._lock = StoreLock(path)

@@ -46,7 +46,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     with storage_errors(path, "reading"):
         content = content_of(path)
     if content is None:
-        raise StoreError(f"{path}: no such manifest; run the stage that writes it")
+        raise StoreError(f"{path}: no such manifest", advice="run the stage that writes it")
     try:
         data: dict[str, Any] = json.loads(content)
         checksum = data.pop(_CHECKSUM, None)
@@ -55,7 +55,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
         is_whole = False
     if not is_whole:
         raise IntegrityError(
-            f"{path}: damaged or altered manifest (its checksum doesn't match); remove it and run "
-            "the stage that writes it again"
+            f"{path}: damaged or altered manifest (its checksum doesn't match)",
+            advice="remove it and run the stage that writes it again",
         )
     return data

@@ -48,8 +48,7 @@ class SceneContract:
             assert_array_equal(flat, images, "apply() of patterns (B, N)")
         white = scene.apply(np.ones((1, *scene.projector_shape), np.float32))
         require(white.max() > 0, "no light comes back")
-        camera = CameraModel()
-        most = camera.full_well_electrons / camera.electrons_per_radiance / min(camera.exposures)
+        most = CameraModel().full_scale_radiance
         brightest = np.quantile(white, 0.99)
         require(brightest <= most, f"radiance is {brightest:.3g}; the default camera takes {most}")
         _require_light(scene.albedo, (*scene.camera_shape, scene.channels), "albedo")

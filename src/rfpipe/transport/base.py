@@ -166,8 +166,9 @@ class Transport(Light):
 
     @property
     def last_level(self) -> int:
-        """The last of `known_levels`."""
-        return max((int(row["level"]) for row in self.level_rows), default=0)
+        """The last of `known_levels`: the last level that showed patterns."""
+        shown = (int(row["level"]) for row in self.level_rows if row.get("patterns"))
+        return max(shown, default=0)
 
     @property
     def levels(self) -> pd.DataFrame:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError, StoreError, installing
-from rfpipe.store.files import storage_errors, whole_file
+from rfpipe.errors import StoreError, installing
+from rfpipe.output import Sink, suffix_of, whole_file
 from rfpipe.transport.algebra import (
     AT_A_TIME,
     Float,
@@ -72,12 +72,7 @@ def write_matrix(
     matrix: MatrixAlgebra, path: Path, rows: Rays, columns: Rays, limit_bytes: int
 ) -> None:
     """Write a matrix, see `rfpipe.transport.light.Light.save`."""
-    write = MATRIX_FILES.get(path.suffix.lower())
-    if write is None:
-        raise InputError(
-            f"{path}: ends in {path.suffix!r}; a matrix is written to {', '.join(MATRIX_FILES)}, a "
-            "transport as it is to .zarr"
-        )
+    write = MATRIX_FILES[suffix_of(path, tuple(MATRIX_FILES))]
     contents = Contents(
         matrix,
         chosen_rays(rows, matrix.camera_shape, "rows"),
@@ -86,7 +81,7 @@ def write_matrix(
     advice = "choose rows or columns, join rays (2 x 2: 16 times smaller), or raise the limit"
     refuse_larger(f"{path}: a matrix", contents.shape, limit_bytes, advice)
     nbytes = 4 * prod(contents.shape)
-    with storage_errors(path, "writing", nbytes, resumes=False), whole_file(path) as partial:
+    with whole_file(path, nbytes) as partial:
         write(partial, contents)
 
 
@@ -118,6 +113,20 @@ def _hdf5(path: Path, contents: Contents) -> None:
             f".npz, or {installing('export')}"
         ) from error
     matlab = path.suffix.lower() == ".mat"
+    with path.open("w+b", buffering=0) as file:
+        sink = Sink(file)
+        try:
+            with h5py.File(sink, "w", userblock_size=_MATLAB_HEADER if matlab else 0) as hdf5:
+                _fill(hdf5, contents, sink, matlab=matlab)
+            if matlab:
+                sink.seek(0)
+                sink.write(_matlab_header())
+        finally:
+            sink.raise_failure()
+
+
+def _fill(file: Any, contents: Contents, sink: Sink, *, matlab: bool) -> None:
+    """Write the datasets of an HDF5 file; OSError where the sink's disk is full."""
     channels, rows, columns = contents.shape
     by_rows = rows <= columns
     # each chunk is written once, by one part: some whole rows, or columns
@@ -127,30 +136,27 @@ def _hdf5(path: Path, contents: Contents) -> None:
     if matlab:  # which has no axis of one channel
         order = [0, 2, 1] if channels > 1 else [2, 1]
     shape, chunks = (tuple(lengths[axis] for axis in order) for lengths in (contents.shape, chunk))
-    with h5py.File(path, "w", userblock_size=_MATLAB_HEADER if matlab else 0) as file:
-        matrix = file.create_dataset("T", shape, "<f4", chunks=chunks, **_PACKED)
-        for of_rows, of_columns, block in contents.blocks(by_rows=by_rows):
-            place = slice(None), of_rows, of_columns
-            turned = block.transpose(order) if len(order) == len(place) else block[0].T
-            matrix[tuple(place[axis] for axis in order)] = turned
-        if matlab:
-            matrix.attrs["MATLAB_class"] = np.bytes_("single")
-            for name, array in contents.arrays().items():
-                file[name] = array[:, None].astype("<f8")
-                file[name].attrs["MATLAB_class"] = np.bytes_("double")
-            text = np.frombuffer(f"{ABOUT} {_OF_MATLAB}".encode("utf-16-le"), "<u2")
-            file["about"] = text[:, None]
-            file["about"].attrs["MATLAB_class"] = np.bytes_("char")
-            file["about"].attrs["MATLAB_int_decode"] = np.int32(2)
-        else:
-            matrix.attrs["unit"] = "radiance per weight"
-            matrix.attrs["axes"] = "channel, camera ray, projector ray"
-            file.attrs["about"], file.attrs["rfpipe"] = ABOUT, __version__
-            for name, array in contents.arrays().items():
-                file[name] = array
+    matrix = file.create_dataset("T", shape, "<f4", chunks=chunks, **_PACKED)
+    for of_rows, of_columns, block in contents.blocks(by_rows=by_rows):
+        place = slice(None), of_rows, of_columns
+        turned = block.transpose(order) if len(order) == len(place) else block[0].T
+        matrix[tuple(place[axis] for axis in order)] = turned
+        sink.raise_failure()
     if matlab:
-        with path.open("r+b") as opened:
-            opened.write(_matlab_header())
+        matrix.attrs["MATLAB_class"] = np.bytes_("single")
+        for name, array in contents.arrays().items():
+            file[name] = array[:, None].astype("<f8")
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        text = np.frombuffer(f"{ABOUT} {_OF_MATLAB}".encode("utf-16-le"), "<u2")
+        file["about"] = text[:, None]
+        file["about"].attrs["MATLAB_class"] = np.bytes_("char")
+        file["about"].attrs["MATLAB_int_decode"] = np.int32(2)
+    else:
+        matrix.attrs["unit"] = "radiance per weight"
+        matrix.attrs["axes"] = "channel, camera ray, projector ray"
+        file.attrs["about"], file.attrs["rfpipe"] = ABOUT, __version__
+        for name, array in contents.arrays().items():
+            file[name] = array
 
 
 def _matlab_header() -> bytes:

@@ -121,12 +121,15 @@ function paint() {
     wipe: state.wipe / 100, limit: state.difference ? state.limit / 100 : 0 });
   if (state.tool === "pixel" && state.px >= 0) screens.seen.mark(state.px, state.py);
   paintLight();
-  if (usable && (state.wipe || state.difference) && !playing && drawing === null) {
-    const { rms, largest } = differenceOf(picture, usable, MANIFEST.white);
-    $("compared").textContent = `Differs by ${(100 * rms).toPrecision(2)} % (relative RMS); at ` +
-      `most ${(100 * largest).toPrecision(2)} % of white.`;
-  }
+  const compares = usable && (state.wipe || state.difference) && !playing && drawing === null;
+  $("compared").textContent = compares ? differenceText(picture, usable) : "";
   if (state.auto) showControls();
+}
+
+function differenceText(picture, compared) {
+  const { rms, largest } = differenceOf(picture, compared, MANIFEST.white);
+  return `Differs by ${(100 * rms).toPrecision(2)} % (relative RMS); at most ` +
+    `${(100 * largest).toPrecision(2)} % of white.`;
 }
 
 // The light; or, of a pixel that was picked, where its light comes from.

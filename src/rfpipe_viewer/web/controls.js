@@ -6,6 +6,9 @@ const UNITS = {
   limit: (v) => `±${v} %`, litView: (v) => (v < 0 ? "all" : `${v + 1}`), seenView: (v) => `${v + 1}`,
 };
 
+// Factors by which a saved picture is enlarged; by default the first with this many pixels.
+const SCALES = [1, 2, 4, 8, 16, 32], LARGE_ENOUGH = 1000, LARGEST_SIDE = 8192;
+
 let remembering = 0;
 function rememberSoon() {
   clearTimeout(remembering);
@@ -48,8 +51,19 @@ function showControls() {
       || "drag here";
   $("seen-note").textContent = state.tool === "pixel" ? "click: where does its light come from?"
     : sharesPlaces() ? "or drag here" : "";
+  showScales();
   $("path").textContent = state.path ? `${(state.path.length / 80).toFixed(1)} s recorded.`
     : "Nothing recorded: Play sweeps over the scene.";
+}
+
+// Sizes at which the picture can be saved.
+function showScales() {
+  const { width, height } = seen(), longer = Math.max(width, height);
+  const scales = SCALES.filter((scale) => scale === 1 || scale * longer <= LARGEST_SIDE);
+  const wanted = Number($("scale").value) || scales.find((scale) => scale * longer >= LARGE_ENOUGH);
+  $("scale").replaceChildren(...scales.map((scale) =>
+    new Option(`${scale * width} x ${scale * height} pixels`, scale)));
+  $("scale").value = scales.includes(wanted) ? wanted : scales.at(-1);
 }
 
 // Views that there are.
@@ -92,7 +106,8 @@ function bindControls() {
   $("save").addEventListener("click", savePicture);
   $("link").addEventListener("click", copyLink);
   $("reset").addEventListener("click", () => { const { side } = state; state.side = "projector";
-    if (side !== "projector") makeScreens(); painting.clear(); set({ ...INITIAL }); });
+    if (side !== "projector") makeScreens(); painting.clear(); $("kept").textContent = "";
+    set({ ...INITIAL }); });
   addEventListener("hashchange", () => { state = stateFromHash(location.hash); makeScreens(); set({}); });
   if (MANIFEST.parts.length > 1) {
     for (const name of MANIFEST.parts) {
@@ -232,14 +247,26 @@ function stopPlaying() {
   $("play").setAttribute("aria-pressed", "false");
 }
 
+// A canvas whose every pixel is a square of `scale` x `scale` pixels.
+function enlarged(canvas, scale) {
+  const large = document.createElement("canvas");
+  large.width = scale * canvas.width;
+  large.height = scale * canvas.height;
+  const context = large.getContext("2d");
+  context.imageSmoothingEnabled = false;
+  context.drawImage(canvas, 0, 0, large.width, large.height);
+  return large;
+}
+
 function savePicture() {
-  $("seen").toBlob((blob) => {
+  const picture = enlarged($("seen"), Number($("scale").value));
+  picture.toBlob((blob) => {
     const link = document.createElement("a");
     link.href = URL.createObjectURL(blob);
     link.download = `${MANIFEST.name}.png`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    $("kept").textContent = `${link.download} saved.`;
+    $("kept").textContent = `${link.download} saved, ${picture.width} x ${picture.height} pixels.`;
   });
 }
 

@@ -1,0 +1,103 @@
+"""``rfpipe compare``: the methods of finished runs at equal error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rfpipe.report.page import Table
+
+_HEADINGS = {
+    "scene": "scene", "error": "error, %", "method": "method", "patterns": "patterns",
+    "pictures": "pictures on the rig", "seconds": "seconds", "note": "note",
+}  # fmt: skip
+
+
+def compare(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="FOLDER...", help="Folders of finished runs, or of their results."),
+    ],
+    errors: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--error",
+            "-e",
+            help="Mean error of relit pictures to compare at, a fraction such as 0.01; may be "
+            "given several times. By default 0.05 to 0.001, as far as any method reaches them.",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--seconds-per-pattern",
+            min=0,
+            help="Seconds that the rig takes for a picture; by default as the runs' settings say.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="File to write as well: .csv, or .tex for LaTeX."),
+    ] = None,
+) -> None:
+    """Compare methods at equal error: patterns, pictures on the rig and seconds for each scene.
+
+    A method's acquisitions at several tolerances or targets, also of several runs, make one curve.
+    Costs are interpolated between its points, which are levels where a transport is known level by
+    level. The note says where a method does not reach an error.
+    """
+    from rfpipe.output import checked_output
+    from rfpipe.report.compare import ERRORS
+    from rfpipe.report.compare import compare as compared
+    from rfpipe.report.page import latex_table
+    from rfpipe.store.files import write_atomically
+
+    suffix = checked_output("compare", output) if output is not None else ""
+    rows = compared(folders, errors or ERRORS, seconds)
+    if errors is None:
+        reached = rows["patterns"].notna().groupby(rows["error"]).transform("any")
+        rows = rows[reached] if reached.any() else rows
+    table = _shown(rows)
+    typer.echo(_aligned(table))
+    if output is not None:
+        text = rows.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+        write_atomically(output, (latex_table(table) if suffix == ".tex" else text).encode())
+        typer.echo(f"\nwritten: {output}")
+
+
+def _shown(rows: pd.DataFrame) -> Table:
+    """Return the comparison as a table of text."""
+    from rfpipe.report.page import Table
+    from rfpipe.report.text import number
+
+    cells = [
+        [
+            row["scene"], f"{100 * row['error']:g}", row["method"],
+            *(number(row[cost]) for cost in ("patterns", "pictures", "seconds")), row["note"],
+        ]
+        for row in rows.to_dict("records")
+    ]  # fmt: skip
+    return Table("Methods at equal error", "", list(_HEADINGS.values()), cells, 3)
+
+
+def _aligned(table: Table) -> str:
+    """Return a table in columns; a scene and an error that repeat are left out."""
+    lines = [table.columns, *table.rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text, previous = [], ["", ""]
+    for line in lines:
+        repeated = line[:2] == previous
+        previous = line[:2]
+        cells = ["", "", *line[2:]] if repeated else line
+        is_left = [index in (0, 2, len(cells) - 1) for index in range(len(cells))]
+        padded = [
+            cell.ljust(width) if left else cell.rjust(width)
+            for cell, width, left in zip(cells, widths, is_left, strict=True)
+        ]
+        text.append("  ".join(padded).rstrip())
+    return "\n".join(text)

@@ -1,0 +1,249 @@
+"""Methods at equal error: patterns, pictures and seconds that each takes for it on each scene.
+
+Every acquisition gives points (patterns, error), one a level where its transport is known level by
+level, else one alone. The points of all acquisitions of a scene by one method, whatever its
+tolerance or target, make the method's curve: those with the least error for their patterns. Between
+two points of a curve, costs are interpolated with the logarithm of the error.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rfpipe.errors import InputError, StoreError
+from rfpipe.methods.base import get_method
+from rfpipe.provenance import fingerprint
+from rfpipe.report.inputs import pictures_by_level, read_json, seconds_by_level
+from rfpipe.report.text import percent
+from rfpipe.stages.evaluate import errors_by_level
+from rfpipe.stages.verification import MANIFEST as VERIFIED
+from rfpipe.store import open_arrays
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ERRORS = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+"""Errors at which methods are compared where none are given."""
+
+COLUMNS = ("scene", "error", "method", "patterns", "pictures", "seconds", "note")
+
+_SECONDS_PER_PATTERN = 2.0
+
+
+@dataclass(frozen=True)
+class Point:
+    """Cost and error of an acquisition that ends after some level.
+
+    Attributes
+    ----------
+    error : float
+        Mean error of relit pictures, a fraction.
+    patterns, pictures, seconds : float
+        Patterns of the method; pictures that the rig took for it, references included; seconds of
+        these pictures and of processing. NaN where not known.
+    """
+
+    error: float
+    patterns: float
+    pictures: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Acquired:
+    """Points of one acquisition.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of results.
+    scene : str
+    truth : str
+        Fingerprint of the scene's floodlit image; "" of a captured scene.
+    method : str
+        Title of the method.
+    variant : str
+        Fingerprint of its options except the one that trades patterns for accuracy.
+    points : tuple of Point
+    """
+
+    folder: Path
+    scene: str
+    truth: str
+    method: str
+    variant: str
+    points: tuple[Point, ...]
+
+
+def compare(
+    folders: Sequence[Path],
+    errors: Sequence[float] = ERRORS,
+    seconds_per_pattern: float | None = None,
+) -> pd.DataFrame:
+    """Compare the methods of finished runs at equal errors.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Folders of results, or of runs.
+    errors : sequence of float
+        Fractions above 0.
+    seconds_per_pattern : float, optional
+        Seconds that the rig takes for a picture; by default those of each run's settings.
+
+    Returns
+    -------
+    DataFrame
+        `COLUMNS`: a row for each scene, error and method; costs are NaN where the ``note`` says
+        that the method doesn't reach the error.
+
+    Raises
+    ------
+    InputError
+        If an error isn't above 0.
+    StoreError
+        If a folder holds no relit acquisition with a known error.
+    """
+    import pandas as pd
+
+    wrong = [error for error in errors if not error > 0]
+    if wrong:
+        raise InputError(f"error {wrong[0]:g}; expected a fraction above 0, such as 0.01")
+    acquired = [one for folder in folders for one in acquisitions(folder, seconds_per_pattern)]
+    curves = curves_of(acquired)
+    rows = [
+        {"scene": scene, "error": error, "method": method, **_cost(curve, error)}
+        for scene in dict.fromkeys(scene for scene, _ in curves)
+        for error in sorted(errors, reverse=True)
+        for (of_scene, method), curve in curves.items()
+        if of_scene == scene
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def acquisitions(folder: Path, seconds_per_pattern: float | None) -> list[Acquired]:
+    """Read the acquisitions of a folder of results, or of a run, whose errors are known."""
+    results = folder / "results" if (folder / "results").is_dir() else folder
+    configuration = _configuration(results)
+    seconds = seconds_per_pattern or configuration.get("capture", {}).get("seconds_per_pattern")
+    read = (
+        _acquired(results, path, configuration, seconds or _SECONDS_PER_PATTERN)
+        for path in sorted(results.glob("*/*/relight.json"))
+    )
+    known = [one for one in read if one.points]
+    if not known:
+        raise StoreError(
+            f"{folder}: holds no relit acquisition whose error is known, by the truth or by "
+            "verification pictures; name the folder of a finished run, such as results"
+        )
+    return known
+
+
+def _configuration(results: Path) -> dict[str, Any]:
+    """Return the settings of the run that made results, as its report has them; {} without one."""
+    path = results / "report" / "results.json"
+    if not path.is_file():
+        return {}
+    about: dict[str, Any] = json.loads(path.read_text("utf-8"))["provenance"]["configuration"]
+    return about
+
+
+def _acquired(
+    results: Path, manifest: Path, configuration: Mapping[str, Any], seconds: float
+) -> Acquired:
+    """Read an acquisition by its ``relight.json``."""
+    facts, folder = read_json(manifest), manifest.parent
+    scene, section = facts["scene"], facts["method"]
+    sections = configuration.get("scenes", {}).get(scene, {}).get("methods") or {}
+    about = {**configuration.get("methods", {}), **sections}.get(section) or {}
+    title, trades = _titled(about.get("method") or section)
+    options = {name: value for name, value in facts["options"].items() if name != trades}
+    truth = ""
+    if "level_errors" in facts:
+        truth = fingerprint(open_arrays(manifest.with_suffix(".zarr")).read("floodlit_truth"))
+    points = tuple(_points(folder, facts, seconds))
+    return Acquired(results, scene, truth, title, fingerprint(options), points)
+
+
+def _titled(method: str) -> tuple[str, str | None]:
+    """Return a method's title and the option that trades patterns for accuracy."""
+    try:
+        found = get_method(method)
+    except InputError:  # a method of a user's own, whose file isn't here
+        return method, None
+    return found.title, found.trades
+
+
+def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[Point]:
+    """Yield the points of an acquisition, a row of `errors_by_level` each."""
+    if "level_errors" in facts:
+        errors = errors_by_level(facts)
+    else:
+        error = read_json(folder / VERIFIED).get("mean_error")
+        last = max((row["level"] for row in facts["levels"]), default=0)
+        errors = [] if error is None else [(last, facts["patterns"], error)]
+    pictures, processing = pictures_by_level(folder), seconds_by_level(folder)
+    for level, patterns, error in errors:
+        taken = sum(count for at, count in pictures.items() if at <= level) or math.nan
+        worked = sum(spent for at, spent in processing.items() if at <= level)
+        yield Point(error, patterns, taken, seconds * taken + worked)
+
+
+def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[Point]]:
+    """Return the curve of each scene and method, by their names in the table.
+
+    Scenes of one name whose floodlit images differ have their folders beside their names, methods
+    whose other options differ have numbers.
+    """
+    acquired = list(acquired)
+    points: dict[tuple[str, str], list[Point]] = {}
+    for one in acquired:
+        truths = {other.truth for other in acquired if other.scene == one.scene}
+        scene = f"{one.scene} ({one.folder})" if len(truths) > 1 else one.scene
+        variants = dict.fromkeys(
+            other.variant
+            for other in acquired
+            if (other.scene, other.method) == (one.scene, one.method)
+        )
+        number = [*variants].index(one.variant) + 1
+        method = f"{one.method} ({number})" if len(variants) > 1 else one.method
+        points.setdefault((scene, method), []).extend(one.points)
+    return {names: frontier(of) for names, of in points.items()}
+
+
+def frontier(points: Iterable[Point]) -> list[Point]:
+    """Return the points with a smaller error than any of fewer patterns, by patterns."""
+    best: list[Point] = []
+    for point in sorted(points, key=lambda it: (it.patterns, it.error)):
+        if not best or point.error < best[-1].error:
+            best.append(point)
+    return best
+
+
+def _cost(curve: Sequence[Point], error: float) -> dict[str, Any]:
+    """Return what an error costs on a curve, with a note where it isn't between two points."""
+    reached = next((index for index, point in enumerate(curve) if point.error <= error), None)
+    if reached is None:
+        last = curve[-1]
+        note = f"not reached: {percent(last.error)} % after {last.patterns:,.0f} patterns"
+        return {"note": note}
+    after = curve[reached]
+    if reached == 0:
+        note = f"at most: {percent(after.error)} % is the largest error known"
+        return {**_costs(after), "note": note}
+    before = curve[reached - 1]
+    share = 1.0
+    if after.error > 0:
+        share = math.log(before.error / error) / math.log(before.error / after.error)
+    pairs = zip(_costs(before).items(), _costs(after).values(), strict=True)
+    costs = {name: first ** (1 - share) * last**share for (name, first), last in pairs}
+    return {**costs, "note": ""}
+
+
+def _costs(point: Point) -> dict[str, float]:
+    return {name: getattr(point, name) for name in ("patterns", "pictures", "seconds")}

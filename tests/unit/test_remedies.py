@@ -1,0 +1,85 @@
+"""Remedies of too much and too little light, by the kind of rig that took the pictures."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.workflow.stagewise import Acquisition
+
+import rfpipe
+from rfpipe import CameraModel, OperatorRig
+from rfpipe.config import CameraConfig, OfflineConfig, SceneSettings
+from rfpipe.errors import CaptureError
+from rfpipe.rigs import SimulatedRig
+from rfpipe.rigs.offline import offline_rig
+from rfpipe.scenes import MatrixScene, scene_from_config
+from rfpipe.stages.remedies import REMEDIES, Fault, Kind, kind_of
+
+SHAPE = (4, 5)
+CAMERA = CameraModel()  # takes radiance up to 2
+BENCH = {"kind": "devices", "projector": {}, "camera": {}}
+
+FAULTS = {  # radiance under floodlight: share that is named, word of the fault
+    Fault.BRIGHT: (5.0, "saturated"),
+    Fault.DARK: (1e-9, "all black"),
+}
+MEANS = {  # kind of rig: words of its remedies, and words of other remedies
+    Kind.MATRIX: (("brightest", "camera to null"), ("aperture", "projector")),
+    Kind.SCENE: (("camera.exposures", "camera to null"), ("aperture", "brightest")),
+    Kind.PYTHON: (("matrix", "noise=None"), ("aperture", "camera.exposures")),
+}
+
+
+def simulated(kind: Kind, radiance: float) -> Any:
+    if kind is Kind.MATRIX:
+        scene: Any = MatrixScene(radiance * np.eye(20, dtype=np.float32), SHAPE, SHAPE)
+        return SimulatedRig(scene, CAMERA)
+    if kind is Kind.SCENE:
+        wall = SceneSettings.of("plane", surfaces=["white"], shape=SHAPE)
+        sensor = CameraModel(electrons_per_radiance=radiance * CAMERA.electrons_per_radiance)
+        return SimulatedRig(scene_from_config(wall), sensor)
+    return OperatorRig(radiance * np.eye(20, dtype=np.float32), SHAPE, SHAPE, CAMERA)
+
+
+@pytest.mark.parametrize("kind", MEANS)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_simulated_rig_is_changed_by_its_settings(
+    tmp_path: Path, fault: Fault, kind: Kind
+) -> None:
+    radiance, word = FAULTS[fault]
+    acquisition = Acquisition(tmp_path, simulated(kind, radiance))
+    acquisition.schedule(0)
+    acquisition.capture(0)
+    with pytest.raises(CaptureError, match=word) as caught:
+        acquisition.merge(0)
+    named, foreign = MEANS[kind]
+    assert all(means in str(caught.value) for means in named)
+    assert not any(means in str(caught.value) for means in foreign)
+
+
+@pytest.mark.parametrize("kind", MEANS)
+def test_in_memory_it_is_changed_in_python(kind: Kind) -> None:
+    with pytest.raises(CaptureError, match="noise=None") as caught:
+        rfpipe.acquire(simulated(kind, 5.0), "brute_force", progress=False)
+    assert "aperture" not in str(caught.value)
+
+
+def test_the_largest_radiance_of_the_camera_is_named() -> None:
+    assert CAMERA.full_scale_radiance == 2
+    with pytest.raises(CaptureError, match="radiance 2 is full scale"):
+        rfpipe.acquire(simulated(Kind.PYTHON, 5.0), "brute_force", progress=False)
+
+
+def test_each_kind_of_rig_has_a_remedy_of_each_fault() -> None:
+    for fault in Fault:
+        assert set(REMEDIES[fault]) == set(Kind)
+    offline = offline_rig(OfflineConfig(), CameraConfig(), SHAPE, SHAPE, 1)
+    described = {
+        Kind.OFFLINE: offline.describe(),
+        Kind.DEVICES: BENCH,
+        **{kind: simulated(kind, 1.0).describe() for kind in MEANS},
+    }
+    assert {kind_of(rig): kind for kind, rig in described.items()} == {kind: kind for kind in Kind}
+    assert "aperture" in REMEDIES[Fault.BRIGHT][Kind.DEVICES]
+    assert "again" in REMEDIES[Fault.BRIGHT][Kind.OFFLINE]

@@ -1,0 +1,323 @@
+"""Parts of a report: styles, seeds, estimates, targets, levels, rigs, and files for papers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.reports import WEDGE
+
+from rfpipe import acquire
+from rfpipe.config import Config
+from rfpipe.relighting import picture_errors, picture_squares
+from rfpipe.report import errors, glance, setup
+from rfpipe.report.inputs import Inputs, Run, pictures_by_level
+from rfpipe.report.page import Illustration, Section, Table, latex_table, write_page
+from rfpipe.report.targets import ending_of, missed_targets
+from rfpipe.report.text import DASH
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import planes_scene
+from rfpipe.stages.evaluate import errors_by_level
+from rfpipe.store import write_manifest
+
+GREY = {**WEDGE, "channels": 1}
+SEEDS = {f"corner_{seed}": {**GREY, "seed": seed} for seed in (1, 2, 3)}
+CONFIG = Config.model_validate(
+    {
+        "scenes": {**SEEDS, "other": {**GREY, "bounces": 1}},
+        "methods": {
+            "near_far": {"target_error": 0.02},
+            "near_far_fine": {"method": "near_far", "target_error": 0.005},
+            "symmetric": {},
+            "symmetric_fine": {"method": "symmetric", "tolerance": 1e-4},
+            "dual": {},
+        },
+    }
+)
+
+
+def row(level: int, patterns: int, **more: Any) -> dict[str, Any]:
+    counts = dict.fromkeys(("empty", "rank1", "scalar", "subdivided"), 0)
+    return {"level": level, "patterns": patterns, "nodes": 0, **counts, **more}
+
+
+def inputs_of(
+    results: Path, config: Config = CONFIG, rows: list[dict[str, Any]] | None = None
+) -> Inputs:
+    """The inputs of a report whose runs all have these levels."""
+    level_rows = rows or [row(0, 1), row(1, 12, estimated_error=0.01)]
+    patterns = sum(it["patterns"] for it in level_rows)
+    bundle: Any = SimpleNamespace(names=["truth"])
+    runs = [
+        Run(scene, method, config.scenes[scene],
+            {"levels": level_rows, "patterns": patterns, "options": {}, "bytes": 1000,
+             "coaxial": True, "mean_error": 0.01, "level_errors": [0.01]}, bundle)
+        for scene, method in config.acquisitions
+    ]  # fmt: skip
+    speed = pd.DataFrame(
+        [
+            {"scene": run.scene, "method": run.method, "level": level, "patterns": 10 * level + n,
+             "error": 0.1 / (level + n)}
+            for n, run in enumerate(runs)
+            for level in ((1, 2, 3) if run.method.startswith("sym") else (1,))
+        ]
+    )  # fmt: skip
+    return Inputs(config, runs, pd.DataFrame(), speed, results)
+
+
+# ---- Speed against error
+
+
+def test_each_setting_of_a_method_has_a_colour_and_a_marker_of_its_own(tmp_path: Path) -> None:
+    inputs = inputs_of(tmp_path)
+    styles = [inputs.style(method) for method in inputs.methods]
+    assert len(styles) == 5
+    for name in ("color", "marker", "label"):
+        assert len({style[name] for style in styles}) == 5, name
+    subject = CONFIG.methods["near_far"].subject
+    assert (styles[0]["color"], styles[0]["marker"]) == (subject.colour, subject.marker)
+
+
+def test_an_estimate_is_drawn_where_it_was_made_and_not_as_the_truth_is(tmp_path: Path) -> None:
+    values = [None, 0.05, 0.05, 0.05, 0.02, 0.02, 0.03]
+    rows = [
+        row(level, 4, **({} if value is None else {"estimated_error": value}))
+        for level, value in enumerate(values)
+    ]
+    assert [it["level"] for it in errors.made_estimates(rows)] == [1, 4, 6]
+    assert errors.made_estimates(rows[:1]) == []
+    inputs = inputs_of(tmp_path, rows=rows)
+    steps = errors.histories(inputs.runs)
+    (other,) = (group for group in inputs.seed_groups if group.name == "other")
+    figure = errors.speed_figure(inputs, [other], inputs.speed_error, steps)
+    lines = [line for line in figure.axes[0].lines if len(line.get_xdata())]
+    crosses = [line for line in lines if line.get_marker() == "x"]
+    truths = [line for line in lines if line.get_marker() not in ("x", "None", "", "|", "_")]
+    assert {tuple(line.get_xdata()) for line in crosses} == {(8, 20, 28)}
+    assert {line.get_linestyle() for line in crosses} == {":"}
+    assert len(truths) == len(inputs.methods)
+    alone = [line for line in truths if len(line.get_xdata()) == 1]
+    assert len(alone) == 3
+    assert all(line.get_markersize() > 6 for line in alone)
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {*map(inputs.title, inputs.methods), "as a method estimated it"} < {*names}
+    assert len(names) == len({*names})
+
+
+def test_scenes_that_differ_by_their_seeds_alone_are_one_panel_with_error_bars(
+    tmp_path: Path,
+) -> None:
+    inputs = inputs_of(tmp_path)
+    groups = {group.title: group.scenes for group in inputs.seed_groups}
+    assert groups == {"corner, 3 seeds": tuple(SEEDS), "other": ("other",)}
+    rows = pd.DataFrame({"scene": ["a", "a", "b", "b"], "patterns": [1, 5, 3, 7],
+                         "error": [0.4, 0.1, 0.2, 0.3]})  # fmt: skip
+    means = errors.over_seeds(rows, "error")
+    np.testing.assert_allclose(means["patterns"], [2, 6])
+    np.testing.assert_allclose(means["error"], [30, 20])
+    np.testing.assert_allclose(means["error_sd"], [10 * np.sqrt(2)] * 2)
+    table = glance.seeds_table(inputs, [glance.result_of(inputs, run) for run in inputs.runs])
+    assert table is not None
+    assert {cells[0] for cells in table.rows} == {"corner"}
+    assert table.rows[0][table.columns.index("error, %")] == "1.00 ± 0.00"
+    figure = errors.speed_figure(
+        inputs, inputs.seed_groups, inputs.speed_error, errors.histories(inputs.runs)
+    )
+    assert [axis.get_title() for axis in figure.axes[:2]] == ["corner, 3 seeds", "other"]
+    bars, none = (len(axis.collections) for axis in figure.axes[:2])
+    assert bars > none == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "together"),
+    [
+        ({"seed": 7}, True),
+        ({"about": {"number": 3}}, True),
+        ({"settings": {"seed": 5}}, True),
+        ({"bounces": 2}, False),
+        ({"shape": [8, 12]}, False),
+        ({"settings": {"camera": {"bits": 10}}}, False),
+        ({"methods": {"dual": {}}}, False),
+    ],
+)
+def test_seeds_alone_make_scenes_one_group(change: dict, together: bool, tmp_path: Path) -> None:
+    scenes = {"corner_1": GREY, "corner_2": {**GREY, **change}}
+    config = Config.model_validate({"scenes": scenes, "methods": {"symmetric": {}, "dual": {}}})
+    assert len(inputs_of(tmp_path, config).seed_groups) == (1 if together else 2)
+
+
+def test_a_captured_scene_s_error_is_that_of_its_verification(tmp_path: Path) -> None:
+    inputs = inputs_of(tmp_path)
+    captured: Any = SimpleNamespace(names=[])
+    runs = [replace(run, images=captured, verified={"mean_error": 0.03}) for run in inputs.runs]
+    captured_inputs = replace(inputs, runs=runs, speed_error=inputs.speed_error[:0])
+    shown = errors.known_errors(captured_inputs)
+    assert shown["error"].tolist() == [0.03] * len(runs)
+    assert errors.known_errors(inputs) is inputs.speed_error
+
+
+# ---- Levels and errors
+
+
+@pytest.mark.parametrize(
+    ("rows", "level_errors", "expected"),
+    [
+        # fitted to all pictures together, with levels that showed nothing after the last
+        ([row(0, 1), row(1, 12), row(2, 0), row(3, 0)], [0.1], [(1, 13, 0.1)]),
+        ([row(0, 1)], [0.5], [(0, 1, 0.5)]),
+        ([row(0, 0)], [0.5], [(0, 0, 0.5)]),
+        # level by level
+        ([row(0, 1), row(1, 4), row(2, 0), row(3, 8)], [0.9, 0.5, 0.5, 0.1],
+         [(0, 1, 0.9), (1, 5, 0.5), (3, 13, 0.1)]),
+        ([row(0, 1), row(1, 4), row(2, 8)], [0.5, 0.1], [(1, 5, 0.5), (2, 13, 0.1)]),
+    ],
+)  # fmt: skip
+def test_levels_have_one_numbering(rows: list, level_errors: list, expected: list) -> None:
+    assert errors_by_level({"levels": rows, "level_errors": level_errors}) == expected
+
+
+def test_errors_of_dark_pictures_are_also_relative_to_their_own_norm() -> None:
+    floodlit = np.ones((4, 5, 1))
+    patterns = np.ones((2, 4, 5))
+    truth = np.stack([floodlit, 0.1 * floodlit])
+    total, indirect = picture_squares(truth + 0.01, truth, patterns, floodlit)
+    assert indirect is None
+    np.testing.assert_allclose(total.plain_errors, [0.01, 0.1])
+    np.testing.assert_allclose(total.errors, [0.01, 0.02])
+    np.testing.assert_allclose(
+        picture_errors(truth + 0.01, truth, patterns, floodlit)[0], total.errors
+    )
+    black = picture_squares(0 * truth, 0 * truth, patterns, floodlit)[0]
+    np.testing.assert_array_equal(black.plain_errors, 0)
+
+
+# ---- Targets
+
+
+@pytest.mark.parametrize(
+    ("facts", "reason", "expected"),
+    [
+        ({"mean_error": 0.03}, "all rounds are shown", ["3.00 %", "all rounds are shown"]),
+        ({"mean_error": 0.03, "estimated_error": 0.009}, "", ["3.00 %", "estimated 0.90 %"]),
+        ({"mean_error": None, "estimated_error": 0.02}, "", ["2.00 %", "estimated by the method"]),
+        ({"mean_error": 0, "mean_indirect": 0.2, "target_indirect": 0.1}, "", ["indirect light"]),
+        ({"mean_error": 0.01}, "", None),
+        ({"mean_error": 0.010004}, "", None),  # shown alike
+        ({"mean_error": 0.03, "target_error": None}, "", None),
+        ({"mean_error": None}, "", None),
+    ],
+)  # fmt: skip
+def test_a_missed_target_is_told_with_the_reason(
+    facts: dict, reason: str, expected: list[str] | None
+) -> None:
+    told = [*missed_targets({"target_error": 0.01, "verified": "exact truth", **facts}, reason)]
+    if expected is None:
+        assert told == []
+    else:
+        (sentence,) = told
+        assert all(part in sentence for part in ["TARGET MISSED", *expected])
+
+
+def test_alarms_and_their_rows_are_red(tmp_path: Path) -> None:
+    table = Table("Costs", "", ["scene", "error, %"], [["a", "1"], ["b", "2"]],
+                  alarmed=frozenset([1]), is_folded=False)  # fmt: skip
+    section = Section("glance", "At a glance", [table], alarms=["b: TARGET MISSED"])
+    write_page(tmp_path / "index.html", "title", "lead", [section], {})
+    page = (tmp_path / "index.html").read_text("utf-8")
+    assert '<p class="alarm">b: TARGET MISSED</p>' in page
+    assert page.count('<tr class="alarm">') == 1
+    assert page.index('<tr class="alarm">') < page.index(">b</th>")
+    assert page.index('class="alarm">b: TARGET') < page.index("<table>")
+
+
+# ---- Rigs
+
+
+def test_pictures_on_the_rig_are_counted_by_level(tmp_path: Path) -> None:
+    store = {"digest": "it", "shape": [72, 4, 8, 10, 3]}
+    for level, facts in enumerate([
+        {"patterns": 1, "reference": store, "symmetry": {**store, "shape": [6, 4, 8, 10, 3]},
+         "rig": {"digest": "no", "shape": [9]}, "sensor": {"digest": "arrays"}, "shape": [1]},
+        {"patterns": 12, "moves": {**store, "shape": [3, 4, 8, 10, 3]}},
+    ]):  # fmt: skip
+        (tmp_path / f"L{level:02}").mkdir()
+        write_manifest(tmp_path / f"L{level:02}" / "capture.json", facts)
+    assert pictures_by_level(tmp_path) == {0: 79, 1: 15}
+
+
+RIG = {
+    "kind": "devices",
+    "sensor": {"kind": "resampled",
+               "sensor": {"bits": 14, "exposures": [0.002, 0.5], "black_level": 71.5}},
+    "calibration": {"dark": {"title": "dark", "standing": "good"}},
+}  # fmt: skip
+
+
+def test_a_captured_run_shows_its_rig_s_sensor_and_no_camera_of_a_simulation(
+    tmp_path: Path,
+) -> None:
+    config = Config.model_validate(
+        {
+            "scenes": {"desk": {"kind": "captured", "shape": [8, 10]}},
+            "methods": {"dual": {}},
+            "capture": {"rig": "remote"},
+        }
+    )
+    (tmp_path / "desk/dual/L00").mkdir(parents=True)
+    write_manifest(tmp_path / "desk/dual/L00/capture.json", {"patterns": 1, "rig": RIG})
+    settings, rig, _ = setup.setup_section(inputs_of(tmp_path, config)).blocks
+    assert isinstance(settings, Table)
+    assert isinstance(rig, Table)
+    assert not any(name.startswith("camera.") for name, _ in settings.rows)
+    shown = dict(rig.rows)
+    assert rig.rows[0][0].startswith("sensor.")
+    assert shown["sensor.bits"] == "14"
+    assert shown["sensor.exposures"] == "[0.002, 0.5]"
+    assert shown["sensor.black_level"] == "71.5"
+    assert not any(name.startswith("calibration") for name in shown)
+    simulated = setup.setup_section(inputs_of(tmp_path)).blocks
+    assert [block.name for block in simulated if isinstance(block, Table)] == [
+        "Settings", "Versions",
+    ]  # fmt: skip
+    assert any(name.startswith("camera.") for name, _ in simulated[0].rows)
+
+
+# ---- Files for papers
+
+
+def test_figures_are_also_vectors_of_the_same_bytes(tmp_path: Path) -> None:
+    from rfpipe.report.drawing import new_figure
+
+    for folder in ("one", "two"):
+        figure, ((axis,),) = new_figure(1, 1, (2, 2))
+        axis.plot([1, 2], [3, 4])
+        shown = Illustration("Curve", "", "curve", figure)
+        page = tmp_path / folder / "index.html"
+        write_page(page, "title", "lead", [Section("curve", "Curve", [shown])], {})
+        assert 'href="figures/curve.pdf"' in page.read_text("utf-8")
+    first, second = (tmp_path / name / "figures/curve.pdf" for name in ("one", "two"))
+    assert first.read_bytes().startswith(b"%PDF")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_table_is_latex_whatever_its_signs() -> None:
+    table = Table("T", "", ["scene", "error, %"], [["planes_iv", "1 ± 2"], ["a&b#{}", DASH]])
+    lines = latex_table(table).splitlines()
+    assert lines[1] == r"\begin{tabular}{lr}"
+    assert r"scene & error, \% \\" in lines
+    assert r"planes\_iv & 1 $\pm$ 2 \\" in lines
+    assert r"a\&b\#\{\} & -- \\" in lines
+    assert lines[-1] == r"\end{tabular}"
+
+
+def test_a_method_states_why_it_ended_above_its_target() -> None:
+    rig = SimulatedRig(planes_scene("wedge", ("texture", "texture"), (8, 10), channels=1))
+    stopped = acquire(rig, "near_far", progress=False, target_error=1e-4, patterns=13)
+    assert "all patterns" in ending_of(stopped.transport.level_rows)
+    reached = acquire(rig, "near_far", progress=False, target_error=0.5)
+    assert ending_of(reached.transport.level_rows) == ""
