@@ -63,7 +63,7 @@ def measure_linearity(bench: Bench) -> Findings:
             less, more = signal[k : k + 2, inside]
             rest = less * ratio - more  # fixed differences between photosites cancel
             sums[:, k] += _binned(at[inside], _BINS, less, more, rest**2)
-    there = (sums[0] >= _LEAST_PIXELS) & (sums[1] > 0)
+    there = (sums[0] >= _LEAST_PIXELS) & (sums[1:3] > 0).all(axis=0)
     ratio = np.broadcast_to(ratios[:, None], there.shape)[there]
     count, short, long, squares = sums[:, there]
     scatter = np.maximum(squares - (short * ratio - long) ** 2 / count, 0)
