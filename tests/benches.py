@@ -50,7 +50,10 @@ def bench_of(
     def radiance() -> np.ndarray:
         codes = np.rint(projector.light * 255).astype(int)
         shown = projector.light if gamma == 1 else light[codes]
-        return path.radiance(shown)
+        if shown.ndim == 2:
+            return path.radiance(shown)
+        each = [path.radiance(shown[..., colour])[..., colour] for colour in range(3)]
+        return np.stack(each, axis=-1)
 
     shape, channels = path.camera_shape, path.channels
     return Bench(path, projector, SimulatedCamera(radiance, shape, channels, sensor, seed))
@@ -63,9 +66,10 @@ def wedge_bench(
     sensor: CameraModel = CAMERA,
     gamma: float = 1.0,
     seed: int = 0,
+    channels: int = 1,
 ) -> Bench:
     """Return a bench before two planes that light each other."""
-    config = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=rays, channels=1)
+    config = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=rays, channels=channels)
     scene = scene_from_config(config)
     direct = scene_from_config(config.model_copy(update={"bounces": 1}))
     path = OpticalPath(

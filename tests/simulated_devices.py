@@ -25,7 +25,7 @@ class SimulatedProjector:
 
     Attributes
     ----------
-    light : ndarray of float32, shape `shape`
+    light : ndarray of float32, shape `shape`, or (*shape, 3) of a coloured picture
         What it shows now; dark at first.
     """
 
@@ -40,6 +40,10 @@ class SimulatedProjector:
         if self._closed:
             raise CaptureError("the simulated projector is closed")
         self.light = picture.copy()
+
+    def show_colour(self, picture: Float) -> None:
+        """Show weights (H, W, 3) of red, green and blue."""
+        self.light = check_picture(picture, (*self.shape, 3)).copy()
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""

@@ -97,7 +97,7 @@ def sources_of(group: str, name: str) -> tuple[Path, ...]:
 
 
 def is_of_rfpipe(group: str, name: str) -> bool:
-    """Whether a name leads to rfpipe or one of its extras, rather than to code of a user's own.
+    """Test whether a name leads to rfpipe or one of its extras, not to a user's code.
 
     Raises
     ------

@@ -229,10 +229,19 @@ class Scenery:
         self._number += 1
         codes = self._lit()
         if self._seen is None or not np.array_equal(codes, self._seen[0]):
-            self._seen = codes, self.path.radiance(self._light[codes])
+            self._seen = codes, self._radiance(codes)
         camera = replace(self.camera, exposures=(exposure,))
         counts: Counts = camera.expose(self._seen[1], self._seed, (self._number,))[0]
         return counts[..., 0] if counts.shape[2:] == (1,) else counts
+
+    def _radiance(self, codes: Codes) -> Float:
+        """Return what the camera sees under codes (H, W), or (H, W, 3) of red, green and blue."""
+        light = self._light[codes]
+        if codes.ndim == 2:
+            return self.path.radiance(light)
+        each = [self.path.radiance(light[..., colour]) for colour in range(3)]
+        channels = range(self.path.channels)
+        return np.stack([each[channel][..., channel] for channel in channels], axis=-1)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""
@@ -255,7 +264,7 @@ class Scenery:
             return codes
         from scipy.ndimage import shift
 
-        moved: Codes = shift(codes, self._knock[1:], order=0)
+        moved: Codes = shift(codes, (*self._knock[1:], 0)[: codes.ndim], order=0)
         return moved
 
 

@@ -136,7 +136,14 @@ class WindowProjector(Closing):
 
     def show_now(self, picture: Float) -> None:
         """Show a picture, and return when it is drawn; see `rfpipe.rigs.devices.Projector`."""
-        picture = check_picture(picture, self.shape)
+        self._show(check_picture(picture, self.shape))
+
+    def show_colour(self, picture: Float) -> None:
+        """Show weights (H, W, 3) of red, green and blue; see `rfpipe.rigs.devices.Projector`."""
+        self._show(check_picture(picture, (*self.shape, 3)))
+        time.sleep(self.settle_seconds)
+
+    def _show(self, picture: Float) -> None:
         codes = self._codes[np.rint(picture * np.float32(STEPS)).astype(np.uint16)]
         with self._lock:
             self._draw(codes)

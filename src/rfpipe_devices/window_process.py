@@ -31,7 +31,7 @@ class WindowError(Exception):
 
 
 class Window:
-    """A borderless window over a display or a part of it, drawn in 8-bit grey."""
+    """A borderless window over a display or a part of it, drawn in 8-bit grey or colour."""
 
     def __init__(self, screen: int, offset: tuple[int, int], shape: tuple[int, int] | None) -> None:
         import pygame
@@ -68,18 +68,21 @@ class Window:
         pygame.display.set_allow_screensaver(False)
         self._surface = self._window.get_surface()
         red, green, blue, _ = self._surface.get_shifts()
-        self._grey = np.uint32(1 << red | 1 << green | 1 << blue)
+        self._units = np.array([1 << red, 1 << green, 1 << blue], np.uint32)
         self._was_hidden = False
         self.draw(np.zeros(self.shape, np.uint8))
 
     def draw(self, codes: NDArray[np.uint8]) -> None:
-        """Draw a picture; return when the display's server has drawn it."""
+        """Draw a picture, (H, W) or (H, W, 3); return when the display's server has drawn it."""
         self._check_place()
         height, width = self.shape
         row = self._surface.get_pitch() // 4
         memory: Any = self._surface.get_buffer()
         pixels = np.frombuffer(memory, np.uint32).reshape(height, row)
-        np.multiply(codes, self._grey, out=pixels[:, :width], dtype=np.uint32)
+        if codes.ndim == 2:
+            np.multiply(codes, self._units.sum(), out=pixels[:, :width], dtype=np.uint32)
+        else:
+            np.matmul(codes, self._units, out=pixels[:, :width], dtype=np.uint32)
         self._was_hidden = False
         self._flip()
 
@@ -123,7 +126,9 @@ def serve(window: Window, connection: Any) -> None:
         picture = connection.recv_bytes()
         if picture:
             window.handle_events()
-            window.draw(np.frombuffer(picture, np.uint8).reshape(window.shape))
+            codes = np.frombuffer(picture, np.uint8)
+            colours = () if codes.size == window.shape[0] * window.shape[1] else (3,)
+            window.draw(codes.reshape(*window.shape, *colours))
         connection.send((bool(picture) or window.is_undisturbed(), None))
 
 

@@ -16,9 +16,9 @@ from rfpipe.config import Choice
 from rfpipe.errors import InputError
 from rfpipe_mitsuba.variant import load_mitsuba
 
-# Vertices of a path that are worth following. More add less than a percent of the light of rooms
-# with matt surfaces or mirrors; a body of glass that is lit and seen through takes four boundaries
-# and what is reflected within it, and light leaves a translucent body after dozens of scatterings.
+# Vertices of a path that are worth following. More than 6 add 0.02 % of all light to a matt ball on
+# a floor, 0.6 % to a box with blocks, 0.1 % to a mirror ball. A ball of glass lacks 0.5 % at 6 and
+# 0.01 % at 10, two shells of glass 2.4 % and 0.3 %; a ball of fog 3.5 % at 6, 0.2 % at 24.
 _MATT_BOUNCES, _GLASS_BOUNCES, _BODY_BOUNCES = 6, 10, 48
 # Paths hardly ever meet a sharper lobe. At 4,096 paths a pixel, the floor and wall behind a ball of
 # rough glass are 4.5 % off at alpha 0.1, 14 % at 0.03, 41 % at 0.01; what a rough mirror throws is
@@ -51,28 +51,28 @@ class Surface(NamedTuple):
     is_graded: bool
 
     def has(self, *names: str) -> bool:
-        """Whether its BSDF has any of the flags that are named."""
+        """Test its BSDF for any of the named flags."""
         flags = load_mitsuba().BSDFFlags
         return any(self.flags & int(getattr(flags, name)) for name in names)
 
     @property
     def is_smooth(self) -> bool:
-        """Whether it reflects or refracts light as a mirror or a lens does."""
+        """True of mirrors, lenses and smooth coats: a lobe is a single direction."""
         return self.has("DeltaReflection", "DeltaTransmission")
 
     @property
     def refracts(self) -> bool:
-        """Whether light passes through it, bent by a smooth or a rough boundary."""
+        """True where light passes through it, bent by a smooth or a rough boundary."""
         return self.has("DeltaTransmission", "GlossyTransmission")
 
     @property
     def is_sharp(self) -> bool:
-        """Whether it has a glossy lobe that paths hardly ever meet."""
+        """True where it has a glossy lobe that paths hardly ever meet."""
         return self.alpha is not None and self.alpha < _SHARPEST_ALPHA
 
 
 def surfaces_of(scene: Any) -> list[Surface]:
-    """Return the surfaces of a loaded scene, those of shape groups among them."""
+    """Return the surfaces of a loaded scene, also those in groups of shapes."""
     mi = load_mitsuba()
     nodes = mi.traverse(scene).hierarchy
     groups = "Instance", "ShapeGroupPlugin"  # their shapes are nodes, too
@@ -147,7 +147,7 @@ def omissions_of(surfaces: list[Surface], bounces: int, *, caustics: bool) -> li
     """Return, a sentence each, what light of a scene isn't recorded as it is."""
     smooth = [surface.name for surface in surfaces if surface.is_smooth]
     sharp = [surface.name for surface in surfaces if surface.is_sharp]
-    clear = [each.name for each in surfaces if each.is_filled and each.has("DeltaTransmission")]
+    clear = [it.name for it in surfaces if it.is_filled and it.has("DeltaTransmission")]
     missing = smooth and bounces > 1 and not caustics
     sentences = {
         f"light that {_named(smooth)} throws on other surfaces is missing, and the transport of a "

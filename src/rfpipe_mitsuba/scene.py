@@ -151,8 +151,8 @@ class MitsubaOptions(SceneSettings):
         """Sentences on what recording needs and this machine lacks, unless it was recorded."""
         if MitsubaScene(self).is_recorded:
             return []
-        lacking = lacking_llvm(f"scene {self.world.name}")
-        return [] if lacking is None else [lacking]
+        obstacle = lacking_llvm(f"scene {self.world.name}")
+        return [] if obstacle is None else [obstacle]
 
     @property
     def is_coaxial(self) -> bool:
@@ -232,7 +232,7 @@ class MitsubaScene(Scene):
 
     @property
     def is_recorded(self) -> bool:
-        """Whether the matrix was recorded before."""
+        """True where the matrix was recorded before."""
         return is_recorded(self._folder)
 
     @property
@@ -247,9 +247,9 @@ class MitsubaScene(Scene):
         return {"grain": self.recording.noise["half_lit"], "versions": self.recording.versions}
 
     def _loaded(self) -> Any:
-        lacking = lacking_llvm(f"scene {self.world.name}")
-        if lacking is not None:
-            raise InputError(lacking)
+        obstacle = lacking_llvm(f"scene {self.world.name}")
+        if obstacle is not None:
+            raise InputError(obstacle)
         for sentence in self.options.omissions:
             warnings.warn(f"scene {self.world.name}: {sentence}", stacklevel=2)
         return load_scene(self.world)

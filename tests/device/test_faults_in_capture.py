@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import logging
 import re
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.coaxial_rig import coaxial_rig, darker
+from tests.coaxial_rig import RAYS, coaxial_rig, darker
 from tests.device.test_fault_table import FAULTS
+from tests.workflow.stagewise import acquire as acquire_on_files
+from tests.workflow.stagewise import stages
 
 import rfpipe
 from rfpipe.errors import CaptureError
 from rfpipe.rigs import DeviceRig, stale
+from rfpipe.stages import capture, verification
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import Plan
+from rfpipe.store import read_manifest
 from rfpipe.testing import faults
 
 BEGINNING, LATER = 0, 82
@@ -75,6 +83,36 @@ def test_gain_that_changes_from_picture_to_picture_is_not_divided_out(
     assert "it can't be divided out: switch automatic gain off" in caplog.text
     assert found.verification.against(0.03).standing == "missed"
     assert "the target is missed" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "standing", "alarm"),
+    [
+        ("gain", 0.02, "missed", "level 0: gain changes from picture to picture"),
+        ("geometry", 0.04, "met", "level 0: this rig was coaxial when it was calibrated"),
+        (None, 0.04, "met", None),
+    ],
+)
+def test_the_files_state_target_error_and_reason(
+    tmp_path: Path, name: str | None, target: float, standing: str, alarm: str | None
+) -> None:
+    rig = coaxial_rig(FAULTS[name].inject if name else None, camera=darker(2))
+    watching = {"mode": "warn", "looks": 8, "asymmetry": 0.05}
+    captured = {"references": (8, 16), "symmetry_frames": 6, "watching": watching}
+    settings = stages(captured, divide_out_drift=True)
+    accepted = 0.05 if name != "gain" else 0.9  # not to go on as on a rig that isn't coaxial
+    plan = Plan("auto", "auto", RAYS, RAYS, 1, {"target_error": target}, accepted)
+    folder = acquire_on_files(tmp_path / "matrix" / "auto", rig, plan, settings)
+    capturing = partial(capture.run, rig)
+    verification.run(folder, capturing, pictures=3, settings=settings, resources=Resources())
+    stated = read_manifest(folder.path / verification.MANIFEST)
+    assert stated["target_error"] == target
+    assert stated["standing"] == standing
+    assert f"{stated['mean_error']:.2%}" in stated["reason"]
+    assert f"{target:.2%}" in stated["reason"]
+    assert any(one.startswith(alarm) for one in stated["alarms"]) if alarm else not stated["alarms"]
+    if standing == "missed":
+        assert stated["reason"].endswith("gain changes from picture to picture")
 
 
 @pytest.mark.parametrize("method", ["auto", "near_far", "dual"])

@@ -94,7 +94,7 @@ def test_calibrate_drives_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(tmp_path)
     quick = {"dark_frames": 4, "levels": 4, "coaxial": False}
     path = settings_file(tmp_path, {**PAIR, "calibration": "found", "calibrate": quick})
-    for step in ("scene", "dark"):
+    for step in ("steadiness", "scene", "dark"):
         done = CliRunner().invoke(app, ["calibrate", str(path), "--step", step])
         assert done.exit_code == 0, done.output
         assert "report: found/report.html" in done.output

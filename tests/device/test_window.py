@@ -54,6 +54,18 @@ def white(projector: WindowProjector) -> np.ndarray:
 
 
 @XVFB
+def test_it_shows_colours(projector: WindowProjector, x_server: XServer) -> None:
+    picture = np.random.default_rng(0).random((*projector.shape, 3), np.float32)
+    projector.show_colour(picture)
+    np.testing.assert_allclose(x_server.pixels[..., ::-1] / 255, picture, atol=0.6 / 255)
+    projector.show(picture[..., 0])
+    np.testing.assert_allclose(x_server.pixels[..., 2] / 255, picture[..., 0], atol=0.6 / 255)
+    for wrong in (picture[..., 0], 2 * picture):
+        with pytest.raises(InputError):
+            projector.show_colour(wrong)
+
+
+@XVFB
 def test_a_window_that_is_moved_is_put_back(projector: WindowProjector, x_server: XServer) -> None:
     from Xlib.display import Display
 

@@ -1,6 +1,6 @@
 """A radiosity scene of one's own in one file: a ball in a niche of bricks.
 
-Lengths are in scene units: x to the right, y down, z ahead of the camera, which stands at the
+Lengths are in scene units: x to the right, y down, z ahead of the camera at the
 origin; the shorter side of its picture spans -0.5 to 0.5 at z = 1.
 """
 
@@ -20,7 +20,7 @@ SURFACES = (  # a plane: its name, one of its points, and a direction to the cam
 
 
 class NicheOptions(SceneSettings):
-    """What the niche is like; kind, shape, channels, and methods every scene has."""
+    """Options of the niche; kind, shape, channels and methods every scene has."""
 
     brick: float = Field(0.3, gt=0, le=1, description="Height of a brick, scene units, 0 to 1.")
 

@@ -13,6 +13,7 @@ from tests.helpers import run
 
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue
+from rfpipe.store import read_manifest, write_manifest
 from rfpipe.store.files import hidden_sibling
 
 HEADER = "name,kind,surfaces,shape,channels,about.title\n"
@@ -108,3 +109,22 @@ def test_a_small_picture_is_made_again_only_when_its_scene_is(listed: Path) -> N
     (results / "done/hadamard/L00/merge.json").touch()
     write_catalogue(settings, results)
     assert picture.read_bytes() != b"kept"
+
+
+def test_a_missed_target_stands_beside_the_state(listed: Path) -> None:
+    settings, results = load_config(listed.parents[2] / "run.yaml"), listed.parents[1]
+    manifest = results / "done/hadamard/transport.json"
+    kept = manifest.read_bytes()
+    levels = [{"level": 1, "patterns": 59, "estimated_error": 0.02, "ended": "it is <dark>"}]
+    facts = {**read_manifest(manifest), "options": {"target_error": 0.01}, "levels": levels}
+    try:
+        write_manifest(manifest, {key: it for key, it in facts.items() if key != "checksum"})
+        write_catalogue(settings, results)
+        page = listed.read_text("utf-8")
+        assert page.count('<div class="why missed">') == 1
+        assert "TARGET MISSED: the mean error is 2.00 %" in page
+        assert "it is &lt;dark&gt;" in page
+    finally:
+        manifest.write_bytes(kept)
+    write_catalogue(settings, results)
+    assert '<div class="why missed">' not in listed.read_text("utf-8")

@@ -13,7 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from rfpipe.cli import app
-from rfpipe.cli.run import _Asked
+from rfpipe.cli.run import _Options
 
 WIDTH = 80
 
@@ -65,7 +65,7 @@ def test_the_help_of_run_is_ours_and_short() -> None:
 def test_what_is_not_ours_is_passed_on(
     arguments: list[str], passed_on: list[str], retake: list[str], looks: bool
 ) -> None:
-    asked = _Asked.of(arguments)
+    asked = _Options.of(arguments)
     assert (asked.passed_on, asked.retake, asked.looks) == (passed_on, retake, looks)
 
 

@@ -31,7 +31,7 @@ def headings(page: Path) -> set[str]:
 
 
 def check_options(command: Any, words: list[str]) -> None:
-    """Fail where a command has no such option, or no such command of its own."""
+    """Fail where a command has no such option, or no such subcommand."""
     if hasattr(command, "list_commands"):
         context = typer.Context(command)
         assert words[0] in command.list_commands(context)

@@ -36,7 +36,7 @@ def check_alike(after: str, before: str) -> None:
 
 
 def texts(cell: nbformat.NotebookNode) -> str:
-    """Return what a cell prints, and what it shows as text."""
+    """Return the text that a cell prints or shows."""
     shown = [
         output.get("text", output.get("data", {}).get("text/plain", "")) for output in cell.outputs
     ]

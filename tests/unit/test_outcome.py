@@ -64,7 +64,7 @@ def test_jobs_that_succeed_when_tried_again_did_not_fail(tmp_path: Path) -> None
 
 
 def acquisition(results: Path, estimate: float | None, measured: float | None = None) -> None:
-    """Write manifests of a finished acquisition, asked for an error of 1 %."""
+    """Write manifests of a finished acquisition, with a target error of 1 %."""
     folder = results / "vase" / "auto"
     levels: list[dict[str, Any]] = [{"level": 0, "patterns": 1}, {"level": 1, "patterns": 12}]
     if estimate is not None:
@@ -89,13 +89,13 @@ def acquisition(results: Path, estimate: float | None, measured: float | None = 
         (
             0.04,
             None,
-            "vase by auto, estimated error 4 %, 1 % asked for (ended: all rounds are shown)",
+            "vase by auto, estimated error 4 %, target 1 % (ended: all rounds are shown)",
         ),
         (0.009, 0.014, ""),
         (
             0.009,
             0.15,
-            "vase by auto, measured error 15 %, 1 % asked for (ended: all rounds are shown)",
+            "vase by auto, measured error 15 %, target 1 % (ended: all rounds are shown)",
         ),
         (0.04, 0.009, ""),
     ],

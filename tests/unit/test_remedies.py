@@ -24,7 +24,7 @@ FAULTS = {  # radiance under floodlight: share that is named, word of the fault
     Fault.BRIGHT: (5.0, "saturated"),
     Fault.DARK: (1e-9, "all black"),
 }
-MEANS = {  # kind of rig: what is named, and what isn't
+MEANS = {  # kind of rig: words of its remedies, and words of other remedies
     Kind.MATRIX: (("brightest", "camera to null"), ("aperture", "projector")),
     Kind.SCENE: (("camera.exposures", "camera to null"), ("aperture", "brightest")),
     Kind.PYTHON: (("matrix", "noise=None"), ("aperture", "camera.exposures")),
@@ -53,9 +53,9 @@ def test_a_simulated_rig_is_changed_by_its_settings(
     acquisition.capture(0)
     with pytest.raises(CaptureError, match=word) as caught:
         acquisition.merge(0)
-    named, others = MEANS[kind]
+    named, foreign = MEANS[kind]
     assert all(means in str(caught.value) for means in named)
-    assert not any(means in str(caught.value) for means in others)
+    assert not any(means in str(caught.value) for means in foreign)
 
 
 @pytest.mark.parametrize("kind", MEANS)

@@ -124,6 +124,8 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     assert "verified_grey_brute_force_spots_1_relit" in stems(tmp_path, "figures/*.exr")
     (row,) = pd.read_csv(tmp_path / "report/tables/verification.csv").to_dict("records")
     assert (row["drift"], row["moved"]) == (0.004, 0.3)
+    pictures = pd.read_csv(tmp_path / "report/tables/pictures.csv")
+    assert (pictures["plain_error"] >= pictures["error"] * 0.999).all()
 
 
 @pytest.mark.slow

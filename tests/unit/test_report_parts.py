@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,13 +12,16 @@ import pandas as pd
 import pytest
 from tests.reports import WEDGE
 
+from rfpipe import acquire
 from rfpipe.config import Config
 from rfpipe.relighting import picture_errors, picture_squares
 from rfpipe.report import errors, glance, setup
 from rfpipe.report.inputs import Inputs, Run, pictures_by_level
 from rfpipe.report.page import Illustration, Section, Table, latex_table, write_page
-from rfpipe.report.targets import missed_targets
+from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import DASH
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import planes_scene
 from rfpipe.stages.evaluate import errors_by_level
 from rfpipe.store import write_manifest
 
@@ -147,6 +151,16 @@ def test_seeds_alone_make_scenes_one_group(change: dict, together: bool, tmp_pat
     assert len(inputs_of(tmp_path, config).seed_groups) == (1 if together else 2)
 
 
+def test_a_captured_scene_s_error_is_that_of_its_verification(tmp_path: Path) -> None:
+    inputs = inputs_of(tmp_path)
+    captured: Any = SimpleNamespace(names=[])
+    runs = [replace(run, images=captured, verified={"mean_error": 0.03}) for run in inputs.runs]
+    captured_inputs = replace(inputs, runs=runs, speed_error=inputs.speed_error[:0])
+    shown = errors.known_errors(captured_inputs)
+    assert shown["error"].tolist() == [0.03] * len(runs)
+    assert errors.known_errors(inputs) is inputs.speed_error
+
+
 # ---- Levels and errors
 
 
@@ -261,9 +275,10 @@ def test_a_captured_run_shows_its_rig_s_sensor_and_no_camera_of_a_simulation(
     assert isinstance(rig, Table)
     assert not any(name.startswith("camera.") for name, _ in settings.rows)
     shown = dict(rig.rows)
-    assert shown["sensor.sensor.bits"] == "14"
-    assert shown["sensor.sensor.exposures"] == "[0.002, 0.5]"
-    assert shown["sensor.sensor.black_level"] == "71.5"
+    assert rig.rows[0][0].startswith("sensor.")
+    assert shown["sensor.bits"] == "14"
+    assert shown["sensor.exposures"] == "[0.002, 0.5]"
+    assert shown["sensor.black_level"] == "71.5"
     assert not any(name.startswith("calibration") for name in shown)
     simulated = setup.setup_section(inputs_of(tmp_path)).blocks
     assert [block.name for block in simulated if isinstance(block, Table)] == [
@@ -298,3 +313,11 @@ def test_a_table_is_latex_whatever_its_signs() -> None:
     assert r"planes\_iv & 1 $\pm$ 2 \\" in lines
     assert r"a\&b\#\{\} & -- \\" in lines
     assert lines[-1] == r"\end{tabular}"
+
+
+def test_a_method_states_why_it_ended_above_its_target() -> None:
+    rig = SimulatedRig(planes_scene("wedge", ("texture", "texture"), (8, 10), channels=1))
+    stopped = acquire(rig, "near_far", progress=False, target_error=1e-4, patterns=13)
+    assert "all patterns" in ending_of(stopped.transport.level_rows)
+    reached = acquire(rig, "near_far", progress=False, target_error=0.5)
+    assert ending_of(reached.transport.level_rows) == ""

@@ -10,17 +10,24 @@ from typing import Any
 
 import pytest
 from tests.simulated_devices import SimulatedCamera, SimulatedProjector
+from typer.testing import CliRunner
 
 from rfpipe import provenance
 from rfpipe.calibration import folder as calibration_folder
 from rfpipe.calibration.folder import STEPS, CalibrationFolder, calibrate
 from rfpipe.calibration.verdicts import Findings, Verdict
+from rfpipe.cli import app
 from rfpipe.config import RigConfig, parse_rig_config, read_yaml
 from rfpipe.config.devices import BenchConfig
-from rfpipe.errors import ConfigError
+from rfpipe.errors import ConfigError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import rig_from_config
-from rfpipe.rigs.calibrated import Calibration, check_settings, write_calibration
+from rfpipe.rigs.calibrated import (
+    Calibration,
+    check_devices,
+    check_settings,
+    write_calibration,
+)
 from rfpipe.rigs.settings import flat
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -117,13 +124,13 @@ class Calibrated:
 
         return measure
 
-    def measure(self, config: RigConfig) -> set[str]:
-        """Calibrate, and return the steps that were measured."""
+    def measure(self, config: RigConfig, only: list[str] | None = None) -> set[str]:
+        """Do steps of a calibration, and return those that were measured."""
         self.done.clear()
         shape = (4, 4)
         camera = SimulatedCamera(lambda: None, shape, 1, CameraModel())  # type: ignore[arg-type, return-value]
-        steps = calibration_folder.steps_of(config.calibrate)
-        calibrate(SimulatedProjector(shape), camera, self.folder, config, list(steps))
+        steps = only or list(calibration_folder.steps_of(config.calibrate))
+        calibrate(SimulatedProjector(shape), camera, self.folder, config, steps)
         return set(self.done)
 
     def write(self) -> None:
@@ -220,3 +227,38 @@ def test_a_calibration_that_records_no_settings_is_said_to(
     write_calibration(calibrated.folder.path, Calibration())
     check_settings(of_file("rig"), "mine.yaml")
     assert "doesn't record the settings" in caplog.text
+
+
+def test_a_step_alone_is_not_built_on_steps_of_other_settings(calibrated: Calibrated) -> None:
+    calibrated.measure(of_file("rig"))
+    now = of_file("rig", "sensor.bits", 10)
+    with pytest.raises(InputError, match=r"linearity needs dark.*sensor\.bits was 12, is now 10"):
+        calibrated.measure(now, ["linearity"])
+    assert calibrated.measure(now, ["dark", "linearity"]) == {"dark", "linearity"}
+    # what shapes other steps alone doesn't matter
+    finer = of_file("rig", "calibrate.codes", 65)
+    finer = finer.model_copy(update={"sensor": now.sensor})
+    assert calibrated.measure(finer, ["linearity"]) == set()
+
+
+@pytest.mark.parametrize("name", ["model", "serial"])
+def test_another_camera_of_the_same_kind_is_refused(name: str) -> None:
+    calibration = Calibration(devices={f"camera.{name}": "22710432"})
+    config = of_file("rig")
+    check_devices(calibration, {"camera": {name: "22710432", "codes": "ab"}}, config, "mine.yaml")
+    other = {"camera": {name: "22710433"}}
+    with pytest.raises(ConfigError, match=rf"camera\.{name} was '22710432', is now '22710433'"):
+        check_devices(calibration, other, config, "mine.yaml")
+    check_devices(calibration, other, config, "mine.yaml", force=True)
+    check_devices(Calibration(), other, config, "mine.yaml")
+
+
+def test_serve_refuses_before_a_device_is_opened(calibrated: Calibrated) -> None:
+    calibrated.measure(of_file("rig"))
+    calibrated.write()
+    Path("mine.yaml").write_text("calibration: calibration\nsensor: {bits: 10}\n")
+    environment = {"RFPIPE_TOKEN": "x" * 32}
+    refused = CliRunner().invoke(app, ["serve", "mine.yaml", "--port", "0"], env=environment)
+    assert isinstance(refused.exception, ConfigError)
+    assert str(refused.exception).startswith("mine.yaml: has other settings than its calibration")
+    assert "sensor.bits was 12, is now 10" in str(refused.exception)

@@ -65,7 +65,7 @@ def test_a_killed_run_s_lock_is_removed(tmp_path: Path, run: subprocess.Popen[st
 
 
 def test_a_run_that_lives_keeps_its_lock(tmp_path: Path, run: subprocess.Popen[str]) -> None:
-    for unlocking in (UNLOCK, None):  # whoever asks
+    for unlocking in (UNLOCK, None):  # for both commands
         with pytest.raises(LockedError, match=f"process {run.pid} is running the workflow"):
             free_if_dead(tmp_path, unlocking)
     assert len(locks(tmp_path)) == 2
@@ -77,7 +77,7 @@ def test_a_lock_that_is_not_known_stays(
 ) -> None:
     kill(run)
     folder = tmp_path / ".snakemake" / "locks"
-    if change == "another":  # beside those of the run that was killed
+    if change == "another":  # beside the killed run's lock files
         (folder / "1.output.lock").touch()
     else:  # of a Snakemake that came after it
         (folder / "0.input.lock").unlink()

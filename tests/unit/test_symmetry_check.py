@@ -14,6 +14,7 @@ import rfpipe
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
+from rfpipe.units import SYMMETRY_KEY
 
 RAYS = SHAPE[0] * SHAPE[1]
 COAXIAL = ("symmetric", "near_far")
@@ -87,3 +88,27 @@ def test_dead_pixels_are_no_asymmetry(matrix: np.ndarray, share: float) -> None:
     )
     found = rfpipe.acquire(spoilt, "symmetric", tolerance=0.1, **FEW)
     assert np.array_equal(found.masked, dead)
+
+
+class Lit(FaultyRig):
+    """A rig in a room whose light comes on after the white pictures, or whose lamp is boosted."""
+
+    def __init__(self, room: float = 0.0, boost: float = 1.0) -> None:
+        self._room = rig(wedge()[0], CameraModel())
+        self._light, self._boost = room, boost
+
+    def __getattr__(self, name: str):
+        return getattr(self._room, name)
+
+    def capture(self, patterns, keys):
+        is_random = np.array([key[0] == SYMMETRY_KEY for key in keys])[:, None, None]
+        light = np.where(is_random, self._boost * patterns + self._light, patterns)
+        return self._room.capture(np.clip(light, 0, 1).astype(np.float32), keys)
+
+
+@pytest.mark.parametrize("room", [Lit(room=0.1), Lit(boost=0.9)])
+@pytest.mark.parametrize("method", ["near_far", "symmetric"])
+def test_light_that_changes_is_no_asymmetry(room: Lit, method: str) -> None:
+    with pytest.raises(CaptureError, match=r"room's light changed .*dynamic contrast") as caught:
+        rfpipe.acquire(room, method, **FEW)
+    assert "Align" not in str(caught.value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from tests.helpers import settings_of_a_plane
 from tests.knocked import DIM, SHAPE, beside, wedge
@@ -15,7 +16,7 @@ from rfpipe.errors import ConfigError, InputError, VerificationError
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.camera import UNKNOWN_DEVIATION
 from rfpipe.provenance import generator
-from rfpipe.stages.verification import check_bounds, compare
+from rfpipe.stages.verification import Verification, check_bounds, compare
 
 FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0}
 
@@ -125,6 +126,27 @@ def test_a_real_rig_s_bound_follows_the_target_error() -> None:
         assert {name: config.bound_of("vase", name) for name in bounds} == expected
     simulated = settings_of_a_plane(methods={"auto": {}})
     assert simulated.bound_of("plane", "auto") is None
+
+
+@pytest.mark.parametrize(
+    ("error", "target", "standing"),
+    [
+        (0.01, 0.02, "met"),
+        (0.05, 0.02, "missed"),
+        (0.021, 0.02, "unsure"),
+        (0.05, None, "unknown"),
+        (np.nan, 0.02, "unknown"),
+    ],
+)
+def test_a_target_is_met_or_missed(error: float, target: float | None, standing: str) -> None:
+    rows = [["shapes 1", error, 0, error * factor, 0.001] for factor in (0.8, 1, 1.2)]
+    columns = ["name", "difference", "noise", "error", "standard_error"]
+    nothing = np.zeros((3, 2, 2, 1), np.float32)
+    table = pd.DataFrame(rows, columns=columns)
+    found = Verification(table, nothing[..., 0], nothing, nothing, np.ones(1)).against(target)
+    assert found.standing == standing
+    if target is not None and np.isfinite(error):
+        assert f"{target:.2%}" in found.reason
 
 
 def test_a_bound_and_pictures() -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import yaml
 from tests.workflow.harness import GLASS, Workflow
 
 from rfpipe import open_transport
@@ -55,3 +59,18 @@ def test_mistakes_in_its_settings_are_explained(change, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_config({"scenes": {"glass": glass}}, "mine.yaml")
     assert message in str(caught.value)
+
+
+@pytest.mark.slow
+def test_the_niche_of_the_document_runs_in_the_workflow(tmp_path: Path) -> None:
+    page = (EXAMPLE.parents[2] / "docs" / "scenes.md").read_text("utf-8")
+    (block,) = (b for b in re.findall(r"```yaml\n(.*?)```", page, re.S) if "niche.py" in b)
+    settings = yaml.safe_load(block)
+    settings["scenes"]["niche"]["shape"] = [12, 14]
+    workflow = Workflow(tmp_path)
+    shutil.copy(EXAMPLE.with_name("niche.py"), workflow.folder)
+    workflow.configure(**settings)
+    workflow.run()
+    results = pd.read_csv(workflow.path("report/tables/results.csv"))
+    assert results["scene"].tolist() == ["niche"]
+    assert results["mean_error"].max() < 0.03

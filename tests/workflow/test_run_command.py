@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 
 def start(workflow: Workflow, *arguments: str) -> subprocess.Popen[str]:
-    """Start ``rfpipe run`` as the leader of a process group of its own."""
+    """Start ``rfpipe run`` as the leader of a new process group."""
     options = ("--directory", str(workflow.folder), "--configfile", str(workflow.config))
     return subprocess.Popen(
         [sys.executable, "-m", "rfpipe.cli", "run", *options, "--cores", "2", *arguments],
@@ -120,8 +120,8 @@ def test_a_missed_target_is_in_the_last_line(tmp_path: Path) -> None:
     workflow = settings(tmp_path, scenes={"wall": WALL}, methods=methods)
     last = run(workflow).splitlines()[-1]
     assert re.match(
-        r"rfpipe: missed the error asked for: wall by near_far, estimated error .* %, 0.2 % asked "
-        r"for \(ended at an estimated .* times the error asked for: ", last
+        r"rfpipe: missed the target error: wall by near_far, estimated error .* %, target 0.2 % "
+        r"\(ended at an estimated .* times the error asked for: ", last
     )  # fmt: skip
     acquired = json.loads(workflow.path("wall/near_far/transport.json").read_text())
     assert acquired["patterns"] == 24

@@ -15,7 +15,7 @@ from tests.workflow.harness import TINY, Workflow
 from tests.workflow.stagewise import CAMERA, FaultyRig, damage, left, matrix_rig
 from tests.workflow.stagewise import acquire as acquire_matrix
 
-from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.folder import CalibrationFolder, MadeFor
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import IntegrityError
 from rfpipe.stages.checking import check
@@ -280,8 +280,9 @@ def test_a_run_heals_what_it_finds_damaged_and_shows_no_pattern(
 
 def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     folder = CalibrationFolder(tmp_path / "calibration")
-    folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), "x")
-    folder.write("light", Findings(Verdict("good", ""), {"a": 1}, {"light": np.ones(9)}), "x")
+    measured = MadeFor({"sensor.bits": 12}, {}, {})
+    folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), measured)
+    folder.write("light", Findings(Verdict("good", ""), {"a": 1}, {"light": np.ones(9)}), measured)
     assert check(folder.path).findings == []
     shutil.rmtree(folder.store("dark"))
     shutil.copytree(folder.store("light"), folder.store("dark"))

@@ -86,7 +86,9 @@ def every_bounded(wildcards):
 def report_others(failures):
     """Write the report of the acquisitions in which no job failed, in a run that keeps going."""
     failed = {
-        (failure.scene, failure.method): failure for failure in failures if failure.scene
+        (failure.scene, failure.method): failure
+        for failure in failures
+        if failure.scene
     }
     if not failed or len(failed) < len(failures) or not SETTINGS.has_report:
         return

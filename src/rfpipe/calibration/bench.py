@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.devices import STEPS as WEIGHTS
-from rfpipe.rigs.devices import Camera, Projector, bracket_of, code_table
+from rfpipe.rigs.devices import Camera, Projector, bracket_of, code_table, shown_bracket
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -126,6 +127,25 @@ class Bench:
                 if counts is not None:
                     counts.advance(1)
                 yield frames
+
+    def take_primaries(self) -> NDArray[Any] | None:
+        """Show red, green and blue everywhere; return the brackets, shape (3, E, Hc, Wc).
+
+        None where the projector shows no colours.
+        """
+        show_colour = getattr(self.projector, "show_colour", None)
+        if show_colour is None:
+            return None
+        brackets = []
+        with self.progress(3) as counts, driving():
+            for index, name in enumerate(("red", "green", "blue")):
+                picture = np.zeros((*self.projector.shape, 3), np.float32)
+                picture[..., index] = 1
+                show = partial(show_colour, picture)
+                brackets.append(shown_bracket(show, self.projector, self.camera, name))
+                if counts is not None:
+                    counts.advance(1)
+        return np.stack(brackets)
 
     def radiance(
         self, pictures: Sequence[Float], *, linear: bool = False

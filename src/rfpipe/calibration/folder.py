@@ -10,10 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rfpipe.calibration.bench import Bench, DeviceError, Progress, camera_model, camera_numbers
 from rfpipe.calibration.black import measure_dark
 from rfpipe.calibration.correspondence import measure_correspondence
 from rfpipe.calibration.latency import measure_latency
+from rfpipe.calibration.mosaic import mosaic_facts
 from rfpipe.calibration.rays import measure_rays
 from rfpipe.calibration.responses import measure_light, measure_linearity, measure_transfer
 from rfpipe.calibration.sight import measure_sight, sight_pictures
@@ -28,7 +31,16 @@ from rfpipe.rigs.build import devices_from_config
 from rfpipe.rigs.calibrated import Calibration, read_parts, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.settings import RAYS, SETTLE, Flat, differences, flat, shaping_settings
+from rfpipe.rigs.settings import (
+    RAYS,
+    SETTLE,
+    Flat,
+    differences,
+    flat,
+    identities,
+    settings_of_all_steps,
+    shaping_settings,
+)
 from rfpipe.store import StoreLock, read_manifest, write_arrays, write_manifest
 
 _log = logging.getLogger(__name__)
@@ -52,7 +64,13 @@ class Step:
 def _scene(bench: Bench) -> Findings:
     model, period = camera_model(bench.camera), bench.settings.period_pixels
     frames = list(bench.take(sight_pictures(bench.projector.shape, period)))
-    return measure_sight(frames, model.exposures, model.white_level, period)
+    findings = measure_sight(frames, model.exposures, model.white_level, period)
+    if model.bayer is None:
+        return findings
+    black, white = np.mean(frames[:2], axis=0), np.maximum(*frames[2:4])
+    primaries = bench.take_primaries()
+    of_mosaic = mosaic_facts(model.bayer, black, white, primaries, model.white_level)
+    return Findings.of("scene", {**findings.facts, **of_mosaic}, findings.arrays)
 
 
 _STEADY = ("steadiness",)
@@ -265,8 +283,8 @@ def calibrate(
     projector, camera, folder
         The projector shows codes: weight times 255, without a response of its own.
     config : RigConfig
-        The rig's settings: ray domain, settings of the calibration, and those of the devices, which
-        are recorded.
+        The rig's settings: ray domain, settings of the calibration, and settings of the devices,
+        which are recorded.
     only : iterable of str, optional
         Steps to do, those that they need being done; None for all, and then `finish`.
     progress : callable, optional
@@ -301,6 +319,7 @@ def calibrate(
             if before == made_for and not again:
                 _log.info("%s: done before", step.title)
                 continue
+            _check_needs(step, made_for, folder)
             changes = made_for.changes_since(before) if before else []
             for change in (change for change in changes if change not in logged):
                 _log.warning("to be measured again: %s", change)
@@ -308,6 +327,19 @@ def calibrate(
             _measure_step(step, config, devices, folder, made_for, progress)
         if only is None:
             finish(folder, config.calibrate)
+
+
+def _check_needs(step: Step, made_for: MadeFor, folder: CalibrationFolder) -> None:
+    """Raise InputError where a step that this one builds on was measured with other settings."""
+    now = settings_of_all_steps(made_for.settings)
+    for need in step.needs:
+        before = folder.made_for(need)
+        lines = differences(settings_of_all_steps(before.settings), now) if before else []
+        if lines:
+            raise InputError(
+                f"calibration step {step.name} needs {need}, which was measured with other "
+                f"settings: {'; '.join(lines)}. Calibrate without --step, or do that step first"
+            )
 
 
 def _measure_step(
@@ -336,9 +368,10 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
         When a step isn't done.
     """
     every, verdicts = {name: folder.read(name) for name in steps_of(settings)}, folder.verdicts()
-    made_with: Flat = {}
+    made_with, devices = Flat(), Flat()
     for made_for in filter(None, map(folder.made_for, every)):
         made_with |= made_for.settings
+        devices |= made_for.devices
     found = {name: one for name, one in every.items() if one.verdict.standing != "failed"}
     rays = found["rays"].arrays if "rays" in found else None
     calibration = Calibration(
@@ -348,6 +381,7 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> None:
         found["light"]["light"] if "light" in found else None,
         {name: {**verdicts[name], **findings.facts} for name, findings in every.items()},
         made_with,
+        identities(devices),
     )
     write_calibration(folder.path, calibration)
 

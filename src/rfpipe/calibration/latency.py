@@ -29,7 +29,7 @@ PICTURES = 8
 _TRIALS = 4  # pictures after each wait, black and white by turns
 _PERIOD_SECONDS = 0.02  # of a display: trials begin anywhere in it, and it is added to a proposal
 _OFF = 0.05  # share of the step that a cell may still lack
-_PROBE_SECONDS = 1.0  # wait beyond any usual display's delay, where black and white never settle
+PROBE_SECONDS = 1.0  # wait beyond any usual display's delay, where black and white never settle
 _CELLS = 8  # along either side: a display that is drawn row by row is late in some
 
 
@@ -66,7 +66,7 @@ def measure_latency(bench: Bench) -> Findings:
         settled = _settled(look)
         delay = None if settled is None else _delay(look, settled)
     if delay is None or settled is None:
-        faults = probe(bench, _PROBE_SECONDS)[2]
+        faults = probe(bench, PROBE_SECONDS)[2]
         if not faults:
             raise CaptureError(
                 "the camera's shortest exposure doesn't tell a white picture from a black one. Is "

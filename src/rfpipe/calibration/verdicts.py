@@ -97,6 +97,9 @@ scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.
 scene poor is_stripeless > 0: No stripes of the projector are seen, at {longest_s:.3g} s at most. Is
     the lamp on, the lens cap off, does the camera see what the projector lights, are both in focus?
     Then take much longer exposures, or open the aperture.
+scene poor is_other_order > 0: The colours of the camera's mosaic lie in another order than
+    sensor.bayer, {bayer}, says: {bayer_evidence}. Set sensor.bayer to {bayer_orders}, and calibrate
+    again.
 scene note longer_times > 4: Dim: with sensor.exposures: {proposed_exposures_s},
     {longer_times:,.0f} times as long, dark parts have {less_noise:.1f} times less noise, and
     methods take fewer patterns or end at a smaller error.

@@ -70,7 +70,7 @@ for _name in plugins.names(plugins.COMMANDS):
 
 
 def _reflow(commands: typer.Typer) -> None:
-    """Give each command its docstring with a line a paragraph, which a terminal breaks by itself.
+    """Join the lines of each paragraph of the commands' docstrings, for terminals of any width.
 
     A paragraph of indented lines, such as a table, stays as it is.
     """

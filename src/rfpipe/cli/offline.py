@@ -105,7 +105,7 @@ def import_(
 
 
 def _take_back(acquisition: OfflineAcquisition, sheet: Sheet) -> None:
-    """Remove what was made of a sheet's pictures, and the sheets that follow from them."""
+    """Remove the results of a sheet's pictures, and the sheets that follow from them."""
     from rfpipe.rigs.offline import PICTURES, later_sheets, remove_sheet
 
     for path in acquisition.take_back(sheet.about["level"]):

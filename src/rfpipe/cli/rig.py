@@ -61,9 +61,9 @@ def calibrate(
     """Calibrate a rig: what it sees, noise, responses, correspondence, rays, symmetry; a report.
 
     Steps that are done and good, for the same devices and settings, are not repeated; where a
-    setting changed, the steps that it concerns are. A whole calibration that is not good is done
-    anew. The report is written whatever happens. Exit status 1 when a step is not good, or could
-    not be measured.
+    setting changed, the steps that it concerns are. A whole calibration that is not good is
+    repeated. The report is written whatever happens. Exit status 1 when a step is not good, or
+    could not be measured.
     """
     import logging
 

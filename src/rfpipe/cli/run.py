@@ -47,8 +47,8 @@ _LOOKS = (
 def run(context: typer.Context) -> None:
     """Run the workflow in this folder, and print the report's path.
 
-    Settings are those of --configfile, or of rfpipe's default run, and are checked first. What is
-    done stays; a run that was stopped or killed goes on. Often used:
+    The settings of --configfile, or of rfpipe's default run, are checked first. Complete results
+    stay; a run that was stopped or killed continues. Common options:
 
       --configfile FILE    the settings of the run
       --directory FOLDER   the run's folder, where its results lie
@@ -63,28 +63,29 @@ def run(context: typer.Context) -> None:
       --help-all           all options, which are Snakemake's
 
     Exit status 1 where a job failed, or a real rig's pictures are further from the transport than
-    was asked for. A Snakefile in this folder, or --snakefile, takes the place of rfpipe's own.
+    the target error allows. A Snakefile in this folder, or --snakefile, takes the place of
+    rfpipe's own.
     """
     from rfpipe.stages.jobs.ends import program
 
-    asked = _Asked.of(context.args)
-    if asked.help_all:
+    options = _Options.of(context.args)
+    if options.help_all:
         raise typer.Exit(subprocess.call([program("snakemake"), "--help"]))
-    settings = _checked(asked)
-    if not asked.looks or "--unlock" in asked.passed_on:
-        _free(asked)
-    if asked.retake and _retaken(asked, settings):
+    settings = _checked(options)
+    if not options.looks or "--unlock" in options.passed_on:
+        _free(options)
+    if options.retake and _retaken(options, settings):
         return
-    own = [] if asked.is_named else ["--snakefile", str(_own_snakefile())]
-    ended = _to_its_end([program("snakemake"), *own, *asked.passed_on])
-    if not asked.looks:
-        _say_outcome(asked.folder, ended)
+    own = [] if options.is_named else ["--snakefile", str(_own_snakefile())]
+    ended = _to_its_end([program("snakemake"), *own, *options.passed_on])
+    if not options.looks:
+        _say_outcome(options.folder, ended)
     if ended:
         raise typer.Exit(ended if ended > 0 else 1)
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Options:
     """The options of `run`: ours, and those that are passed on to Snakemake."""
 
     files: list[str]
@@ -96,7 +97,7 @@ class _Asked:
     passed_on: list[str]
 
     @classmethod
-    def of(cls, arguments: list[str]) -> _Asked:
+    def of(cls, arguments: list[str]) -> _Options:
         ours = ArgumentParser(add_help=False, allow_abbrev=False)
         ours.add_argument("--retake", nargs="+", action="extend", default=[])
         ours.add_argument("--help-all", action="store_true")
@@ -123,34 +124,34 @@ def _own_snakefile() -> Path:
     return workflow_folder() / "Snakefile"
 
 
-def _checked(asked: _Asked) -> Config | None:
+def _checked(options: _Options) -> Config | None:
     """Check folders and settings; return these where they are of one file."""
     from rfpipe.config import load_config, read_yaml
     from rfpipe.stages.jobs.ends import check_no_braces
 
-    check_no_braces("the run's folder", asked.folder.absolute())
-    if not asked.is_named:
+    check_no_braces("the run's folder", options.folder.absolute())
+    if not options.is_named:
         check_no_braces("rfpipe's own folder", _own_snakefile().parent)
-    for file in asked.files:
+    for file in options.files:
         read_yaml(file)
-    if len(asked.files) != 1:
+    if len(options.files) != 1:
         return None
-    with _working_in(asked.folder, Path(asked.files[0])) as path:
+    with _working_in(options.folder, Path(options.files[0])) as path:
         return load_config(path)
 
 
-def _free(asked: _Asked) -> None:
+def _free(options: _Options) -> None:
     """Free the folder where its last run was killed; raise LockedError where a run works in it."""
     from rfpipe.stages.jobs.running import free_if_dead
 
-    unlocks = "--unlock" in asked.passed_on
-    command = shlex.join(["rfpipe", "run", *asked.passed_on, "--unlock"])
-    if free_if_dead(asked.folder, None if unlocks else command) and not unlocks:
+    unlocks = "--unlock" in options.passed_on
+    command = shlex.join(["rfpipe", "run", *options.passed_on, "--unlock"])
+    if free_if_dead(options.folder, None if unlocks else command) and not unlocks:
         typer.echo("rfpipe: the last run in this folder was killed; going on from there", err=True)
 
 
-def _retaken(asked: _Asked, settings: Config | None) -> bool:
-    """Set aside the pictures that are to be taken again; tell whether that was a rehearsal."""
+def _retaken(options: _Options, settings: Config | None) -> bool:
+    """Set aside the pictures to take again; return True for a rehearsal, with --dry-run."""
     from rfpipe.errors import InputError
     from rfpipe.stages.retake import find_retakes
 
@@ -160,8 +161,8 @@ def _retaken(asked: _Asked, settings: Config | None) -> bool:
             "--retake: these pictures are taken by hand (capture.rig is offline). Take them back "
             "with 'rfpipe import FOLDER --take-back', FOLDER being the sheet's"
         )
-    for retake in find_retakes(asked.folder / "results", asked.retake, acquisitions):
-        if asked.looks:
+    for retake in find_retakes(options.folder / "results", options.retake, acquisitions):
+        if options.looks:
             typer.echo(f"{retake.path}: its pictures would be taken again")
             continue
         kept = ", ".join(path.name for path in retake.set_aside())
@@ -169,11 +170,11 @@ def _retaken(asked: _Asked, settings: Config | None) -> bool:
             f"{retake.path}: its pictures are taken again; the old ones are kept beside the new "
             f"ones, as {kept}. Remove them to free the space"
         )
-    return asked.looks
+    return options.looks
 
 
 def _say_outcome(folder: Path, ended: int) -> None:
-    """Print the report's path, what failed, and whose error is above the one asked for."""
+    """Print the report's path, the failures, and the acquisitions above their target error."""
     from rfpipe.config.model import TARGET_MARGIN
     from rfpipe.stages.jobs.ends import acquisitions_of
     from rfpipe.stages.jobs.outcome import failure_line, missed_targets, read_failures
@@ -188,7 +189,7 @@ def _say_outcome(folder: Path, ended: int) -> None:
         if not (missed and failure.stage == "bound")
     ]
     if missed:
-        typer.echo(f"rfpipe: missed the error asked for: {'; '.join(map(str, missed))}", err=True)
+        typer.echo(f"rfpipe: missed the target error: {'; '.join(map(str, missed))}", err=True)
     if failures:
         typer.echo(f"rfpipe: {failure_line(failures, folder)}", err=True)
 
@@ -239,13 +240,12 @@ def plan(
     Patterns of auto, near_far and footprints follow from target_error: half of the scenes of
     docs/benchmark.md took 0.75 to 1.75 times as many, scenes with glass and mirrors 4 to 20 times;
     "at most" are all rounds that the method knows. Of symmetric and dual they are on the high side:
-    as many a level as the thesis' largest scenes took. Time is that of the capture on a rig; disk
+    as many a level as the thesis' largest scenes took. Time is for the capture on a rig; disk
     is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
-    from rfpipe.stages.forecast import forecast, shown_bytes
-    from rfpipe.stages.jobs.workers import machine_memory_mb
+    from rfpipe.stages.forecast import forecast
     from rfpipe.store import files
 
     with _working_in(directory, config) as path:
@@ -262,6 +262,16 @@ def plan(
         free = files.free_bytes(folder)
         of_scenes = _lines_of_scenes(settings)
     typer.echo(_shown(rows))
+    _say_totals(rows, free)
+    for line in of_scenes:
+        typer.echo(line)
+
+
+def _say_totals(rows: pd.DataFrame, free: int) -> None:
+    """Print what all acquisitions take together, and what this machine lacks for them."""
+    from rfpipe.stages.forecast import shown_bytes
+    from rfpipe.stages.jobs.workers import machine_memory_mb
+
     total = rows[["seconds", "most_seconds", "disk", "most_disk"]].sum()
     disk, memory = int(total["disk"]), int(rows["memory"].max())
     together = "One after the other: " if len(rows) > 1 else "In all: "
@@ -285,8 +295,6 @@ def plan(
             f"memory, and this machine has {shown_bytes(have)}: acquire it on another one, with "
             "fewer rays, or by another method."
         )
-    for line in of_scenes:
-        typer.echo(line)
 
 
 def _lines_of_scenes(settings: Config) -> list[str]:

@@ -140,9 +140,10 @@ def is_rig(data: object) -> bool:
 
 
 def _keys_of(kind: type[Settings], data: Mapping[Any, Any]) -> list[str]:
-    """Return the keys that only settings of a kind have: those of a rig, or of a run."""
-    other = RigConfig if kind is Config else Config
-    return [key for key in data if key in kind.model_fields and key not in other.model_fields]
+    """Return the keys that belong to settings of one kind only: rig or run."""
+    second_kind = RigConfig if kind is Config else Config
+    shared = second_kind.model_fields
+    return [key for key in data if key in kind.model_fields and key not in shared]
 
 
 def _parsed(kind: type[_S], data: object, source: str, collection: Collection | None = None) -> _S:

@@ -52,7 +52,7 @@ SMALL_RAYS = 4000
 """Rays up to which an acquisition is one job where the settings don't say what a job is.
 
 Starting a job takes 1.4 s of processor time: four scenes of 16 x 18 rays took 125 s as 80 jobs,
-32 s as 15. Five levels of five stages are 35 s of it, where the work of all stages takes 11 s in the
+32 s as 15. Five levels of five stages are 35 s of it; the work of all stages takes 11 s in the
 median at 2,304 rays (``processing_s`` of ``docs/benchmark``, ``auto`` for 1 %) and grows with the
 rays.
 """
@@ -64,7 +64,7 @@ DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 _OF_THE_RUN = {"capture": ("rig",), "resources": ("jobs", "captures"), "storage": ("keep_at",)}
 
 
-# Settings of a capture that neither shape a result nor tell of one.
+# Settings of a capture that neither shape a result nor describe one.
 _NOT_SHAPING = {
     *("batch_patterns", "keep_raw", "when_patterns_change"),
     *("url", "token_file", "patience_seconds", "placing"),
@@ -193,7 +193,7 @@ class Config(Settings):
     def bound_of(self, scene: str, method: str) -> float | None:
         """Return the mean error above which an acquisition fails the run; None for none.
 
-        It is that of the pictures for verification, or where there are none the method's estimate.
+        The error is measured by pictures for verification, or else the method's estimate.
         """
         of_scene = self.of_scene(scene)
         bound = of_scene.verification.fail_above

@@ -30,6 +30,47 @@ _COAXIAL, _ABOVE = 0.75, 0.25
 _UNEVEN, _LEAST_LIT = 0.1, 0.1
 
 
+# Pictures of the pattern before, at least, and their share of those that differ from their own.
+_LATE, _LATE_SHARE = 3, 0.8
+# Correlation of brightness with that of the patterns before, where shapes can't be compared.
+_LATE_BRIGHTNESS = 0.9
+
+
+def are_late(patterns: Float, light: Float, *, coaxial: bool) -> bool:
+    """Test whether pictures, from some picture on, show the pattern before their own.
+
+    Parameters
+    ----------
+    patterns, light : ndarray of float32, shape (K, H, W)
+        Weights of the patterns, and light of the pictures.
+    coaxial : bool
+        Whether both share their rays, so that shapes can be compared; else brightness alone.
+    """
+    if not coaxial:
+        shown, seen = patterns.mean(axis=(1, 2)), light.mean(axis=(1, 2))
+        fit_before = correlation(shown[:-1], seen[1:])
+        return fit_before > max(_LATE_BRIGHTNESS, correlation(shown[1:], seen[1:]) + _ABOVE)
+    mean = light.mean(axis=0)
+    lit = mean > mean.mean() / 4
+    shown, seen = patterns[:, lit], light[:, lit] / mean[lit]
+    own = np.array([correlation(one, two) for one, two in zip(shown, seen, strict=True)])[1:]
+    before = np.array(
+        [correlation(one, two) for one, two in zip(shown[:-1], seen[1:], strict=True)]
+    )
+    is_late = before > np.maximum(own, 0) + _ABOVE
+    is_own = own > np.maximum(before, 0) + _ABOVE
+    first = int(is_late.argmax())
+    count = int(is_late.sum())
+    return count >= _LATE and count > _LATE_SHARE * (count + int(is_own[first:].sum()))
+
+
+def correlation(one: Float, other: Float) -> float:
+    """Return the correlation of two arrays of one shape, 0 where one is constant."""
+    one, other = one - one.mean(), other - other.mean()
+    norm = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float((one * other).sum()) / norm if norm > 0 else 0.0
+
+
 def misplaced(patterns: Float, names: Sequence[str], light: Float) -> list[str]:
     """Say which pictures show something else than their patterns, and what.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -14,6 +15,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import RfpipeError
 from rfpipe.report.inputs import job_times, read_json
 from rfpipe.report.page import rendered
+from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import ray_size
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import StoreLock
@@ -77,6 +79,7 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
     state, why = state_of(folder)
     view, log = f"report/view/{scene}_{method}.html", last_log(folder)
     picture = (results / CATALOGUE).with_name(f"{scene}_{method}.png")
+    numbers = _numbers(folder)
     return {
         "scene": scene,
         "method": method,
@@ -90,7 +93,8 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
         "picture": picture.name if write_thumbnail(folder, picture) else None,
         "view": f"../{view}" if (results / view).exists() else None,
         "log": f"../{log.relative_to(results).as_posix()}" if log else None,
-        **_numbers(folder),
+        "missed": _missed(folder, numbers),
+        **numbers,
     }
 
 
@@ -177,6 +181,21 @@ def _numbers(folder: Path) -> dict[str, Any]:
         "estimate": steps[-1]["estimated_error"] if steps else None,
         "verified": _manifest(folder / "verification.json").get("mean_error"),
     }
+
+
+def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:
+    """Return a sentence for each target that an acquisition missed."""
+    acquired = _manifest(folder / "transport.json")
+    *_, last = {}, *estimates(acquired.get("levels", []))
+    has_truth = numbers["error"] is not None
+    row = {
+        **acquired.get("options", {}),
+        **last,
+        "mean_error": numbers["error"] if has_truth else numbers["verified"],
+        "mean_indirect": numbers["indirect"],
+        "verified": "truth" if has_truth else "pictures that no method saw",
+    }
+    return [*missed_targets(row, ending_of(acquired.get("levels", [])))]
 
 
 def _manifest(path: Path) -> dict[str, Any]:

@@ -197,7 +197,7 @@ def scene_curves(
         axis.set_title(title, fontsize=9, pad=4)
         axis.set(xscale="log", yscale="log", xlabel="patterns", ylabel="error, %")
         axis.grid(True, linewidth=0.4, color="#dddddd")
-        for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 3))):
+        for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 2, 5))):
             plain_numbers(direction, marks)
         draw_scene(axis, scene)
         axis.label_outer()

@@ -26,7 +26,7 @@ _ESTIMATED: dict[str, Any] = {
 
 def speed_section(inputs: Inputs) -> Section | None:
     """Error against patterns, level by level, true and as methods estimated it; and by pattern."""
-    table, steps = inputs.speed_error, histories(inputs.runs)
+    table, steps = known_errors(inputs), histories(inputs.runs)
     names = {*table["scene"], *steps["scene"]}
     if not names:
         return None
@@ -37,6 +37,8 @@ def speed_section(inputs: Inputs) -> Section | None:
         "whose error is known after their last level alone. Crosses: the mean error that a method "
         "itself estimated while it ran, each where the estimate was made. "
     )
+    if any(is_verified_alone(run) for run in inputs.runs):
+        caption += "Of real scenes: the error of pictures that no method saw. "
     if any(len(group.scenes) > 1 for group in groups):
         caption += "Means over seeds; bars: standard deviations. "
     caption += "Numbers: tables/speed_error.csv."
@@ -60,6 +62,26 @@ def speed_section(inputs: Inputs) -> Section | None:
         tabled = table_of("Errors by pattern", about, inputs.errors, labels, columns)
         blocks.append(replace(tabled, csv="errors.csv", numbers=None))
     return Section("speed", name, blocks)
+
+
+def is_verified_alone(run: Run) -> bool:
+    """Whether the error of a run is known by verification pictures and not by a truth."""
+    return not run.has_truth and run.verified.get("mean_error") is not None
+
+
+def known_errors(inputs: Inputs) -> pd.DataFrame:
+    """Return the speed table, with a row for each run that is known by verification alone."""
+    import pandas as pd
+
+    verified = [
+        {"scene": run.scene, "method": run.method, "patterns": run.patterns,
+         "error": run.verified["mean_error"]}
+        for run in inputs.runs
+        if is_verified_alone(run)
+    ]  # fmt: skip
+    if not verified:
+        return inputs.speed_error
+    return pd.concat([inputs.speed_error, pd.DataFrame(verified)], ignore_index=True)
 
 
 def speed_figure(

@@ -9,7 +9,7 @@ from typing import Any
 from rfpipe.report.inputs import Inputs, Run, job_times, pictures_of, rig_of
 from rfpipe.report.page import Block, Column, Gallery, Section, Table, table_of
 from rfpipe.report.pictures import scene_pictures
-from rfpipe.report.targets import missed_targets
+from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import DASH, ERROR, fixed, number, percent, rig_standing
 from rfpipe.report.verification import alarms_of, summary
 from rfpipe.transport.base import estimates
@@ -34,7 +34,7 @@ def glance_section(inputs: Inputs) -> Section:
 
     results = [result_of(inputs, run) for run in inputs.runs]
     missed = [
-        [*missed_targets(row, ending_of(run))]
+        [*missed_targets(row, ending_of(run.facts["levels"]))]
         for row, run in zip(results, inputs.runs, strict=True)
     ]
     shown = [
@@ -66,13 +66,18 @@ def glance_section(inputs: Inputs) -> Section:
     if over_seeds is not None:
         blocks.append(over_seeds)
     blocks.append(Gallery([scene_pictures(inputs, group) for group in inputs.seed_groups]))
-    text = [
+    text = _omissions(inputs)
+    text += [summary(inputs, run) for run in inputs.runs if run.verified]
+    return Section("glance", "At a glance", blocks, text, alarms)
+
+
+def _omissions(inputs: Inputs) -> list[str]:
+    """Return sentences on the light that scenes have and their simulation leaves out."""
+    return [
         f"{scene}: {sentence}."
         for scene in inputs.scenes
         for sentence in inputs.light_of(scene).get("omissions", [])
     ]
-    text += [summary(inputs, run) for run in inputs.runs if run.verified]
-    return Section("glance", "At a glance", blocks, text, alarms)
 
 
 def _about(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
@@ -163,11 +168,6 @@ def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
 def _known(value: float | None) -> float | None:
     """Return a number, None for NaN."""
     return None if value is None or math.isnan(value) else value
-
-
-def ending_of(run: Run) -> str:
-    """Return the reason that a method gave for its end above the target, or ""."""
-    return next((row["ended"] for row in reversed(run.facts["levels"]) if "ended" in row), "")
 
 
 def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table | None:

@@ -46,7 +46,7 @@ def build_report_of_others(
 
 
 def _without(config: Config, results: Path, failed: set[tuple[str, str]]) -> Config | None:
-    """Return settings of the acquisitions that are relit and didn't fail; None where none is."""
+    """Settings of the relit acquisitions that didn't fail; None for no acquisition."""
     scenes = {}
     for scene, settings in config.scenes.items():
         methods = {

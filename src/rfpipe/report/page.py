@@ -199,6 +199,7 @@ def _placed(folder: Path, block: Block) -> dict[str, Any]:
     image, name = _png(block.figure), f"figures/{block.slug}.png"
     vectors = f"figures/{block.slug}.pdf"
     write_atomically(folder / name, image)
+    block.figure.set_layout_engine("none")  # as it was laid out for the PNG
     write_atomically(folder / vectors, pdf_of(block.figure))
     files = {name: name, vectors: "PDF"}
     for of, radiance in block.light.items():

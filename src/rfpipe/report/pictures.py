@@ -52,7 +52,7 @@ class Compared:
         """The errors in words."""
         texts = [
             f"{name} {percent(value)} %"
-            for name, value in (("error", self.error), ("indirect", self.indirect))
+            for name, value in (("error", self.error), ("error of indirect light", self.indirect))
             if value is not None and np.isfinite(value)
         ]
         return "\n".join(texts)

@@ -53,7 +53,8 @@ def _rig_tables(inputs: Inputs) -> Iterator[Table]:
         rig = rig_of(inputs.results, run)
         if not rig or rig.get("kind") == "simulated":
             continue
-        described = {name: it for name, it in rig.items() if name != VERDICTS_KEY}
+        others = {name: it for name, it in rig.items() if name not in ("sensor", VERDICTS_KEY)}
+        described = {"sensor": _camera_of(rig.get("sensor", {})), **others}
         key = fingerprint(described)
         rigs[key] = described
         groups.setdefault(key, []).append(f"{run.scene} by {run.method}")
@@ -62,6 +63,11 @@ def _rig_tables(inputs: Inputs) -> Iterator[Table]:
         rows = [[fact, str(value)] for fact, value in _flat(rigs[key])]
         about = f"As it described itself when it captured {', '.join(runs)}."
         yield Table(name, about, ["fact", "value"], rows, 2)
+
+
+def _camera_of(sensor: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the camera of a sensor's description, whether it is resampled onto rays or not."""
+    return _camera_of(sensor["sensor"]) if "sensor" in sensor else dict(sensor)
 
 
 def _versions(inputs: Inputs) -> dict[str, str]:

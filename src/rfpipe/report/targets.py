@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rfpipe.report.text import percent
@@ -16,6 +16,11 @@ _KINDS = (
         "the mean error of indirect light",
     ),
 )
+
+
+def ending_of(level_rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the reason that a method gave for its end above the target, or ""."""
+    return next((row["ended"] for row in reversed(level_rows) if "ended" in row), "")
 
 
 def missed_targets(row: Mapping[str, Any], reason: str) -> Iterator[str]:
@@ -45,10 +50,11 @@ def missed_targets(row: Mapping[str, Any], reason: str) -> Iterator[str]:
 
 def _explained(estimated: float | None, limit: float, reason: str) -> str:
     """Return what the method stated about its end."""
-    if reason:
-        return f"The method ended there: {reason}."
     if estimated is None:
-        return "The method gave no estimate of it."
+        return f"The method ended there: {reason}." if reason else "The method gave no estimate."
+    stated = f"The method estimated {percent(estimated)} %"
+    if reason:
+        return f"{stated} and ended there: {reason}."
     if estimated <= limit:
-        return f"The method estimated {percent(estimated)} %, and so took it for reached."
-    return f"The method estimated {percent(estimated)} %; its log says why it ended."
+        return f"{stated}, and so took it for reached."
+    return f"{stated}; its log says why it ended."

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from rfpipe.report.drawing import Drawn, draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
-from rfpipe.report.page import Block, Illustration, Section, Table, table_of
+from rfpipe.report.page import Block, Column, Illustration, Section, Table, table_of
 from rfpipe.report.text import ERROR, number, percent
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
@@ -51,9 +52,31 @@ def verification_section(inputs: Inputs) -> Section | None:
             is_folded=False,
         ),
         *(_pictures(inputs, run) for run in runs),
+        _picture_table(inputs, runs),
     ]
     title = "Verified by pictures that no method saw"
     return Section("verification", title, blocks)
+
+
+def _picture_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
+    """Return the errors of each verification picture."""
+    rows = [
+        {"scene": run.scene, "method": run.method, **picture}
+        for run in runs
+        for picture in run.verified["pictures"]
+    ]
+    about = (
+        f"{ERROR}. Plain error: relative to the picture's norm alone, which is larger for dark "
+        "pictures."
+    )
+    columns: list[Column] = [
+        ("error, %", "error", percent),
+        ("standard error, %", "standard_error", percent),
+        ("plain error, %", "plain_error", percent),
+        ("noise floor, %", "noise", percent),
+    ]
+    labels: list[Column] = [*inputs.labels, ("picture", "name", str)]
+    return table_of("Errors by picture", about, rows, labels, columns, csv="pictures.csv")
 
 
 def summary(inputs: Inputs, run: Run) -> str:

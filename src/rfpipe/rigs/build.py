@@ -16,6 +16,7 @@ from rfpipe.rigs.base import Key, Rig, check_patterns
 from rfpipe.rigs.calibrated import (
     VERDICTS_KEY,
     calibration_of,
+    check_devices,
     check_settings,
     resampled_sensor,
     sensor_of,
@@ -165,7 +166,7 @@ def rig_from_config(
     source : str
         Name of the settings in messages, such as their file.
     force : bool
-        Whether settings may differ from those that the rig was calibrated with.
+        Whether settings and devices may differ from those that were calibrated.
 
     Raises
     ------
@@ -174,7 +175,7 @@ def rig_from_config(
     StoreError
         When the calibration can't be read.
     ConfigError
-        When the settings changed after the calibration.
+        When settings or devices changed after the calibration.
     InputError
         When the calibration doesn't fit the devices.
     """
@@ -195,6 +196,8 @@ def rig_from_config(
     calibration = calibration_of(config)
     projector, camera = devices_from_config(config)
     try:
+        described = {"projector": projector.describe(), "camera": camera.describe()}
+        check_devices(calibration, described, config, source, force=force)
         layout = calibration.layout
         if layout is None and config.rays is not None:
             layout = ProjectorLayout.grid(projector.shape, config.rays)

@@ -17,7 +17,7 @@ from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.settings import differences, flat, is_of_a_step, shaping_settings
+from rfpipe.rigs.settings import differences, flat, identities, is_of_a_step, shaping_settings
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ class Calibration:
         Plain data: verdicts, measured numbers with their standard errors, settings.
     settings : mapping
         Settings of the rig's file that it was measured with, by dotted name; empty where unknown.
+    devices : mapping
+        Models and serial numbers of the devices, by names such as ``camera.serial``.
     """
 
     layout: ProjectorLayout | None = None
@@ -66,6 +68,7 @@ class Calibration:
     projector_response: NDArray[np.float64] | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    devices: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
@@ -79,7 +82,12 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     (folder / FACTS).unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
     digest = write_arrays(folder / ARRAYS, arrays, {})
-    parts = {name: dict(getattr(calibration, name)) for name in ("camera", "facts", "settings")}
+    parts = {
+        "camera": dict(calibration.camera),
+        "facts": dict(calibration.facts),
+        "settings": dict(calibration.settings),
+        "devices": dict(calibration.devices),
+    }
     write_manifest(folder / FACTS, {**parts, "arrays": digest})
 
 
@@ -103,6 +111,7 @@ def load_calibration(folder: str | Path) -> Calibration:
         arrays.get("projector_response"),
         manifest["facts"],
         manifest.get("settings", {}),  # calibrations of rfpipe's first version have none
+        manifest.get("devices", {}),
     )
 
 
@@ -216,18 +225,39 @@ def check_settings(config: RigConfig, source: str, *, force: bool = False) -> No
         )  # fmt: skip
         return
     now = shaping_settings(config) | flat({"calibrate": config.calibrate.model_dump(mode="json")})
-    lines = differences(
-        made_with, {n: v for n, v in now.items() if n in made_with or not is_of_a_step(n)}
-    )
+    relevant = {
+        name: value for name, value in now.items() if name in made_with or not is_of_a_step(name)
+    }
+    _refuse(differences(made_with, relevant), "settings", config.calibration, source, force=force)
+
+
+def check_devices(
+    calibration: Calibration,
+    devices: Mapping[str, Mapping[str, Any]],
+    config: RigConfig,
+    source: str,
+    *,
+    force: bool = False,
+) -> None:
+    """Raise an error where models or serial numbers aren't those of the calibrated devices.
+
+    `devices` are the descriptions of ``projector`` and ``camera``; the others as `check_settings`.
+    """
+    connected = identities(flat(devices))
+    lines = differences(calibration.devices, connected) if calibration.devices else []
+    _refuse(lines, "devices", str(config.calibration), source, force=force)
+
+
+def _refuse(lines: list[str], what: str, folder: str, source: str, *, force: bool) -> None:
+    """Raise ConfigError with lines of what changed since the calibration, or log them if forced."""
     if lines and not force:
         listed = "\n".join(f"  {line}" for line in lines)
         raise ConfigError(
-            f"{source}: has other settings than its calibration {config.calibration} was made "
-            f"with:\n{listed}\nRun `rfpipe calibrate` again, or set them back. To go on all the "
-            "same, add --force"
+            f"{source}: has other {what} than its calibration {folder} was made with:\n{listed}\n"
+            "Run `rfpipe calibrate` again, or set them back. To go on all the same, add --force"
         )
     for line in lines:
-        _log.warning("%s: since its calibration %s, %s", source, config.calibration, line)
+        _log.warning("%s: since its calibration %s, %s", source, folder, line)
 
 
 def was_coaxial(described: Mapping[str, Any]) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Annotated, Any, Protocol, Self
 
 import numpy as np
@@ -39,6 +40,8 @@ class Projector(Protocol):
       didn't, as when a cable flickered or a window hid it, the pattern is shown and taken again.
     - ``show_now(picture)``: as `show`, but returns before the light has settled, which the
       calibration then measures; and ``settle_seconds``, what `show` waits for it.
+    - ``show_colour(picture)``: as `show`, of weights (H, W, 3) of red, green and blue light, by
+      which the calibration finds the order of the colours in a camera's mosaic.
     - what `SequenceProjector` has: sequences of patterns in hardware.
     """
 
@@ -146,7 +149,14 @@ class Closing:
 
 
 def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) -> NDArray[Any]:
-    """Show a picture and return its bracket, shape (E, H, W[, C]).
+    """Show a picture and return its bracket; see `shown_bracket`."""
+    return shown_bracket(partial(projector.show, picture), projector, camera, name)
+
+
+def shown_bracket(
+    show: Callable[[], None], projector: Projector, camera: Camera, name: str
+) -> NDArray[Any]:
+    """Return the bracket, shape (E, H, W[, C]), of a picture that `show` shows.
 
     Raises
     ------
@@ -156,7 +166,7 @@ def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) 
     """
     try:
         for _ in range(TIMES_SHOWN):
-            projector.show(picture)
+            show()
             frames = np.asarray(camera.expose())
             if undisturbed(projector):
                 expected = camera.sensor.frame_shape(camera.shape, camera.channels)
@@ -191,7 +201,7 @@ def undisturbed(projector: Projector) -> bool:
     return asked is None or bool(asked())
 
 
-def check_picture(picture: NDArray[Any], shape: tuple[int, int]) -> Float:
+def check_picture(picture: NDArray[Any], shape: tuple[int, ...]) -> Float:
     """Return a picture as float32, or raise InputError where a projector can't show it."""
     picture = np.asarray(picture)
     if picture.shape != shape:

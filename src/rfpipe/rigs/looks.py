@@ -41,6 +41,7 @@ _GAIN = {PATTERN: (1, -1, 0), COMPLEMENT: (-1, 1, 0), WHITE: (0.5, 0.5, 0)}
 """Weights of the solution that make up the gain."""
 
 _LEAST_PIXELS = 50
+_ROUNDING = 0.5  # counts
 _HEADROOM = 0.8  # counts of references over saturation: a brighter look does not saturate
 
 
@@ -134,18 +135,43 @@ class References:
 
 
 class Fit(NamedTuple):
-    """Fit of a look; NaN in exposures that cannot be fitted."""
+    """Fit of a lit look; NaN in exposures that cannot be fitted.
 
+    Attributes
+    ----------
+    solution : ndarray of float64, shape (E, 3)
+        x_P, x_Q and a.
+    gain, gain_error, residual : ndarray of float64, shape (E,)
+    room, room_error : ndarray of float64, shape (E,)
+        Mean light of the room, beyond that of the references, in counts; not known at white.
+    """
+
+    solution: Double
     gain: Double
     gain_error: Double
     residual: Double
+    room: Double
+    room_error: Double
 
 
 class Series(NamedTuple):
-    """Gains of K lit looks, (K, E), and their errors; series and time of each, (K,)."""
+    """Light of K lit looks.
+
+    Attributes
+    ----------
+    gain, error : ndarray of float64, shape (K, E)
+        Relative to a reference, and its standard error; NaN where an exposure is unknown.
+    ratio, ratio_error : ndarray of float64, shape (M, E - 1)
+        Light in each exposure over that in the next shorter one, see `exposure_ratios`, of these
+        or of other lit pictures.
+    series, seconds : ndarray, shape (K,)
+        Series and time of each look.
+    """
 
     gain: Double
     error: Double
+    ratio: Double
+    ratio_error: Double
     series: NDArray[np.int64]
     seconds: Double
 
@@ -163,56 +189,107 @@ def thinned(frames: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def gains_of(looks: Sequence[Look], references: References) -> Series:
-    """Return the gains of the lit looks."""
+    """Return the light of the lit looks, by their fits."""
     lit = [look for look in looks if look.picture != BLACK]
     fits = [fit_of(look, references) for look in lit]
-    return Series(
-        np.array([fit.gain for fit in fits]),
-        np.array([fit.gain_error for fit in fits]),
-        np.array([look.series for look in lit]),
-        np.array([look.seconds for look in lit]),
+    gain, error = (
+        np.array([getattr(fit, name) for fit in fits]) for name in ("gain", "gain_error")
     )
+    return series_of(lit, references, gain, error)
+
+
+def series_of(looks: Sequence[Look], references: References, gain: Double, error: Double) -> Series:
+    """Return the light of lit looks whose gains (K, E) are known."""
+    ratio, ratio_error = ratios_of([look.frames for look in looks], references)
+    return Series(
+        gain, error, ratio, ratio_error,
+        np.array([look.series for look in looks]), np.array([look.seconds for look in looks]),
+    )  # fmt: skip
+
+
+def ratios_of(
+    brackets: Sequence[NDArray[np.float32]], references: References
+) -> tuple[Double, Double]:
+    """Return the `exposure_ratios` of brackets (E, n), (K, E - 1), and their errors."""
+    ratios = np.array([exposure_ratios(frames, references) for frames in brackets])
+    return ratios[:, 0], ratios[:, 1]
+
+
+def exposure_ratios(frames: NDArray[np.float32], references: References) -> Double:
+    """Return the light in each exposure over that in the next shorter one, and its error.
+
+    Light is counts a second above black, of the pixels that the longer exposure does not saturate.
+    It needs no reference picture, and is 1 of a steady lamp and a linear camera, whatever the gain.
+
+    Returns
+    -------
+    ndarray of float64, shape (2, E - 1)
+        NaN where too few pixels are known.
+    """
+    seconds = np.array(references.exposures)[:, None]
+    rate = (frames - references.frames[BLACK]) / seconds
+    ratios = np.full((2, len(seconds) - 1), np.nan)
+    for index in range(len(seconds) - 1):
+        usable = frames[index + 1] < _HEADROOM * references.saturated
+        light = rate[index, usable].mean() if usable.sum() >= _LEAST_PIXELS else 0.0
+        if light > 0:
+            change = (rate[index + 1] - rate[index])[usable]
+            ratios[0, index] = 1 + change.mean() / light
+            ratios[1, index] = change.std() / np.sqrt(change.size) / light
+    return ratios
 
 
 def fit_of(look: Look, references: References) -> Fit:
     """Fit each exposure of a lit look."""
     exposures = len(references.exposures)
-    gain, error, residual = np.full((3, exposures), np.nan)
     along = np.array(_GAIN[look.picture], np.float64)
+    gain, error, residual, room, room_error = np.full((5, exposures), np.nan)
+    solutions = np.full((exposures, 3), np.nan)
     for index in range(exposures):
         frame = look.frames[index].astype(np.float64)
-        usable = _usable(references, index) & (frame < references.saturated)
+        usable = np.logical_and(_usable(references, index), frame < references.saturated)
         shown = references.light_of(look.picture)[index, usable]
         if usable.sum() < _LEAST_PIXELS or not np.isfinite(references.noise[index]):
             continue
-        solution, rest, covariance = _regression(
-            references, index, usable, frame[usable] - references.frames[0, index, usable]
+        counts = frame[usable] - references.frames[BLACK, index, usable]
+        solutions[index], rest, covariance = _regression(
+            references, index, usable, counts, has_haze=look.picture != WHITE
         )
-        gain[index] = along @ solution
+        gain[index] = along @ solutions[index]
         residual[index] = np.sqrt(np.square(rest).sum() / np.square(shown).sum())
         # noise of the references bends the fit by the square of the residual
-        error[index] = np.hypot(np.sqrt(along @ covariance @ along), references.noise[index] ** 2)
-    return Fit(gain, error, residual)
+        bias = references.noise[index] ** 2
+        error[index] = np.hypot(np.sqrt(along @ covariance @ along), bias)
+        if look.picture != WHITE:
+            white = float(references.light[:, index, usable].sum(axis=0).mean())
+            of_room = np.array([white * (along[0] < 0), white * (along[1] < 0), 1.0])
+            room[index] = of_room @ solutions[index]
+            room_error[index] = np.hypot(np.sqrt(of_room @ covariance @ of_room), bias * white)
+    return Fit(solutions, gain, error, residual, room, room_error)
 
 
 def _usable(references: References, exposure: int) -> NDArray[np.bool_]:
-    """Test which pixels no reference saturates in an exposure."""
-    is_usable: NDArray[np.bool_] = (references.frames[:, exposure] < references.saturated).all(
-        axis=0
-    )
-    return is_usable
+    """Test which pixels are far from saturation in an exposure of all references."""
+    brightest = references.frames[:, exposure].max(axis=0)
+    return np.asarray(brightest < _HEADROOM * references.saturated)
 
 
 def _regression(
-    references: References, exposure: int, usable: NDArray[np.bool_], counts: Double
+    references: References,
+    exposure: int,
+    usable: NDArray[np.bool_],
+    counts: Double,
+    *,
+    has_haze: bool = True,
 ) -> tuple[Double, Double, Double]:
     """Return solution (3,), residuals and covariance (3, 3) of counts above black.
 
     Pixels have weights as of photon noise. The covariance is that of any noise: HC3 of MacKinnon
-    and White, Journal of Econometrics 29 (1985).
+    and White, Journal of Econometrics 29 (1985). Without haze, `a` is 0: before an even surface
+    haze is like white light.
     """
     light = references.light[:, exposure, usable]
-    design = np.stack([*light, np.ones(light.shape[1])], axis=1)
+    design = np.stack([*light, np.full(light.shape[1], float(has_haze))], axis=1)
     brightness = np.maximum(light.sum(axis=0), 0)
     weight = 1 / (brightness + 0.1 * brightness.mean() + 1)
     solve = np.linalg.pinv((design.T * weight) @ design) @ (design.T * weight)
@@ -229,15 +306,16 @@ def _noise(references: References, pairs: Sequence[tuple[Look, Look]]) -> Double
     for index in range(len(noise)):
         residuals = []
         for first, second in pairs:
-            usable = _usable(references, index)
             brighter = np.maximum(first.frames[index], second.frames[index])
-            usable = np.logical_and(usable, brighter < references.saturated)
+            usable = np.logical_and(_usable(references, index), brighter < references.saturated)
             light = references.light_of(second.picture)[index, usable]
             if usable.sum() < _LEAST_PIXELS or light.sum() <= 0:
                 continue
-            difference = (second.frames[index] - first.frames[index]).astype(np.float64)[usable]
-            _, rest, _ = _regression(references, index, usable, difference)
-            residuals.append(np.sqrt(np.square(rest).sum() / 2 / np.square(light).sum()))
+            change = np.subtract(second.frames[index], first.frames[index], dtype=np.float64)
+            _, rest, _ = _regression(references, index, usable, change[usable])
+            # rounding may hide all other noise in two looks, and not in a third one
+            noise_of_counts = np.square(rest).mean() / 2 + _ROUNDING**2
+            residuals.append(np.sqrt(noise_of_counts / np.square(light).mean()))
         # where noise hides the light itself, nothing can be compared
         if residuals and np.median(residuals) < 0.5:
             noise[index] = float(np.median(residuals))

@@ -283,10 +283,10 @@ def later_sheets(sheet: Sheet) -> list[Sheet]:
     sheets = [read_sheet(sheet.folder.parent / folder.name) for folder in sorted(beside)]
     level, names = sheet.about["level"], ("scene", "method", *RUN_PATHS)
     return [
-        other
-        for other in sheets
-        if other.about["level"] > level
-        and all(other.about[name] == sheet.about[name] for name in names)
+        later
+        for later in sheets
+        if later.about["level"] > level
+        and all(later.about[name] == sheet.about[name] for name in names)
     ]
 
 

@@ -14,10 +14,13 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures import Header, check_mosaic, picture_files, read_header, read_picture
-from rfpipe.pictures.order import misplaced
+from rfpipe.pictures.order import are_late, correlation, misplaced
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
+from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.offline import OfflineRig, Sheet
+from rfpipe.rigs.offline_light import light_faults
+from rfpipe.rigs.steadiness import late_fault, moved_fault
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION
 
 Picture = tuple[Header, Path]
@@ -28,6 +31,9 @@ EXPOSURE_ERROR = 0.1
 
 SAME = 0.3
 """Two pictures are of one marker where they differ by less than this share of its opposite."""
+
+MOVED = 0.4
+"""Correlation from which on a picture of another marker is the same marker, moved."""
 
 MOST_SATURATED, LEAST_LIGHT = 0.01, 0.002
 """Largest saturated share of a picture's shortest exposure, and least light of the white picture's
@@ -100,22 +106,22 @@ def check_pictures(
             f"exposures each make {expected}, as {sheet.folder} says. Check that the first and "
             "the last are there, none twice, and none of another series"
         )
-    light = _light(rig, brackets)
-    marker, opposite, last = light[[0, 1, -1]]
-    if np.linalg.norm(opposite - last) >= SAME * np.linalg.norm(marker - last):
-        raise CaptureError(
-            f"{folder}: the series doesn't begin with the marker and its opposite and end with the "
-            "opposite, as it was to be shown: a picture is out of order, or these are of another "
-            "series. Names are sorted by the numbers in them"
-        )
+    light, frames = _read(rig, brackets)
+    weights = np.stack(
+        [rig.weights(read_picture(sheet.folder / shown.file).pixels) for shown in sheet.shown]
+    )
+    if are_late(weights, light, coaxial=coaxial):
+        raise CaptureError(f"{folder}: {late_fault(1.0).text}. Then take the pictures again")
+    _check_markers(light, folder)
     taken = [*zip(sheet.shown, brackets, strict=True)]
     of_key = {shown.key: bracket for shown, bracket in taken if shown.key is not None}
     patterns = {shown.key: shown.pattern for shown in sheet.shown if shown.key is not None}
     wrong = _wrong_light(rig, of_key)
+    if isinstance(rig.camera_sensor, CameraModel):
+        faults = light_faults(sheet.shown, frames, rig.camera_sensor)
+        wrong += [fault.text for fault in faults]
     if coaxial:
-        codes = [read_picture(sheet.folder / shown.file).pixels for shown in sheet.shown]
-        weights, names = np.stack([*map(rig.weights, codes)]), [path.name for path, *_ in brackets]
-        wrong += misplaced(weights, names, light)
+        wrong += misplaced(weights, [path.name for path, *_ in brackets], light)
     if wrong and not anyway:
         raise CaptureError(f"{folder}: {'; '.join(wrong)}. To take them all the same: --anyway")
     checked = Checked(rig, of_key, patterns, notes + wrong)
@@ -123,14 +129,38 @@ def check_pictures(
     return checked
 
 
-def _light(rig: OfflineRig, brackets: list[tuple[Path, ...]]) -> Float:
-    """Return the pictures' light on the rays, (K, H, W)."""
+def _check_markers(light: Float, folder: Path) -> None:
+    """Check that a series begins with marker and opposite, and ends with the opposite."""
+    marker, opposite, last = light[[0, 1, -1]]
+    if np.linalg.norm(opposite - last) < SAME * np.linalg.norm(marker - last):
+        return
+    if correlation(opposite, last) > MOVED > correlation(marker, last):
+        change = float(np.linalg.norm(opposite - last) / max(float(np.linalg.norm(opposite)), 1e-9))
+        raise CaptureError(
+            f"{folder}: {moved_fault(change).text}. Between the second picture and the last, which "
+            "show the same pattern. Then take the pictures again"
+        )
+    raise CaptureError(
+        f"{folder}: the series doesn't begin with the marker and its opposite and end with the "
+        "opposite, as it was to be shown: a picture is out of order, or these are of another "
+        "series. Names are sorted by the numbers in them"
+    )
+
+
+def _read(
+    rig: OfflineRig, brackets: list[tuple[Path, ...]]
+) -> tuple[Float, list[NDArray[np.float32]]]:
+    """Return the pictures' light on the rays, (K, H, W), and some photosites of each frame."""
     shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
     level = getattr(rig.camera_sensor, "black_level_counts", 0)
     merge = rig.sensor.merging(np.full(shape, level, np.float32))
-    frames = (np.stack([_pixels(rig, path) for path in bracket]) for bracket in brackets)
-    light = [merge(each.reshape(1, *shape)).radiance.sum(axis=-1) for each in frames]
-    return np.reshape(light, (len(light), *RayDomain(rig.camera_shape).picture_shape))
+    light, frames = [], []
+    for paths in brackets:
+        bracket = np.stack([_pixels(rig, path) for path in paths])
+        light.append(merge(bracket.reshape(1, *shape)).radiance.sum(axis=-1))
+        frames.append(thinned(bracket))
+    picture_shape = RayDomain(rig.camera_shape).picture_shape
+    return np.reshape(light, (len(light), *picture_shape)), frames
 
 
 def _checked_header(rig: OfflineRig, path: Path) -> Header:

@@ -55,8 +55,24 @@ def _code_of(name: str, device: DeviceDriver) -> Flat:
 
 
 def is_of_a_step(name: str) -> bool:
-    """Whether a setting shapes some steps of a calibration alone, such as ``calibrate.codes``."""
+    """Test whether a setting shapes only some steps of a calibration: ``calibrate.codes``."""
     return name in (RAYS, SETTLE) or name.startswith("calibrate.")
+
+
+def settings_of_all_steps(settings: Mapping[str, Any]) -> Flat:
+    """Return the settings that shape every step of a calibration."""
+    return {name: value for name, value in settings.items() if not is_of_a_step(name)}
+
+
+def identities(devices: Mapping[str, Any]) -> Flat:
+    """Return the models and serial numbers in descriptions of devices.
+
+    Parameters
+    ----------
+    devices : mapping
+        Descriptions by dotted names, such as ``camera.serial``.
+    """
+    return {name: value for name, value in devices.items() if name.endswith((".model", ".serial"))}
 
 
 def flat(groups: Mapping[str, Any], prefix: str = "") -> Flat:
@@ -74,7 +90,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Return a line for each setting whose value changed: its name and both values.
 
     A setting that is missing counts as null, so that an option which a newer driver adds is no
-    change by itself.
+    change.
     """
     lines = []
     for name in dict.fromkeys([*before, *now]):

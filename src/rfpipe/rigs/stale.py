@@ -128,8 +128,8 @@ class StaleWatch:
     """Compares each bracket with itself and with the last four: a quick capture may lag by several.
 
     Watched are cameras whose counts are in proportion to light. `statistics` counts ``doubted``,
-    brackets taken again; ``stale``, those that were wrong; and ``unsteady``, those of which both
-    are as good.
+    brackets taken again; ``stale``, wrong ones; and ``unsteady``, brackets whose repetition differs
+    in brightness alone.
     """
 
     def __init__(self, sensor: Sensor) -> None:

@@ -35,11 +35,15 @@ from rfpipe.rigs.looks import (
 Double = NDArray[np.float64]
 Kind = Literal["late", "room", "moved", "gain", "flicker", "unsteady", "drift"]
 
-_SIGNIFICANCE = 6.0  # standard errors beyond which a change is no noise
+SIGNIFICANCE = 6.0
+"""Standard errors beyond which a change is no noise."""
+
+ROOM = 0.2
+"""Change of room light over that of the lamp's light that is accepted: it is in all pictures."""
+
 _MOVED = 0.05  # residual from which on a picture has another shape: half a pixel makes 0.15
-_ROOM = 0.2  # change of room light over that of the lamp's that is accepted: it is in all pictures
 _LATE = 0.5  # distance to the picture before over that to the picture shown
-_COMMON = 0.1  # share of the gains' variance within brackets, below which it is of whole brackets
+_COMMON = 0.3  # range of exposures' ratios over that of gains, from which on brackets flicker
 _AVERAGED_SECONDS = 0.05  # exposures from which on flicker at mains frequency is small
 
 
@@ -78,7 +82,7 @@ def faults_of(looks: Sequence[Look], references: References, limit: float) -> li
     late = _late(looks, references)
     if late is not None:
         return [late]
-    faults = [_room(looks, references, limit), _moved(looks, references)]
+    faults = [room_change(looks, references, limit), motion(looks, references)]
     if faults[1] is None:  # gains of another picture mean nothing
         gains = gains_of(looks, references)
         faults.append(light_fault(gains, references.exposures, limit, references.unit))
@@ -104,27 +108,21 @@ def light_fault(
     known = known_exposures(series, limit)
     if not known.any() or len(series.gain) < 2:
         return None
-    gain, error, times = series.gain[:, known], series.error[:, known], np.array(exposures)[known]
+    gain, error = series.gain[:, known], series.error[:, known]
     span = np.ptp(gain, axis=0)
-    is_change = (span > limit) & (span > _SIGNIFICANCE * error.max(axis=0))
+    is_change = (span > limit) & (span > SIGNIFICANCE * error.max(axis=0))
     if not is_change.any():
         return None
     size = float(span[is_change].max())
+    flicker = _flicker(series, exposures)
+    if flicker is not None and flicker > _COMMON * size:
+        return flicker_fault(size, exposures)
     common, common_error = common_gain(series, limit)
-    noise = np.square(error).mean(axis=0)
-    variance = np.maximum(gain.var(axis=0) - noise, 0)
-    within = np.square(gain - common[:, None]).mean(axis=0) - noise
-    if len(times) > 1 and within.max() > _COMMON * variance.max():
-        # flicker is averaged in long exposures, a gain is not
-        is_averaged = times[-1] < max(_AVERAGED_SECONDS, 4 * times[0]) or (
-            variance[-1] < variance.max() / 4
-        )
-        return flicker_fault(size, exposures) if is_averaged else gain_fault(size)
     if _is_slow(series, common, common_error, limit):
         order = np.argsort(series.seconds)
         change = float(common[order[-1]] / common[order[0]] - 1)
         return drift_fault(change, f"{np.ptp(series.seconds):.2g} {unit}")
-    if len(times) == 1 and not is_whole_period(times[0]):
+    if flicker is None and not all(map(is_whole_period, exposures)):
         return unsteady_fault(size)
     return gain_fault(size)
 
@@ -149,6 +147,17 @@ def drift_fault(change: float, duration: str) -> Fault:
     )
 
 
+def ends_fault(change: float) -> Fault:
+    """Return the fault of light that changed by `change` from the first picture to the last."""
+    return Fault(
+        "unsteady",
+        abs(change),
+        f"The light changed by {change:+.1%} from the first picture to the last. Either the lamp "
+        "drifts: let it warm up, half an hour or more. Or the camera's gain or exposure is "
+        "automatic: switch that off",
+    )
+
+
 def late_fault(share: float) -> Fault:
     """Return the fault of frames of the picture before, in a share of the pictures."""
     return Fault(
@@ -156,7 +165,7 @@ def late_fault(share: float) -> Fault:
         share,
         "The camera's frames are of the picture before: empty the camera's queue before each "
         "bracket, such as by single-frame triggers in place of a running stream; or, where the "
-        "display is slow, raise projector.options.settle_seconds (the latency)",
+        "display is slow, wait longer for it (projector.options.settle_seconds, the latency)",
     )
 
 
@@ -177,8 +186,8 @@ def moved_fault(size: float) -> Fault:
         size,
         f"The picture of the same pattern differs by {size:.0%} from the one before, and not in "
         "brightness: the camera, the projector or the scene moved, or the projector's picture is "
-        "mirrored, scaled or cut off. Fix them, check the projector's cable and menu, and "
-        "calibrate again",
+        "mirrored, scaled or cut off. Fix all three in place, and check the projector's cable "
+        "and menu",
     )
 
 
@@ -251,7 +260,7 @@ def _distance(frame: NDArray[np.float32], references: Double) -> float:
     return float(np.sqrt(np.square(frame - references).mean(axis=1).min()))
 
 
-def _room(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
+def room_change(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
     """Return the fault of black pictures that differ, by the longest exposure that shows it."""
     dark = [look for look in looks if look.picture == BLACK]
     seconds = np.array([references.seconds, *(look.seconds for look in dark)])
@@ -263,16 +272,16 @@ def _room(looks: Sequence[Look], references: References, limit: float) -> Fault 
         rates = frames[:, usable].mean(axis=1) / references.exposures[index]
         least, most = int(rates.argmin()), int(rates.argmax())
         change = (frames[most] - frames[least])[usable]
-        is_noise = change.mean() < _SIGNIFICANCE * change.std() / np.sqrt(change.size)
+        is_noise = change.mean() < SIGNIFICANCE * change.std() / np.sqrt(change.size)
         size = float(rates[most] - rates[least]) / references.white_rate
-        if is_noise or size < _ROOM * limit:
+        if is_noise or size < ROOM * limit:
             return None
         duration = abs(float(seconds[most] - seconds[least]))
         return room_fault(size, f"{duration:.2g} {references.unit}")
     return None
 
 
-def _moved(looks: Sequence[Look], references: References) -> Fault | None:
+def motion(looks: Sequence[Look], references: References) -> Fault | None:
     """Return the fault of a picture that has another shape than its reference."""
     best = int(np.argmin(references.noise))
     lit = [look for look in looks if look.picture != BLACK]
@@ -281,12 +290,30 @@ def _moved(looks: Sequence[Look], references: References) -> Fault | None:
     return moved_fault(float(residual)) if is_moved else None
 
 
+def _flicker(series: Series, exposures: Sequence[float]) -> float | None:
+    """Return the range of the ratios of exposures, where flicker can make it, else 0.
+
+    A gain that changes within brackets changes the ratios of long exposures, too. None where the
+    ratios are unknown.
+    """
+    known = np.isfinite(series.ratio).sum(axis=0) > 1
+    if not known.any():
+        return None
+    ratio, error = series.ratio[:, known], np.nanmax(series.ratio_error[:, known], axis=0)
+    span = np.nanmax(ratio, axis=0) - np.nanmin(ratio, axis=0)
+    span = np.where(span > SIGNIFICANCE * error, span, 0)
+    are_long = np.array(exposures[:-1])[known] >= _AVERAGED_SECONDS
+    of_long = float(span[are_long].max(initial=0))
+    largest = float(span.max())
+    return largest if of_long < largest / 3 else 0.0
+
+
 def _is_slow(series: Series, common: Double, error: Double, limit: float) -> bool:
     """Test whether adjacent looks (K,) agree, or differ by no more than a steady drift."""
     adjacent = np.diff(series.series) == 0
     if not adjacent.any():
         return False
-    step = np.diff(common)[adjacent]
-    share = np.diff(series.seconds)[adjacent].mean() / max(np.ptp(series.seconds), 1e-9)
-    expected = max(limit / 2, 2 * share * float(np.ptp(common)))
-    return bool(np.square(step).mean() - 2 * np.square(error).mean() < expected**2)
+    step, duration = np.abs(np.diff(common))[adjacent], np.diff(series.seconds)[adjacent]
+    rate = float(np.ptp(common)) / max(float(np.ptp(series.seconds)), 1e-9)
+    allowed = np.maximum(limit / 2, 2 * rate * duration) + SIGNIFICANCE / 2 * error.max()
+    return bool((step < allowed).all())

@@ -159,21 +159,11 @@ def acquire(
             f"{type(rig).__name__} is no rig; make one of a matrix or linear operator: "
             "rfpipe.OperatorRig(matrix, camera_shape=(h, w), projector_shape=(h, w))"
         )
-    if min(black_frames, floodlit_frames) < 1:
-        raise InputError(
-            f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
-            "at least one of each is needed"
-        )
-    if symmetry_frames < 0 or symmetry_frames in (1, 2):
-        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
     precautions = PRECAUTIONS["simulated" if is_simulated(rig) else "remote"]
     watch = precautions.watch if watch is None else watch
-    if watch not in get_args(Watch):
-        raise InputError(f"watch is {watch!r}; expected one of {', '.join(get_args(Watch))}")
     if verification is None:
         verification = precautions.verification_pictures
-    if verification < 0:
-        raise InputError(f"verification is {verification}; 0 or more pictures can be taken")
+    _check(black_frames, floodlit_frames, symmetry_frames, verification, watch)
     began = perf_counter()
     named = get_method(method)
     plan = Plan(
@@ -212,12 +202,7 @@ def acquire(
     verified = None
     if verification:
         write_schedule(folder, "", schedule_of(rig.projector_shape, verification))
-
-        def captured(folder: AcquisitionFolder, level: int, **options: Any) -> None:
-            with folder.doing(level, "capture"):
-                capture.run(rig, folder, level, **options)
-
-        capture_and_merge(folder, captured, verification, settings, resources)
+        capture_and_merge(folder, partial(_captured, rig), verification, settings, resources)
         verified = compared(folder, transport)
         outcome = verified.against(getattr(plan.options, "target_error", None))
         if outcome.standing == "missed":
@@ -235,6 +220,29 @@ def acquire(
         masked,
         verified,
     )
+
+
+def _check(
+    black_frames: int, floodlit_frames: int, symmetry_frames: int, verification: int, watch: str
+) -> None:
+    """Raise InputError for arguments of `acquire` that are out of range."""
+    if min(black_frames, floodlit_frames) < 1:
+        raise InputError(
+            f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
+            "at least one of each is needed"
+        )
+    if symmetry_frames < 0 or symmetry_frames in (1, 2):
+        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
+    if watch not in get_args(Watch):
+        raise InputError(f"watch is {watch!r}; expected one of {', '.join(get_args(Watch))}")
+    if verification < 0:
+        raise InputError(f"verification is {verification}; 0 or more pictures can be taken")
+
+
+def _captured(rig: Rig, folder: AcquisitionFolder, level: int, **options: Any) -> None:
+    """Capture a level outside `run_levels`, which counts the seconds itself."""
+    with folder.doing(level, "capture"):
+        capture.run(rig, folder, level, **options)
 
 
 # ruff: noqa: D102, ARG002 - methods and arguments below are those of AcquisitionFolder and FrameStore

@@ -14,7 +14,7 @@ import numpy as np
 
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.calibrated import was_coaxial
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.folder import LAMP, AcquisitionFolder
 from rfpipe.stages.merger import Merger
 from rfpipe.stages.placement import placement_of
 from rfpipe.stages.symmetry import no_longer_coaxial, read_asymmetry
@@ -47,22 +47,37 @@ def check(
     """
     if not was_coaxial(rig):
         return
-    asymmetry = read_asymmetry(folder)
-    if asymmetry is None:
-        text = _placement_by_look(folder, merger)
+    if read_asymmetry(folder) is None:
+        place = _placement_by_look(folder, merger)
+        text = no_longer_coaxial(place) if place else ""
     else:
-        text = asymmetry.text if asymmetry.place or asymmetry.least > accepted else ""
+        text = alarm(folder, rig, accepted)
     if not text:
         return
-    text = no_longer_coaxial(text)
     if refuse:
         raise CaptureError(f"{text}. {ways_on(folder, 0)}")
     if not any(folder.levels_above(level)[1:]):  # once
         _log.warning("%s", text)
 
 
+def alarm(folder: AcquisitionFolder, rig: Mapping[str, Any], accepted: float) -> str:
+    """Describe what random patterns show of a rig that was coaxial; "" for nothing wrong.
+
+    Gain that changes from picture to picture makes any rig seem wrong.
+    """
+    asymmetry = read_asymmetry(folder)
+    if asymmetry is None or not was_coaxial(rig):
+        return ""
+    if not folder.read_manifest(0, "merge").get(LAMP, {}).get("steady", True):
+        return ""
+    if asymmetry.excess:
+        return asymmetry.text
+    is_wrong = asymmetry.place or asymmetry.least > accepted
+    return no_longer_coaxial(asymmetry.text) if is_wrong else ""
+
+
 def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
-    """Describe what is wrong with the place of the first look's picture; "" for nothing."""
+    """Describe a wrong place of the first look's picture, "" for a right one."""
     look, shape = first_look(folder, merger), merger.floodlit.shape[:-1]
     if look is None or len(shape) != 2:
         return ""
@@ -73,4 +88,5 @@ def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
             (merger.floodlit, merger.floodlit_variance),
         )
     )
-    return placement_of(2.0 * look_pattern(shape)[None] - 1, pictures, floodlit).text
+    signs = 2 * look_pattern(shape).astype(np.float64) - 1
+    return placement_of(signs[None], pictures, floodlit).text

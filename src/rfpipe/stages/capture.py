@@ -104,11 +104,7 @@ def run(
         part.settle(when_patterns_change)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture and folder.is_kept:
-        merged = folder.store(level, "merge")  # of a capture before: replaced
-        camera = rig.sensor, tuple(rig.camera_shape), rig.channels
-        need = disk_bytes(*camera, to_capture, of_level.count)
-        present = bytes_on_disk(merged) if merged.exists() else 0
-        check_disk(of_level.name, need, folder.path, present)
+        _check_disk(rig, folder, level, of_level, to_capture)
         _warm_up(rig, folder, 60 * warm_up_minutes)
     # A sequence is stored when it is complete: long ones, as loading takes most of their time;
     # in hand they have complements.
@@ -249,6 +245,17 @@ def _stands(
     )
 
 
+def _check_disk(
+    rig: Rig, folder: AcquisitionFolder, level: int, of_level: Brackets, to_capture: int
+) -> None:
+    """Raise StoreError where a level's brackets, and what is made of them, don't fit."""
+    merged = folder.store(level, "merge")  # of a capture before: replaced
+    camera = rig.sensor, tuple(rig.camera_shape), rig.channels
+    need = disk_bytes(*camera, to_capture, of_level.count)
+    present = bytes_on_disk(merged) if merged.exists() else 0
+    check_disk(of_level.name, need, folder.path, present)
+
+
 def _check_references(
     folder: AcquisitionFolder, sensor: Sensor, shown: Mapping[str, Any], mode: str
 ) -> None:
@@ -257,7 +264,8 @@ def _check_references(
     if camera is None:
         return
     with folder.open_frames(0, REFERENCE) as frames:
-        samples = np.stack([sample(frames.read(n, n + 1)[0]) for n in range(frames.shape[0])])
+        count = frames.shape[0]
+        samples = np.stack([sample(frames.read(n, n + 1)[0], count) for n in range(count)])
     for fault in faults_of_references(samples[:off], samples[off:], camera):
         if mode == "refuse" and fault.is_harmful:
             raise CaptureError(

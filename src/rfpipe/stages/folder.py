@@ -41,6 +41,9 @@ REFERENCE = "reference"
 SYMMETRY = "symmetry"
 """Brackets of random patterns, taken with level 0, and what they tell in the merge's manifest."""
 
+LAMP = "lamp"
+"""Brightness of the lamp before the first look, in the manifest of level 0's merge."""
+
 VERIFICATION = VERIFICATION_KEY
 """In the place of a level's number: the pictures that verify the transport, taken after it."""
 

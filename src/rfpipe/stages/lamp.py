@@ -14,17 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
+from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merger import Merger
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.steadiness import SIGNIFICANCE, smooth_changes
 
-LAMP = "lamp"
-"""Key of these facts in the manifest of level 0's merge."""
-
 Double = NDArray[np.float64]
 
-_LAST = 8  # white brackets that tell the brightness at the end of the reference brackets
+_LAST = 8  # white brackets that have the brightness at the end of the reference brackets
 
 _log = logging.getLogger(__name__)
 

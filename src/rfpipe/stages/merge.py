@@ -16,10 +16,10 @@ from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages import symmetry
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
+from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.lamp import LAMP, measure_lamp, with_brightness
+from rfpipe.stages.lamp import measure_lamp, with_brightness
 from rfpipe.stages.merger import (
     REFERENCES,
     LevelSum,
@@ -99,8 +99,6 @@ def run(
     }
     if MOVES in captured:
         made_of[MOVES] = [captured[MOVES]["digest"], divide_out_drift]
-    elif level == 0 and divide_out_drift:
-        made_of[LAMP] = divide_out_drift
     made_from = fingerprint([made_of, code])
     if folder.standing(level, "merge", made_from) is None:
         facts = _kept(folder, level, made_of, made_from)
@@ -110,7 +108,8 @@ def run(
                 "fingerprint": made_from, "versions": versions(),
             }  # fmt: skip
             if level == 0:
-                merger, of_rig = _learn(sensor, folder, mask_defects, divide_out_drift)
+                divide = divide_out_drift and MOVES in captured
+                merger, of_rig = _learn(sensor, folder, mask_defects, divide)
                 facts |= of_rig
             else:
                 merger = read_merger(sensor, folder)

@@ -79,7 +79,7 @@ class OfflineAcquisition:
         return VERIFICATION
 
     def _capture_verification(self, rig: OfflineRig, options: Mapping[str, Any]) -> bool:
-        """Capture the pictures that verify the transport; return whether none is missing."""
+        """Capture the pictures that verify the transport; return True if all are captured."""
         count, files = self._verification_pictures, self.files
         if not count:
             return True

@@ -20,7 +20,7 @@ _MISSED = 0.05  # share of such rays that is more than the edge of a picture
 
 
 class Placement(NamedTuple):
-    """Where on the rays the pictures of random patterns lie.
+    """Place on the rays of the pictures of random patterns.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Placement(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What is wrong; "" for nothing."""
+        """Description of a wrong place, "" for a right one."""
         if self.name:
             return f"its pictures are {self.name}"
         if self.missed > _MISSED:
@@ -100,6 +100,7 @@ def _placed(signs: Double) -> Iterator[tuple[str, Double]]:
                 yield name.rstrip(), np.roll(signs, (down, right), axis=(1, 2))
 
 
-def _way(rays: int, ahead: str, back: str) -> str:
-    many = "rays" if abs(rays) > 1 else "ray"
-    return f"{abs(rays)} {many} {ahead if rays > 0 else back} " if rays else ""
+def _way(rays: int, positive: str, negative: str) -> str:
+    """Describe a shift along one axis, "" for none."""
+    unit = "rays" if abs(rays) > 1 else "ray"
+    return f"{abs(rays)} {unit} {positive if rays > 0 else negative} " if rays else ""

@@ -43,9 +43,8 @@ class Retake:
     def set_aside(self) -> list[Path]:
         """Make way for new pictures; return the stores that hold the old ones.
 
-        Manifests go first, those of what is made of the pictures before theirs: cut off anywhere,
-        the next run finds something missing, and what stands beside it is still what it was made
-        of.
+        Manifests are removed first, the transport's before the capture's. If that is interrupted,
+        the next run makes the missing ones again from the old pictures.
         """
         with StoreLock(self.folder.path):
             for manifest in self._manifests():
@@ -56,10 +55,10 @@ class Retake:
             return [store.rename(_aside(store)) for store in stores if store.exists()]
 
     def _manifests(self) -> list[Path]:
-        """Return the manifests of the pictures, and of what is made of them, the last ones first.
+        """Manifests of the pictures and of the stages after them, in the reverse order of stages.
 
-        Levels below follow from the refinement; where level 0 is taken again they are merged again
-        by its black level.
+        Later levels follow from the refinement; those after level 0 are also merged by its black
+        level.
         """
         folder, captured = self.folder, with_followers(self.folder.manifest(self.level, "capture"))
         if self.level == VERIFICATION:

@@ -39,10 +39,11 @@ WORTH_A_WORD, HARMFUL, HARMFUL_ROOM = 0.005, 0.02, 0.01
 """Relative changes of light that are logged, and that spoil an acquisition: of all light, and of
 the room's relative to white pictures, beside which others are dim."""
 
-_MOST_SAMPLES = 100_000  # pixels of a frame that are read
+_MOST_PIXELS, _MOST_SAMPLES = 20_000, 2_000_000  # that are read of a frame, and of all frames
 _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not judged
 _UNSURE = 4.0  # factor on the variance by the camera's settings, which may not be measured
-_MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are told apart
+_MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are separable
+_MEDIAN = 0.6745  # of the absolute value of a normal variable of deviation 1
 _FLICKER_RATIO = 0.6  # of the scatter at the longest exposure to that at the shortest
 
 _EMPTY = "empty the camera's queue before each picture"
@@ -57,7 +58,7 @@ class LightFault:
     Attributes
     ----------
     kind : {"late", "gain", "flicker", "unsteady", "room"}
-        "unsteady" is gain or flicker: a single exposure doesn't tell which.
+        "unsteady" is gain or flicker: a single exposure shows no difference.
     size : float
         The change relative to the picture's light.
     text : str
@@ -70,7 +71,7 @@ class LightFault:
 
     @property
     def is_harmful(self) -> bool:
-        """Whether an acquisition is spoilt."""
+        """True if it spoils an acquisition."""
         return self.size > (HARMFUL_ROOM if self.kind == "room" else HARMFUL)
 
 
@@ -94,10 +95,11 @@ def camera_of(sensor: Sensor) -> CameraModel | None:
     return camera if isinstance(camera, CameraModel) else None
 
 
-def sample(frames: NDArray[Any]) -> Double:
-    """Return at most 100,000 pixels of each frame of a bracket, (E, ...) to (E, n)."""
+def sample(frames: NDArray[Any], brackets: int = 1) -> Double:
+    """Return some pixels of each frame of a bracket, (E, ...) to (E, n), fewer of many brackets."""
     flat = frames.reshape(len(frames), -1)
-    return np.asarray(flat[:, :: -(-flat.shape[1] // _MOST_SAMPLES)], np.float64)
+    most = min(_MOST_PIXELS, max(1, _MOST_SAMPLES // (len(frames) * brackets)))
+    return np.asarray(flat[:, :: -(-flat.shape[1] // most)], np.float64)
 
 
 def faults_of_references(blacks: Double, whites: Double, camera: CameraModel) -> list[LightFault]:
@@ -162,12 +164,23 @@ def room_fault(change: float, pictures: int) -> LightFault | None:
     )  # fmt: skip
 
 
-def smooth_changes(gains: Double) -> bool:
-    """Test whether a lamp's brightness (K, C) drifts rather than jumps from value to value."""
+def smooth_changes(gains: Double, times: Double | None = None) -> bool:
+    """Test whether a lamp's brightness (K, C) drifts rather than jumps from value to value.
+
+    `times` ascend; by default they are the values' numbers. Each value is compared with a straight
+    line between its neighbours, and that with the steps from value to value.
+    """
     if len(gains) < 5:
         return True
-    jumps = _scatter(gains).max()
-    steps = np.median(np.abs(np.diff(gains, axis=0)), axis=0).max() / (0.6745 * np.sqrt(2))
+    times = np.arange(len(gains), dtype=np.float64) if times is None else times
+    span = times[2:] - times[:-2]
+    weight = ((times[1:-1] - times[:-2]) / np.where(span > 0, span, 1))[:, None]
+    off = gains[1:-1] - (1 - weight) * gains[:-2] - weight * gains[2:]
+    off /= np.sqrt(1 + weight**2 + (1 - weight) ** 2)
+    jumps, steps = (
+        np.median(np.abs(values), axis=0).max() / _MEDIAN
+        for values in (off, np.diff(gains, axis=0) / np.sqrt(2))
+    )
     return bool(jumps < WORTH_A_WORD or jumps < 0.5 * steps)
 
 
@@ -233,7 +246,7 @@ def _scatter(values: Double) -> Double:
     if len(values) < 5:
         return np.asarray(values.std(axis=0, ddof=1))
     second = np.abs(np.diff(values, n=2, axis=0))
-    return np.asarray(np.median(second, axis=0) / (0.6745 * np.sqrt(6)))
+    return np.asarray(np.median(second, axis=0) / (_MEDIAN * np.sqrt(6)))
 
 
 def _room_of_references(blacks: Double, whites: Samples, camera: CameraModel) -> LightFault | None:

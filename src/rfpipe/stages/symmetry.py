@@ -35,33 +35,45 @@ _WORTH_A_WORD = 0.2
 # light as it adds up in the floodlit image, and as much again in random ones, over 16 |T p|^2.
 _MASKED = 0.5
 
+# Excess of light that spoils pictures, and standard errors from which on it is significant.
+_LEAST_EXCESS, _SURE = 0.01, 5.0
+
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Asymmetry:
-    """What relit pictures would be wrong by, relative to their norm, if T were symmetric.
+    """Error of relit pictures, relative to their norm, if T were symmetric.
 
-    The error is 0 where nothing but noise is seen. `place` says what may be wrong with the place of
-    the pictures on the rays, see `rfpipe.stages.placement`.
+    The error is 0 where nothing but noise is seen. `place` describes a wrong place of the
+    pictures on the rays, see `rfpipe.stages.placement`. `excess` is the light of random pictures
+    beyond that expected from the white ones, relative to the white; 0 unless it is significant. No
+    asymmetry makes it: ``1^T (T - T^T) 1 = 0``.
     """
 
     error: float
     standard_error: float
     place: str = ""
+    excess: float = 0.0
 
     @property
     def text(self) -> str:
-        """What is wrong with the rig, and by how much."""
+        """Description of the error and its likely cause."""
         text = (
             f"taking the rig for a coaxial one makes an error of {self.error:.1%} +- "
             f"{self.standard_error:.1%} in relit pictures"
         )
+        if self.excess:
+            return (
+                f"{text}, but random pictures have {self.excess:+.1%} of the white ones' light "
+                "too much: the room's light changed (black it out), or the projector's depends on "
+                "its picture (switch dynamic contrast off)"
+            )
         return f"{text}; {self.place}" if self.place else text
 
     @property
     def least(self) -> float:
-        """What the error surely is, at least."""
+        """Lower bound of the error, `CONFIDENCE` standard errors below it."""
         return self.error - CONFIDENCE * self.standard_error
 
     def judge(
@@ -82,6 +94,8 @@ class Asymmetry:
         found = f"light doesn't go from camera to projector as it comes: {self.text}"
         accepts = f"{accepted:.1%} are accepted (capture.asymmetry)"
         if method.needs_coaxial_rig and self.least > accepted:
+            if self.excess:
+                raise CaptureError(f"{found}, and {accepts}. Then begin anew")
             if calibrated:
                 raise CaptureError(f"{no_longer_coaxial(self.text)}. {accepts}")
             raise CaptureError(
@@ -105,7 +119,7 @@ class Asymmetry:
 
 
 def no_longer_coaxial(text: str) -> str:
-    """Message about a rig that was coaxial when it was calibrated; `text` is what is wrong."""
+    """Message about a rig that was coaxial when it was calibrated; `text` describes it now."""
     return (
         f"this rig was coaxial when it was calibrated; it no longer is: {text}. Check cables, "
         "mirroring and what may have moved, then calibrate again (rfpipe calibrate --again)"
@@ -117,7 +131,7 @@ def measured(
 ) -> dict[str, Any]:
     """Measure a rig by the random patterns that level 0 began with, if any, for the manifest.
 
-    Their pictures are divided by the lamp's `brightness` (count, C): else its drift is taken for
+    Their pictures are divided by the lamp's `brightness` (count, C): its drift would look like
     asymmetry.
     """
     if SYMMETRY not in folder.read_manifest(0, "capture"):
@@ -138,8 +152,23 @@ def measured(
     # Light from pixels that aren't known is seen one way alone: at most so much, if indirect.
     unseen = _MASKED * float(np.mean(~np.isfinite(merger.floodlit_variance)))
     error = float(np.sqrt(max(error**2 - unseen, 0)))
-    asymmetry = Asymmetry(error, standard_error, _place(signs, pictures, floodlit))
+    place, excess = _place(signs, pictures, floodlit), _excess(pictures, floodlit)
+    asymmetry = Asymmetry(error, standard_error, place, excess)
     return {SYMMETRY: {**asdict(asymmetry), "frames": count}}
+
+
+def _excess(pictures: Pictures, floodlit: NDArray[np.float64]) -> float:
+    """Light of pictures beyond that by the white picture, relative to it, if it surely is there.
+
+    On a coaxial rig ``1^T T p = p^T T 1``.
+    """
+    white = floodlit.sum(axis=-1)
+    total = float(white.sum()) or 1.0
+    expected = (pictures.signs @ white + total) / 2
+    excess = (pictures.radiance.sum(axis=(1, 2)) - expected) / total
+    mean, deviation = float(excess.mean()), float(excess.std(ddof=1) / np.sqrt(len(excess)))
+    is_sure = abs(mean) > max(_LEAST_EXCESS, _SURE * deviation)
+    return mean if is_sure else 0.0
 
 
 def _place(signs: NDArray[np.float64], pictures: Pictures, floodlit: NDArray[np.float64]) -> str:
@@ -158,4 +187,7 @@ def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:
 def read_asymmetry(folder: AcquisitionFolder) -> Asymmetry | None:
     """Read what level 0's merge measured; None where nothing was measured."""
     facts = folder.read_manifest(0, "merge").get(SYMMETRY) if folder.exists(0, "merge") else None
-    return facts and Asymmetry(facts["error"], facts["standard_error"], facts.get("place", ""))
+    if facts is None:
+        return None
+    numbers = (facts["error"], facts["standard_error"])
+    return Asymmetry(*numbers, facts.get("place", ""), facts.get("excess", 0.0))

@@ -14,20 +14,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.symmetry import CONFIDENCE
 from rfpipe.errors import VerificationError
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
 from rfpipe.stages import merge
-from rfpipe.stages.folder import (
-    SYMMETRY,
-    VERIFICATION,
-    AcquisitionFolder,
-    name_of,
-    write_bundle,
-)
+from rfpipe.stages.against_calibration import alarm
+from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write_bundle
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.schedule import read_schedule, write_schedule
@@ -58,9 +52,9 @@ class Outcome(NamedTuple):
     Attributes
     ----------
     standing : {"met", "unsure", "missed", "unknown"}
-        "unsure": above the target, by less than the error's uncertainty.
+        "unsure": above the target by less than a half, within the scatter of few pictures.
     reason : str
-        The numbers, and what may be the cause.
+        The numbers, and the likely cause.
     """
 
     standing: Literal["met", "unsure", "missed", "unknown"]
@@ -69,7 +63,7 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """What a transport is wrong by, on pictures that were captured for this alone.
+    """Error of a transport on pictures that were captured for this alone.
 
     Attributes
     ----------
@@ -111,6 +105,8 @@ class Verification:
 
     def against(self, target: float | None) -> Outcome:
         """Compare the mean error with the target that the method had."""
+        from rfpipe.config.model import TARGET_MARGIN
+
         error = self.mean_error
         if target is None:
             return Outcome("unknown", "the method has no target_error")
@@ -119,7 +115,7 @@ class Verification:
         if error <= target:
             return Outcome("met", f"{error:.2%} of {target:.2%}")
         text = f"the error is {error:.2%} +- {self.standard_error:.2%}, {target:.2%} was the target"
-        if error - CONFIDENCE * self.standard_error <= target:
+        if error <= TARGET_MARGIN * target:
             return Outcome("unsure", f"{text}: {len(self.table)} pictures don't tell more")
         return Outcome("missed", text)
 
@@ -212,7 +208,7 @@ def run(
     """
     schedule_pictures(folder, pictures)
     capture_and_merge(folder, capture, pictures, settings, resources)
-    _compare(folder, settings["merge"]["code"])
+    _compare(folder, settings["merge"]["code"], settings["capture"].get("watching") or {})
 
 
 def capture_and_merge(
@@ -232,7 +228,7 @@ def capture_and_merge(
 def capture_options(
     folder: AcquisitionFolder, pictures: int, options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Options of the capture of these pictures, from those of the acquisition's levels.
+    """Options of the capture of these pictures, made from the options of the levels' captures.
 
     Looks at the rig are taken before the first picture and after the last, if levels had any.
     """
@@ -306,7 +302,7 @@ def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
     return compare(weights, observed, relit, gain, read_floodlit(folder))
 
 
-def _compare(folder: AcquisitionFolder, code: str) -> None:
+def _compare(folder: AcquisitionFolder, code: str, watching: Mapping[str, Any]) -> None:
     acquired = read_manifest(folder.path / "transport.json")
     merged = folder.read_manifest(VERIFICATION, "merge")
     result = compared(folder, open_transport(folder.path / "transport.zarr"))
@@ -325,7 +321,7 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}
     about = {name: acquired[name] for name in ("scene", "method")}
     facts = {"stage": "verification", "transport": acquired["digest"], "units": RADIANCE_UNIT}
-    facts |= about | result.facts() | _rig_facts(folder)
+    facts |= about | result.facts() | _rig_facts(folder, watching)
     facts |= _outcome(result, acquired["options"].get("target_error"), facts)
     if facts["standing"] == "missed":
         _log.warning("%s: the target is MISSED: %s", folder.path, facts["reason"])
@@ -340,7 +336,8 @@ def _outcome(
     cause = ""
     if outcome.standing == "missed":
         if facts["alarms"]:
-            cause = f". Noticed during the capture: {'; '.join(facts['alarms'])}"
+            noticed = dict.fromkeys(alarm.partition(": ")[2] for alarm in facts["alarms"])
+            cause = f". Noticed during the capture: {'; '.join(noticed)}"
         elif facts["saturated"] > _MOST_SATURATED * facts["samples"]:
             cause = ". Pictures are saturated: add a shorter exposure"
         elif facts["noise"] is not None and target is not None and facts["noise"] > target:
@@ -357,18 +354,19 @@ def _finite(number: float) -> float | None:
     return number if np.isfinite(number) else None
 
 
-def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
-    """Sum up what the merges of all levels tell of the rig; None where nothing looked."""
+def _rig_facts(folder: AcquisitionFolder, watching: Mapping[str, Any]) -> dict[str, Any]:
+    """Sum up the looks at the rig of all levels; None where there were none."""
     levels = [*folder.levels_above(None), VERIFICATION]
     merged = {level: folder.read_manifest(level, "merge") for level in levels}
     looks = {level: facts[MOVES] for level, facts in merged.items() if MOVES in facts}
-    place = merged[0].get(SYMMETRY, {}).get("place", "")
+    rig = folder.read_manifest(0, "capture")["rig"]
+    of_rig = alarm(folder, rig, watching.get("asymmetry", 1.0))
     drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]
     return {
         "drift": max(drift, default=None),
         "moved": max((max(look["change"]) for look in looks.values()), default=None),
         "alarms": [
-            *([f"level 0: {place}"] if place else []),
+            *([f"level 0: {of_rig}"] if of_rig else []),
             *(f"{name_of(at)}: {alarm}" for at in looks for alarm in alarms_of(looks[at])),
         ],
         "saturated": sum(facts["saturated"] for facts in merged.values()),

@@ -45,7 +45,7 @@ MOVES = "moves"
 _MOVED = 0.02
 # What the noise itself is known to, as a share of its square.
 _NOISE_KNOWN = 0.1
-# Rays from which on room light is told from brightness.
+# Rays from which on room light and brightness are separable.
 _FEWEST = 16
 # Share of a change's norm that room light must explain at least: it explains a part of any other.
 _EXPLAINED = 0.7
@@ -69,7 +69,7 @@ def look_positions(patterns: int, every: int) -> Double:
 
 
 class Change(NamedTuple):
-    """How a bracket differs from a picture of the same pattern.
+    """Difference of a bracket from a picture of the same pattern.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Change(NamedTuple):
         What differs beyond brightness, room light and noise, relative to the picture's norm; 0
         where nothing.
     room : float
-        Change of the room's light relative to the floodlit picture's; 0 where none is seen.
+        Change of the room's light relative to the floodlit picture's; 0 unless it is significant.
     """
 
     gain: Double
@@ -198,7 +198,7 @@ def measure_looks(
         looks = [change(merger, known, bracket) for bracket in taken]
     gain = np.stack([look.gain for look in looks])
     deviation = np.stack([look.deviation for look in looks])
-    is_steady &= smooth_changes(np.concatenate([*_gains_above(folder, level), gain]))
+    is_steady &= smooth_changes(*_series(folder, level, gain, captured))
     facts = {
         "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
         "change": _rounded(look.rest for look in looks),
@@ -229,10 +229,24 @@ def _rounded(values: Iterable[float]) -> list[float]:
     return [float(f"{value:.4g}") for value in values]
 
 
-def _gains_above(folder: AcquisitionFolder, level: int) -> list[Double]:
-    """Brightness that the looks at the levels above measured, (looks, C) each."""
-    above = (folder.read_manifest(one, "merge") for one in folder.levels_above(level))
-    return [np.asarray(facts[MOVES]["gain"]) for facts in above if MOVES in facts]
+def _series(
+    folder: AcquisitionFolder, level: int, gain: Double, captured: dict[str, Any]
+) -> tuple[Double, Double]:
+    """Brightness by all looks down to a level, (looks, C), and the pictures before each."""
+    gains, times, before = [], [], 0.0
+    for above in (*folder.levels_above(level), level):
+        if above == level:
+            of_level, every, patterns = gain, captured[MOVES]["every"], captured["patterns"]
+        else:
+            facts = folder.read_manifest(above, "merge")
+            if MOVES not in facts:
+                continue
+            of_level = np.asarray(facts[MOVES]["gain"])
+            every, patterns = facts[MOVES]["every"], facts["patterns"]
+        gains.append(of_level)
+        times.append(before + look_positions(patterns, every) + np.arange(len(of_level)))
+        before += patterns + len(of_level)
+    return np.concatenate(gains), np.concatenate(times)
 
 
 def _log_brightness(
@@ -264,7 +278,7 @@ def look_pattern(shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 
 def ways_on(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
-    """What to do after a capture that ended at a level since the rig or its light changed.
+    """Describe ways on from a capture that ended at a level since the rig or its light changed.
 
     `kind` is the rig's.
     """
@@ -391,7 +405,7 @@ class Watcher:
         where = f"{name_of(self.level)}, before pattern {position}"
         if self._scatter(takes) is not None:
             takes += [self.looks.take(index, index + 1) for _ in range(_REPETITIONS)]
-            unsteady = self._scatter(takes)
+            unsteady = self._room_between(takes) or self._scatter(takes)
             if unsteady is not None and unsteady.is_harmful:
                 self._end(f"{where}: {unsteady.text}")
                 return
@@ -410,6 +424,16 @@ class Watcher:
             return None
         counts = np.stack([sample(each[0]) for each in takes])
         return scatter_of(Samples(counts, sample(self.merger.black)), camera)
+
+    def _room_between(self, takes: Sequence[NDArray[Any]]) -> LightFault | None:
+        """Find light of the room that changes between looks taken one after another."""
+        assert self.merger is not None
+        unsteady = self._scatter(takes)
+        if unsteady is not None and unsteady.kind in ("flicker", "late"):
+            return None
+        first = self.merger.merge(takes[0], 0)
+        room = [change(self.merger, first, each).room for each in takes[1:]]
+        return room_fault(max(room, key=abs), len(takes))
 
     def _say_moved(self, where: str, rest: float, *, is_lasting: bool) -> None:
         """Log that the rig or the scene moved, or raise CaptureError."""
@@ -434,5 +458,5 @@ class Watcher:
         raise CaptureError(f"{text}. The capture ends here; {ways_on(folder, self.level)}")
 
     def entries(self) -> dict[str, Any]:
-        """Return what the level's manifest says of the looks."""
+        """Entries of the looks in the level's manifest."""
         return {MOVES: {**self.looks.entry(self.frames), "every": self.every}}

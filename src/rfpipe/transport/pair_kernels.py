@@ -1,7 +1,7 @@
 """Compiled kernels over pairs: of a block and a pixel, of two functions; many images at once.
 
 Images of pairs of blocks and pixels are planar, one plane a pattern and channel. Each plane is
-summed by one thread in the order of the pairs, so that results are the same on every machine.
+summed by one thread in the order of the pairs, so that results don't depend on the threads.
 """
 
 from __future__ import annotations

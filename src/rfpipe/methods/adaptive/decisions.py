@@ -168,7 +168,7 @@ def hierarchy_cost(state: AdaptiveState, depth: int, law: tuple[float, float]) -
 
 
 def hierarchy_patterns(target: float, depth: int, law: tuple[float, float]) -> float:
-    """Return how many patterns a hierarchy of so many levels takes for an error in total."""
+    """Number of patterns that a hierarchy of `depth` levels takes for a total error."""
     a_level, power = law
     return float(a_level * depth * (0.01 / target) ** power)
 
@@ -179,6 +179,6 @@ def target_of(state: AdaptiveState) -> float:
 
 
 def total_error(options: ErrorOptions) -> float:
-    """Return the error in total that meets both targets; that of indirect light is six times it."""
+    """Total error that meets both targets; the error of indirect light is six times as large."""
     indirect = options.target_indirect or np.inf
     return float(min(options.target_error, indirect / _AT.indirect))

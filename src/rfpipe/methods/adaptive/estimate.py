@@ -196,30 +196,29 @@ def error_of(transport: Transport, held: Pictures, floodlit: Float, dark: Bools)
     dark : ndarray of bool, shape (pictures, M)
         Pixels without direct light.
     """
-    patterns = held_out_parts(transport.projector_shape)
+    patterns, known = held_out_parts(transport.projector_shape), held.measured
     every_ray = np.ones((1, patterns[0].shape[1]), np.bool_)
-    of_floodlit = relit(transport, every_ray)[0] - floodlit
-    noise = _noise_of(held)
-    compared = [
-        _compared(transport, pattern, taken, of_floodlit, *images, held.measured)
-        for pattern, taken, *images in zip(patterns, held.radiance, noise, dark, strict=True)
-    ]
-    full = float(np.square(floodlit[:, held.measured], dtype=np.float64).sum())
+    of_floodlit, noise = relit(transport, every_ray)[0] - floodlit, _noise_of(held)
+    full = float(np.square(floodlit[:, known], dtype=np.float64).sum())
     errors: dict[str, list[float]] = {kind: [] for kind in KINDS}
-    for kind, pattern, each in zip(HELD_OUT, patterns, compared, strict=True):
-        reference = reference_light(each.light, full * pattern.mean(axis=1))
+    compared = []
+    for index, (kind, parts) in enumerate(zip(HELD_OUT, patterns, strict=True)):
+        taken, noisy, unlit = held.radiance[index], noise[index], dark[index]
+        each = _compared(transport, parts, taken, of_floodlit, noisy, unlit, known)
+        reference = reference_light(each.light, full * parts.mean(axis=1))
         errors[kind].append(_mean_error(each.wrong, each.chance, reference))
+        compared.append(each)
     by_kind = {kind: float(np.mean(errors[kind])) for kind in KINDS}
-    lit = np.array([pattern.mean() for pattern in patterns])
+    lit = np.array([parts.mean() for parts in patterns])
     return Estimate(**by_kind, indirect=_indirect_error(compared, lit))
 
 
 def _noise_of(held: Pictures) -> Double:
     """Variance of each pixel's noise, summed over channels, (pictures, M)."""
     known = held.measured
-    stated = held.variance.astype(np.float64)
+    stated = np.where(known, held.variance, 0).astype(np.float64)
     first, second = held.radiance[:2][..., known].astype(np.float64)
-    spread = float(stated[:2][..., known].sum())
+    spread = float(stated[:2].sum())
     scale = float(np.square(first - second).sum()) / spread if spread > 0 else 0.0
     return np.asarray(scale * stated.sum(axis=1))
 

@@ -88,8 +88,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Guess the patterns from the target, by the benchmark's open scenes; see `PATTERNS`."""
         a_view, power = PATTERNS
-        typical = round(projector.views * a_view * (0.01 / total_error(options)) ** power)
-        return min(typical, self.most_patterns(camera, projector, options))
+        typical = projector.views * a_view * float((0.01 / total_error(options)) ** power)
+        return min(round(typical), self.most_patterns(camera, projector, options))
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Return the patterns of all rounds, and of a hierarchy between them."""

@@ -1,4 +1,4 @@
-"""The outcome of a run: jobs that failed, and acquisitions that missed the error asked for."""
+"""The outcome of a run: jobs that failed, and acquisitions that missed their target error."""
 
 from __future__ import annotations
 
@@ -102,17 +102,17 @@ def failure_line(failures: list[Failure], folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Missed:
-    """An acquisition whose error is above the one asked for.
+    """An acquisition whose error is above its target.
 
     Attributes
     ----------
     scene, method : str
     error, target : float
-        Relative, as of `rfpipe.relighting.picture_errors`.
+        Relative, see `rfpipe.relighting.picture_errors`.
     quantity : str
         What the error is of, and how it is known.
     why : str
-        The method's own words, or "".
+        The method's last warning, or "".
     """
 
     scene: str
@@ -126,7 +126,7 @@ class Missed:
         why = f" ({self.why})" if self.why else ""
         return (
             f"{self.scene} by {self.method}, {self.quantity} {100 * self.error:.3g} %, "
-            f"{100 * self.target:.3g} % asked for{why}"
+            f"target {100 * self.target:.3g} %{why}"
         )
 
 
@@ -135,8 +135,8 @@ def missed_targets(
 ) -> list[Missed]:
     """Return the acquisitions that missed their ``target_error`` or ``target_indirect``.
 
-    Pictures taken for verification count where there are any, and may be off by `margin` times the
-    target; else the method's own estimate. An acquisition that isn't finished is left out.
+    The error is measured by pictures for verification, up to `margin` times the target, or else the
+    method's estimate. Unfinished acquisitions are skipped.
     """
     missed = []
     for scene, method in acquisitions:

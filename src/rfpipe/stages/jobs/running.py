@@ -1,9 +1,8 @@
-"""Snakemake's lock of a run's folder, freed by itself where its holder was killed.
+"""Snakemake's lock of a run's folder, removed automatically after its holder was killed.
 
-Snakemake's lock files don't tell whether the process that made them lives. A run therefore holds a
-`StoreLock` beside them, which the system releases however the process ends, and records which of
-Snakemake's lock files are its own. Where that lock is free and these files are still there, the run
-was killed.
+Snakemake's lock files don't name the process that made them. A run therefore holds a `StoreLock`
+beside them, which the system releases however the process ends, and records the inodes and times of
+Snakemake's lock files. If that lock is free and the same files still exist, the run was killed.
 """
 
 from __future__ import annotations
@@ -33,15 +32,14 @@ def hold(folder: Path = Path()) -> None:
 
 
 def free_if_dead(folder: Path, unlocking: str | None) -> bool:
-    """Remove Snakemake's lock of a run that was killed; tell whether there was one.
+    """Remove Snakemake's lock of a run that was killed; return True if there was such a lock.
 
     Parameters
     ----------
     folder : Path
         The run's.
     unlocking : str or None
-        The command that removes a lock of unknown origin, for the message; None where that command
-        itself asks.
+        The command that removes a lock of unknown origin, for the message; None for that command.
 
     Raises
     ------
@@ -58,7 +56,7 @@ def free_if_dead(folder: Path, unlocking: str | None) -> bool:
             f"{folder.absolute()}: process {holder} is running the workflow in this folder; wait "
             "until it ends, or end it, then run again"
         )
-    with lock:  # of two that come at once, the second finds nothing to remove, or another's lock
+    with lock:  # two concurrent runs don't remove each other's locks
         present = _lock_files(home)
         if not present:
             return False
