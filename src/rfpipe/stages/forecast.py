@@ -102,7 +102,7 @@ def forecast(settings: Config) -> pd.DataFrame:
             "": plan.method.expected_patterns(*rays, plan.options),
             "most_": plan.method.most_patterns(*rays, plan.options),
         }
-        takes = {}
+        takes: dict[str, float] = {}
         for prefix, count in counts.items():
             brackets = references + capture.keep_raw * count
             takes |= {
