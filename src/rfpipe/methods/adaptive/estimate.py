@@ -7,7 +7,7 @@ the error of each part, relit alone, follows from the pattern's.
 ============  ================  ==============================================================
 symbol        name              meaning
 ============  ================  ==============================================================
-``e``         ``difference``    error of the pattern's relit picture, an image
+``e``         ``squares``       error of the pattern's relit picture; its squares, an image
 ``e_i``                         error of part i, relit alone; ``e = sum e_i``
 ``f``         ``of_floodlit``   error of the relit floodlit picture, an image
 ``s_i, s``    ``shares``        lit share of the rays, of a part and of the pattern
@@ -18,7 +18,7 @@ rays add up to f, nearly nought. For rays drawn at random, e is the sum of a sam
 population [1]_: ``|e|^2`` is ``a s + b s^2``, with ``a + b = |f|^2``, and ``|e_i|^2`` is
 ``a s_i + b s_i^2``. Thus the ``|e_i|^2`` add up to ``|e|^2`` where errors are independent, and to
 ``sum s_i (1 - s_i) / (s (1 - s))`` times that where f is nought. On images of 16 x 18, bars and
-spots light so large a share of the rays that this is 1.4 to 1.8.
+spots light so large a share of the rays that this is 1.4 to 1.7.
 
 Light, other than errors, isn't random: parts light one another's pixels, and ``|T p|^2`` exceeds
 the sum of ``|T p_i|^2``, to which errors are relative. The measured light of a part's region is
