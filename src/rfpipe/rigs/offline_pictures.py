@@ -117,7 +117,7 @@ def check_pictures(
     of_key = {shown.key: bracket for shown, bracket in taken if shown.key is not None}
     patterns = {shown.key: shown.pattern for shown in sheet.shown if shown.key is not None}
     wrong = _wrong_light(rig, of_key)
-    if isinstance(rig.camera_sensor, CameraModel):
+    if not wrong and isinstance(rig.camera_sensor, CameraModel):
         faults = light_faults(sheet.shown, frames, rig.camera_sensor)
         wrong += [fault.text for fault in faults]
     if coaxial:
