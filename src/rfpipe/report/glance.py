@@ -32,7 +32,7 @@ def glance_section(inputs: Inputs) -> Section:
     """Every run on one line, what missed its target, and pictures of each scene."""
     results = [result_of(inputs, run) for run in inputs.runs]
     missed = [
-        [*missed_targets(row, ending_of(run.facts["levels"]))]
+        [*missed_targets(row, ending_of(run.facts["levels"]), by_few_pictures=not run.has_truth)]
         for row, run in zip(results, inputs.runs, strict=True)
     ]
     noticed = [
