@@ -149,8 +149,9 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
             axis.axis("off")
         for method, own in table[table["scene"] == name].groupby("method", sort=False):
             [line] = row[3].loglog(own["patterns"], 100 * own["mean_error"], "o-", label=method)
+            made = own[own["estimated_error"] != own["estimated_error"].shift()]
             row[3].loglog(
-                own["patterns"], 100 * own["estimated_error"], "x:", color=line.get_color()
+                made["patterns"], 100 * made["estimated_error"], "x:", color=line.get_color()
             )
         row[3].set_xlabel("patterns")
         row[3].set_title("error, %: true (o), estimated (x)")

@@ -32,6 +32,7 @@ OPEN, HELD_OUT = "open", "held out"
 _ENOUGH = 0.01  # mean error, for the table of patterns that reach it
 _MISSED = 1.2  # true error over target, more than which misses it
 _NEAR = 1.5  # an estimate is this many times the truth at most, and its inverse at least
+_VISIBLE = 0.25  # of a photograph's noise: the least error that an estimate sees
 _ABREAST = 6
 _ESTIMATED = {"error_mean": "estimated_error", "indirect_mean": "estimated_indirect"}
 
@@ -74,9 +75,9 @@ reached on all of them, the least error; a dash where the method refuses the sce
 _SMALL = f"""## Estimates of small scenes
 
 Estimates of `{AUTO}` over true errors in full light, by height and width: geometric means over
-seeds and targets. Below them the standard deviation of a single run's, and the share of targets
-that are met within a fifth. Where errors are a fraction of a picture's noise, as of `plane_i`,
-estimates are what noise could hide.
+seeds and targets. Below them the same of all runs, the standard deviation of one, and the share of
+targets that are met within a fifth. Where errors are below a quarter of a photograph's noise, as of
+`plane_i`, estimates are what noise could hide: those runs don't count in the means.
 """
 _SIDES = """## By side
 
@@ -274,6 +275,7 @@ def small_scenes(done: pd.DataFrame) -> str:
         log=np.log(own["estimated_error"] / own["error_mean"]),
         met=own["error_mean"] <= _MISSED * own["value"],
     )
+    visible = own[own["error_mean"] > _VISIBLE * own["photo_mean"].fillna(0)]
     sides = sorted(set(own["side"]), key=_rays)
 
     def line(name: str, rows: pd.DataFrame, text: Callable[[pd.DataFrame], str]) -> list[str]:
@@ -284,7 +286,7 @@ def small_scenes(done: pd.DataFrame) -> str:
         line(_starred(str(scene)), rows, lambda each: f"{np.exp(each['log'].mean()):.2f}")
         for scene, rows in own.groupby("scene", sort=False)
     ]
-    for section, rows in own.groupby("section", sort=False):
+    for section, rows in visible.groupby("section", sort=False):
         lines.append(line(f"**mean, {section}**", rows, _estimates_of))
     return markdown(["scene", *sides], lines) if sides else ""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from contextlib import chdir
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -178,7 +179,11 @@ def settings_of(run: Run, config: Path | None) -> dict[str, Any] | None:
 
     What shapes no result (a server's address, a token's place, a command to notify) isn't in it.
     """
-    return run.settings or (load_config(config).shaping() if config else None)
+    if run.settings or config is None:
+        return run.settings
+    path = config.absolute()
+    with chdir(run.folder):  # to which the settings' own paths are relative
+        return load_config(path).shaping()
 
 
 def settings_file(shaping: dict[str, Any]) -> bytes:

@@ -59,6 +59,8 @@ def test_costs_are_interpolated_between_levels(tmp_path: Path) -> None:
     assert between["patterns"] == pytest.approx(np.sqrt(20 * 100))
     assert between["pictures"] == pytest.approx(np.sqrt(30 * 110))
     assert between["note"] == ""
+    free = costs(compare([tmp_path], [0.1], 0.0), "room", "Symmetric photography", 0.1)
+    assert free["seconds"] == pytest.approx(2 * 5)
     missed = costs(table, "room", "Symmetric photography", 0.0001)
     assert np.isnan(missed["patterns"])
     assert missed["note"] == "not reached: 0.10 % after 100 patterns"

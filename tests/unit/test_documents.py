@@ -54,11 +54,11 @@ def test_there_is_one_way_to_make_a_token() -> None:
     """It works without a package of the system, and before rfpipe is installed."""
     way = "python3 -c 'import secrets; print(secrets.token_urlsafe(32))'"
     makes = re.compile(r"openssl rand|uuidgen|/dev/u?random|secrets\.token_\w+\(\d+\)\)'")
-    pages = [ROOT / document for document in DOCUMENTS]
+    pages = [ROOT / document for document in (*DOCUMENTS, "README.md")]
     pages.append(ROOT / "src" / "rfpipe" / "rigs" / "messages.py")
     lines = [line for page in pages for line in page.read_text("utf-8").splitlines()]
     found = [line for line in lines if makes.search(line)]
-    assert len(found) == 3
+    assert len(found) == 4
     assert [line for line in found if way not in line] == []
 
 

@@ -131,7 +131,7 @@ def test_a_panorama_that_turns_as_a_movie_and_as_pictures(tmp_path: Path) -> Non
         assert len(list(container.decode(video=0))) == 4
     run(*command, 4, "-o", tmp_path / "sky")
     with pytest.raises(InputError, match="for 4 pictures"):
-        run(*command, 4, "-o", tmp_path / "sky.gif")
+        run(*command, 4, "-o", tmp_path / "sky.png")
     expected = transport.relight_environment(sky, turned=90)
     np.testing.assert_allclose(read_image(tmp_path / "sky/sky_0001.exr"), expected, rtol=1e-5)
 

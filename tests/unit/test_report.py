@@ -103,7 +103,8 @@ def test_it_fits_a_screen_and_begins_with_what_came_out(chromium, results, width
 
 
 def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
-    config = GREY.model_copy(update={"verification": VerificationConfig(pictures=3)})
+    verification = VerificationConfig(pictures=3, fail_above=1e-6)
+    config = GREY.model_copy(update={"verification": verification})
     acquired(tmp_path, config)
     folder = tmp_path / "grey/brute_force"
     image = np.ones((3, 5, 6, 1), np.float32)
@@ -118,6 +119,9 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     page = built(tmp_path, config)
     assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in page.words
     assert "3 pictures" in page.words
+    assert f"ABOVE THE ACCEPTED ERROR: verified {percent(found.mean_error)} %" in page.words
+    assert page.source.count('<p class="alarm">') == 2
+    assert page.source.count('<tr class="alarm">') == 1
     about = json.loads((tmp_path / "report/results.json").read_text())
     (entry,) = about["provenance"]["acquisitions"]
     assert entry["verification"]["mean_error"] == pytest.approx(found.mean_error)
@@ -256,6 +260,8 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
         assert row["minutes"] == pytest.approx((2 * row["patterns"] + 9) / 60, rel=1e-4)
         assert shown[2] == number(row["patterns"])
         assert shown[table.columns.index("error, %")] == percent(row["mean_error"])
+        indirect = shown[table.columns.index("error of indirect light, %")]
+        assert (indirect == "none") == (row["scene"] == "flat")
     assert "error of indirect light, %" in table.columns
     assert not any(column.startswith("indirect") for column in table.columns)
     assert "exact truth" in table.caption

@@ -223,6 +223,15 @@ def test_a_missed_target_is_told_with_the_reason(
         assert all(part in sentence for part in ["TARGET MISSED", *expected])
 
 
+def test_the_scatter_of_few_pictures_is_no_missed_target() -> None:
+    row = {"target_error": 0.01, "verified": "9 pictures"}
+    assert [*missed_targets({**row, "mean_error": 0.014}, "", by_few_pictures=True)] == []
+    (sentence,) = missed_targets({**row, "mean_error": 0.016}, "", by_few_pictures=True)
+    assert "1.60 %" in sentence
+    (sentence,) = missed_targets({**row, "estimated_error": 0.014}, "", by_few_pictures=True)
+    assert "estimated by the method" in sentence
+
+
 def test_alarms_and_their_rows_are_red(tmp_path: Path) -> None:
     table = Table("Costs", "", ["scene", "error, %"], [["a", "1"], ["b", "2"]],
                   alarmed=frozenset([1]), is_folded=False)  # fmt: skip

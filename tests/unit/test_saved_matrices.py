@@ -94,8 +94,8 @@ def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("matrix.csv", {}, r"ends in '\.csv'; a matrix is written to \.npz, \.h5, \.hdf5, \.mat"),
-        ("matrix", {}, "ends in ''"),
+        ("matrix.csv", {}, r"the suffix \.csv; expected \.npz .*\.mat .*, \.zarr"),
+        ("matrix", {}, "no suffix"),
         ("matrix.npz", {"number_format": "uint8"}, "kept as float32"),
         ("kept.zarr", {"rows": [0]}, "a store holds the whole transport"),
         ("matrix.npz", {"limit_bytes": 1000}, r"3 x 15 x 24 entries.*choose rows or col"),

@@ -262,7 +262,7 @@ def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path)
     assert f"{level_1}: removed" in taken_back
     assert not kept.exists()
     assert sheets(level_0.parent) == [level_0]
-    assert len(list((level_0 / "pictures").iterdir())) == 28
+    assert len(list((level_0 / "pictures").iterdir())) == 34
 
 
 def test_a_later_sheet_with_pictures_stays(level_0: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.helpers import contents
-from tests.workflow.harness import ROOT, Workflow
+from tests.workflow.harness import GLASS, OWN_METHODS, ROOT, Workflow
 
 import rfpipe
 from rfpipe.pictures.images import read_image
@@ -102,20 +102,29 @@ def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:
 
 @pytest.mark.slow
 def test_a_run_with_code_of_one_s_own_runs_again_from_its_crate(
-    of_ones_own: Workflow, tmp_path: Path
+    tmp_path: Path, kernels: None
 ) -> None:
+    first, again, crate = Workflow(tmp_path / "first"), tmp_path / "again", tmp_path / "crate"
+    for name in ("column_scan.py", "frosted_glass.py"):
+        shutil.copy(ROOT / "tests/examples" / name, first.folder)
+    first.configure(
+        scenes={"glass": GLASS},
+        methods={"module": OWN_METHODS["module"]},
+        camera=None,
+        resources={"jobs": "acquisition"},
+    )
+    first.run("results/glass/module/transport.json")
     facts = {"title": "a", "creators": ["Doe, Jane"], "license": "MIT", "published": "2026-01-01"}
-    crate = tmp_path / "crate"
-    written = publish(find_run(of_ones_own.folder), Citation.model_validate(facts), crate)
+    citation = Citation.model_validate(facts)
+    written = publish(find_run(first.folder), citation, crate, config=first.config)
     assert written.notes == []
-    again = Workflow(tmp_path / "again")
-    shutil.copytree(crate / "inputs", again.folder, dirs_exist_ok=True)
-    again.config.write_bytes((crate / "settings.yaml").read_bytes())
-    acquired = ("tiny/wide", "tiny/module", "glass/brute_force")
-    again.run(*(f"results/{name}/transport.json" for name in acquired))
-    for name in acquired:
-        transport = contents(again.path(f"{name}/transport.zarr"))
-        assert transport == contents(crate / f"results/{name}/transport.zarr")
+    shutil.rmtree(first.folder)
+    shutil.copytree(crate / "inputs", again)
+    (again / "config.yaml").write_bytes((crate / "settings.yaml").read_bytes())
+    second = Workflow(again)
+    second.run("results/glass/module/transport.json")
+    transport = "glass/module/transport.zarr"
+    assert contents(second.path(transport)) == contents(crate / "results" / transport)
 
 
 def test_pictures_and_transports_are_the_runs(crate: Path, undisturbed: Workflow) -> None:

@@ -7,6 +7,7 @@ import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.errors import ConfigError
 from rfpipe.provenance import code_digest
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.ends import check_no_braces
 from rfpipe.stages.jobs.workers import machine_memory_mb
 from rfpipe.stages.plan import MANNER, code_of, manner_of, plan_of, rig_of, stages_of
@@ -102,4 +103,14 @@ def every_acquisition(name, wanted=lambda scene: True):
         f"results/{scene}/{method}/{name}"
         for scene, method in SETTINGS.acquisitions
         if wanted(scene)
+    ]
+
+
+def raw_to_drop(wildcards):
+    """The acquisitions whose merged raw exposures are no longer to be kept."""
+    return [
+        f"results/{scene}/{method}/raw_dropped"
+        for scene, method in SETTINGS.acquisitions
+        if not of_scene(scene).capture.keep_raw
+        and AcquisitionFolder(Path("results", scene, method)).has_merged_raw()
     ]

@@ -1,6 +1,3 @@
-from rfpipe.stages.folder import AcquisitionFolder
-
-
 rule drop_raw:
     """Free the disk of raw exposures that are merged, where capture.keep_raw became false.
 
@@ -19,13 +16,3 @@ rule drop_raw:
         **WITHIN,
     script:
         "../scripts/drop_raw.py"
-
-
-def raw_to_drop(wildcards):
-    """The acquisitions whose merged raw exposures are no longer to be kept."""
-    return [
-        f"results/{scene}/{method}/raw_dropped"
-        for scene, method in SETTINGS.acquisitions
-        if not of_scene(scene).capture.keep_raw
-        and AcquisitionFolder(Path("results", scene, method)).has_merged_raw()
-    ]

@@ -57,7 +57,8 @@ def are_late(patterns: Float, light: Float, *, coaxial: bool) -> bool:
     before = np.array(
         [correlation(one, two) for one, two in zip(shown[:-1], seen[1:], strict=True)]
     )
-    is_late = before > np.maximum(own, 0) + _ABOVE
+    # a scene full of indirect light resembles other patterns by chance
+    is_late = before > np.maximum(np.maximum(own, 0) + _ABOVE, _COAXIAL)
     is_own = own > np.maximum(before, 0) + _ABOVE
     first = int(is_late.argmax())
     count = int(is_late.sum())

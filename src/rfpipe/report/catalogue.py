@@ -195,7 +195,8 @@ def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:
         "mean_indirect": numbers["indirect"],
         "verified": "truth" if has_truth else "pictures that no method saw",
     }
-    return [*missed_targets(row, ending_of(acquired.get("levels", [])))]
+    reason = ending_of(acquired.get("levels", []))
+    return [*missed_targets(row, reason, by_few_pictures=not has_truth)]
 
 
 def _manifest(path: Path) -> dict[str, Any]:

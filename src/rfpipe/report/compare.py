@@ -130,9 +130,10 @@ def acquisitions(folder: Path, seconds_per_pattern: float | None) -> list[Acquir
     """Read the acquisitions of a folder of results, or of a run, whose errors are known."""
     results = folder / "results" if (folder / "results").is_dir() else folder
     configuration = _configuration(results)
-    seconds = seconds_per_pattern or configuration.get("capture", {}).get("seconds_per_pattern")
+    stated = configuration.get("capture", {}).get("seconds_per_pattern", _SECONDS_PER_PATTERN)
+    seconds = stated if seconds_per_pattern is None else seconds_per_pattern
     read = (
-        _acquired(results, path, configuration, seconds or _SECONDS_PER_PATTERN)
+        _acquired(results, path, configuration, seconds)
         for path in sorted(results.glob("*/*/relight.json"))
     )
     known = [one for one in read if one.points]

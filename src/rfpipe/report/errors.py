@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rfpipe.report.drawing import scene_curves
 from rfpipe.report.inputs import Inputs, Run, SeedGroup
 from rfpipe.report.page import Block, Column, Illustration, Section, table_of
-from rfpipe.report.text import ERROR, fixed, percent, words
+from rfpipe.report.text import ERROR, fixed, indirect_percent, percent, words
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def speed_section(inputs: Inputs) -> Section | None:
         columns: list[Column] = [
             ("error, %", "error", percent),
             ("plain error, %", "plain_error", percent),
-            ("error of indirect light, %", "indirect_error", percent),
+            ("error of indirect light, %", "indirect_error", indirect_percent),
             ("CIEDE2000", "ciede2000", fixed(2)),
         ]
         labels = [*inputs.labels, ("pattern", "pattern", words)]

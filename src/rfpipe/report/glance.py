@@ -10,7 +10,7 @@ from rfpipe.report.inputs import Inputs, Run, job_times, pictures_of, rig_of
 from rfpipe.report.page import Block, Column, Gallery, Section, Table, table_of
 from rfpipe.report.pictures import scene_pictures
 from rfpipe.report.targets import ending_of, missed_targets
-from rfpipe.report.text import DASH, ERROR, fixed, number, percent, rig_standing
+from rfpipe.report.text import ERROR, fixed, indirect_percent, number, percent, rig_standing
 from rfpipe.report.verification import alarms_of, summary
 from rfpipe.transport.base import estimates
 
@@ -22,7 +22,7 @@ _NUMBERS: tuple[Column, ...] = (
     ("pictures on the rig", "pictures", number),
     ("error, %", "mean_error", percent),
     ("largest error, %", "worst_error", percent),
-    ("error of indirect light, %", "mean_indirect", percent),
+    ("error of indirect light, %", "mean_indirect", indirect_percent),
     ("estimated error, %", "estimated_error", percent),
 )
 _TIME: Column = ("time, min", "minutes", fixed(1))
@@ -30,22 +30,45 @@ _TIME: Column = ("time, min", "minutes", fixed(1))
 
 def glance_section(inputs: Inputs) -> Section:
     """Every run on one line, what missed its target, and pictures of each scene."""
-    import pandas as pd
-
     results = [result_of(inputs, run) for run in inputs.runs]
     missed = [
-        [*missed_targets(row, ending_of(run.facts["levels"]))]
+        [*missed_targets(row, ending_of(run.facts["levels"]), by_few_pictures=not run.has_truth)]
         for row, run in zip(results, inputs.runs, strict=True)
     ]
+    noticed = [
+        [*sentences, *alarms_of(inputs, run)]
+        for sentences, run in zip(missed, inputs.runs, strict=True)
+    ]
+    alarms = [
+        f"{run.scene}, {inputs.title(run.method).lower()}: {sentence}"
+        for run, sentences in zip(inputs.runs, noticed, strict=True)
+        for sentence in sentences
+    ]
+    alarmed = frozenset(index for index, sentences in enumerate(noticed) if sentences)
     shown = [
         {**row, "target": f"{percent(row['target_error'])}{' MISSED' if sentences else ''}"}
         for row, sentences in zip(results, missed, strict=True)
     ]
-    alarms = [
-        f"{run.scene}, {inputs.title(run.method).lower()}: {sentence}"
-        for run, sentences in zip(inputs.runs, missed, strict=True)
-        for sentence in [*sentences, *alarms_of(inputs, run)]
-    ]
+    tables = _main_table(inputs, results, shown, alarmed), seeds_table(inputs, results)
+    blocks: list[Block] = [table for table in tables if table is not None]
+    blocks.append(Gallery([scene_pictures(inputs, group) for group in inputs.seed_groups]))
+    text = _omissions(inputs)
+    text += [summary(inputs, run) for run in inputs.runs if run.verified]
+    return Section("glance", "At a glance", blocks, text, alarms)
+
+
+def _main_table(
+    inputs: Inputs,
+    results: Sequence[Mapping[str, Any]],
+    shown: Sequence[Mapping[str, Any]],
+    alarmed: frozenset[int],
+) -> Table:
+    """Return the table of all runs; what is the same of all simulated ones stands in its caption.
+
+    `shown` are the results with their ``target`` as text, `alarmed` the rows in red.
+    """
+    import pandas as pd
+
     verified = {row["verified"] for row in results} != {_EXACT}
     on_rigs = {row["rig"] for row in results} != {_SIMULATED}
     columns: list[Column] = [
@@ -56,19 +79,11 @@ def glance_section(inputs: Inputs) -> Section:
         _TIME,
         ("stored, MB", "megabytes", fixed(2)),
     ]
-    table = table_of(
+    return table_of(
         "What it took", _about(inputs, results), shown, inputs.labels, columns,
         csv="results.csv", numbers=pd.DataFrame(results), is_folded=False, has_latex=True,
-        alarmed=frozenset(index for index, sentences in enumerate(missed) if sentences),
+        alarmed=alarmed,
     )  # fmt: skip
-    blocks: list[Block] = [table]
-    over_seeds = seeds_table(inputs, results)
-    if over_seeds is not None:
-        blocks.append(over_seeds)
-    blocks.append(Gallery([scene_pictures(inputs, group) for group in inputs.seed_groups]))
-    text = _omissions(inputs)
-    text += [summary(inputs, run) for run in inputs.runs if run.verified]
-    return Section("glance", "At a glance", blocks, text, alarms)
 
 
 def _omissions(inputs: Inputs) -> list[str]:
@@ -201,10 +216,10 @@ def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table |
 
 
 def _with_deviation(mean: float, deviation: float, text: Callable[[Any], str]) -> str:
-    """Return a mean and its standard deviation, to as many digits, as text; a dash for NaN."""
+    """Return a mean and its standard deviation, to as many digits, as text; a word for none."""
     shown = text(mean)
-    if shown == DASH:
-        return DASH
+    if not any(map(str.isdigit, shown)):
+        return shown
     digits = len(shown.partition(".")[2])
-    scale = 100 if text is percent else 1
+    scale = 100 if text in (percent, indirect_percent) else 1
     return f"{shown} ± {number(deviation, f',.{digits}f', scale)}"

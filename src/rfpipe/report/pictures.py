@@ -50,11 +50,12 @@ class Compared:
     @property
     def below(self) -> str:
         """The errors in words."""
-        texts = [
-            f"{name} {percent(value)} %"
-            for name, value in (("error", self.error), ("error of indirect light", self.indirect))
-            if value is not None and np.isfinite(value)
-        ]
+        known = (it is not None and np.isfinite(it) for it in (self.error, self.indirect))
+        is_known, is_indirect_known = known
+        texts = [f"error {percent(self.error)} %"] if is_known else []
+        if is_indirect_known:
+            indirect = f"error of indirect light {percent(self.indirect)} %"
+            texts.append(indirect if self.indirect else "no indirect light")
         return "\n".join(texts)
 
 

@@ -37,6 +37,11 @@ def percent(value: Any) -> str:
     return number(value, ".2f" if small else ".0f", 100)
 
 
+def indirect_percent(value: Any) -> str:
+    """Return an error of indirect light in per cent; "none" where there is no such light."""
+    return "none" if value == 0 else percent(value)
+
+
 def fixed(digits: int) -> Callable[[Any], str]:
     """Return `number` with so many digits behind the point."""
     return partial(number, form=f",.{digits}f")

@@ -93,7 +93,8 @@ def forecast(settings: Config) -> pd.DataFrame:
         references = 2 if is_exact else capture.black_frames + capture.floodlit_frames
         references += plan.asks_symmetry * SYMMETRY_FRAMES
         pictures = of_scene.verification_pictures
-        references += pictures + 2 if pictures else 0
+        looks = 2 if pictures and capture.precautions.looks else 0
+        references += pictures + looks
         rays = plan.camera, plan.projector
         warm_up, each = 60 * capture.warm_up_minutes, capture.seconds_per_pattern
         camera = plan.camera.shape, plan.channels
@@ -101,7 +102,7 @@ def forecast(settings: Config) -> pd.DataFrame:
             "": plan.method.expected_patterns(*rays, plan.options),
             "most_": plan.method.most_patterns(*rays, plan.options),
         }
-        takes = {}
+        takes: dict[str, float] = {}
         for prefix, count in counts.items():
             brackets = references + capture.keep_raw * count
             takes |= {

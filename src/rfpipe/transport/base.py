@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.output import suffix_of
 from rfpipe.store.arrays import ArrayBundle, write_arrays
 from rfpipe.transport.algebra import Rays
 from rfpipe.transport.light import LIMIT, Light
@@ -205,7 +206,9 @@ class Transport(Light):
         A matrix takes `rows`, `columns` and `limit_bytes` as `Light.save`, a store `number_format`
         as `save_transport`. Errors as there; InputError where an option isn't for such a file.
         """
-        if Path(path).suffix.lower() != ".zarr":
+        from rfpipe.transport.matrix_out import MATRIX_FILES
+
+        if suffix_of(Path(path), (*MATRIX_FILES, ".zarr")) != ".zarr":
             if number_format is not None:
                 raise InputError(f"{path}: a matrix is kept as float32; number_format is of .zarr")
             super().save(path, rows=rows, columns=columns, limit_bytes=limit_bytes)

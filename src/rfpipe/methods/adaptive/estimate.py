@@ -7,7 +7,7 @@ the error of each part, relit alone, follows from the pattern's.
 ============  ================  ==============================================================
 symbol        name              meaning
 ============  ================  ==============================================================
-``e``         ``difference``    error of the pattern's relit picture, an image
+``e``         ``squares``       error of the pattern's relit picture; its squares, an image
 ``e_i``                         error of part i, relit alone; ``e = sum e_i``
 ``f``         ``of_floodlit``   error of the relit floodlit picture, an image
 ``s_i, s``    ``shares``        lit share of the rays, of a part and of the pattern
@@ -18,7 +18,7 @@ rays add up to f, nearly nought. For rays drawn at random, e is the sum of a sam
 population [1]_: ``|e|^2`` is ``a s + b s^2``, with ``a + b = |f|^2``, and ``|e_i|^2`` is
 ``a s_i + b s_i^2``. Thus the ``|e_i|^2`` add up to ``|e|^2`` where errors are independent, and to
 ``sum s_i (1 - s_i) / (s (1 - s))`` times that where f is nought. On images of 16 x 18, bars and
-spots light so large a share of the rays that this is 1.4 to 1.8.
+spots light so large a share of the rays that this is 1.4 to 1.7.
 
 Light, other than errors, isn't random: parts light one another's pixels, and ``|T p|^2`` exceeds
 the sum of ``|T p_i|^2``, to which errors are relative. The measured light of a part's region is
@@ -200,15 +200,15 @@ def error_of(transport: Transport, held: Pictures, floodlit: Float, dark: Bools)
     every_ray = np.ones((1, patterns[0].shape[1]), np.bool_)
     of_floodlit, noise = relit(transport, every_ray)[0] - floodlit, _noise_of(held)
     full = float(np.square(floodlit[:, known], dtype=np.float64).sum())
-    errors: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    of_parts: dict[str, list[Double]] = {kind: [] for kind in KINDS}
     compared = []
     for index, (kind, parts) in enumerate(zip(HELD_OUT, patterns, strict=True)):
         taken, noisy, unlit = held.radiance[index], noise[index], dark[index]
         each = _compared(transport, parts, taken, of_floodlit, noisy, unlit, known)
         reference = reference_light(each.light, full * parts.mean(axis=1))
-        errors[kind].append(_mean_error(each.wrong, each.chance, reference))
+        of_parts[kind].append(np.stack([each.wrong, each.chance, reference]))
         compared.append(each)
-    by_kind = {kind: float(np.mean(errors[kind])) for kind in KINDS}
+    by_kind = {kind: _mean_error(*np.hstack(each)) for kind, each in of_parts.items()}
     lit = np.array([parts.mean() for parts in patterns])
     return Estimate(**by_kind, indirect=_indirect_error(compared, lit))
 
