@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -101,7 +101,7 @@ def forecast(settings: Config) -> pd.DataFrame:
             "": plan.method.expected_patterns(*rays, plan.options),
             "most_": plan.method.most_patterns(*rays, plan.options),
         }
-        takes = {}
+        takes = dict[str, Any]()
         for prefix, count in counts.items():
             brackets = references + capture.keep_raw * count
             takes |= {
