@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
