@@ -64,12 +64,11 @@ def unknown(script: str) -> str:
 
 def _check() -> None:
     """End with a line that says what to install where physically based scenes can't be traced."""
-    from rfpipe_mitsuba.variant import need_llvm
+    from rfpipe_mitsuba.variant import lacking_llvm
 
-    try:
-        need_llvm("make figures")
-    except RfpipeError as error:
-        sys.exit(f"figures: {error}")
+    lacking = lacking_llvm("make figures")
+    if lacking is not None:
+        sys.exit(f"figures: {lacking}")
 
 
 def run(script: str, folder: Path, size: Size) -> None:

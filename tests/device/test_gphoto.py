@@ -96,7 +96,8 @@ def test_exposure_times_are_those_that_the_camera_has(
 
 def test_a_picture_that_is_not_raw_says_what_to_set(tmp_path: Path) -> None:
     (tmp_path / "raw.jpg").write_bytes(b"\xff\xd8" + bytes(5_000))
-    with pytest.raises(CaptureError, match=r"can't be read as a raw file.*camera\.settings"):
+    expected = r"can't be read as a raw file.*camera\.options\.settings"
+    with pytest.raises(CaptureError, match=expected):
         camera_of()
 
 

@@ -154,7 +154,7 @@ def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:
     ("changes", "kind", "expected"),
     [
         ({"device": "/nowhere/%04d.png"}, CaptureError, r"can't be opened.*group video"),
-        ({"shape": (48, 64)}, CaptureError, r"frames of 24 x 30 pixels where camera\.shape asks"),
+        ({"shape": (48, 64)}, CaptureError, r"24 x 30 pixels where camera\.options\.shape asks"),
         ({"sensor": replace(SENSOR, exposures=(0.01, 0.1))}, InputError, "one time, not 2"),
         ({"sensor": CameraModel()}, InputError, "8 bits and no mosaic"),
     ],

@@ -232,9 +232,11 @@ def test_a_calibration_that_records_no_settings_is_said_to(
 def test_a_step_alone_is_not_built_on_steps_of_other_settings(calibrated: Calibrated) -> None:
     calibrated.measure(of_file("rig"))
     now = of_file("rig", "sensor.bits", 10)
-    with pytest.raises(InputError, match=r"linearity needs dark.*sensor\.bits was 12, is now 10"):
+    stale = r"linearity needs steadiness.*sensor\.bits was 12, is now 10"
+    with pytest.raises(InputError, match=stale):
         calibrated.measure(now, ["linearity"])
-    assert calibrated.measure(now, ["dark", "linearity"]) == {"dark", "linearity"}
+    steps = ["steadiness", "dark", "linearity"]
+    assert calibrated.measure(now, steps) == {*steps}
     # what shapes other steps alone doesn't matter
     finer = of_file("rig", "calibrate.codes", 65)
     finer = finer.model_copy(update={"sensor": now.sensor})
