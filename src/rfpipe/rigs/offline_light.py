@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.diagnosis import SIGNIFICANCE, light_fault, motion, room_change
+from rfpipe.rigs.faults import OFFLINE, Fault, ends_fault, room_fault
 from rfpipe.rigs.looks import (
     BLACK,
     COMPLEMENT,
@@ -27,23 +29,9 @@ from rfpipe.rigs.looks import (
     series_of,
 )
 from rfpipe.rigs.offline import Shown
-from rfpipe.rigs.steadiness import (
-    ROOM,
-    SIGNIFICANCE,
-    Fault,
-    ends_fault,
-    light_fault,
-    motion,
-    room_change,
-    room_fault,
-)
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY
 
 Double = NDArray[np.float64]
-
-LIMIT = 0.03
-"""Relative change of the light between pictures that is accepted: shutters and lenses repeat their
-exposure within 1 to 2 %."""
 
 _PICTURES = {BLACK_LEVEL_KEY: BLACK, FLOODLIT_KEY: WHITE}
 _UNSURE = 2.0  # factor on the noise that the settings say: it may not be measured
@@ -70,8 +58,8 @@ def light_faults(
     references = _references(looks, sensor)
     if not references.has_light:
         return []
-    room = room_change(looks, references, LIMIT) or _room_at_end(looks[-1], references)
-    faults = [room, motion(looks[2:], references)]
+    room = room_change(looks, references, OFFLINE.room) or _room_at_end(looks[-1], references)
+    faults = [room, motion(looks[2:], references, OFFLINE.moved)]
     if faults[1] is None:
         lit = [
             _linear(bracket, sensor)
@@ -80,7 +68,7 @@ def light_faults(
         ]
         ratio, ratio_error = ratios_of(lit, references)
         series = _series(looks, references)._replace(ratio=ratio, ratio_error=ratio_error)
-        fault = light_fault(series, references.exposures, LIMIT, references.unit)
+        fault = light_fault(series, references.exposures, OFFLINE.light, references.unit)
         # the change between two pictures has either cause
         is_unknown = len(series.gain) == 2 and fault is not None and fault.kind != "flicker"
         faults.append(ends_fault(_last_change(series)) if is_unknown else fault)
@@ -96,9 +84,9 @@ def _room_at_end(last: Look, references: References) -> Fault | None:
         return None
     best = int(np.nanargmin(error))
     change = float(abs(relative[best]))
-    if change < max(ROOM * LIMIT, SIGNIFICANCE * error[best]):
+    if change < max(OFFLINE.room, SIGNIFICANCE * error[best]):
         return None
-    return room_fault(change, f"{last.seconds:.2g} {references.unit}")
+    return room_fault(change, f"in {last.seconds:.2g} {references.unit}")
 
 
 def _last_change(series: Series) -> float:

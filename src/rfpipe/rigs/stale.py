@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, WHOLE_PERIODS, late_fault
 from rfpipe.units import SATURATION_FRACTION
 
 Float = NDArray[np.float32]
@@ -48,15 +49,11 @@ UNSURE = 4.0
 BRIGHTER = 3.0
 """Factor by which gain or a flickering lamp changes a frame at most."""
 
-_STALE = (
-    "the frames are of the picture before, in part at least; taken again. Empty the camera's queue "
-    "before each picture, or raise the projector's settle_seconds: `rfpipe calibrate` measures its "
-    "delay (step latency)"
-)
+_STALE = f"taken again: {late_fault(1.0, 'in part at least').text}"
 _UNSTEADY = (
     "exposures of one picture contradict each other, and differ when they are taken again: the "
-    "lamp flickers, or gain changes from picture to picture. Take exposures of whole periods of "
-    "the lamp, and switch automatic gain off"
+    f"lamp flickers, or {GAIN_CHANGES}. First {AUTOMATIC_OFF}; if that changes nothing, "
+    f"{WHOLE_PERIODS}"
 )
 
 _log = logging.getLogger(__name__)

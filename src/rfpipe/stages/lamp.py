@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rfpipe.photometry.sensor import Merged
 from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merger import Merger
+from rfpipe.stages.repeated import SIGNIFICANCE, smooth_changes
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.stages.steadiness import SIGNIFICANCE, smooth_changes
 
 Double = NDArray[np.float64]
 

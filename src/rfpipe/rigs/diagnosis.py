@@ -16,11 +16,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.rigs.faults import (
+    Fault,
+    Limits,
+    drift_fault,
+    flicker_fault,
+    gain_fault,
+    is_whole_period,
+    late_fault,
+    moved_fault,
+    room_fault,
+    unsteady_fault,
+)
 from rfpipe.rigs.looks import (
     BLACK,
     Look,
@@ -33,38 +44,16 @@ from rfpipe.rigs.looks import (
 )
 
 Double = NDArray[np.float64]
-Kind = Literal["late", "room", "moved", "gain", "flicker", "unsteady", "drift"]
 
 SIGNIFICANCE = 6.0
 """Standard errors beyond which a change is no noise."""
 
-ROOM = 0.2
-"""Change of room light over that of the lamp's light that is accepted: it is in all pictures."""
-
-_MOVED = 0.05  # residual from which on a picture has another shape: half a pixel makes 0.15
 _LATE = 0.5  # distance to the picture before over that to the picture shown
 _COMMON = 0.3  # range of exposures' ratios over that of gains, from which on brackets flicker
 _AVERAGED_SECONDS = 0.1  # exposures from which on flicker at mains frequency is small
 
 
-class Fault(NamedTuple):
-    """A fault of a rig.
-
-    Attributes
-    ----------
-    kind : str
-    size : float
-        Relative change of light or picture.
-    text : str
-        What is wrong, and what to do.
-    """
-
-    kind: Kind
-    size: float
-    text: str
-
-
-def faults_of(looks: Sequence[Look], references: References, limit: float) -> list[Fault]:
+def faults_of(looks: Sequence[Look], references: References, limits: Limits) -> list[Fault]:
     """Return the faults that looks show, in the order of mending.
 
     Looks without light, such as those under a lens cap, show none.
@@ -74,18 +63,17 @@ def faults_of(looks: Sequence[Look], references: References, limit: float) -> li
     looks : sequence of Look
         In the order of taking.
     references : References
-    limit : float
-        Relative change of the lamp's light that is accepted.
+    limits : Limits
     """
     if not references.has_light or _are_dark(looks, references):
         return []
     late = _late(looks, references)
     if late is not None:
         return [late]
-    faults = [room_change(looks, references, limit), motion(looks, references)]
+    faults = [room_change(looks, references, limits.room), motion(looks, references, limits.moved)]
     if faults[1] is None:  # gains of another picture mean nothing
         gains = gains_of(looks, references)
-        faults.append(light_fault(gains, references.exposures, limit, references.unit))
+        faults.append(light_fault(gains, references.exposures, limits.light, references.unit))
     return [fault for fault in faults if fault is not None]
 
 
@@ -127,109 +115,6 @@ def light_fault(
     return gain_fault(size)
 
 
-def gain_fault(size: float) -> Fault:
-    """Return the fault of a gain that changes from picture to picture by `size`."""
-    return Fault(
-        "gain",
-        size,
-        f"The camera's gain changes from picture to picture, by {size:.1%}: switch automatic "
-        "gain, exposure and brightness off, in the camera and in its driver",
-    )
-
-
-def drift_fault(change: float, duration: str) -> Fault:
-    """Return the fault of a lamp whose light changed by `change` in a time such as "20 s"."""
-    return Fault(
-        "drift",
-        abs(change),
-        f"The lamp's light changed by {change:+.1%} in {duration}: let the lamp warm up, half an "
-        "hour or more",
-    )
-
-
-def ends_fault(change: float) -> Fault:
-    """Return the fault of light that changed by `change` from the first picture to the last."""
-    return Fault(
-        "unsteady",
-        abs(change),
-        f"The light changed by {change:+.1%} from the first picture to the last. Either the lamp "
-        "drifts: let it warm up, half an hour or more. Or the camera's gain or exposure is "
-        "automatic: switch that off",
-    )
-
-
-def late_fault(share: float) -> Fault:
-    """Return the fault of frames of the picture before, in a share of the pictures."""
-    return Fault(
-        "late",
-        share,
-        "The camera's frames are of the picture before: empty the camera's queue before each "
-        "bracket, such as by single-frame triggers in place of a running stream; or, where the "
-        "display is slow, wait longer for it (projector.options.settle_seconds, the latency)",
-    )
-
-
-def room_fault(size: float, duration: str) -> Fault:
-    """Return the fault of room light that changes by `size`, relative to the projector's white."""
-    return Fault(
-        "room",
-        size,
-        f"The room's light changes by {size:.2%} of the projector's in {duration}: darken the "
-        "room, cover windows and screens, and switch lamps off",
-    )
-
-
-def moved_fault(size: float) -> Fault:
-    """Return the fault of a picture that changed its shape by `size`, relative to its norm."""
-    return Fault(
-        "moved",
-        size,
-        f"The picture of the same pattern differs by {size:.0%} from the one before, and not in "
-        "brightness: the camera, the projector or the scene moved, or the projector's picture is "
-        "mirrored, scaled or cut off. Fix all three in place, and check the projector's cable "
-        "and menu",
-    )
-
-
-def flicker_fault(size: float, exposures: Sequence[float]) -> Fault:
-    """Return the fault of a lamp whose flicker changes exposures by up to `size`."""
-    at_50 = ", ".join(f"{each:g}" for each in whole_periods(exposures, 100))
-    at_60 = ", ".join(f"{each:.3g}" for each in whole_periods(exposures, 120))
-    return Fault(
-        "flicker",
-        size,
-        f"The lamp flickers: exposures differ by up to {size:.1%}, the short ones most. Take "
-        f"exposures of whole periods, as sensor.exposures: [{at_50}] where mains have 50 Hz, "
-        f"[{at_60}] where they have 60 Hz; or a lamp without flicker",
-    )
-
-
-def unsteady_fault(size: float) -> Fault:
-    """Return the fault of light that changes by `size`, where one exposure can't say why."""
-    return Fault(
-        "unsteady",
-        size,
-        f"The light changes from picture to picture by {size:.1%}. Either the camera's gain "
-        "changes: switch automatic gain, exposure and brightness off. Or the lamp flickers: take "
-        "exposures of whole periods, multiples of 1/100 s where mains have 50 Hz, of 1/120 s where "
-        "they have 60 Hz. A bracket of two exposures, a few times apart, shows which it is",
-    )
-
-
-def whole_periods(exposures: Sequence[float], hertz: float) -> list[float]:
-    """Return the multiples of a period that are next to exposures, ascending and all different."""
-    periods: list[int] = []
-    for exposure in sorted(exposures):
-        least = periods[-1] + 1 if periods else 1
-        periods.append(max(least, round(exposure * hertz)))
-    return [number / hertz for number in periods]
-
-
-def is_whole_period(exposure: float) -> bool:
-    """Test whether an exposure has whole periods of flicker at 100 Hz and at 120 Hz."""
-    return all(abs(exposure * hertz - round(exposure * hertz)) < 0.02 for hertz in (100, 120))
-
-
 def _are_dark(looks: Sequence[Look], references: References) -> bool:
     """Test whether all lit looks are black."""
     black = references.frames[BLACK]
@@ -261,7 +146,10 @@ def _distance(frame: NDArray[np.float32], references: Double) -> float:
 
 
 def room_change(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
-    """Return the fault of black pictures that differ, by the longest exposure that shows it."""
+    """Return the fault of black pictures that differ, by the longest exposure that shows it.
+
+    `limit` is relative to the white picture.
+    """
     dark = [look for look in looks if look.picture == BLACK]
     seconds = np.array([references.seconds, *(look.seconds for look in dark)])
     for index in range(len(references.exposures))[::-1]:
@@ -274,19 +162,19 @@ def room_change(looks: Sequence[Look], references: References, limit: float) -> 
         change = (frames[most] - frames[least])[usable]
         is_noise = change.mean() < SIGNIFICANCE * change.std() / np.sqrt(change.size)
         size = float(rates[most] - rates[least]) / references.white_rate
-        if is_noise or size < ROOM * limit:
+        if is_noise or size < limit:
             return None
         duration = abs(float(seconds[most] - seconds[least]))
-        return room_fault(size, f"{duration:.2g} {references.unit}")
+        return room_fault(size, f"in {duration:.2g} {references.unit}")
     return None
 
 
-def motion(looks: Sequence[Look], references: References) -> Fault | None:
-    """Return the fault of a picture that has another shape than its reference."""
+def motion(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
+    """Return the fault of a picture whose shape differs from its reference by more than a limit."""
     best = int(np.argmin(references.noise))
     lit = [look for look in looks if look.picture != BLACK]
     residual = max((fit_of(look, references).residual[best] for look in lit), default=np.nan)
-    is_moved = residual > _MOVED + 3 * references.noise[best]
+    is_moved = residual > limit + 3 * references.noise[best]
     return moved_fault(float(residual)) if is_moved else None
 
 
