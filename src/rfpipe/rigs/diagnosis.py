@@ -21,17 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.rigs.faults import (
+    SIGNIFICANCE,
     Fault,
     Limits,
     drift_fault,
-    flicker_fault,
-    gain_fault,
-    is_whole_period,
     late_fault,
     moved_fault,
     room_fault,
-    unsteady_fault,
 )
+from rfpipe.rigs.flicker import flicker_of, gain_or_flicker
 from rfpipe.rigs.looks import (
     BLACK,
     Look,
@@ -45,12 +43,7 @@ from rfpipe.rigs.looks import (
 
 Double = NDArray[np.float64]
 
-SIGNIFICANCE = 6.0
-"""Standard errors beyond which a change is no noise."""
-
 _LATE = 0.5  # distance to the picture before over that to the picture shown
-_COMMON = 0.3  # range of exposures' ratios over that of gains, from which on brackets flicker
-_AVERAGED_SECONDS = 0.1  # exposures from which on flicker at mains frequency is small
 
 
 def faults_of(looks: Sequence[Look], references: References, limits: Limits) -> list[Fault]:
@@ -102,27 +95,23 @@ def light_fault(
     if not is_change.any():
         return None
     size = float(span[is_change].max())
-    flicker = _flicker(series, exposures)
-    if flicker is not None and flicker > _COMMON * size:
-        return flicker_fault(size, exposures)
+    flicker = flicker_of(series.ratio, series.ratio_error, exposures, np.ptp, SIGNIFICANCE)
+    fault = gain_or_flicker(size, flicker, exposures)
     common, common_error = common_gain(series, limit)
-    if _is_slow(series, common, common_error, limit):
+    if fault.kind != "flicker" and _is_slow(series, common, common_error, limit):
         order = np.argsort(series.seconds)
         change = float(common[order[-1]] / common[order[0]] - 1)
         return drift_fault(change, f"{np.ptp(series.seconds):.2g} {unit}")
-    if flicker is None and not all(map(is_whole_period, exposures)):
-        return unsteady_fault(size)
-    return gain_fault(size)
+    return fault
 
 
 def _are_dark(looks: Sequence[Look], references: References) -> bool:
     """Test whether all lit looks are black."""
     black = references.frames[BLACK]
     return all(
-        _distance(frame, black) < _LATE * _distance(frame, references.frames[look.picture])
+        is_of_previous(look.frames[:1], black, references.frames[look.picture])
         for look in looks
         if look.picture != BLACK
-        for frame in look.frames[:1]
     )
 
 
@@ -132,15 +121,25 @@ def _late(looks: Sequence[Look], references: References) -> Fault | None:
     for before, look in pairwise(looks):
         if before.series == look.series and before.picture != look.picture:
             judged += 1
-            late += any(
-                _distance(frame, references.frames[before.picture])
-                < _LATE * _distance(frame, references.frames[look.picture])
-                for frame in look.frames
+            late += is_of_previous(
+                look.frames, references.frames[before.picture], references.frames[look.picture]
             )
     return late_fault(late / judged) if late else None
 
 
-def _distance(frame: NDArray[np.float32], references: Double) -> float:
+def is_of_previous(frames: NDArray[np.floating], previous: Double, expected: Double) -> bool:
+    """Test whether a frame of a bracket agrees with the previous picture, not with the expected.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (E, n)
+    previous, expected : ndarray of float64, shape (E, n)
+        Reference brackets of the two pictures.
+    """
+    return any(_distance(frame, previous) < _LATE * _distance(frame, expected) for frame in frames)
+
+
+def _distance(frame: NDArray[np.floating], references: Double) -> float:
     """Return the least distance of a frame (n,) from references (E, n) of all exposures."""
     return float(np.sqrt(np.square(frame - references).mean(axis=1).min()))
 
@@ -176,24 +175,6 @@ def motion(looks: Sequence[Look], references: References, limit: float) -> Fault
     residual = max((fit_of(look, references).residual[best] for look in lit), default=np.nan)
     is_moved = residual > limit + 3 * references.noise[best]
     return moved_fault(float(residual)) if is_moved else None
-
-
-def _flicker(series: Series, exposures: Sequence[float]) -> float | None:
-    """Return the range of the ratios of exposures, where flicker can make it, else 0.
-
-    A gain that changes within brackets changes the ratios of long exposures, too. None where the
-    ratios are unknown.
-    """
-    known = np.isfinite(series.ratio).sum(axis=0) > 1
-    if not known.any():
-        return None
-    ratio, error = series.ratio[:, known], np.nanmax(series.ratio_error[:, known], axis=0)
-    span = np.nanmax(ratio, axis=0) - np.nanmin(ratio, axis=0)
-    span = np.where(span > SIGNIFICANCE * error, span, 0)
-    are_long = np.array(exposures[:-1])[known] >= _AVERAGED_SECONDS
-    of_long = float(span[are_long].max(initial=0))
-    largest = float(span.max())
-    return largest if of_long < largest / 3 else 0.0
 
 
 def _is_slow(series: Series, common: Double, error: Double, limit: float) -> bool:

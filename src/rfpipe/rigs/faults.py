@@ -41,6 +41,11 @@ WHOLE_PERIODS = (
 )
 WARM_UP = "let the lamp warm up, half an hour or more"
 
+SIGNIFICANCE = 6.0
+"""Standard errors beyond which a change is more than noise. Over 100 clean simulated calibrations
+and 60 captures the largest was 3.9 of gains and black pictures, 1.9 of room light, and 6.5 of the
+ratios of exposures, which only matter beside a significant change of gain."""
+
 
 class Limits(NamedTuple):
     """Relative changes that are accepted.

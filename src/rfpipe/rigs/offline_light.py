@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.diagnosis import SIGNIFICANCE, light_fault, motion, room_change
-from rfpipe.rigs.faults import OFFLINE, Fault, ends_fault, room_fault
+from rfpipe.rigs.diagnosis import light_fault, motion, room_change
+from rfpipe.rigs.faults import OFFLINE, SIGNIFICANCE, Fault, ends_fault, room_fault
 from rfpipe.rigs.looks import (
     BLACK,
     COMPLEMENT,
@@ -28,13 +28,13 @@ from rfpipe.rigs.looks import (
     saturated_from,
     series_of,
 )
+from rfpipe.rigs.noise import CountNoise
 from rfpipe.rigs.offline import Shown
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY
 
 Double = NDArray[np.float64]
 
 _PICTURES = {BLACK_LEVEL_KEY: BLACK, FLOODLIT_KEY: WHITE}
-_UNSURE = 2.0  # factor on the noise that the settings say: it may not be measured
 
 
 def light_faults(
@@ -120,12 +120,11 @@ def _references(looks: Sequence[Look], sensor: CameraModel) -> References:
         [np.mean(black or [nominal], axis=0), looks[0].frames, looks[1].frames]
     ).astype(np.float64)
     light = np.maximum(frames[1:] - frames[0], 0).sum(axis=0)
-    electrons = sensor.electrons_per_count
-    variance = (sensor.read_noise_electrons / electrons) ** 2 + light / electrons + 1 / 12
+    variance = CountNoise.of(sensor).variance(light)
     square = np.square(light).mean(axis=1)
     noise = np.full(len(square), np.inf)
     np.divide(variance.mean(axis=1), square, out=noise, where=square > 0)
-    noise = _UNSURE * np.sqrt(noise)
+    noise = np.sqrt(noise)
     return References(
         frames, np.where(noise < 0.5, noise, np.inf), tuple(sensor.exposures),
         saturated_from(sensor), 0.0, "pictures",

@@ -23,16 +23,14 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
-from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, WHOLE_PERIODS, late_fault
+from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, SIGNIFICANCE, WHOLE_PERIODS, late_fault
+from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 
 Float = NDArray[np.float32]
 
 RETAKE_SECONDS = 0.5
 """Wait before a doubtful bracket is taken again: longer than any display is late."""
-
-SIGNIFICANCE = 6.0
-"""Deviations of noise beyond which a pixel differs."""
 
 FLICKER = 0.05
 """Share of the light by which it may differ beside: lamps flicker."""
@@ -42,9 +40,6 @@ ASTRAY = 0.02
 
 CONTRADICTION = 0.25
 """The same for exposures that contradict each other: cameras are not quite linear."""
-
-UNSURE = 4.0
-"""Factor on the variance that the settings say: it may not be measured yet."""
 
 BRIGHTER = 3.0
 """Factor by which gain or a flickering lamp changes a frame at most."""
@@ -133,7 +128,7 @@ class StaleWatch:
         self._lights: list[Light] = []
         self._exposures = sensor.exposures
         if isinstance(sensor, CameraModel) and sensor.response_gamma == 1:
-            self._lights = [_light(sensor, exposure) for exposure in sensor.exposures]
+            self._lights = _lights_of(sensor)
         self._last: deque[tuple[Float, Float]] = deque(maxlen=4)
         self._pause = 1
         self._skipped = 0
@@ -216,16 +211,17 @@ class StaleWatch:
         )
 
 
-def _light(camera: CameraModel, exposure: float) -> Light:
-    """Return black and noise of one exposure by the camera's numbers."""
-    electrons = camera.electrons_per_count
-    glow = camera.dark_current_electrons * exposure
-    return Light(
-        np.asarray(camera.black_level_counts + glow / electrons, np.float32),
-        UNSURE * ((camera.read_noise_electrons**2 + glow) / electrons**2 + 1 / 12),
-        UNSURE / electrons,
-        SATURATION_FRACTION * camera.white_level,
-    )
+def _lights_of(camera: CameraModel) -> list[Light]:
+    """Return black and noise of each exposure by the camera's numbers."""
+    noise, saturated = CountNoise.of(camera), SATURATION_FRACTION * camera.white_level
+    glow = camera.dark_current_electrons * np.asarray(camera.exposures) / camera.electrons_per_count
+    return [
+        Light(
+            np.asarray(camera.black_level_counts + counts, np.float32),
+            float(variance), noise.per_count, saturated,
+        )
+        for counts, variance in zip(glow, noise.fixed, strict=True)
+    ]  # fmt: skip
 
 
 def _some(frames: NDArray[Any]) -> Float:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
+from rfpipe.rigs.faults import SIGNIFICANCE
 from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merger import Merger
-from rfpipe.stages.repeated import SIGNIFICANCE, smooth_changes
+from rfpipe.stages.repeated import smooth_changes
 from rfpipe.stages.schedule import read_schedule
 
 Double = NDArray[np.float64]

@@ -27,29 +27,19 @@ from numpy.typing import NDArray
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import Sensor
-from rfpipe.rigs.faults import (
-    CAPTURE,
-    NOTED,
-    Fault,
-    flicker_fault,
-    gain_fault,
-    late_fault,
-    room_fault,
-    unsteady_fault,
-)
+from rfpipe.rigs.diagnosis import is_of_previous
+from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, late_fault, room_fault
+from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
+from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 
 Double = NDArray[np.float64]
 
-SIGNIFICANCE = 5.0
-"""Standard deviations from which a change is more than noise."""
-
 _MOST_PIXELS, _MOST_SAMPLES = 20_000, 2_000_000  # that are read of a frame, and of all frames
 _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not judged
-_UNSURE = 4.0  # factor on the variance by the camera's settings, which may not be measured
 _MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are separable
 _MEDIAN = 0.6745  # of the absolute value of a normal variable of deviation 1
-_FLICKER_RATIO = 0.6  # of the scatter at the longest exposure to that at the shortest
+_SCATTERS = 3.0  # standard errors from which on a scatter is more than noise
 
 
 class Samples(NamedTuple):
@@ -104,18 +94,20 @@ def scatter_of(samples: Samples, camera: CameraModel) -> Fault | None:
     judged = noise < _MOST_NOISE
     if len(gains) < 2 or not judged.any():
         return None
-    scatter, noise = _scatter(np.log(np.maximum(gains[:, judged], 1e-6))), noise[judged]
-    beyond = np.where(scatter > 3 * noise, np.sqrt(np.maximum(scatter**2 - noise**2, 0)), 0.0)
-    worst = float(beyond.max())
+    logarithms = np.log(np.maximum(gains[:, judged], 1e-6))
+    scatter, noise = np.array([_scatter(one) for one in logarithms.T]), noise[judged]
+    is_noise = scatter < _SCATTERS * noise
+    worst = float(np.where(is_noise, 0, np.sqrt(np.maximum(scatter**2 - noise**2, 0))).max())
     if worst < NOTED.light:
         return None
-    clear = 3 * noise < 0.5 * worst
-    beyond = beyond[clear]
-    if len(beyond) < 2:
-        return unsteady_fault(worst)
-    if beyond[-1] < _FLICKER_RATIO * beyond[0]:
-        return flicker_fault(worst, camera.exposures)
-    return gain_fault(worst)
+    return gain_or_flicker(worst, _flicker(samples, camera), camera.exposures)
+
+
+def _flicker(samples: Samples, camera: CameraModel) -> float | None:
+    """Scatter of the ratios of exposures; see `rfpipe.rigs.flicker.flicker_of`."""
+    known = samples.black, camera.exposures, SATURATION_FRACTION * camera.white_level
+    ratios = np.array([exposure_ratios(bracket, *known) for bracket in samples.counts])
+    return flicker_of(ratios[:, 0], ratios[:, 1], camera.exposures, _scatter, _SCATTERS)
 
 
 def smooth_changes(gains: Double, times: Double | None = None) -> bool:
@@ -140,10 +132,7 @@ def smooth_changes(gains: Double, times: Double | None = None) -> bool:
 
 def _late(blacks: Double, whites: Double) -> Fault | None:
     """Find a first white picture that is the black picture before it."""
-    of_black, of_white = (group.mean(axis=(1, 2)) for group in (blacks, whites))
-    span = np.median(of_white) - np.median(of_black)
-    first_is_dark = of_white[0] - np.median(of_black) < 0.5 * span
-    if len(whites) > 2 and span > 0 and first_is_dark:
+    if len(whites) > 2 and is_of_previous(whites[0], blacks.mean(axis=0), whites[1:].mean(axis=0)):
         return late_fault(1.0, "the first white picture is dark")
     return None
 
@@ -169,7 +158,7 @@ def _brightness(samples: Samples, camera: CameraModel) -> tuple[Double, Double]:
     mean = light.mean(axis=0)
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     centred = np.where(usable, mean - mean.sum(axis=1, keepdims=True) / count, 0)
-    variance = np.where(usable, _variance(mean, camera), 0)
+    variance = np.where(usable, CountNoise.of(camera).variance(mean), 0)
     gains, noises = [], []
     for weights in (centred, usable.astype(np.float64)):
         norm = (weights * mean).sum(axis=1)
@@ -181,24 +170,15 @@ def _brightness(samples: Samples, camera: CameraModel) -> tuple[Double, Double]:
     return gains[way], noises[way]
 
 
-def _variance(light: Double, camera: CameraModel) -> Double:
-    """Variance of counts (E, n) by the camera's settings."""
-    electrons = camera.electrons_per_count
-    glow = camera.dark_current_electrons * np.asarray(camera.exposures)[:, None]
-    fixed = (camera.read_noise_electrons**2 + glow) / electrons**2 + 1 / 12
-    return _UNSURE * (fixed + np.maximum(light, 0) / electrons)
-
-
-def _scatter(values: Double) -> Double:
-    """Standard deviation (E,) of values (K, E) beside a smooth change with k.
+def _scatter(values: Double) -> float:
+    """Standard deviation of values (K,) beside a smooth change with k.
 
     Second differences of independent values have six times their variance; their median leaves a
     single jump out.
     """
     if len(values) < 5:
-        return np.asarray(values.std(axis=0, ddof=1))
-    second = np.abs(np.diff(values, n=2, axis=0))
-    return np.asarray(np.median(second, axis=0) / (_MEDIAN * np.sqrt(6)))
+        return float(values.std(ddof=1))
+    return float(np.median(np.abs(np.diff(values, n=2))) / (_MEDIAN * np.sqrt(6)))
 
 
 def _room_of_references(blacks: Double, whites: Samples, camera: CameraModel) -> Fault | None:
@@ -226,7 +206,7 @@ def _room(samples: Samples, camera: CameraModel) -> tuple[Double, float]:
     light = samples.counts - samples.black
     mean = light.mean(axis=0)
     usable = (samples.counts < SATURATION_FRACTION * camera.white_level).all(axis=0)
-    weights = np.where(usable, 1 / _variance(mean, camera), 0).ravel()
+    weights = np.where(usable, 1 / CountNoise.of(camera).variance(mean), 0).ravel()
     times = np.broadcast_to(np.asarray(camera.exposures)[:, None], mean.shape)
     terms = np.stack([mean.ravel(), times.ravel()])
     if mean.max() < 1e-6:  # black pictures: g says nothing

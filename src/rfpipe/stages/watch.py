@@ -25,6 +25,7 @@ from rfpipe.rigs.faults import (
     GAIN_CHANGES,
     NOTED,
     RIG_MOVED,
+    SIGNIFICANCE,
     Fault,
     moved_fault,
     room_fault,
@@ -33,7 +34,6 @@ from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.stages.repeated import (
-    SIGNIFICANCE,
     Samples,
     camera_of,
     sample,
