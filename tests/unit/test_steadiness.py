@@ -94,6 +94,13 @@ def test_the_references_show_what_changes(name: str, dimmer: int) -> None:
         assert not found[0].exceeds(CAPTURE)
 
 
+@pytest.mark.parametrize("columns", [200, 202, 204])
+@pytest.mark.parametrize("rows", [200, 400, 1000])
+def test_samples_hold_every_colour_of_a_mosaic(rows: int, columns: int) -> None:
+    colours = np.tile([[0, 1], [2, 3]], (rows // 2, columns // 2))
+    assert np.unique(sample(colours[None])).tolist() == [0, 1, 2, 3]
+
+
 def test_a_queue_of_old_frames_is_named() -> None:
     blacks, whites = references(lambda *_: (1.0, 0.0))
     late = np.concatenate([blacks[-1:], whites[:-1]])

@@ -1,12 +1,21 @@
-"""Unsteady rigs: late frames, changing gain, flicker, room light, drift of the lamp, and motion.
+"""Faults that looks at a rig show, by the quantities of `rfpipe.rigs.looks`.
 
-What the rig does is read from many looks, see `rfpipe.rigs.looks`:
+With the references R_B, R_P and R_Q of black, a pattern and its complement, each look F gives
+
+    F = R_B + x_P (R_P - R_B) + x_Q (R_Q - R_B) + a
+
+======== ======== ===================================================================
+symbol   shape    fault that changes it
+======== ======== ===================================================================
+R_B      (E, n)   room
+g        (E,)     gain, flicker, drift; g is x_P - x_Q of a look at P
+r        (E,)     motion; r is the residual of the equation
+======== ======== ===================================================================
 
 - Gain and lamp multiply: g changes. Light of the room adds: to `a` as haze, and to x_P and x_Q
   alike where the scene reflects it, since ``P + Q`` is a white picture. It does not change g, but
   it changes the looks at black.
-- The gain of a bracket is common to its exposures. Flicker is not: it is random in each exposure,
-  and vanishes in those of whole periods.
+- The gain of a bracket is common to its exposures. Flicker is not: see `rfpipe.rigs.flicker`.
 - A lamp drifts slowly: adjacent looks agree, distant ones do not.
 - Motion changes the picture's shape: r rises.
 - Late frames agree with the reference of the look before.

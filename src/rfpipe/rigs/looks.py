@@ -182,10 +182,10 @@ def saturated_from(sensor: CameraModel) -> float:
     return SATURATION_FRACTION * sensor.white_level
 
 
-def thinned(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Return at most `MOST_PIXELS` photosites of each frame of a bracket (E, ...), (E, n)."""
+def thinned(frames: NDArray[Any], most: int = MOST_PIXELS) -> NDArray[np.float32]:
+    """Return at most `most` photosites of each frame of a bracket (E, ...), (E, n)."""
     flat = frames.reshape(len(frames), -1)
-    step = -(-flat.shape[1] // MOST_PIXELS) | 1  # odd: photosites of every colour of a mosaic
+    step = -(-flat.shape[1] // most) | 1  # odd: photosites of every colour of a mosaic
     return np.asarray(flat[:, ::step], np.float32)
 
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, SIGNIFICANCE, WHOLE_PERIODS, late_fault
+from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 
@@ -44,6 +45,7 @@ CONTRADICTION = 0.25
 BRIGHTER = 3.0
 """Factor by which gain or a flickering lamp changes a frame at most."""
 
+_MOST_PIXELS = 2**20
 _STALE = f"taken again: {late_fault(1.0, 'in part at least').text}"
 _UNSTEADY = (
     "exposures of one picture contradict each other, and differ when they are taken again: the "
@@ -139,22 +141,24 @@ class StaleWatch:
         frames = take()
         if not self._lights:
             return frames
+        sample = thinned(frames, _MOST_PIXELS)
         if self._skipped:
             self._skipped -= 1
-        elif self._is_doubtful(_some(frames), picture):
+        elif self._is_doubtful(sample, picture):
             time.sleep(RETAKE_SECONDS)
-            again = take()
+            repeated = take()
+            sample_of_repeated = thinned(repeated, _MOST_PIXELS)
             self.statistics["doubted"] += 1
-            is_steady = self._are_alike(_some(frames), _some(again))
-            if is_steady or self._differ_in_brightness(_some(frames), _some(again)):
-                # an unfounded doubt: so many patterns go by unwatched, twice as many the next time
+            is_steady = self._are_alike(sample, sample_of_repeated)
+            if is_steady or self._differ_in_brightness(sample, sample_of_repeated):
+                # an unfounded doubt: pause the watch, twice as long the next time
                 self._skipped, self._pause = self._pause, min(2 * self._pause, 64)
                 if not is_steady:
                     self._count("unsteady", name, _UNSTEADY)
             else:
                 self._count("stale", name, _STALE)
-                self._pause, frames = 1, again
-        self._last.append((picture.copy(), _some(frames)))
+                self._pause, frames, sample = 1, repeated, sample_of_repeated
+        self._last.append((picture.copy(), sample.copy()))
         return frames
 
     def _count(self, kind: str, name: str, text: str) -> None:
@@ -222,9 +226,3 @@ def _lights_of(camera: CameraModel) -> list[Light]:
         )
         for counts, variance in zip(glow, noise.fixed, strict=True)
     ]  # fmt: skip
-
-
-def _some(frames: NDArray[Any]) -> Float:
-    """Return at most a million pixels of each frame, (E, n)."""
-    flat = frames.reshape(len(frames), -1)
-    return flat[:, :: -(-flat.shape[1] // 2**20)].astype(np.float32)

@@ -1,7 +1,18 @@
 """Brightness of the lamp while an acquisition's first brackets are taken.
 
-These are white brackets, random patterns, and level 0's picture, which most methods have taken
-under white light, too. Looks at the rig begin with that picture: brightness is relative to it.
+    g[k] = L[k] / L[0],    L[k] = sum of bracket k's radiance over the known pixels
+
+====== ============= ====== ====================================================================
+symbol code          shape  meaning
+====== ============= ====== ====================================================================
+L      total         (C,)   light of a white bracket
+L[0]   reference     (C,)   that of level 0's picture, with which looks at the rig begin
+g      whites        (C,)   brightness of the white brackets, on average
+g      randoms       (n, C) brightness at each random pattern, between them and level 0
+====== ============= ====== ====================================================================
+
+Most methods have level 0's picture taken under white light, too; otherwise the last white brackets
+are the reference.
 """
 
 from __future__ import annotations

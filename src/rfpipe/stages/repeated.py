@@ -1,4 +1,4 @@
-"""Steadiness of gain, lamp and room light, from brackets of one pattern taken several times.
+"""Changes of gain, lamp and room light, from brackets of one pattern taken several times.
 
 Counts above black of bracket k, exposure e (of t_e seconds) and pixel x, where w is the mean over
 brackets:
@@ -13,7 +13,8 @@ r      room       (K,)   light of the room in counts a second, mean 0
 ====== ========== ====== =========================================================================
 
 A lamp that warms up changes g slowly, and alike in all exposures; automatic gain changes it from
-bracket to bracket; a lamp that flickers changes it most in short exposures.
+bracket to bracket; a lamp that flickers changes each exposure by itself, see `rfpipe.rigs.flicker`.
+Size of gain and flicker is the standard deviation of g beside a smooth change with k.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.diagnosis import is_of_previous
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, late_fault, room_fault
 from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
+from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 
@@ -64,9 +66,8 @@ def camera_of(sensor: Sensor) -> CameraModel | None:
 
 def sample(frames: NDArray[Any], brackets: int = 1) -> Double:
     """Return some pixels of each frame of a bracket, (E, ...) to (E, n), fewer of many brackets."""
-    flat = frames.reshape(len(frames), -1)
     most = min(_MOST_PIXELS, max(1, _MOST_SAMPLES // (len(frames) * brackets)))
-    return np.asarray(flat[:, :: -(-flat.shape[1] // most)], np.float64)
+    return np.asarray(thinned(frames, most), np.float64)
 
 
 def faults_of_references(blacks: Double, whites: Double, camera: CameraModel) -> list[Fault]:

@@ -1,7 +1,19 @@
 """Watch over a capture: a fine random pattern, repeated between the patterns of a level.
 
-Its pictures measure the brightness of the lamp, and show whether gain or room light changed or the
-rig moved: half a pixel changes every ray of it by half.
+A look y at the pattern is compared with the first look w, over C channels:
+
+    y = g w + a + b f + d
+
+====== ======= ======= =========================================================================
+symbol code    shape   meaning
+====== ======= ======= =========================================================================
+w      known   (N, C)  the first look, over N rays
+y      later   (N, C)  another look
+f      white   (N, C)  the floodlit picture
+g      gain    (C,)    brightness of the lamp
+a, b   room    (C,)    light of the room: even, or as the scene reflects it
+d      rest    (N, C)  change beyond noise; half a pixel of motion changes every ray by half
+====== ======= ======= =========================================================================
 """
 
 from __future__ import annotations
@@ -94,14 +106,7 @@ class Change(NamedTuple):
 def change(merger: Merger, known: Merged, bracket: NDArray[Any]) -> Change:
     """Compare a bracket (1, E, ...) with a merged picture (1, *camera_shape, C).
 
-    Notes
-    -----
-    With the picture w, the floodlit picture f and the bracket's picture y,
-
-        y = g w + a + b f,
-
-    where g is the brightness of the lamp, and a and b are light of the room: even, or as the scene
-    reflects it. Both are 0 unless they explain what g leaves.
+    The light of the room, a and b, is 0 unless it explains the residual of g alone.
     """
     later = merger.merge(bracket, 0)
     both = np.isfinite(known.variance[0]) & np.isfinite(later.variance[0])
