@@ -39,6 +39,7 @@ from rfpipe.rigs.faults import (
     room_fault,
 )
 from rfpipe.rigs.flicker import flicker_of, gain_or_flicker
+from rfpipe.rigs.late import is_of_previous
 from rfpipe.rigs.looks import (
     BLACK,
     Look,
@@ -51,8 +52,6 @@ from rfpipe.rigs.looks import (
 )
 
 Double = NDArray[np.float64]
-
-_LATE = 0.5  # distance to the picture before over that to the picture shown
 
 
 def faults_of(looks: Sequence[Look], references: References, limits: Limits) -> list[Fault]:
@@ -134,23 +133,6 @@ def _late(looks: Sequence[Look], references: References) -> Fault | None:
                 look.frames, references.frames[before.picture], references.frames[look.picture]
             )
     return late_fault(late / judged) if late else None
-
-
-def is_of_previous(frames: NDArray[np.floating], previous: Double, expected: Double) -> bool:
-    """Test whether a frame of a bracket agrees with the previous picture, not with the expected.
-
-    Parameters
-    ----------
-    frames : ndarray, shape (E, n)
-    previous, expected : ndarray of float64, shape (E, n)
-        Reference brackets of the two pictures.
-    """
-    return any(_distance(frame, previous) < _LATE * _distance(frame, expected) for frame in frames)
-
-
-def _distance(frame: NDArray[np.floating], references: Double) -> float:
-    """Return the least distance of a frame (n,) from references (E, n) of all exposures."""
-    return float(np.sqrt(np.square(frame - references).mean(axis=1).min()))
 
 
 def room_change(looks: Sequence[Look], references: References, limit: float) -> Fault | None:

@@ -15,7 +15,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, SIGNIFICANCE, WHOLE_PERIODS, late_fault
+from rfpipe.rigs.late import is_out_of_order
 from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
@@ -201,7 +201,7 @@ class StaleWatch:
     def _is_out_of_order(self, bracket: Float) -> bool:
         """Test whether a longer exposure is much darker, as no lamp makes it."""
         sums = [light.sum(frame) for light, frame in zip(self._lights, bracket, strict=True)]
-        return any(longer < shorter / BRIGHTER for shorter, longer in pairwise(sums))
+        return is_out_of_order(sums, 1 / BRIGHTER)
 
     def _are_alike(self, bracket: Float, other: Float) -> bool:
         return all(

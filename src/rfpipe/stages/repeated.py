@@ -19,7 +19,6 @@ Size of gain and flicker is the standard deviation of g beside a smooth change w
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,9 +27,9 @@ from numpy.typing import NDArray
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import Sensor
-from rfpipe.rigs.diagnosis import is_of_previous
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, late_fault, room_fault
 from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
+from rfpipe.rigs.late import is_of_previous, is_out_of_order
 from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
@@ -40,6 +39,7 @@ Double = NDArray[np.float64]
 _MOST_PIXELS, _MOST_SAMPLES = 20_000, 2_000_000  # that are read of a frame, and of all frames
 _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not judged
 _MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are separable
+_DARKER = 0.8  # light of a longer exposure over that of a shorter one, where frames are late
 _MEDIAN = 0.6745  # of the absolute value of a normal variable of deviation 1
 _SCATTERS = 3.0  # standard errors from which on a scatter is more than noise
 
@@ -142,7 +142,7 @@ def _out_of_order(counts: Double, camera: CameraModel) -> Fault | None:
     """Find frames of the exposure before: longer ones are darker."""
     light = counts.mean(axis=(0, 2)) - camera.black_level_counts
     least = 0.01 * camera.white_level  # above the noise
-    if any(shorter > least and longer < 0.8 * shorter for shorter, longer in pairwise(light)):
+    if is_out_of_order(light, _DARKER, least):
         return late_fault(1.0, "a longer exposure is darker")
     return None
 
