@@ -7,11 +7,11 @@ for light of the room, and of the picture's norm for motion.
 ========= ======================================================================================
 kind      change between pictures of one pattern
 ========= ======================================================================================
-late      a picture is that of the pattern before
+late      a picture shows the previous pattern
 room      light is added, also where the pattern is dark
 moved     the picture changes its shape
 gain      all exposures of a bracket change by one factor, at random
-flicker   each exposure changes by itself, the short ones most
+flicker   exposures of a bracket change independently, the short ones most
 unsteady  gain, or flicker, or drift: too few exposures or pictures show which
 drift     all exposures change by one factor, slowly
 ========= ======================================================================================
@@ -77,7 +77,7 @@ OFFLINE = Limits(light=0.03, room=0.006, moved=0.05)
 """Of pictures that are taken elsewhere: shutters and lenses repeat their exposure within 2 %."""
 
 NOTED = Limits(light=0.005, room=0.005, moved=0.02)
-"""Of an acquisition: what is less isn't logged."""
+"""Of an acquisition: smaller changes aren't logged."""
 
 
 class Fault(NamedTuple):
@@ -144,8 +144,8 @@ def moved_fault(size: float) -> Fault:
     return Fault(
         "moved",
         size,
-        f"{RIG_MOVED}: the picture of the same pattern differs by {size:.1%} from an earlier one, "
-        "and not in brightness",
+        f"{RIG_MOVED}, as the picture of the same pattern differs by {size:.1%} from an earlier "
+        "one, and not in brightness",
         "fix camera, projector and scene in place, and check the projector's cable and menu, as "
         "its picture may be mirrored, scaled or cut off",
     )
@@ -163,7 +163,7 @@ def flicker_fault(size: float, exposures: Sequence[float]) -> Fault:
     return Fault(
         "flicker",
         size,
-        f"the lamp flickers: exposures differ by up to {size:.1%}, the short ones most",
+        f"the lamp flickers, so that exposures differ by up to {size:.1%}, the short ones most",
         f"take exposures of whole periods, as the camera's exposures: [{at_50}] where mains have "
         f"50 Hz, [{at_60}] where they have 60 Hz; or a lamp without flicker",
     )

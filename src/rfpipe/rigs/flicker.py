@@ -33,7 +33,7 @@ Double = NDArray[np.float64]
 _LEAST_PIXELS = 50
 _HEADROOM = 0.8  # counts over saturation: a brighter bracket does not saturate either
 _AVERAGED_SECONDS = 0.1  # exposures from which on flicker at mains frequency is small
-_COMMON = 0.3  # spread of q over that of gains, from which on brackets flicker
+_COMMON = 0.3  # spread of q, relative to the spread of gains, from which on brackets flicker
 
 
 def exposure_ratios(

@@ -1,4 +1,4 @@
-"""Late frames: those of the previous picture, or of the previous exposure.
+"""Late frames, which show the previous picture or the previous exposure.
 
 A bracket F is late where, for one of its exposures e,
 

@@ -87,12 +87,12 @@ class Light:
     def is_promised(
         self, frame: Float, before: Float, shorter: Light, ratio: float, share: float = ASTRAY
     ) -> bool:
-        """Tell whether a frame is `ratio` times that of a shorter exposure, up to saturation."""
+        """Test whether a frame is `ratio` times that of a shorter exposure, up to saturation."""
         promised = self.black + np.float32(ratio) * (before - shorter.black)
         promised[before >= shorter.saturated] = self.saturated
         promised, frame = (np.minimum(one, self.saturated) for one in (promised, frame))
         variance = self.variance(frame) + np.float32(ratio**2) * shorter.variance(before)
-        # what is saturated says nothing, and must not make room for the rest
+        # saturated pixels have no expected light, which would allow other pixels to differ
         light = np.where(promised < self.saturated, np.maximum(promised - self.black, 0), 0)
         total = float(light.sum(dtype=np.float64))
         return is_little(frame - promised, variance, light, total, share)
@@ -101,7 +101,7 @@ class Light:
 def is_little(
     off: Float, variance: Float, light: Float, total: float, share: float = ASTRAY
 ) -> bool:
-    """Tell whether a difference of frames is little beside their noise and light.
+    """Test whether a difference of frames is little beside their noise and light.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class StaleWatch:
             _log.warning("%s: %s", name, text if count == 1 else f"{text} ({count} times so far)")
 
     def _is_doubtful(self, bracket: Float, picture: Float) -> bool:
-        """Tell whether a bracket may be, in part or wholly, of the picture before."""
+        """Test whether a bracket may be, in part or wholly, of the picture before."""
         return any(self._contradicts(bracket, number) for number in range(1, len(bracket))) or any(
             self._are_alike(bracket, previous)
             for shown, previous in self._last

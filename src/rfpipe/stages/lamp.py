@@ -6,7 +6,7 @@
 symbol code          shape  meaning
 ====== ============= ====== ====================================================================
 L      total         (C,)   light of a white bracket
-L[0]   reference     (C,)   that of level 0's picture, with which looks at the rig begin
+L[0]   reference     (C,)   light of level 0's picture, with which looks at the rig begin
 g      whites        (C,)   brightness of the white brackets, on average
 g      randoms       (n, C) brightness at each random pattern, between them and level 0
 ====== ============= ====== ====================================================================

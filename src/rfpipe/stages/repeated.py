@@ -13,7 +13,7 @@ r      room       (K,)   light of the room in counts a second, mean 0
 ====== ========== ====== =========================================================================
 
 A lamp that warms up changes g slowly, and alike in all exposures; automatic gain changes it from
-bracket to bracket; a lamp that flickers changes each exposure by itself, see `rfpipe.rigs.flicker`.
+bracket to bracket; a lamp that flickers changes exposures independently, see `rfpipe.rigs.flicker`.
 Size of gain and flicker is the standard deviation of g beside a smooth change with k.
 """
 
@@ -39,7 +39,7 @@ Double = NDArray[np.float64]
 _MOST_PIXELS, _MOST_SAMPLES = 20_000, 2_000_000  # that are read of a frame, and of all frames
 _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not judged
 _MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are separable
-_DARKER = 0.8  # light of a longer exposure over that of a shorter one, where frames are late
+_DARKER = 0.8  # light of a longer exposure over a shorter one's, where frames are late
 _MEDIAN = 0.6745  # of the absolute value of a normal variable of deviation 1
 _SCATTERS = 3.0  # standard errors from which on a scatter is more than noise
 
