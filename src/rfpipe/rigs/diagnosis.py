@@ -136,27 +136,40 @@ def _late(looks: Sequence[Look], references: References) -> Fault | None:
 
 
 def room_change(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
-    """Return the fault of black pictures that differ, by the longest exposure that shows it.
+    """Return the fault of black pictures that differ.
 
     `limit` is relative to the white picture.
     """
     dark = [look for look in looks if look.picture == BLACK]
-    seconds = np.array([references.seconds, *(look.seconds for look in dark)])
-    for index in range(len(references.exposures))[::-1]:
-        frames = np.array([references.frames[BLACK, index], *(look.frames[index] for look in dark)])
-        usable = (frames < references.saturated).all(axis=0)
+    seconds = [references.seconds, *(look.seconds for look in dark)]
+    frames = np.array([references.frames[BLACK], *(look.frames for look in dark)])
+    change, *ends = black_change(frames, references.exposures, references.saturated)
+    size = change / references.white_rate
+    if change == 0 or size < limit:
+        return None
+    duration = abs(seconds[ends[1]] - seconds[ends[0]])
+    return room_fault(size, f"in {duration:.2g} {references.unit}")
+
+
+def black_change(
+    frames: Double, exposures: Sequence[float], saturated: float
+) -> tuple[float, int, int]:
+    """Return the largest change between black brackets (K, E, n), and the two brackets.
+
+    The change is in counts a second of the longest exposure in which most pixels are below
+    `saturated`, and 0 unless it is significant.
+    """
+    for index in range(len(exposures))[::-1]:
+        counts = frames[:, index]
+        usable = (counts < saturated).all(axis=0)
         if usable.mean() < 0.5:
             continue
-        rates = frames[:, usable].mean(axis=1) / references.exposures[index]
+        rates = counts[:, usable].mean(axis=1) / exposures[index]
         least, most = int(rates.argmin()), int(rates.argmax())
-        change = (frames[most] - frames[least])[usable]
+        change = (counts[most] - counts[least])[usable]
         is_noise = change.mean() < SIGNIFICANCE * change.std() / np.sqrt(change.size)
-        size = float(rates[most] - rates[least]) / references.white_rate
-        if is_noise or size < limit:
-            return None
-        duration = abs(float(seconds[most] - seconds[least]))
-        return room_fault(size, f"in {duration:.2g} {references.unit}")
-    return None
+        return 0.0 if is_noise else float(rates[most] - rates[least]), least, most
+    return 0.0, 0, 0
 
 
 def motion(looks: Sequence[Look], references: References, limit: float) -> Fault | None:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.diagnosis import black_change
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, late_fault, room_fault
 from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
 from rfpipe.rigs.late import is_of_previous, is_out_of_order
@@ -183,19 +184,18 @@ def _scatter(values: Double) -> float:
 
 
 def _room_of_references(blacks: Double, whites: Samples, camera: CameraModel) -> Fault | None:
-    times = np.asarray(camera.exposures)
-    white = float(np.maximum(whites.counts[:, 0] - whites.black[0], 0).mean()) / times[0]
+    """Find light of the room that changes among black pictures, or among white ones."""
+    seconds = camera.exposures
+    white = float(np.maximum(whites.counts[:, 0] - whites.black[0], 0).mean()) / seconds[0]
     if white <= 0 or camera.response_gamma != 1:
         return None
-    changes = []
-    for samples in (Samples(blacks, blacks.mean(axis=0)), whites):
-        room, deviation = _room(samples, camera)
-        change = float(np.ptp(room)) if len(room) else 0.0
-        if change > SIGNIFICANCE * np.sqrt(2) * deviation:
-            changes.append(change / white)
-    fault = room_fault(
-        max(changes, default=0.0), f"in {len(blacks) + len(whites.counts)} black and white pictures"
-    )
+    change, *_ = black_change(blacks, seconds, SATURATION_FRACTION * camera.white_level)
+    room, deviation = _room(whites, camera)
+    change_of_whites = float(np.ptp(room)) if len(room) else 0.0
+    if change_of_whites > SIGNIFICANCE * np.sqrt(2) * deviation:
+        change = max(change, change_of_whites)
+    count = len(blacks) + len(whites.counts)
+    fault = room_fault(change / white, f"in {count} black and white pictures")
     return fault if fault.exceeds(NOTED) else None
 
 
@@ -210,8 +210,6 @@ def _room(samples: Samples, camera: CameraModel) -> tuple[Double, float]:
     weights = np.where(usable, 1 / CountNoise.of(camera).variance(mean), 0).ravel()
     times = np.broadcast_to(np.asarray(camera.exposures)[:, None], mean.shape)
     terms = np.stack([mean.ravel(), times.ravel()])
-    if mean.max() < 1e-6:  # black pictures: g says nothing
-        terms = terms[1:]
     normal = (terms * weights) @ terms.T
     scale = np.sqrt(normal.diagonal())
     if not scale.all() or np.linalg.cond(normal / np.outer(scale, scale)) > _MOST_ALIKE:
