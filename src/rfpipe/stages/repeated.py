@@ -42,7 +42,7 @@ _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not j
 _MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are separable
 _DARKER = 0.8  # light of a longer exposure over a shorter one's, where frames are late
 _MEDIAN = 0.6745  # of the absolute value of a normal variable of deviation 1
-_SCATTERS = 3.0  # standard errors from which on a scatter is more than noise
+_SCATTERS = SIGNIFICANCE / 2  # of a standard deviation: about half of the range of few values
 
 
 class Samples(NamedTuple):

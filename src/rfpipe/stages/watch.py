@@ -12,7 +12,7 @@ y      later   (N, C)  another look
 f      white   (N, C)  the floodlit picture
 g      gain    (C,)    brightness of the lamp
 a, b   room    (C,)    light of the room: even, or as the scene reflects it
-d      rest    (N, C)  change beyond noise; half a pixel of motion changes every ray by half
+d      rest    ()      norm of the residual beyond noise, over w's: 1 for half a pixel
 ====== ======= ======= =========================================================================
 """
 
