@@ -14,15 +14,15 @@ from rfpipe.errors import CaptureError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.rigs.offline import offline_rig
 from rfpipe.scenes import MatrixScene, scene_from_config
-from rfpipe.stages.remedies import REMEDIES, Fault, Kind, kind_of
+from rfpipe.stages.remedies import REMEDIES, FloodlitFault, Kind, kind_of
 
 SHAPE = (4, 5)
 CAMERA = CameraModel()  # takes radiance up to 2
 BENCH = {"kind": "devices", "projector": {}, "camera": {}}
 
 FAULTS = {  # radiance under floodlight: share that is named, word of the fault
-    Fault.BRIGHT: (5.0, "saturated"),
-    Fault.DARK: (1e-9, "all black"),
+    FloodlitFault.BRIGHT: (5.0, "saturated"),
+    FloodlitFault.DARK: (1e-9, "all black"),
 }
 MEANS = {  # kind of rig: words of its remedies, and words of other remedies
     Kind.MATRIX: (("brightest", "camera to null"), ("aperture", "projector")),
@@ -45,7 +45,7 @@ def simulated(kind: Kind, radiance: float) -> Any:
 @pytest.mark.parametrize("kind", MEANS)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_simulated_rig_is_changed_by_its_settings(
-    tmp_path: Path, fault: Fault, kind: Kind
+    tmp_path: Path, fault: FloodlitFault, kind: Kind
 ) -> None:
     radiance, word = FAULTS[fault]
     acquisition = Acquisition(tmp_path, simulated(kind, radiance))
@@ -72,7 +72,7 @@ def test_the_largest_radiance_of_the_camera_is_named() -> None:
 
 
 def test_each_kind_of_rig_has_a_remedy_of_each_fault() -> None:
-    for fault in Fault:
+    for fault in FloodlitFault:
         assert set(REMEDIES[fault]) == set(Kind)
     offline = offline_rig(OfflineConfig(), CameraConfig(), SHAPE, SHAPE, 1)
     described = {
@@ -81,5 +81,5 @@ def test_each_kind_of_rig_has_a_remedy_of_each_fault() -> None:
         **{kind: simulated(kind, 1.0).describe() for kind in MEANS},
     }
     assert {kind_of(rig): kind for kind, rig in described.items()} == {kind: kind for kind in Kind}
-    assert "aperture" in REMEDIES[Fault.BRIGHT][Kind.DEVICES]
-    assert "again" in REMEDIES[Fault.BRIGHT][Kind.OFFLINE]
+    assert "aperture" in REMEDIES[FloodlitFault.BRIGHT][Kind.DEVICES]
+    assert "again" in REMEDIES[FloodlitFault.BRIGHT][Kind.OFFLINE]

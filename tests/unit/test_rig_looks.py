@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from rfpipe.photometry import CameraModel
+from rfpipe.rigs.diagnosis import faults_of
+from rfpipe.rigs.faults import CALIBRATION, Fault, is_whole_period, whole_periods
 from rfpipe.rigs.looks import BLACK, COMPLEMENT, PATTERN, Look, References, fit_of, thinned
-from rfpipe.rigs.steadiness import Fault, faults_of, is_whole_period, whole_periods
 
 CAMERA = CameraModel(exposures=(1 / 64, 1 / 8, 1 / 4))
 SHAPE = (40, 40)
-LIMIT = 0.01
 SERIES = (BLACK, BLACK, PATTERN, PATTERN, COMPLEMENT, COMPLEMENT) * 2
 WITNESS = (PATTERN, BLACK, COMPLEMENT, PATTERN)
 
@@ -79,8 +79,8 @@ def drift(number: int, random: np.random.Generator, exposures: np.ndarray) -> fl
     return 1 - 0.003 * number
 
 
-def found(taken: list[Look], camera: CameraModel = CAMERA, limit: float = LIMIT) -> list[Fault]:
-    return faults_of(taken, References.of(taken, camera), limit)
+def found(taken: list[Look], camera: CameraModel = CAMERA) -> list[Fault]:
+    return faults_of(taken, References.of(taken, camera), CALIBRATION)
 
 
 FAULTS: dict[str, tuple[dict, str, str]] = {
@@ -122,7 +122,7 @@ def test_a_steady_rig_has_no_fault(camera: CameraModel, seed: int) -> None:
 def test_motion_between_two_series(pixels: int, is_moved: bool) -> None:
     references = References.of(looks(), CAMERA)
     later = looks(WITNESS, first=20, series=1, move=lambda _: pixels)
-    kinds = [fault.kind for fault in faults_of(later, references, LIMIT)]
+    kinds = [fault.kind for fault in faults_of(later, references, CALIBRATION)]
     assert kinds == ["moved"] * is_moved
 
 
@@ -133,13 +133,13 @@ def test_a_fault_after_a_clean_series_is_named(name: str, seed: int) -> None:
     references = References.of(looks(seed=seed), CAMERA)
     before = looks(WITNESS, first=20, series=1, seed=seed)
     after = looks(WITNESS, first=40, series=2, seed=seed, **how)
-    assert faults_of([*before, *after], references, LIMIT)[0].kind == kind
+    assert faults_of([*before, *after], references, CALIBRATION)[0].kind == kind
 
 
 def test_looks_without_light_show_no_fault() -> None:
     references = References.of(looks(), CAMERA)
     capped = looks(WITNESS, first=20, gain=lambda *_: 0.0)
-    assert faults_of(capped, references, LIMIT) == []
+    assert faults_of(capped, references, CALIBRATION) == []
     dark = looks(gain=lambda *_: 0.0)
     assert not References.of(dark, CAMERA).has_light
     assert found(dark) == []

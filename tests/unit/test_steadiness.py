@@ -12,10 +12,10 @@ import pytest
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import stale
+from rfpipe.rigs.faults import CAPTURE
 from rfpipe.rigs.stale import StaleWatch
 from rfpipe.stages.placement import placement_of
-from rfpipe.stages.steadiness import (
-    HARMFUL,
+from rfpipe.stages.repeated import (
     Samples,
     faults_of_references,
     sample,
@@ -89,9 +89,16 @@ def test_the_references_show_what_changes(name: str, dimmer: int) -> None:
     assert [fault.kind for fault in found] == expected, found
     if name == "gain":
         assert found[0].size == pytest.approx(0.1, rel=0.4)
-        assert found[0].is_harmful
+        assert found[0].exceeds(CAPTURE)
     if name == "gain, worth a word":
-        assert not found[0].is_harmful
+        assert not found[0].exceeds(CAPTURE)
+
+
+@pytest.mark.parametrize("columns", [200, 202, 204])
+@pytest.mark.parametrize("rows", [200, 400, 1000])
+def test_samples_hold_every_colour_of_a_mosaic(rows: int, columns: int) -> None:
+    colours = np.tile([[0, 1], [2, 3]], (rows // 2, columns // 2))
+    assert np.unique(sample(colours[None])).tolist() == [0, 1, 2, 3]
 
 
 def test_a_queue_of_old_frames_is_named() -> None:
@@ -119,7 +126,7 @@ def test_few_pictures_are_judged_as_they_are() -> None:
     unsteady = Samples(brackets(jitter(0.1), 4, TEXTURE), np.full((4, 1), 64.0))
     found = scatter_of(unsteady, CAMERA)
     assert found is not None
-    assert found.size > HARMFUL
+    assert found.exceeds(CAPTURE)
     one = Samples(brackets(jitter(0.1), 1, TEXTURE), np.full((4, 1), 64.0))
     assert scatter_of(one, CAMERA) is None
 

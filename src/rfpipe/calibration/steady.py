@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from rfpipe.calibration.bench import Bench, camera_model
 from rfpipe.calibration.verdicts import Findings, Standing, Verdict
 from rfpipe.provenance import generator
+from rfpipe.rigs.diagnosis import faults_of
+from rfpipe.rigs.faults import CALIBRATION, Fault
 from rfpipe.rigs.looks import (
     BLACK,
     COMPLEMENT,
@@ -23,13 +25,9 @@ from rfpipe.rigs.looks import (
     saturated_from,
     thinned,
 )
-from rfpipe.rigs.steadiness import Fault, faults_of
 
 _SERIES = (BLACK, BLACK, PATTERN, PATTERN, COMPLEMENT, COMPLEMENT) * 2
 """Each picture twice: the second is right where frames are late."""
-
-LIMIT = 0.01
-"""Relative change of the light that steps bear."""
 
 _WITNESS = (PATTERN, BLACK, COMPLEMENT, PATTERN)
 """Before and after each step."""
@@ -57,7 +55,7 @@ def probe(bench: Bench, wait: float = 0) -> tuple[list[Look], References, list[F
     """Take a series of looks; return it, its references and the faults that it shows."""
     looks = take_looks(bench, _SERIES, 0, wait)
     references = References.of(looks, camera_model(bench.camera))
-    return looks, references, faults_of(looks, references, LIMIT)
+    return looks, references, faults_of(looks, references, CALIBRATION)
 
 
 def measure_steadiness(bench: Bench) -> Findings:
@@ -74,7 +72,7 @@ def measure_steadiness(bench: Bench) -> Findings:
         nothing = {"references": np.empty(0), "gain": np.empty((0, len(references.exposures)))}
         return Findings.of("steadiness", {"is_seen": 0}, nothing)
     gains = gains_of(looks, references)
-    common, _ = common_gain(gains, LIMIT)
+    common, _ = common_gain(gains, CALIBRATION.light)
     facts = {
         "is_seen": 1,
         "looks": len(looks),
@@ -93,8 +91,8 @@ def with_faults(findings: Findings, faults: Sequence[Fault]) -> Findings:
     if not faults:
         return findings
     standing: Standing = "failed" if findings.verdict.standing == "failed" else "poor"
-    text = ". ".join(fault.text for fault in faults)
-    return replace(findings, verdict=Verdict(standing, f"{text}."))
+    text = " ".join(fault.sentence for fault in faults)
+    return replace(findings, verdict=Verdict(standing, text))
 
 
 def references_of(bench: Bench) -> References | None:
@@ -121,11 +119,11 @@ def witnessed(bench: Bench, measure: Callable[[Bench], Findings]) -> Findings:
     before = take_looks(bench, _WITNESS, 1)
     findings = measure(bench)
     after = take_looks(bench, _WITNESS, 2)
-    faults = faults_of([*before, *after], references, LIMIT)
-    drift = [fault.text for fault in faults if fault.kind == "drift"]
+    faults = faults_of([*before, *after], references, CALIBRATION)
+    drift = [fault.sentence for fault in faults if fault.kind == "drift"]
     findings = with_faults(findings, [fault for fault in faults if fault.kind != "drift"])
     if not drift:
         return findings
     standing, text = findings.verdict
-    verdict = Verdict(standing, " ".join([text, f"{drift[0]}."]))
+    verdict = Verdict(standing, " ".join([text, drift[0]]))
     return replace(findings, verdict=verdict)

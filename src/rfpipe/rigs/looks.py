@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.flicker import exposure_ratios
 from rfpipe.units import SATURATION_FRACTION
 
 Double = NDArray[np.float64]
@@ -162,8 +163,8 @@ class Series(NamedTuple):
     gain, error : ndarray of float64, shape (K, E)
         Relative to a reference, and its standard error; NaN where an exposure is unknown.
     ratio, ratio_error : ndarray of float64, shape (M, E - 1)
-        Light in each exposure over that in the next shorter one, see `exposure_ratios`, of these
-        or of other lit pictures.
+        Light in each exposure over that in the next shorter one, of these or of other lit
+        pictures; see `rfpipe.rigs.flicker`.
     series, seconds : ndarray, shape (K,)
         Series and time of each look.
     """
@@ -181,10 +182,10 @@ def saturated_from(sensor: CameraModel) -> float:
     return SATURATION_FRACTION * sensor.white_level
 
 
-def thinned(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Return at most `MOST_PIXELS` photosites of each frame of a bracket (E, ...), (E, n)."""
+def thinned(frames: NDArray[Any], most: int = MOST_PIXELS) -> NDArray[np.float32]:
+    """Return at most `most` photosites of each frame of a bracket (E, ...), (E, n)."""
     flat = frames.reshape(len(frames), -1)
-    step = -(-flat.shape[1] // MOST_PIXELS) | 1  # odd: photosites of every colour of a mosaic
+    step = -(-flat.shape[1] // most) | 1  # odd: photosites of every colour of a mosaic
     return np.asarray(flat[:, ::step], np.float32)
 
 
@@ -211,32 +212,9 @@ def ratios_of(
     brackets: Sequence[NDArray[np.float32]], references: References
 ) -> tuple[Double, Double]:
     """Return the `exposure_ratios` of brackets (E, n), (K, E - 1), and their errors."""
-    ratios = np.array([exposure_ratios(frames, references) for frames in brackets])
+    known = references.frames[BLACK], references.exposures, references.saturated
+    ratios = np.array([exposure_ratios(frames, *known) for frames in brackets])
     return ratios[:, 0], ratios[:, 1]
-
-
-def exposure_ratios(frames: NDArray[np.float32], references: References) -> Double:
-    """Return the light in each exposure over that in the next shorter one, and its error.
-
-    Light is counts a second above black, of the pixels that the longer exposure does not saturate.
-    It needs no reference picture, and is 1 of a steady lamp and a linear camera, whatever the gain.
-
-    Returns
-    -------
-    ndarray of float64, shape (2, E - 1)
-        NaN where too few pixels are known.
-    """
-    seconds = np.array(references.exposures)[:, None]
-    rate = (frames - references.frames[BLACK]) / seconds
-    ratios = np.full((2, len(seconds) - 1), np.nan)
-    for index in range(len(seconds) - 1):
-        usable = frames[index + 1] < _HEADROOM * references.saturated
-        light = rate[index, usable].mean() if usable.sum() >= _LEAST_PIXELS else 0.0
-        if light > 0:
-            change = (rate[index + 1] - rate[index])[usable]
-            ratios[0, index] = 1 + change.mean() / light
-            ratios[1, index] = change.std() / np.sqrt(change.size) / light
-    return ratios
 
 
 def fit_of(look: Look, references: References) -> Fit:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.diagnosis import light_fault, motion, room_change
+from rfpipe.rigs.faults import OFFLINE, SIGNIFICANCE, Fault, ends_fault, room_fault
 from rfpipe.rigs.looks import (
     BLACK,
     COMPLEMENT,
@@ -26,27 +28,13 @@ from rfpipe.rigs.looks import (
     saturated_from,
     series_of,
 )
+from rfpipe.rigs.noise import CountNoise
 from rfpipe.rigs.offline import Shown
-from rfpipe.rigs.steadiness import (
-    ROOM,
-    SIGNIFICANCE,
-    Fault,
-    ends_fault,
-    light_fault,
-    motion,
-    room_change,
-    room_fault,
-)
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY
 
 Double = NDArray[np.float64]
 
-LIMIT = 0.03
-"""Relative change of the light between pictures that is accepted: shutters and lenses repeat their
-exposure within 1 to 2 %."""
-
 _PICTURES = {BLACK_LEVEL_KEY: BLACK, FLOODLIT_KEY: WHITE}
-_UNSURE = 2.0  # factor on the noise that the settings say: it may not be measured
 
 
 def light_faults(
@@ -70,8 +58,8 @@ def light_faults(
     references = _references(looks, sensor)
     if not references.has_light:
         return []
-    room = room_change(looks, references, LIMIT) or _room_at_end(looks[-1], references)
-    faults = [room, motion(looks[2:], references)]
+    room = room_change(looks, references, OFFLINE.room) or _room_at_end(looks[-1], references)
+    faults = [room, motion(looks[2:], references, OFFLINE.moved)]
     if faults[1] is None:
         lit = [
             _linear(bracket, sensor)
@@ -80,7 +68,7 @@ def light_faults(
         ]
         ratio, ratio_error = ratios_of(lit, references)
         series = _series(looks, references)._replace(ratio=ratio, ratio_error=ratio_error)
-        fault = light_fault(series, references.exposures, LIMIT, references.unit)
+        fault = light_fault(series, references.exposures, OFFLINE.light, references.unit)
         # the change between two pictures has either cause
         is_unknown = len(series.gain) == 2 and fault is not None and fault.kind != "flicker"
         faults.append(ends_fault(_last_change(series)) if is_unknown else fault)
@@ -96,9 +84,9 @@ def _room_at_end(last: Look, references: References) -> Fault | None:
         return None
     best = int(np.nanargmin(error))
     change = float(abs(relative[best]))
-    if change < max(ROOM * LIMIT, SIGNIFICANCE * error[best]):
+    if change < max(OFFLINE.room, SIGNIFICANCE * error[best]):
         return None
-    return room_fault(change, f"{last.seconds:.2g} {references.unit}")
+    return room_fault(change, f"in {last.seconds:.2g} {references.unit}")
 
 
 def _last_change(series: Series) -> float:
@@ -132,12 +120,11 @@ def _references(looks: Sequence[Look], sensor: CameraModel) -> References:
         [np.mean(black or [nominal], axis=0), looks[0].frames, looks[1].frames]
     ).astype(np.float64)
     light = np.maximum(frames[1:] - frames[0], 0).sum(axis=0)
-    electrons = sensor.electrons_per_count
-    variance = (sensor.read_noise_electrons / electrons) ** 2 + light / electrons + 1 / 12
+    variance = CountNoise.of(sensor).variance(light)
     square = np.square(light).mean(axis=1)
     noise = np.full(len(square), np.inf)
     np.divide(variance.mean(axis=1), square, out=noise, where=square > 0)
-    noise = _UNSURE * np.sqrt(noise)
+    noise = np.sqrt(noise)
     return References(
         frames, np.where(noise < 0.5, noise, np.inf), tuple(sensor.exposures),
         saturated_from(sensor), 0.0, "pictures",

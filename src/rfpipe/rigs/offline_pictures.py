@@ -17,10 +17,10 @@ from rfpipe.pictures import Header, check_mosaic, picture_files, read_header, re
 from rfpipe.pictures.order import are_late, correlation, misplaced
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
+from rfpipe.rigs.faults import late_fault, moved_fault
 from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.offline import OfflineRig, Sheet
 from rfpipe.rigs.offline_light import light_faults
-from rfpipe.rigs.steadiness import late_fault, moved_fault
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION
 
 Picture = tuple[Header, Path]

@@ -15,7 +15,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,15 +22,16 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, SIGNIFICANCE, WHOLE_PERIODS, late_fault
+from rfpipe.rigs.late import is_out_of_order
+from rfpipe.rigs.looks import thinned
+from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 
 Float = NDArray[np.float32]
 
 RETAKE_SECONDS = 0.5
 """Wait before a doubtful bracket is taken again: longer than any display is late."""
-
-SIGNIFICANCE = 6.0
-"""Deviations of noise beyond which a pixel differs."""
 
 FLICKER = 0.05
 """Share of the light by which it may differ beside: lamps flicker."""
@@ -42,21 +42,15 @@ ASTRAY = 0.02
 CONTRADICTION = 0.25
 """The same for exposures that contradict each other: cameras are not quite linear."""
 
-UNSURE = 4.0
-"""Factor on the variance that the settings say: it may not be measured yet."""
-
 BRIGHTER = 3.0
 """Factor by which gain or a flickering lamp changes a frame at most."""
 
-_STALE = (
-    "the frames are of the picture before, in part at least; taken again. Empty the camera's queue "
-    "before each picture, or raise the projector's settle_seconds: `rfpipe calibrate` measures its "
-    "delay (step latency)"
-)
+_MOST_PIXELS = 2**20
+_STALE = f"taken again: {late_fault(1.0, 'in part at least').text}"
 _UNSTEADY = (
     "exposures of one picture contradict each other, and differ when they are taken again: the "
-    "lamp flickers, or gain changes from picture to picture. Take exposures of whole periods of "
-    "the lamp, and switch automatic gain off"
+    f"lamp flickers, or {GAIN_CHANGES}. First {AUTOMATIC_OFF}; if that changes nothing, "
+    f"{WHOLE_PERIODS}"
 )
 
 _log = logging.getLogger(__name__)
@@ -93,12 +87,12 @@ class Light:
     def is_promised(
         self, frame: Float, before: Float, shorter: Light, ratio: float, share: float = ASTRAY
     ) -> bool:
-        """Tell whether a frame is `ratio` times that of a shorter exposure, up to saturation."""
+        """Test whether a frame is `ratio` times that of a shorter exposure, up to saturation."""
         promised = self.black + np.float32(ratio) * (before - shorter.black)
         promised[before >= shorter.saturated] = self.saturated
         promised, frame = (np.minimum(one, self.saturated) for one in (promised, frame))
         variance = self.variance(frame) + np.float32(ratio**2) * shorter.variance(before)
-        # what is saturated says nothing, and must not make room for the rest
+        # saturated pixels have no expected light, which would allow other pixels to differ
         light = np.where(promised < self.saturated, np.maximum(promised - self.black, 0), 0)
         total = float(light.sum(dtype=np.float64))
         return is_little(frame - promised, variance, light, total, share)
@@ -107,7 +101,7 @@ class Light:
 def is_little(
     off: Float, variance: Float, light: Float, total: float, share: float = ASTRAY
 ) -> bool:
-    """Tell whether a difference of frames is little beside their noise and light.
+    """Test whether a difference of frames is little beside their noise and light.
 
     Parameters
     ----------
@@ -136,7 +130,7 @@ class StaleWatch:
         self._lights: list[Light] = []
         self._exposures = sensor.exposures
         if isinstance(sensor, CameraModel) and sensor.response_gamma == 1:
-            self._lights = [_light(sensor, exposure) for exposure in sensor.exposures]
+            self._lights = _lights_of(sensor)
         self._last: deque[tuple[Float, Float]] = deque(maxlen=4)
         self._pause = 1
         self._skipped = 0
@@ -147,22 +141,24 @@ class StaleWatch:
         frames = take()
         if not self._lights:
             return frames
+        sample = thinned(frames, _MOST_PIXELS)
         if self._skipped:
             self._skipped -= 1
-        elif self._is_doubtful(_some(frames), picture):
+        elif self._is_doubtful(sample, picture):
             time.sleep(RETAKE_SECONDS)
-            again = take()
+            repeated = take()
+            sample_of_repeated = thinned(repeated, _MOST_PIXELS)
             self.statistics["doubted"] += 1
-            is_steady = self._are_alike(_some(frames), _some(again))
-            if is_steady or self._differ_in_brightness(_some(frames), _some(again)):
-                # an unfounded doubt: so many patterns go by unwatched, twice as many the next time
+            is_steady = self._are_alike(sample, sample_of_repeated)
+            if is_steady or self._differ_in_brightness(sample, sample_of_repeated):
+                # an unfounded doubt: pause the watch, twice as long the next time
                 self._skipped, self._pause = self._pause, min(2 * self._pause, 64)
                 if not is_steady:
                     self._count("unsteady", name, _UNSTEADY)
             else:
                 self._count("stale", name, _STALE)
-                self._pause, frames = 1, again
-        self._last.append((picture.copy(), _some(frames)))
+                self._pause, frames, sample = 1, repeated, sample_of_repeated
+        self._last.append((picture.copy(), sample.copy()))
         return frames
 
     def _count(self, kind: str, name: str, text: str) -> None:
@@ -173,7 +169,7 @@ class StaleWatch:
             _log.warning("%s: %s", name, text if count == 1 else f"{text} ({count} times so far)")
 
     def _is_doubtful(self, bracket: Float, picture: Float) -> bool:
-        """Tell whether a bracket may be, in part or wholly, of the picture before."""
+        """Test whether a bracket may be, in part or wholly, of the picture before."""
         return any(self._contradicts(bracket, number) for number in range(1, len(bracket))) or any(
             self._are_alike(bracket, previous)
             for shown, previous in self._last
@@ -205,7 +201,7 @@ class StaleWatch:
     def _is_out_of_order(self, bracket: Float) -> bool:
         """Test whether a longer exposure is much darker, as no lamp makes it."""
         sums = [light.sum(frame) for light, frame in zip(self._lights, bracket, strict=True)]
-        return any(longer < shorter / BRIGHTER for shorter, longer in pairwise(sums))
+        return is_out_of_order(sums, 1 / BRIGHTER)
 
     def _are_alike(self, bracket: Float, other: Float) -> bool:
         return all(
@@ -219,19 +215,14 @@ class StaleWatch:
         )
 
 
-def _light(camera: CameraModel, exposure: float) -> Light:
-    """Return black and noise of one exposure by the camera's numbers."""
-    electrons = camera.electrons_per_count
-    glow = camera.dark_current_electrons * exposure
-    return Light(
-        np.asarray(camera.black_level_counts + glow / electrons, np.float32),
-        UNSURE * ((camera.read_noise_electrons**2 + glow) / electrons**2 + 1 / 12),
-        UNSURE / electrons,
-        SATURATION_FRACTION * camera.white_level,
-    )
-
-
-def _some(frames: NDArray[Any]) -> Float:
-    """Return at most a million pixels of each frame, (E, n)."""
-    flat = frames.reshape(len(frames), -1)
-    return flat[:, :: -(-flat.shape[1] // 2**20)].astype(np.float32)
+def _lights_of(camera: CameraModel) -> list[Light]:
+    """Return black and noise of each exposure by the camera's numbers."""
+    noise, saturated = CountNoise.of(camera), SATURATION_FRACTION * camera.white_level
+    glow = camera.dark_current_electrons * np.asarray(camera.exposures) / camera.electrons_per_count
+    return [
+        Light(
+            np.asarray(camera.black_level_counts + counts, np.float32),
+            float(variance), noise.per_count, saturated,
+        )
+        for counts, variance in zip(glow, noise.fixed, strict=True)
+    ]  # fmt: skip

@@ -19,14 +19,15 @@ from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated, sequence_patterns
+from rfpipe.rigs.faults import CAPTURE
 from rfpipe.stages.against_calibration import check
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
 from rfpipe.stages.jobs.job import Progress
 from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.repeated import camera_of, faults_of_references, sample
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.stages.steadiness import camera_of, faults_of_references, sample
 from rfpipe.stages.watch import watching_level, ways_on
 from rfpipe.steps import counted_by
 from rfpipe.store import bytes_on_disk
@@ -267,7 +268,7 @@ def _check_references(
         count = frames.shape[0]
         samples = np.stack([sample(frames.read(n, n + 1)[0], count) for n in range(count)])
     for fault in faults_of_references(samples[:off], samples[off:], camera):
-        if mode == "refuse" and fault.is_harmful:
+        if mode == "refuse" and fault.exceeds(CAPTURE):
             raise CaptureError(
                 f"black and white pictures show that {fault.text}. The capture ends here; "
                 f"{ways_on(folder, 0, shown['rig'].get('kind', ''))}"

@@ -1,7 +1,18 @@
 """Brightness of the lamp while an acquisition's first brackets are taken.
 
-These are white brackets, random patterns, and level 0's picture, which most methods have taken
-under white light, too. Looks at the rig begin with that picture: brightness is relative to it.
+    g[k] = L[k] / L[0],    L[k] = sum of bracket k's radiance over the known pixels
+
+====== ============= ====== ====================================================================
+symbol code          shape  meaning
+====== ============= ====== ====================================================================
+L      total         (C,)   light of a white bracket
+L[0]   reference     (C,)   light of level 0's picture, with which looks at the rig begin
+g      whites        (C,)   brightness of the white brackets, on average
+g      randoms       (n, C) brightness at each random pattern, between them and level 0
+====== ============= ====== ====================================================================
+
+Most methods have level 0's picture taken under white light, too; otherwise the last white brackets
+are the reference.
 """
 
 from __future__ import annotations
@@ -14,10 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
+from rfpipe.rigs.faults import SIGNIFICANCE
 from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merger import Merger
+from rfpipe.stages.repeated import smooth_changes
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.stages.steadiness import SIGNIFICANCE, smooth_changes
 
 Double = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from rfpipe.stages.merger import (
     runs,
     write_references,
 )
-from rfpipe.stages.steadiness import camera_of
+from rfpipe.stages.repeated import camera_of
 from rfpipe.stages.watch import MOVES, measure_looks
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE_UNIT

@@ -24,7 +24,7 @@ from rfpipe.photometry.defects import (
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
-from rfpipe.stages.remedies import REMEDIES, Fault, Kind, kind_of
+from rfpipe.stages.remedies import REMEDIES, FloodlitFault, Kind, kind_of
 from rfpipe.units import RADIANCE
 
 REFERENCES = "merged_reference"
@@ -173,7 +173,7 @@ class Merger:
         _check_saturation(total.saturated / (count * first[0, 0].size), sensor, kind)
         if is_camera:
             known = np.isfinite(total.variance)
-            remedy = REMEDIES[Fault.DARK][kind]
+            remedy = REMEDIES[FloodlitFault.DARK][kind]
             check_floodlit(total.radiance[known], total.variance[known], remedy)
         return replace(
             merger,
@@ -235,7 +235,7 @@ def _check_saturation(share: float, sensor: Sensor, kind: Kind) -> None:
         raise CaptureError(
             f"{share:.1%} of the floodlit image is saturated even at the shortest exposure, "
             f"{sensor.exposures[0]:.3g} s{full}: its light would come out too dark. "
-            f"{REMEDIES[Fault.BRIGHT][kind]}"
+            f"{REMEDIES[FloodlitFault.BRIGHT][kind]}"
         )
     if share:
         text = "%.2g%% of the floodlit image is saturated at the shortest exposure, and clipped"

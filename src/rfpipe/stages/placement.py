@@ -1,4 +1,19 @@
-"""Place of pictures on the rays of a coaxial rig: mirrored, shifted, or as the patterns are."""
+"""Place of pictures on the rays of a coaxial rig: mirrored, shifted, or as the patterns are.
+
+Resemblance of random patterns s, displaced by D, to the pictures y of them:
+
+    c(D) = <D s, r> / (|s| |r|),    r = 2 y - f
+
+====== =========== ========= ============================================================
+symbol code        shape     meaning
+====== =========== ========= ============================================================
+s      signs       (n, H, W) 1 where a pattern is lit, else -1
+y      pictures    (n, H, W) radiance under the patterns
+f      floodlit    (H, W)    radiance under white
+r      response    (n, H, W) radiance under s
+c      resemblance ()        largest for the displacement D of the pictures
+====== =========== ========= ============================================================
+"""
 
 from __future__ import annotations
 

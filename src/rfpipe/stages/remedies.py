@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 
-class Fault(StrEnum):
+class FloodlitFault(StrEnum):
     """A fault of the floodlit image."""
 
     BRIGHT = "bright"
@@ -26,8 +26,8 @@ class Kind(StrEnum):
 
 _EXACT = "or set camera to null, for exact radiance"
 
-REMEDIES: dict[Fault, dict[Kind, str]] = {
-    Fault.BRIGHT: {
+REMEDIES: dict[FloodlitFault, dict[Kind, str]] = {
+    FloodlitFault.BRIGHT: {
         Kind.DEVICES: "Add a shorter exposure, close the aperture, or dim the projector",
         Kind.OFFLINE: "Add a shorter exposure to camera.exposures, close the aperture, or dim the "
         "projector, and take the pictures again",
@@ -38,7 +38,7 @@ REMEDIES: dict[Fault, dict[Kind, str]] = {
         Kind.PYTHON: "Scale the matrix down, give the camera a shorter exposure, or take exact "
         "radiance (noise=None)",
     },
-    Fault.DARK: {
+    FloodlitFault.DARK: {
         Kind.DEVICES: "Check that the projector is on, that the camera sees what it lights, and "
         "that the exposures are long enough",
         Kind.OFFLINE: "Check that the projector was on, that the camera saw what it lit, and that "

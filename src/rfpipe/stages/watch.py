@@ -1,7 +1,19 @@
 """Watch over a capture: a fine random pattern, repeated between the patterns of a level.
 
-Its pictures measure the brightness of the lamp, and show whether gain or room light changed or the
-rig moved: half a pixel changes every ray of it by half.
+A look y at the pattern is compared with the first look w, over C channels:
+
+    y = g w + a + b f + d
+
+====== ======= ======= =========================================================================
+symbol code    shape   meaning
+====== ======= ======= =========================================================================
+w      known   (N, C)  the first look, over N rays
+y      later   (N, C)  another look
+f      white   (N, C)  the floodlit picture
+g      gain    (C,)    brightness of the lamp
+a, b   room    (C,)    light of the room: even, or as the scene reflects it
+d      rest    ()      norm of the residual beyond noise, over w's: 1 for half a pixel
+====== ======= ======= =========================================================================
 """
 
 from __future__ import annotations
@@ -19,17 +31,23 @@ from numpy.typing import NDArray
 from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry.sensor import Merged
+from rfpipe.rigs.faults import (
+    AUTOMATIC_OFF,
+    CAPTURE,
+    GAIN_CHANGES,
+    NOTED,
+    RIG_MOVED,
+    SIGNIFICANCE,
+    Fault,
+    moved_fault,
+    room_fault,
+)
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger
-from rfpipe.stages.steadiness import (
-    HARMFUL_ROOM,
-    SIGNIFICANCE,
-    WORTH_A_WORD,
-    LightFault,
+from rfpipe.stages.repeated import (
     Samples,
     camera_of,
-    room_fault,
     sample,
     scatter_of,
     smooth_changes,
@@ -40,9 +58,6 @@ from rfpipe.units import LOOK_KEY
 MOVES = "moves"
 """The repeated random pattern of a level: its store and its key in manifests."""
 
-# A change of the picture, relative to its norm, that is worth a word: half a pixel makes fifty
-# times as much, and a lamp that changes here and there a tenth.
-_MOVED = 0.02
 # What the noise itself is known to, as a share of its square.
 _NOISE_KNOWN = 0.1
 # Rays from which on room light and brightness are separable.
@@ -91,14 +106,7 @@ class Change(NamedTuple):
 def change(merger: Merger, known: Merged, bracket: NDArray[Any]) -> Change:
     """Compare a bracket (1, E, ...) with a merged picture (1, *camera_shape, C).
 
-    Notes
-    -----
-    With the picture w, the floodlit picture f and the bracket's picture y,
-
-        y = g w + a + b f,
-
-    where g is the brightness of the lamp, and a and b are light of the room: even, or as the scene
-    reflects it. Both are 0 unless they explain what g leaves.
+    The light of the room, a and b, is 0 unless it explains the residual of g alone.
     """
     later = merger.merge(bracket, 0)
     both = np.isfinite(known.variance[0]) & np.isfinite(later.variance[0])
@@ -203,7 +211,7 @@ def measure_looks(
         "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
         "change": _rounded(look.rest for look in looks),
         "room": _rounded(look.room for look in looks),
-        "moved": max(look.rest for look in looks) > _MOVED,
+        "moved": max(look.rest for look in looks) > CAPTURE.moved,
         "steady": is_steady, "divided_out": divide_out and is_steady,
     }  # fmt: skip
     _log_brightness(level, gain, deviation, facts, divide_out=divide_out)
@@ -216,12 +224,13 @@ def measure_looks(
 
 def alarms_of(facts: dict[str, Any]) -> list[str]:
     """Describe what the looks at a level saw, from their facts in its merge's manifest."""
-    alarms = ["the rig or the scene moved"] if facts["moved"] else []
+    alarms = [RIG_MOVED] if facts["moved"] else []
     if not facts.get("steady", True):
-        alarms.append("gain changes from picture to picture")
-    room = max((abs(change) for change in facts.get("room", [])), default=0.0)
-    if room > HARMFUL_ROOM:
-        alarms.append(f"the room's light changed by {room:.1%} of the white picture's")
+        alarms.append(GAIN_CHANGES)
+    changes = [abs(change) for change in facts.get("room", [])]
+    room = room_fault(max(changes, default=0.0), f"in {len(changes)} looks")
+    if room.exceeds(CAPTURE):
+        alarms.append(room.change)
     return alarms
 
 
@@ -259,10 +268,7 @@ def _log_brightness(
     if facts["divided_out"]:
         advice = "it is divided out"
     elif divide_out:
-        advice = (
-            "gain changes from picture to picture, so that it can't be divided out: switch "
-            "automatic gain off"
-        )
+        advice = f"{GAIN_CHANGES}, so that it can't be divided out: {AUTOMATIC_OFF}"
     else:
         advice = "merge.divide_out_drift would divide it out"
     _log.warning(
@@ -396,7 +402,9 @@ class Watcher:
     def _is_doubtful(self, shown: Change, before: Double) -> bool:
         """Test whether a look differs by more than a lamp that drifts changes it."""
         jump = np.abs(shown.gain - before) - SIGNIFICANCE * np.sqrt(2) * shown.deviation
-        return shown.rest > _MOVED or abs(shown.room) > WORTH_A_WORD or bool((jump > _JUMP).any())
+        return (
+            shown.rest > CAPTURE.moved or abs(shown.room) > NOTED.room or bool((jump > _JUMP).any())
+        )
 
     def _repeat(self, position: int, index: int, bracket: NDArray[Any], known: Merged) -> None:
         """Repeat a look that differs; log what changed, or raise CaptureError."""
@@ -406,17 +414,17 @@ class Watcher:
         if self._scatter(takes) is not None:
             takes += [self.looks.take(index, index + 1) for _ in range(_REPETITIONS)]
             unsteady = self._room_between(takes) or self._scatter(takes)
-            if unsteady is not None and unsteady.is_harmful:
+            if unsteady is not None and unsteady.exceeds(CAPTURE):
                 self._end(f"{where}: {unsteady.text}")
                 return
         first, last = (change(self.merger, known, each) for each in (takes[0], takes[-1]))
-        room = room_fault(last.room, self.of_level.count)
-        if room is not None:
-            self._end(f"{where}: {room.text}", is_harmful=room.is_harmful)
-        elif first.rest > _MOVED:
-            self._say_moved(where, first.rest, is_lasting=last.rest > _MOVED)
+        room = room_fault(abs(last.room), "since the first look")
+        if room.exceeds(NOTED):
+            self._end(f"{where}: {room.text}", is_harmful=room.exceeds(CAPTURE))
+        elif first.rest > CAPTURE.moved:
+            self._say_moved(where, first.rest, is_lasting=last.rest > CAPTURE.moved)
 
-    def _scatter(self, takes: Sequence[NDArray[Any]]) -> LightFault | None:
+    def _scatter(self, takes: Sequence[NDArray[Any]]) -> Fault | None:
         """Find what changes between looks that were taken one after another."""
         assert self.merger is not None
         camera = camera_of(self.merger.sensor)
@@ -425,7 +433,7 @@ class Watcher:
         counts = np.stack([sample(each[0]) for each in takes])
         return scatter_of(Samples(counts, sample(self.merger.black)), camera)
 
-    def _room_between(self, takes: Sequence[NDArray[Any]]) -> LightFault | None:
+    def _room_between(self, takes: Sequence[NDArray[Any]]) -> Fault | None:
         """Find light of the room that changes between looks taken one after another."""
         assert self.merger is not None
         unsteady = self._scatter(takes)
@@ -433,21 +441,19 @@ class Watcher:
             return None
         first = self.merger.merge(takes[0], 0)
         room = [change(self.merger, first, each).room for each in takes[1:]]
-        return room_fault(max(room, key=abs), len(takes))
+        fault = room_fault(max(map(abs, room)), f"in {len(takes)} pictures")
+        return fault if fault.exceeds(NOTED) else None
 
     def _say_moved(self, where: str, rest: float, *, is_lasting: bool) -> None:
         """Log that the rig or the scene moved, or raise CaptureError."""
-        text = (
-            f"{where}: the same pattern looks different by {rest:.1%} from how it looked first, "
-            "whatever the lamp does"
-        )
-        if not is_lasting:
-            _log.warning("%s, but not once more: patterns before may show what passed", text)
+        fault = moved_fault(rest)
+        if is_lasting:
+            self._end(f"{where}: {fault.text}. Pictures from before and after don't fit together")
         else:
-            self._end(
-                f"{text}: the rig or the scene moved. Pictures from before and after don't fit "
-                "together"
-            )
+            _log.warning(
+                "%s: %s; but not once more: patterns before may show what passed",
+                where, fault.change,
+            )  # fmt: skip
 
     def _end(self, text: str, *, is_harmful: bool = True) -> None:
         """Raise CaptureError for what spoils the capture if that is to end it, else log it."""

@@ -1,4 +1,4 @@
-"""Steadiness of gain, lamp and room light, from brackets of one pattern taken several times.
+"""Changes of gain, lamp and room light, from brackets of one pattern taken several times.
 
 Counts above black of bracket k, exposure e (of t_e seconds) and pixel x, where w is the mean over
 brackets:
@@ -13,14 +13,13 @@ r      room       (K,)   light of the room in counts a second, mean 0
 ====== ========== ====== =========================================================================
 
 A lamp that warms up changes g slowly, and alike in all exposures; automatic gain changes it from
-bracket to bracket; a lamp that flickers changes it most in short exposures.
+bracket to bracket; a lamp that flickers changes exposures independently, see `rfpipe.rigs.flicker`.
+Size of gain and flicker is the standard deviation of g beside a smooth change with k.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,51 +27,22 @@ from numpy.typing import NDArray
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.diagnosis import black_change
+from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, late_fault, room_fault
+from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
+from rfpipe.rigs.late import is_of_previous, is_out_of_order
+from rfpipe.rigs.looks import thinned
+from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 
 Double = NDArray[np.float64]
 
-SIGNIFICANCE = 5.0
-"""Standard deviations from which a change is more than noise."""
-
-WORTH_A_WORD, HARMFUL, HARMFUL_ROOM = 0.005, 0.02, 0.01
-"""Relative changes of light that are logged, and that spoil an acquisition: of all light, and of
-the room's relative to white pictures, beside which others are dim."""
-
 _MOST_PIXELS, _MOST_SAMPLES = 20_000, 2_000_000  # that are read of a frame, and of all frames
 _MOST_NOISE = 0.02  # of an exposure's light, relative, beyond which it is not judged
-_UNSURE = 4.0  # factor on the variance by the camera's settings, which may not be measured
 _MOST_ALIKE = 1e6  # condition number up to which projector's and room's light are separable
+_DARKER = 0.8  # light of a longer exposure over a shorter one's, where frames are late
 _MEDIAN = 0.6745  # of the absolute value of a normal variable of deviation 1
-_FLICKER_RATIO = 0.6  # of the scatter at the longest exposure to that at the shortest
-
-_EMPTY = "empty the camera's queue before each picture"
-
-Kind = Literal["late", "gain", "flicker", "unsteady", "room"]
-
-
-@dataclass(frozen=True)
-class LightFault:
-    """A change of light between pictures that should be equal.
-
-    Attributes
-    ----------
-    kind : {"late", "gain", "flicker", "unsteady", "room"}
-        "unsteady" is gain or flicker: a single exposure shows no difference.
-    size : float
-        The change relative to the picture's light.
-    text : str
-        What changes, by how much, and what to do.
-    """
-
-    kind: Kind
-    size: float
-    text: str
-
-    @property
-    def is_harmful(self) -> bool:
-        """True if it spoils an acquisition."""
-        return self.size > (HARMFUL_ROOM if self.kind == "room" else HARMFUL)
+_SCATTERS = SIGNIFICANCE / 2  # of a standard deviation: about half of the range of few values
 
 
 class Samples(NamedTuple):
@@ -97,25 +67,24 @@ def camera_of(sensor: Sensor) -> CameraModel | None:
 
 def sample(frames: NDArray[Any], brackets: int = 1) -> Double:
     """Return some pixels of each frame of a bracket, (E, ...) to (E, n), fewer of many brackets."""
-    flat = frames.reshape(len(frames), -1)
     most = min(_MOST_PIXELS, max(1, _MOST_SAMPLES // (len(frames) * brackets)))
-    return np.asarray(flat[:, :: -(-flat.shape[1] // most)], np.float64)
+    return np.asarray(thinned(frames, most), np.float64)
 
 
-def faults_of_references(blacks: Double, whites: Double, camera: CameraModel) -> list[LightFault]:
+def faults_of_references(blacks: Double, whites: Double, camera: CameraModel) -> list[Fault]:
     """Find faults in sampled brackets of the all-off and the all-on pattern, (K, E, n) each."""
     late = _late(blacks, whites)
     if late is not None:
         return [late]
     samples = Samples(whites, blacks.mean(axis=0))
     unsteady = scatter_of(samples, camera)
-    if unsteady is not None and unsteady.is_harmful:
+    if unsteady is not None and unsteady.exceeds(CAPTURE):
         return [unsteady]
     found = [unsteady, _room_of_references(blacks, samples, camera)]
     return [fault for fault in found if fault is not None]
 
 
-def scatter_of(samples: Samples, camera: CameraModel) -> LightFault | None:
+def scatter_of(samples: Samples, camera: CameraModel) -> Fault | None:
     """Find gain or a lamp that scatters from bracket to bracket; None where it is steady.
 
     Frames in the place of others make them scatter, too.
@@ -127,41 +96,20 @@ def scatter_of(samples: Samples, camera: CameraModel) -> LightFault | None:
     judged = noise < _MOST_NOISE
     if len(gains) < 2 or not judged.any():
         return None
-    times = np.asarray(camera.exposures)[judged]
-    scatter, noise = _scatter(np.log(np.maximum(gains[:, judged], 1e-6))), noise[judged]
-    beyond = np.where(scatter > 3 * noise, np.sqrt(np.maximum(scatter**2 - noise**2, 0)), 0.0)
-    worst = float(beyond.max())
-    if worst < WORTH_A_WORD:
+    logarithms = np.log(np.maximum(gains[:, judged], 1e-6))
+    scatter, noise = np.array([_scatter(one) for one in logarithms.T]), noise[judged]
+    is_noise = scatter < _SCATTERS * noise
+    worst = float(np.where(is_noise, 0, np.sqrt(np.maximum(scatter**2 - noise**2, 0))).max())
+    if worst < NOTED.light:
         return None
-    by = f"equal pictures scatter by {worst:.1%}"
-    advice = (
-        "Take exposures of whole periods of the lamp: multiples of 1/100 s (50 Hz mains) or 1/120 "
-        "s (60 Hz), or of the projector's frame time"
-    )
-    automatic = "switch automatic gain, exposure and white balance off"
-    clear = 3 * noise < 0.5 * worst
-    times, beyond = times[clear], beyond[clear]
-    if len(times) < 2:
-        text = f"gain changes from picture to picture, or the lamp flickers: {by}"
-        return LightFault("unsteady", worst, f"{text}. First {automatic}. {advice}")
-    if beyond[-1] < _FLICKER_RATIO * beyond[0]:
-        return LightFault(
-            "flicker", worst,
-            f"the lamp flickers: {by} at {times[0]:.3g} s, by {beyond[-1]:.1%} at {times[-1]:.3g} "
-            f"s. {advice}",
-        )  # fmt: skip
-    return LightFault("gain", worst, f"gain changes from picture to picture: {by}; {automatic}")
+    return gain_or_flicker(worst, _flicker(samples, camera), camera.exposures)
 
 
-def room_fault(change: float, pictures: int) -> LightFault | None:
-    """Describe a change of the room's light, relative to the white picture's light."""
-    if abs(change) < WORTH_A_WORD:
-        return None
-    return LightFault(
-        "room", abs(change),
-        f"the room's light changed by {abs(change):.1%} of the white picture's in {pictures} "
-        "pictures: black out the room, or keep its light steady",
-    )  # fmt: skip
+def _flicker(samples: Samples, camera: CameraModel) -> float | None:
+    """Scatter of the ratios of exposures; see `rfpipe.rigs.flicker.flicker_of`."""
+    known = samples.black, camera.exposures, SATURATION_FRACTION * camera.white_level
+    ratios = np.array([exposure_ratios(bracket, *known) for bracket in samples.counts])
+    return flicker_of(ratios[:, 0], ratios[:, 1], camera.exposures, _scatter, _SCATTERS)
 
 
 def smooth_changes(gains: Double, times: Double | None = None) -> bool:
@@ -181,27 +129,22 @@ def smooth_changes(gains: Double, times: Double | None = None) -> bool:
         np.median(np.abs(values), axis=0).max() / _MEDIAN
         for values in (off, np.diff(gains, axis=0) / np.sqrt(2))
     )
-    return bool(jumps < WORTH_A_WORD or jumps < 0.5 * steps)
+    return bool(jumps < NOTED.light or jumps < 0.5 * steps)
 
 
-def _late(blacks: Double, whites: Double) -> LightFault | None:
+def _late(blacks: Double, whites: Double) -> Fault | None:
     """Find a first white picture that is the black picture before it."""
-    of_black, of_white = (group.mean(axis=(1, 2)) for group in (blacks, whites))
-    span = np.median(of_white) - np.median(of_black)
-    first_is_dark = of_white[0] - np.median(of_black) < 0.5 * span
-    if len(whites) > 2 and span > 0 and first_is_dark:
-        text = f"frames are of the picture before: the first white picture is dark; {_EMPTY}"
-        return LightFault("late", 1.0, f"{text}, or raise the projector's settle_seconds")
+    if len(whites) > 2 and is_of_previous(whites[0], blacks.mean(axis=0), whites[1:].mean(axis=0)):
+        return late_fault(1.0, "the first white picture is dark")
     return None
 
 
-def _out_of_order(counts: Double, camera: CameraModel) -> LightFault | None:
+def _out_of_order(counts: Double, camera: CameraModel) -> Fault | None:
     """Find frames of the exposure before: longer ones are darker."""
     light = counts.mean(axis=(0, 2)) - camera.black_level_counts
     least = 0.01 * camera.white_level  # above the noise
-    if any(shorter > least and longer < 0.8 * shorter for shorter, longer in pairwise(light)):
-        text = f"frames are of the picture before: a longer exposure is darker; {_EMPTY}"
-        return LightFault("late", 1.0, text)
+    if is_out_of_order(light, _DARKER, least):
+        return late_fault(1.0, "a longer exposure is darker")
     return None
 
 
@@ -217,7 +160,7 @@ def _brightness(samples: Samples, camera: CameraModel) -> tuple[Double, Double]:
     mean = light.mean(axis=0)
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     centred = np.where(usable, mean - mean.sum(axis=1, keepdims=True) / count, 0)
-    variance = np.where(usable, _variance(mean, camera), 0)
+    variance = np.where(usable, CountNoise.of(camera).variance(mean), 0)
     gains, noises = [], []
     for weights in (centred, usable.astype(np.float64)):
         norm = (weights * mean).sum(axis=1)
@@ -229,38 +172,31 @@ def _brightness(samples: Samples, camera: CameraModel) -> tuple[Double, Double]:
     return gains[way], noises[way]
 
 
-def _variance(light: Double, camera: CameraModel) -> Double:
-    """Variance of counts (E, n) by the camera's settings."""
-    electrons = camera.electrons_per_count
-    glow = camera.dark_current_electrons * np.asarray(camera.exposures)[:, None]
-    fixed = (camera.read_noise_electrons**2 + glow) / electrons**2 + 1 / 12
-    return _UNSURE * (fixed + np.maximum(light, 0) / electrons)
-
-
-def _scatter(values: Double) -> Double:
-    """Standard deviation (E,) of values (K, E) beside a smooth change with k.
+def _scatter(values: Double) -> float:
+    """Standard deviation of values (K,) beside a smooth change with k.
 
     Second differences of independent values have six times their variance; their median leaves a
     single jump out.
     """
     if len(values) < 5:
-        return np.asarray(values.std(axis=0, ddof=1))
-    second = np.abs(np.diff(values, n=2, axis=0))
-    return np.asarray(np.median(second, axis=0) / (_MEDIAN * np.sqrt(6)))
+        return float(values.std(ddof=1))
+    return float(np.median(np.abs(np.diff(values, n=2))) / (_MEDIAN * np.sqrt(6)))
 
 
-def _room_of_references(blacks: Double, whites: Samples, camera: CameraModel) -> LightFault | None:
-    times = np.asarray(camera.exposures)
-    white = float(np.maximum(whites.counts[:, 0] - whites.black[0], 0).mean()) / times[0]
+def _room_of_references(blacks: Double, whites: Samples, camera: CameraModel) -> Fault | None:
+    """Find light of the room that changes among black pictures, or among white ones."""
+    seconds = camera.exposures
+    white = float(np.maximum(whites.counts[:, 0] - whites.black[0], 0).mean()) / seconds[0]
     if white <= 0 or camera.response_gamma != 1:
         return None
-    changes = []
-    for samples in (Samples(blacks, blacks.mean(axis=0)), whites):
-        room, deviation = _room(samples, camera)
-        change = float(np.ptp(room)) if len(room) else 0.0
-        if change > SIGNIFICANCE * np.sqrt(2) * deviation:
-            changes.append(change / white)
-    return room_fault(max(changes, default=0.0), len(blacks) + len(whites.counts))
+    change, *_ = black_change(blacks, seconds, SATURATION_FRACTION * camera.white_level)
+    room, deviation = _room(whites, camera)
+    change_of_whites = float(np.ptp(room)) if len(room) else 0.0
+    if change_of_whites > SIGNIFICANCE * np.sqrt(2) * deviation:
+        change = max(change, change_of_whites)
+    count = len(blacks) + len(whites.counts)
+    fault = room_fault(change / white, f"in {count} black and white pictures")
+    return fault if fault.exceeds(NOTED) else None
 
 
 def _room(samples: Samples, camera: CameraModel) -> tuple[Double, float]:
@@ -271,11 +207,9 @@ def _room(samples: Samples, camera: CameraModel) -> tuple[Double, float]:
     light = samples.counts - samples.black
     mean = light.mean(axis=0)
     usable = (samples.counts < SATURATION_FRACTION * camera.white_level).all(axis=0)
-    weights = np.where(usable, 1 / _variance(mean, camera), 0).ravel()
+    weights = np.where(usable, 1 / CountNoise.of(camera).variance(mean), 0).ravel()
     times = np.broadcast_to(np.asarray(camera.exposures)[:, None], mean.shape)
     terms = np.stack([mean.ravel(), times.ravel()])
-    if mean.max() < 1e-6:  # black pictures: g says nothing
-        terms = terms[1:]
     normal = (terms * weights) @ terms.T
     scale = np.sqrt(normal.diagonal())
     if not scale.all() or np.linalg.cond(normal / np.outer(scale, scale)) > _MOST_ALIKE:
