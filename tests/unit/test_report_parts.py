@@ -15,13 +15,14 @@ from tests.reports import WEDGE
 from rfpipe import acquire
 from rfpipe.config import Config
 from rfpipe.relighting import picture_errors, picture_squares
-from rfpipe.report import errors, glance, setup
+from rfpipe.report import errors, glance, setup, text
 from rfpipe.report.inputs import Inputs, Run, pictures_by_level
 from rfpipe.report.page import Illustration, Section, Table, latex_table, write_page
 from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import DASH
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
+from rfpipe.stages import verification
 from rfpipe.stages.evaluate import errors_by_level
 from rfpipe.store import write_manifest
 
@@ -221,6 +222,29 @@ def test_a_missed_target_is_told_with_the_reason(
     else:
         (sentence,) = told
         assert all(part in sentence for part in ["TARGET MISSED", *expected])
+
+
+@pytest.mark.parametrize(
+    ("fraction", "expected"),
+    [
+        (1e-5, "0.001"), (-1.23e-4, "-0.012"), (1e-9, "1e-07"), (0, "0.00"), (0.00104, "0.10"),
+        (0.0153, "1.53"), (None, DASH), (np.nan, DASH), (0.12, "12"),
+    ],
+)  # fmt: skip
+def test_small_percentages_have_significant_digits(fraction: Any, expected: str) -> None:
+    assert text.percent(fraction) == expected
+
+
+def test_a_small_target_is_shown_in_reports_and_outcomes() -> None:
+    row = {"target_error": 1e-5, "verified": "exact truth", "mean_error": 2.5e-5}
+    (sentence,) = missed_targets(row, "")
+    assert "0.0025 %" in sentence
+    assert "0.001 %" in sentence
+    pictures = pd.DataFrame({"error": [2.5e-5], "standard_error": [1e-6]})
+    compared = SimpleNamespace(mean_error=2.5e-5, standard_error=1e-6, table=pictures)
+    outcome = verification.Verification.against(compared, 1e-5)  # type: ignore[arg-type]
+    assert "0.0025%" in outcome.reason
+    assert "0.001%" in outcome.reason
 
 
 def test_the_scatter_of_few_pictures_is_no_missed_target() -> None:

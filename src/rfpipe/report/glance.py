@@ -220,6 +220,8 @@ def _with_deviation(mean: float, deviation: float, text: Callable[[Any], str]) -
     shown = text(mean)
     if not any(map(str.isdigit, shown)):
         return shown
+    if "e" in shown:
+        return f"{shown} ± {text(deviation)}"
     digits = len(shown.partition(".")[2])
     scale = 100 if text in (percent, indirect_percent) else 1
     return f"{shown} ± {number(deviation, f',.{digits}f', scale)}"
