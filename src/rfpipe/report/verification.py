@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from rfpipe.calibration.folder import STEPS
 from rfpipe.report.drawing import Drawn, draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Block, Column, Illustration, Section, Table, table_of
@@ -145,7 +146,10 @@ def verdicts_section(inputs: Inputs) -> Section:
     text: list[str] = []
     blocks = []
     for same, runs in groups.items():
-        verdicts, who = json.loads(same), ", ".join(runs)
+        stated, who = json.loads(same), ", ".join(runs)
+        # as steps are done: manifests sort their names
+        known = [step for step in STEPS if step in stated]
+        verdicts = {step: stated[step] for step in dict.fromkeys([*known, *stated])}
         text += [f"{who}: {fault}" for fault in faults_of(verdicts)]
         rows = [[one["title"], STANDINGS[one["standing"]]] for one in verdicts.values()]
         if not rows:
