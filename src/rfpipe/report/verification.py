@@ -149,9 +149,9 @@ def verdicts_section(inputs: Inputs) -> Section:
         stated, who = json.loads(same), ", ".join(runs)
         # as steps are done: manifests sort their names
         known = [step for step in STEPS if step in stated]
-        verdicts = {step: stated[step] for step in dict.fromkeys([*known, *stated])}
-        text += [f"{who}: {fault}" for fault in faults_of(verdicts)]
-        rows = [[one["title"], STANDINGS[one["standing"]]] for one in verdicts.values()]
+        steps = {step: stated[step] for step in dict.fromkeys([*known, *stated])}
+        text += [f"{who}: {fault}" for fault in faults_of(steps)]
+        rows = [[one["title"], STANDINGS[one["standing"]]] for one in steps.values()]
         if not rows:
             rows = [["no calibration", STANDINGS["unknown"]]]
             text.append(f"{who}: without a calibration; pictures may not be radiance.")
