@@ -115,6 +115,18 @@ def test_the_files_state_target_error_and_reason(
         assert stated["reason"].endswith("gain changes from picture to picture")
 
 
+@pytest.mark.parametrize("after", [20, 50, LATER])
+def test_a_projector_that_loses_half_its_light_is_no_gain(after: int) -> None:
+    rig = coaxial_rig(
+        lambda projector, camera, at: (faults.half_dark(projector, at), camera), after
+    )
+    with pytest.raises(CaptureError) as caught:
+        acquired(rig)
+    said = str(caught.value)
+    assert re.search(r"moved.*dark in a part", said)
+    assert not [name for name in set(NAMED) - {"geometry"} if re.search(NAMED[name], said, re.S)]
+
+
 @pytest.mark.parametrize("method", ["auto", "near_far", "dual"])
 @pytest.mark.parametrize(
     ("inject", "place"),

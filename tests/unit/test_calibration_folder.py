@@ -21,8 +21,9 @@ from rfpipe.calibration.folder import (
 )
 from rfpipe.config import CalibrationConfig, RigConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
-from rfpipe.report.calibration import build_calibration_report
+from rfpipe.report.calibration import _steadiness, build_calibration_report
 from rfpipe.rigs.calibrated import load_calibration as load
+from rfpipe.rigs.faults import CALIBRATION
 from rfpipe.store import write_arrays
 
 RAYS = (16, 16)
@@ -212,6 +213,17 @@ def test_the_report_is_one_page(calibrated: Any) -> None:
     for name in STEPS:
         assert f'id="{name}"' in text
         assert (folder.path / "tables" / f"{name}.csv").is_file()
+    assert [*STEPS] == sorted(STEPS, key=lambda name: text.index(f'id="{name}"'))
+    assert "<b>Verdicts.</b> </caption>" not in text
+    steady = folder.read("steadiness")
+    assert steady.facts["lit_looks"] == len(steady["gain"]) < steady.facts["looks"]
+    assert f"{steady.facts['lit_looks']} looks" in steady.verdict.text
+    figure = _steadiness(steady)
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == steady["judged"].sum()
+    lines = [line for line in figure.axes[0].lines if len(line.get_ydata()) > 2]
+    shown = np.concatenate([line.get_ydata() for line in lines])
+    assert np.ptp(shown) < 100 * 2 * CALIBRATION.light  # exposures that noise hides are left out
     shown = [path.stat().st_size > 5000 for path in (folder.path / "figures").glob("*.png")]
     assert all(shown)
     assert text.count("data:image/png;base64") == len(shown) == len(STEPS) - 1

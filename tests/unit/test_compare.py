@@ -13,7 +13,9 @@ import pytest
 from tests.helpers import run
 
 from rfpipe.errors import InputError, StoreError
+from rfpipe.report import catalogue
 from rfpipe.report.compare import Point, compare, frontier
+from rfpipe.report.inputs import seconds_spent
 from rfpipe.store import write_arrays, write_manifest
 
 Levels = Sequence[tuple[int, float]]
@@ -64,6 +66,17 @@ def test_costs_are_interpolated_between_levels(tmp_path: Path) -> None:
     missed = costs(table, "room", "Symmetric photography", 0.0001)
     assert np.isnan(missed["patterns"])
     assert missed["note"] == "not reached: 0.10 % after 100 patterns"
+
+
+def test_seconds_are_those_of_the_report_and_of_the_catalogue(tmp_path: Path) -> None:
+    relit(tmp_path, "room", "symmetric", [(1, 0.4), (19, 0.1)])
+    folder = tmp_path / "room" / "symmetric"
+    (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n3.0\t0:00:03\n")
+    spent = seconds_spent(folder, 2.0)
+    assert spent == (2 * 30, 2 * 5 + 3)  # all pictures, and all jobs except captures
+    row = costs(compare([tmp_path], [0.1], 2.0), "room", "Symmetric photography", 0.1)
+    assert row["seconds"] == pytest.approx(spent.total)
+    assert catalogue._numbers(folder, 2.0)["seconds"] == pytest.approx(spent.total)
 
 
 def test_acquisitions_of_several_runs_by_one_method_make_one_curve(tmp_path: Path) -> None:

@@ -13,16 +13,19 @@ import pytest
 from tests.reports import WEDGE
 
 from rfpipe import acquire
+from rfpipe.calibration.folder import STEPS
 from rfpipe.config import Config
 from rfpipe.relighting import picture_errors, picture_squares
-from rfpipe.report import errors, glance, setup
-from rfpipe.report.inputs import Inputs, Run, pictures_by_level
+from rfpipe.report import errors, glance, leaves, setup, text
+from rfpipe.report import verification as verification_page
+from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import Illustration, Section, Table, latex_table, write_page
 from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import DASH
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
-from rfpipe.stages.evaluate import errors_by_level
+from rfpipe.stages import verification
+from rfpipe.stages.evaluate import errors_by_level, pictures_by_level
 from rfpipe.store import write_manifest
 
 GREY = {**WEDGE, "channels": 1}
@@ -223,6 +226,29 @@ def test_a_missed_target_is_told_with_the_reason(
         assert all(part in sentence for part in ["TARGET MISSED", *expected])
 
 
+@pytest.mark.parametrize(
+    ("fraction", "expected"),
+    [
+        (1e-5, "0.001"), (-1.23e-4, "-0.012"), (1e-9, "1e-07"), (0, "0.00"), (0.00104, "0.10"),
+        (0.0153, "1.53"), (None, DASH), (np.nan, DASH), (0.12, "12"),
+    ],
+)  # fmt: skip
+def test_small_percentages_have_significant_digits(fraction: Any, expected: str) -> None:
+    assert text.percent(fraction) == expected
+
+
+def test_a_small_target_is_shown_in_reports_and_outcomes() -> None:
+    row = {"target_error": 1e-5, "verified": "exact truth", "mean_error": 2.5e-5}
+    (sentence,) = missed_targets(row, "")
+    assert "0.0025 %" in sentence
+    assert "0.001 %" in sentence
+    pictures = pd.DataFrame({"error": [2.5e-5], "standard_error": [1e-6]})
+    compared = SimpleNamespace(mean_error=2.5e-5, standard_error=1e-6, table=pictures)
+    outcome = verification.Verification.against(compared, 1e-5)  # type: ignore[arg-type]
+    assert "0.0025%" in outcome.reason
+    assert "0.001%" in outcome.reason
+
+
 def test_the_scatter_of_few_pictures_is_no_missed_target() -> None:
     row = {"target_error": 0.01, "verified": "9 pictures"}
     assert [*missed_targets({**row, "mean_error": 0.014}, "", by_few_pictures=True)] == []
@@ -294,6 +320,49 @@ def test_a_captured_run_shows_its_rig_s_sensor_and_no_camera_of_a_simulation(
         "Settings", "Versions",
     ]  # fmt: skip
     assert any(name.startswith("camera.") for name, _ in simulated[0].rows)
+
+
+def test_verdicts_are_listed_in_the_order_of_the_steps(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"scenes": {"corner_1": CONFIG.scenes["corner_1"]}})
+    verdicts = {
+        step: {"title": step, "standing": "good", "verdict": "Good."} for step in sorted(STEPS)
+    }
+    for scene, method in config.acquisitions:
+        (tmp_path / scene / method / "L00").mkdir(parents=True)
+        facts = {"patterns": 1, "rig": {"kind": "devices", "calibration": verdicts}}
+        write_manifest(tmp_path / scene / method / "L00/capture.json", facts)
+    (table,) = verification_page.verdicts_section(inputs_of(tmp_path, config)).blocks
+    assert isinstance(table, Table)
+    assert [step for step, _ in table.rows] == [*STEPS]
+
+
+# ---- Runs of some methods
+
+
+def test_settings_are_those_of_the_methods_that_ran(tmp_path: Path) -> None:
+    inputs = inputs_of(tmp_path)
+    ran = [run for run in inputs.runs if run.method == "near_far"]
+    settings = setup.setup_section(replace(inputs, runs=ran)).blocks[0]
+    assert isinstance(settings, Table)
+    methods = {name.split("methods.")[1].split(".")[0]
+               for name, _ in settings.rows if "methods." in name}  # fmt: skip
+    assert methods == {"near_far"}
+
+
+@pytest.mark.parametrize(
+    ("rows", "is_shown"),
+    [
+        ([row(0, 1), row(1, 12)], False),
+        ([row(0, 1, nodes=4), row(1, 12, nodes=9)], False),
+        ([row(0, 1, nodes=1, subdivided=1), row(1, 12, nodes=4, rank1=3, empty=1)], True),
+        ([row(0, 1, nodes=1, scalar=1)], False),
+    ],
+)
+def test_only_runs_with_leaves_have_a_section_of_leaves(
+    rows: list[dict[str, Any]], is_shown: bool, tmp_path: Path
+) -> None:
+    section = leaves.leaves_section(inputs_of(tmp_path, rows=rows))
+    assert (section is not None) == is_shown
 
 
 # ---- Files for papers

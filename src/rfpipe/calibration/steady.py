@@ -22,6 +22,7 @@ from rfpipe.rigs.looks import (
     References,
     common_gain,
     gains_of,
+    known_exposures,
     saturated_from,
     thinned,
 )
@@ -65,7 +66,8 @@ def measure_steadiness(bench: Bench) -> Findings:
     -------
     Findings
         Arrays: ``references`` (3, E, n) and ``noise`` (E,), see `rfpipe.rigs.looks`; ``gain``
-        of the lit looks, (K, E). References are empty where the pattern is not seen.
+        of the lit looks, (K, E), and ``judged`` (E,), the exposures that the verdict is about.
+        References are empty where the pattern is not seen.
     """
     looks, references, faults = probe(bench)
     if not references.has_light:
@@ -76,12 +78,15 @@ def measure_steadiness(bench: Bench) -> Findings:
     facts = {
         "is_seen": 1,
         "looks": len(looks),
+        "lit_looks": len(gains.gain),
+        "exposures_s": list(references.exposures),
         "taken_at": references.seconds,
         "range": float(np.ptp(common)),
         "noise_of_looks": float(references.noise.min()),
         **{f"{fault.kind}_size": fault.size for fault in faults},
     }
     arrays = {"references": references.frames, "noise": references.noise, "gain": gains.gain}
+    arrays["judged"] = known_exposures(gains, CALIBRATION.light)
     findings = Findings.of("steadiness", facts, arrays)
     return with_faults(findings, [fault for fault in faults if fault.kind != "drift"])
 

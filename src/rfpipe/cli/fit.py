@@ -94,7 +94,7 @@ def fit(
     from rfpipe.photometry import CameraModel, sensor_from_config
     from rfpipe.stages.jobs.job import Progress
     from rfpipe.steps import counted_by
-    from rfpipe.text import counted
+    from rfpipe.text import counted, percent
     from rfpipe.transport import save_transport
 
     checked_output("fit", output)
@@ -128,7 +128,7 @@ def fit(
     if result.error is None:
         typer.echo("no error is known: each pattern is needed. A few more patterns would tell")
         return
-    typer.echo(f"left-out pictures ({result.held_out}) are off by {result.error:.2%}")
+    typer.echo(f"left-out pictures ({result.held_out}) are off by {percent(result.error)}%")
     others = {name: error for name, error in result.errors.items() if name != result.model}
     if others:
-        typer.echo("; ".join(f"by {name} {error:.2%}" for name, error in others.items()))
+        typer.echo("; ".join(f"by {name} {percent(error)}%" for name, error in others.items()))

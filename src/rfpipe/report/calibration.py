@@ -13,7 +13,7 @@ from rfpipe.calibration.folder import STEPS, CalibrationFolder
 from rfpipe.calibration.sight import sight_picture
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import StoreError
-from rfpipe.report.drawing import Map, draw, new_figure, plain_numbers
+from rfpipe.report.drawing import Map, draw, new_figure, plain_numbers, shared_legend
 from rfpipe.report.page import Block, Illustration, Section, Table, table_of, write_page
 from rfpipe.report.text import STANDING_COLOURS
 from rfpipe.rigs.calibrated import STANDINGS
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _BLUE, _RED, _GREY, _CYAN = "#1f5a9e", "#c4611a", "#9a9a9a", "#59e0e0"
+_EXPOSURES = (_BLUE, _RED, "#2f7d36", "#7a4fa3", "#b58900", "#8c564b")
 _FIT: dict[str, Any] = {"color": _RED, "linewidth": 0.9}
 _DOTS: dict[str, Any] = {"marker": "o", "markersize": 3, "linestyle": ""}
 
@@ -52,9 +53,10 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     faults = [name for name, standing in read.items() if standing != STANDINGS["good"]]
     lead = "; ".join(f"{STEPS[name].title}: {read[name]}" for name in faults)
     rows = [[STEPS[name].title, standing] for name, standing in read.items()]
-    table = Table("Verdicts", "", ["step", "verdict"], rows, 2, is_folded=False)
+    caption = "In the order of the steps; each is explained below."
+    table = Table("Verdicts", caption, ["step", "verdict"], rows, 2, is_folded=False)
     reasons = [f"{STEPS[name].title}: {done[name].verdict}" for name in faults]
-    sections = [_section(name, done[name]) for name in sorted(done, key="scene".__ne__)]
+    sections = [_section(name, done[name]) for name in done]
     sections.insert(0, Section("verdicts", "Verdicts", [table], reasons))
     page, lead = folder.path / "report.html", lead or "No step found a fault."
     write_page(page, "Calibration of the rig", lead, sections, STANDING_COLOURS)
@@ -108,10 +110,18 @@ def _latency(one: Findings) -> Figure:
 
 
 def _steadiness(one: Findings) -> Figure:
-    figure, axis = _plot("look", "light over its mean, less 1, %")
+    """Draw the light of lit looks, by the exposures that the verdict is about."""
+    figure, axis = _plot("lit look", "light over that of the references, less 1, %")
     axis.axhline(0, color=_GREY, linewidth=0.8)
-    for gain in one["gain"].T:
-        axis.plot(np.arange(1, 1 + len(gain)), 100 * (gain - 1), **_DOTS)
+    gains, exposures = one["gain"], one.facts.get("exposures_s")
+    judged = one.arrays.get("judged", np.ones(gains.shape[1], bool))
+    looks = np.arange(1, 1 + len(gains))
+    for index in np.flatnonzero(judged):
+        name = f"exposure {index + 1}" if exposures is None else f"{exposures[index]:.3g} s"
+        look = {"color": _EXPOSURES[index % len(_EXPOSURES)], "label": name, **_DOTS}
+        axis.plot(looks, 100 * (gains[:, index] - 1), **look)
+    if judged.any():
+        shared_legend(figure)
     return figure
 
 
@@ -176,7 +186,11 @@ _CHARTS: dict[str, tuple[Callable[[Findings], Figure], str]] = {
     "latency": (_latency, "Least share of a picture's step that the first exposure saw."),
     "steadiness": (
         _steadiness,
-        "Light of a pattern that is shown repeatedly, by exposures: the long ones are noisier.",
+        (
+            "Light of the looks at a pattern and at its complement, by exposures; looks at black "
+            "are not shown. The verdict is about the mean of these exposures; others, mostly "
+            "saturated or dark, are too noisy and are left out."
+        ),
     ),
     "scene": (_scene, "Red: saturated; blue: within the noise; yellow: the projector's outline."),
     "dark": (_dark, "Counts without light, whose slope is dark current and leaking light."),

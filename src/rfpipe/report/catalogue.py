@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -13,7 +14,7 @@ import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import RfpipeError
-from rfpipe.report.inputs import job_times, read_json
+from rfpipe.report.inputs import read_json, seconds_spent
 from rfpipe.report.page import rendered
 from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import ray_size
@@ -79,7 +80,7 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
     state, why = state_of(folder)
     view, log = f"report/view/{scene}_{method}.html", last_log(folder)
     picture = (results / CATALOGUE).with_name(f"{scene}_{method}.png")
-    numbers = _numbers(folder)
+    numbers = _numbers(folder, settings.capture.seconds_per_pattern)
     return {
         "scene": scene,
         "method": method,
@@ -157,30 +158,38 @@ def _ended(folder: Path) -> Standing:
     return Standing("failed", errors[-1][:_LONGEST_WHY])
 
 
-def _numbers(folder: Path) -> dict[str, Any]:
+def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
     """Return the numbers of an acquisition; what is missing or damaged is None.
 
     Returns
     -------
     dict
-        ``patterns``; ``seconds`` of its jobs; ``nbytes`` of the stored transport. ``error``,
-        ``estimate`` and ``verified``: mean relative errors of relit pictures, against the truth,
-        by the method's own estimate, and against pictures that no method saw; ``indirect``: of
-        their indirect light, against the truth.
+        ``patterns``; ``seconds`` on the rig and of processing; ``nbytes`` of the stored transport.
+        ``error``, ``estimate`` and ``verified``: mean relative errors of relit pictures, against
+        the truth, by the method's estimate, and against pictures that no method saw; ``indirect``:
+        of their indirect light, against the truth.
     """
     acquired, relit = _manifest(folder / "transport.json"), _manifest(folder / "relight.json")
     steps = estimates(acquired.get("levels", []))
-    times = [seconds for _, seconds in job_times(folder)]
     files = [path.stat().st_size for path in (folder / "transport.zarr").rglob("*.*")]
     return {
         "patterns": acquired.get("patterns"),
-        "seconds": sum(times) if times else None,
+        "seconds": _seconds(folder, seconds_per_picture),
         "nbytes": sum(files) if files else None,
         "error": relit.get("mean_error"),
         "indirect": relit.get("mean_indirect"),
         "estimate": steps[-1]["estimated_error"] if steps else None,
         "verified": _manifest(folder / "verification.json").get("mean_error"),
     }
+
+
+def _seconds(folder: Path, seconds_per_picture: float) -> float | None:
+    """Return the seconds of capture and processing; None where captures are missing or damaged."""
+    try:
+        seconds = seconds_spent(folder, seconds_per_picture).total
+    except (RfpipeError, KeyError):
+        return None
+    return None if math.isnan(seconds) else seconds
 
 
 def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:

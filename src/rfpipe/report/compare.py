@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 from rfpipe.errors import InputError, StoreError
 from rfpipe.methods.base import get_method
 from rfpipe.provenance import fingerprint
-from rfpipe.report.inputs import pictures_by_level, read_json, seconds_by_level
+from rfpipe.report.inputs import read_json, seconds_spent
 from rfpipe.report.text import percent
-from rfpipe.stages.evaluate import errors_by_level
+from rfpipe.stages.evaluate import errors_by_level, pictures_by_level
 from rfpipe.stages.verification import MANIFEST as VERIFIED
 from rfpipe.store import open_arrays
 
@@ -188,11 +188,10 @@ def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[
         error = read_json(folder / VERIFIED).get("mean_error")
         last = max((row["level"] for row in facts["levels"]), default=0)
         errors = [] if error is None else [(last, facts["patterns"], error)]
-    pictures, processing = pictures_by_level(folder), seconds_by_level(folder)
+    pictures = pictures_by_level(folder)
     for level, patterns, error in errors:
         taken = sum(count for at, count in pictures.items() if at <= level) or math.nan
-        worked = sum(spent for at, spent in processing.items() if at <= level)
-        yield Point(error, patterns, taken, seconds * taken + worked)
+        yield Point(error, patterns, taken, seconds_spent(folder, seconds, level).total)
 
 
 def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[Point]]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from rfpipe.report.inputs import Inputs, Run, job_times, pictures_of, rig_of
+from rfpipe.report.inputs import Inputs, Run, pictures_of, rig_of, seconds_spent
 from rfpipe.report.page import Block, Column, Gallery, Section, Table, table_of
 from rfpipe.report.pictures import scene_pictures
 from rfpipe.report.targets import ending_of, missed_targets
@@ -127,8 +127,8 @@ def _about(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
     if _NOTHING in kinds:
         about.append("Not verified: the truth of a real scene is not known.")
     about.append(
-        f"Time: capture of the patterns, at {inputs.config.capture.seconds_per_pattern:g} s each, "
-        "and processing. 1 MB = 10⁶ bytes."
+        f"Time: capture of the pictures on the rig, at "
+        f"{inputs.config.capture.seconds_per_pattern:g} s each, and processing. 1 MB = 10⁶ bytes."
     )
     return " ".join(about)
 
@@ -141,8 +141,9 @@ def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
     dict
         ``scene``, ``method``; ``rays``: patterns of brute force; ``patterns``; ``pictures`` that
         the rig took, see `rfpipe.report.inputs.pictures_of`; ``megabytes`` (10^6 bytes on disk);
-        ``capture_s`` at the rig's stated seconds a pattern; ``processing_s``: wall seconds of all
-        jobs but the capture's, NaN where they left none; ``minutes`` of capture and processing;
+        ``capture_s`` of these pictures at the rig's stated seconds each, and ``processing_s``: wall
+        seconds of all jobs except captures, see `rfpipe.report.inputs.seconds_spent`; ``minutes``
+        of capture and processing;
         ``verified``: by what, in words, and ``rig``: what it is or how good; ``mean_error``,
         ``mean_indirect`` (the error of indirect light), ``worst_error`` as of `mean_errors` in
         `rfpipe.stages.relight`, or of pictures that no method saw where the truth isn't known;
@@ -152,9 +153,7 @@ def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
     """
     errors = run.facts if run.has_truth else run.verified
     folder = inputs.results / run.scene / run.method
-    capture = run.patterns * inputs.config.capture.seconds_per_pattern
-    jobs = [*job_times(folder)]
-    processing = sum(s for stage, s in jobs if stage != "capture") if jobs else math.nan
+    spent = seconds_spent(folder, inputs.config.capture.seconds_per_pattern)
     recorded = run.facts.get("recorded", {}).get("grain", {})
     pictures = f"{len(run.verified['pictures'])} pictures" if run.verified else _NOTHING
     by_truth = _RECORDED if recorded else _EXACT
@@ -167,9 +166,9 @@ def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
         "patterns": run.patterns,
         "pictures": pictures_of(folder),
         "megabytes": run.facts["bytes"] / 1e6,
-        "capture_s": capture,
-        "processing_s": processing,
-        "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
+        "capture_s": spent.capture,
+        "processing_s": spent.processing,
+        "minutes": spent.total / 60,
         "verified": by_truth if run.has_truth else pictures,
         "rig": rig_standing(rig_of(inputs.results, run)),
         **{name: errors.get(name) for name in ("mean_error", "mean_indirect", "worst_error")},
@@ -220,6 +219,8 @@ def _with_deviation(mean: float, deviation: float, text: Callable[[Any], str]) -
     shown = text(mean)
     if not any(map(str.isdigit, shown)):
         return shown
+    if "e" in shown:
+        return f"{shown} ± {text(deviation)}"
     digits = len(shown.partition(".")[2])
     scale = 100 if text in (percent, indirect_percent) else 1
     return f"{shown} ± {number(deviation, f',.{digits}f', scale)}"

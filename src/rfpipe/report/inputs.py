@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy.typing import NDArray
 
@@ -17,6 +17,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.report.drawing import Panel
 from rfpipe.report.page import Column
 from rfpipe.report.text import words
+from rfpipe.stages.evaluate import pictures_by_level
 from rfpipe.stages.verification import MANIFEST as VERIFIED
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
@@ -298,19 +299,47 @@ def pictures_of(folder: Path) -> int | None:
     return sum(by_level.values()) if by_level else None
 
 
-def pictures_by_level(folder: Path) -> dict[int, int]:
-    """Return the pictures that a rig took for each level of an acquisition.
+class Spent(NamedTuple):
+    """Seconds that an acquisition takes.
 
-    They are of the level's patterns, black and white references, patterns that test symmetry, and
-    looks at the rig; those of verification are not counted.
+    Attributes
+    ----------
+    capture : float
+        Of all pictures on the rig, see `rfpipe.stages.evaluate.pictures_by_level`; NaN where their
+        number isn't known.
+    processing : float
+        Of all jobs except the captures; NaN where they recorded none.
     """
-    pictures = {}
-    for path in sorted(folder.glob("L[0-9]*/capture.json")):
-        facts = read_json(path)
-        stores = [one for name, one in facts.items() if name != "rig" and isinstance(one, dict)]
-        more = sum(one["shape"][0] for one in stores if "digest" in one and "shape" in one)
-        pictures[int(path.parent.name[1:])] = facts["patterns"] + more
-    return pictures
+
+    capture: float
+    processing: float
+
+    @property
+    def total(self) -> float:
+        """Capture, and processing where it is known."""
+        return self.capture + (0.0 if math.isnan(self.processing) else self.processing)
+
+
+def seconds_spent(folder: Path, seconds_per_picture: float, last_level: float = math.inf) -> Spent:
+    """Return the seconds of an acquisition up to a level, with the assembly of its transport.
+
+    Parameters
+    ----------
+    folder : Path
+        ``results/{scene}/{method}``.
+    seconds_per_picture : float
+        Seconds that the rig takes for a picture, ``capture.seconds_per_pattern``.
+    last_level : float
+        Last level that counts; by default all count.
+    """
+    pictures = pictures_by_level(folder)
+    taken = sum(count for level, count in pictures.items() if level <= last_level)
+    jobs = [*seconds_by_level(folder).items()]
+    jobs += [(0, seconds) for stage, seconds in job_times(folder) if stage == "assemble"]
+    processing = sum(seconds for level, seconds in jobs if level <= last_level)
+    return Spent(
+        seconds_per_picture * taken if pictures else math.nan, processing if jobs else math.nan
+    )
 
 
 def seconds_by_level(folder: Path) -> dict[int, float]:

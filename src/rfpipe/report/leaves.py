@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import ABREAST, new_figure, shared_legend
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.page import Block, Column, Illustration, Section, table_of
+from rfpipe.report.page import Column, Illustration, Section, table_of
 from rfpipe.report.text import number
 from rfpipe.stages.evaluate import is_used
 
@@ -25,12 +25,9 @@ _KINDS = {
 
 
 def leaves_section(inputs: Inputs) -> Section | None:
-    """Leaves a level, in per cent of the nodes, and their numbers."""
+    """Leaves a level, in per cent of the nodes, and their numbers; None for runs without leaves."""
     import pandas as pd
 
-    runs = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
-    if not runs:
-        return None
     levels = pd.DataFrame(
         [
             {"scene": run.scene, "method": run.method, **row}
@@ -39,6 +36,10 @@ def leaves_section(inputs: Inputs) -> Section | None:
             if is_used(row)
         ]
     )
+    runs = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
+    drawn = [run for run in runs if _is_hierarchy(run.own(levels))]
+    if not drawn:
+        return None
     kinds = {"rank1": "rank-1 or stored"}
     counted = ("patterns", "nodes", "empty", "rank1", "scalar", "subdivided")
     columns: list[Column] = [(kinds.get(kind, kind), kind, number) for kind in counted]
@@ -50,22 +51,20 @@ def leaves_section(inputs: Inputs) -> Section | None:
         [("level", "level", str), *columns],
         csv="levels.csv",
     )
-    blocks: list[Block] = [table]
-    drawn = [run for run in runs if _is_hierarchy(run.own(levels))]
-    if drawn:
-        caption = (
-            "What becomes of the nodes of each level, in per cent: a leaf is stored as it is, the "
-            "others are subdivided. With symmetric photography a node is a pair of blocks, with "
-            "dual photography a block as seen by one camera pixel."
-        )
-        figure = _figure(inputs, drawn, levels)
-        blocks.insert(0, Illustration("Leaves", caption, "leaves", figure))
-    return Section("leaves", "Leaves at each level", blocks)
+    caption = (
+        "What becomes of the nodes of each level, in per cent: a leaf is stored as it is, the "
+        "others are subdivided. With symmetric photography a node is a pair of blocks, with "
+        "dual photography a block as seen by one camera pixel."
+    )
+    figure = Illustration("Leaves", caption, "leaves", _figure(inputs, drawn, levels))
+    return Section("leaves", "Leaves at each level", [figure, table])
 
 
 def _is_hierarchy(levels: pd.DataFrame) -> bool:
-    """Tell whether each of a level's nodes became one thing."""
-    return bool((levels[list(_KINDS)].sum(axis=1) == levels["nodes"]).all())
+    """Test whether there are nodes, and each of them became one thing."""
+    return bool(
+        levels["nodes"].any() and (levels[list(_KINDS)].sum(axis=1) == levels["nodes"]).all()
+    )
 
 
 def _figure(inputs: Inputs, runs: list[Run], table: pd.DataFrame) -> Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from typing import Any
 
 from rfpipe.provenance import fingerprint, versions
@@ -17,7 +17,8 @@ def setup_section(inputs: Inputs) -> Section:
     """Settings, with what scenes choose for those that are null, and versions."""
     names = ["setting", "value"]
     shaping = inputs.config.shaping()
-    about = "As config/all.yaml describes them."
+    shaping = _without_idle_methods(shaping, {run.method for run in inputs.runs})
+    about = "As config/all.yaml describes them; methods that did not run are left out."
     if inputs.config.capture.rig == "remote":
         # the camera of the settings is that of a simulated or offline rig
         shaping = {name: value for name, value in shaping.items() if name != "camera"}
@@ -28,9 +29,20 @@ def setup_section(inputs: Inputs) -> Section:
         *_choices_table(inputs),
         Table("Settings", about, names, settings, 2),
         *_rig_tables(inputs),
-        Table("Versions", "", ["package", "version"], packages, 2),
+        Table("Versions", "Of the report's packages.", ["package", "version"], packages, 2),
     ]
     return Section("setup", "Settings and versions", tables)
+
+
+def _without_idle_methods(settings: Mapping[str, Any], ran: Set[str]) -> dict[str, Any]:
+    """Return settings, of the run and of its scenes, without the methods that did not run."""
+
+    def of_ran(group: Mapping[str, Any]) -> dict[str, Any]:
+        methods = group.get("methods") or {}
+        return {**group, "methods": {name: it for name, it in methods.items() if name in ran}}
+
+    scenes = {name: of_ran(scene) for name, scene in settings.get("scenes", {}).items()}
+    return {**of_ran(settings), "scenes": scenes}
 
 
 def _choices_table(inputs: Inputs) -> list[Table]:

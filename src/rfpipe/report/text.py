@@ -9,6 +9,7 @@ from typing import Any
 
 from rfpipe.config import SceneSettings
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY
+from rfpipe.text import percent as decimals
 
 ERROR = "Error: norm of the difference, relative to the picture's, at least to half a typical one's"
 """Of a relit picture, as captions say it."""
@@ -32,9 +33,9 @@ def number(value: Any, form: str = ",.0f", scale: float = 1.0) -> str:
 
 
 def percent(value: Any) -> str:
-    """Return a fraction in per cent, to a hundredth below ten; a dash for none."""
-    small = value is not None and value < 0.1
-    return number(value, ".2f" if small else ".0f", 100)
+    """Return a fraction in per cent, to a hundredth or finer below ten; a dash for none."""
+    is_small = value is not None and value < 0.1
+    return decimals(value) if is_small and math.isfinite(value) else number(value, ".0f", 100)
 
 
 def indirect_percent(value: Any) -> str:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from rfpipe.calibration.folder import STEPS
 from rfpipe.report.drawing import Drawn, draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Block, Column, Illustration, Section, Table, table_of
@@ -145,9 +146,12 @@ def verdicts_section(inputs: Inputs) -> Section:
     text: list[str] = []
     blocks = []
     for same, runs in groups.items():
-        verdicts, who = json.loads(same), ", ".join(runs)
-        text += [f"{who}: {fault}" for fault in faults_of(verdicts)]
-        rows = [[one["title"], STANDINGS[one["standing"]]] for one in verdicts.values()]
+        stated, who = json.loads(same), ", ".join(runs)
+        # as steps are done: manifests sort their names
+        known = [step for step in STEPS if step in stated]
+        steps = {step: stated[step] for step in dict.fromkeys([*known, *stated])}
+        text += [f"{who}: {fault}" for fault in faults_of(steps)]
+        rows = [[one["title"], STANDINGS[one["standing"]]] for one in steps.values()]
         if not rows:
             rows = [["no calibration", STANDINGS["unknown"]]]
             text.append(f"{who}: without a calibration; pictures may not be radiance.")

@@ -147,7 +147,7 @@ def moved_fault(size: float) -> Fault:
         f"{RIG_MOVED}, as the picture of the same pattern differs by {size:.1%} from an earlier "
         "one, and not in brightness",
         "fix camera, projector and scene in place, and check the projector's cable and menu, as "
-        "its picture may be mirrored, scaled or cut off",
+        "its picture may be mirrored, scaled, cut off or dark in a part",
     )
 
 

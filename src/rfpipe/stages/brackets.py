@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -27,7 +28,10 @@ Keys = list[tuple[int, ...]]
 """A key a pattern: for the rig's random numbers, and for messages."""
 
 _NAMED_DIGITS = 12
-_SHOWN_DIFFERENCES = 6
+_SHOWN_DIFFERENCES = 12
+_LONGEST_VALUE = 100
+_PROSE = ".verdict"
+_DIGEST = re.compile("[0-9a-f]{12,}")
 
 _log = logging.getLogger(__name__)
 
@@ -201,7 +205,10 @@ class Brackets:
 
 
 def differing(old: dict[str, Any], new: dict[str, Any]) -> str:
-    """Say which settings differ, such as ``patterns 64 -> 72, rig.seed 1 -> 2``."""
+    """List the settings that differ, such as ``patterns 64 -> 72, rig.seed 1 -> 2``.
+
+    The shortest come first; last, without their values, those whose values are digests or prose.
+    """
     import pandas as pd
 
     plain = (json.loads(json.dumps(each, sort_keys=True)) for each in (old, new))
@@ -209,9 +216,24 @@ def differing(old: dict[str, Any], new: dict[str, Any]) -> str:
         {str(name): str(values[0]) for name, values in pd.json_normalize([each]).items()}
         for each in plain
     )
-    changed = [
-        f"{name} {before.get(name, 'unset')} -> {after.get(name, 'unset')}"
+    values = {
+        name: (before.get(name, "unset"), after.get(name, "unset"))
         for name in sorted({*before, *after})
         if before.get(name) != after.get(name)
-    ]
-    return ", ".join(changed[:_SHOWN_DIFFERENCES])
+    }
+    readable = {
+        name
+        for name, both in values.items()
+        if not name.endswith(_PROSE) and all(map(_is_readable, both))
+    }
+    changed = sorted((f"{name} {' -> '.join(values[name])}" for name in readable), key=len)
+    changed += [f"{name} changed" for name in values if name not in readable]
+    more = len(changed) - _SHOWN_DIFFERENCES
+    if more > 0:
+        changed[_SHOWN_DIFFERENCES:] = [f"and {more} more"]
+    return ", ".join(changed)
+
+
+def _is_readable(value: str) -> bool:
+    """Test whether a setting's value says more to a reader than that it changed."""
+    return len(value) <= _LONGEST_VALUE and not _DIGEST.fullmatch(value)

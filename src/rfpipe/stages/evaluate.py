@@ -79,23 +79,42 @@ def _pattern_rows(facts: dict[str, Any], images: ArrayBundle) -> Iterator[list[A
 def speed_error_table(
     relight_manifests: Iterable[Path], seconds_per_pattern: float
 ) -> pd.DataFrame:
-    """Return cost and error of each acquisition after each level that it knows.
+    """Return cost and error of each acquisition after each level whose error is known.
 
     Returns
     -------
     pandas.DataFrame
         ``scene``, ``method``, ``level``; ``patterns`` and seconds of capture, ``capture_s``, up to
-        there; ``error``, the mean. A transport that is fitted to all its pictures together has one
-        row, of the last level with any.
+        there, of all pictures on the rig (of the patterns alone where captures are missing);
+        ``error``, the mean. A transport that is fitted to all its pictures together has one row, of
+        the last level with any.
     """
     import pandas as pd
 
     rows = []
-    for facts, _ in _with_truth(relight_manifests):
-        about = [facts[key] for key in _ABOUT]
-        for level, patterns, error in errors_by_level(facts):
-            rows.append([*about, level, patterns, patterns * seconds_per_pattern, error])
+    for manifest in relight_manifests:
+        pictures = pictures_by_level(manifest.parent)
+        for facts, _ in _with_truth([manifest]):
+            about = [facts[key] for key in _ABOUT]
+            for level, patterns, error in errors_by_level(facts):
+                taken = sum(count for at, count in pictures.items() if at <= level) or patterns
+                rows.append([*about, level, patterns, taken * seconds_per_pattern, error])
     return pd.DataFrame(rows, columns=[*_ABOUT, "level", "patterns", "capture_s", "error"])
+
+
+def pictures_by_level(folder: Path) -> dict[int, int]:
+    """Return the pictures that a rig took for each level of an acquisition.
+
+    They are of the level's patterns, black and white references, patterns that test symmetry, and
+    looks at the rig; those of verification are not counted.
+    """
+    pictures = {}
+    for path in sorted(folder.glob("L[0-9]*/capture.json")):
+        facts = read_manifest(path)
+        stores = [one for name, one in facts.items() if name != "rig" and isinstance(one, dict)]
+        more = sum(one["shape"][0] for one in stores if "digest" in one and "shape" in one)
+        pictures[int(path.parent.name[1:])] = facts["patterns"] + more
+    return pictures
 
 
 def errors_by_level(facts: Mapping[str, Any]) -> list[tuple[int, int, float]]:

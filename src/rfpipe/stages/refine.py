@@ -20,7 +20,7 @@ from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.steps import counted_by
-from rfpipe.text import counted
+from rfpipe.text import counted, percent
 from rfpipe.transport.base import estimates
 from rfpipe.units import RADIANCE_UNIT
 
@@ -114,6 +114,6 @@ def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> No
         target_error = getattr(options, "target_error", None)
         asked = "" if target_error is None else f", {100 * target_error:.3g} % asked for"
         _log.info(
-            "level %d: estimated error %.2f %% after %s%s", last["level"],
-            100 * last["estimated_error"], counted(last["patterns"], "pattern"), asked,
+            "level %d: estimated error %s %% after %s%s", last["level"],
+            percent(last["estimated_error"]), counted(last["patterns"], "pattern"), asked,
         )  # fmt: skip

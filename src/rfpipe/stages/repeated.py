@@ -28,7 +28,15 @@ from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.diagnosis import black_change
-from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, late_fault, room_fault
+from rfpipe.rigs.faults import (
+    CAPTURE,
+    NOTED,
+    SIGNIFICANCE,
+    Fault,
+    late_fault,
+    moved_fault,
+    room_fault,
+)
 from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
 from rfpipe.rigs.late import is_of_previous, is_out_of_order
 from rfpipe.rigs.looks import thinned
@@ -77,7 +85,9 @@ def faults_of_references(blacks: Double, whites: Double, camera: CameraModel) ->
     if late is not None:
         return [late]
     samples = Samples(whites, blacks.mean(axis=0))
-    unsteady = scatter_of(samples, camera)
+    unsteady, moved = scatter_of(samples, camera), motion_of(samples, camera)
+    if moved is not None and (unsteady is None or unsteady.kind != "late"):
+        return [moved]
     if unsteady is not None and unsteady.exceeds(CAPTURE):
         return [unsteady]
     found = [unsteady, _room_of_references(blacks, samples, camera)]
@@ -103,6 +113,33 @@ def scatter_of(samples: Samples, camera: CameraModel) -> Fault | None:
     if worst < NOTED.light:
         return None
     return gain_or_flicker(worst, _flicker(samples, camera), camera.exposures)
+
+
+def motion_of(samples: Samples, camera: CameraModel) -> Fault | None:
+    """Find brackets that differ from the mean bracket in their shape; None where none does.
+
+    They differ where something moved, or where a part of the picture lost its light: by more than
+    g and r can explain, and by more than `CAPTURE` accepts.
+    """
+    if camera.response_gamma != 1:
+        return None
+    light = samples.counts - samples.black
+    variances = CountNoise.of(camera).variance(light.mean(axis=0))
+    usable = (samples.counts < SATURATION_FRACTION * camera.white_level).all(axis=0)
+    largest = 0.0
+    for exposure, pixels in enumerate(usable):
+        if pixels.mean() < 0.5:
+            continue
+        brackets, variance = light[:, exposure, pixels], variances[exposure, pixels]
+        mean = brackets.mean(axis=0)
+        terms = np.stack([mean, np.ones_like(mean)], axis=1)
+        residuals = brackets - brackets @ np.linalg.pinv(terms).T @ terms.T
+        square = float(np.square(residuals).sum(axis=1).max() - variance.sum())
+        chance = SIGNIFICANCE * np.sqrt(2 * np.square(variance).sum())
+        if square > chance:
+            largest = max(largest, float(np.sqrt(square / np.square(mean).sum())))
+    fault = moved_fault(largest)
+    return fault if fault.exceeds(CAPTURE) else None
 
 
 def _flicker(samples: Samples, camera: CameraModel) -> float | None:

@@ -66,8 +66,8 @@ class Asymmetry:
         if self.excess:
             return (
                 f"{text}, but random pictures have {self.excess:+.1%} of the white ones' light "
-                "too much: the room's light changed (black it out), or the projector's depends on "
-                "its picture (switch dynamic contrast off)"
+                "too much: the room's light changed (black it out), the rig or the scene moved, or "
+                "the projector's light depends on its picture (switch dynamic contrast off)"
             )
         return f"{text}; {self.place}" if self.place else text
 

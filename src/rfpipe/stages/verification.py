@@ -27,7 +27,7 @@ from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.schedule import read_schedule, write_schedule
 from rfpipe.stages.watch import MOVES, alarms_of
 from rfpipe.store import read_manifest
-from rfpipe.text import counted
+from rfpipe.text import counted, percent
 from rfpipe.transport import Transport, open_transport
 from rfpipe.transport.base import estimates
 from rfpipe.units import RADIANCE_UNIT
@@ -113,8 +113,11 @@ class Verification:
         if np.isnan(error):
             return Outcome("unknown", "no picture has light above its noise")
         if error <= target:
-            return Outcome("met", f"{error:.2%} of {target:.2%}")
-        text = f"the error is {error:.2%} +- {self.standard_error:.2%}, {target:.2%} was the target"
+            return Outcome("met", f"{percent(error)}% of {percent(target)}%")
+        text = (
+            f"the error is {percent(error)}% +- {percent(self.standard_error)}%, "
+            f"{percent(target)}% was the target"
+        )
         if error <= TARGET_MARGIN * target:
             return Outcome("unsure", f"{text}: {len(self.table)} pictures don't tell more")
         return Outcome("missed", text)
@@ -266,16 +269,16 @@ def _above(name: str, facts: Mapping[str, Any], bound: float) -> str:
     if "levels" in facts:
         estimated = estimates(facts["levels"])
         error = estimated[-1]["estimated_error"] if estimated else 0.0
-        above = f"{name} is off by an estimated {error:.2%}, above {bound:.2%}"
+        above = f"{name} is off by an estimated {percent(error)}%, above {percent(bound)}%"
         return "" if error <= bound else above
     if facts["mean_error"] is None:
         return f"{name} has no picture with light above its noise: give it more light or exposure"
     if facts["mean_error"] <= bound:
         return ""
     return (
-        f"{name} is off by {facts['mean_error']:.2%} on average, above {bound:.2%}, by "
-        f"{facts['worst_error']:.2%} under '{facts['worst_picture']}' (noise floor "
-        f"{facts['noise']:.2%})"
+        f"{name} is off by {percent(facts['mean_error'])}% on average, above {percent(bound)}%, by "
+        f"{percent(facts['worst_error'])}% under '{facts['worst_picture']}' (noise floor "
+        f"{percent(facts['noise'])}%)"
     )
 
 
@@ -312,10 +315,10 @@ def _compare(folder: AcquisitionFolder, code: str, watching: Mapping[str, Any]) 
         _log.warning(text, folder.path, counted(count, "picture"))
     else:
         _log.info(
-            "%s: %s for verification: the transport is off by %.2f %% on average, by %.2f %% under "
-            "'%s' (noise floor of the pictures %.2f %%)",
-            folder.path, counted(count, "picture"), 100 * result.mean_error, 100 * worst.error,
-            worst.name, 100 * result.table["noise"].mean(),
+            "%s: %s for verification: the transport is off by %s %% on average, by %s %% under "
+            "'%s' (noise floor of the pictures %s %%)",
+            folder.path, counted(count, "picture"), percent(result.mean_error),
+            percent(worst.error), worst.name, percent(result.table["noise"].mean()),
         )  # fmt: skip
     made_from = fingerprint([acquired["digest"], merged["digest"], code])
     arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}

@@ -48,6 +48,7 @@ from rfpipe.stages.merger import Merger, read_merger
 from rfpipe.stages.repeated import (
     Samples,
     camera_of,
+    motion_of,
     sample,
     scatter_of,
     smooth_changes,
@@ -206,12 +207,14 @@ def measure_looks(
         looks = [change(merger, known, bracket) for bracket in taken]
     gain = np.stack([look.gain for look in looks])
     deviation = np.stack([look.deviation for look in looks])
-    is_steady &= smooth_changes(*_series(folder, level, gain, captured))
+    is_moved = max(look.rest for look in looks) > CAPTURE.moved
+    # brightness of another picture does not show gain
+    is_steady &= is_moved or smooth_changes(*_series(folder, level, gain, captured))
     facts = {
         "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
         "change": _rounded(look.rest for look in looks),
         "room": _rounded(look.room for look in looks),
-        "moved": max(look.rest for look in looks) > CAPTURE.moved,
+        "moved": is_moved,
         "steady": is_steady, "divided_out": divide_out and is_steady,
     }  # fmt: skip
     _log_brightness(level, gain, deviation, facts, divide_out=divide_out)
@@ -414,24 +417,32 @@ class Watcher:
         if self._scatter(takes) is not None:
             takes += [self.looks.take(index, index + 1) for _ in range(_REPETITIONS)]
             unsteady = self._room_between(takes) or self._scatter(takes)
-            if unsteady is not None and unsteady.exceeds(CAPTURE):
+            is_moved = unsteady is not None and unsteady.kind != "late" and self._differ(takes)
+            if not is_moved and unsteady is not None and unsteady.exceeds(CAPTURE):
                 self._end(f"{where}: {unsteady.text}")
                 return
         first, last = (change(self.merger, known, each) for each in (takes[0], takes[-1]))
         room = room_fault(abs(last.room), "since the first look")
         if room.exceeds(NOTED):
             self._end(f"{where}: {room.text}", is_harmful=room.exceeds(CAPTURE))
-        elif first.rest > CAPTURE.moved:
-            self._say_moved(where, first.rest, is_lasting=last.rest > CAPTURE.moved)
+        elif max(first.rest, last.rest) > CAPTURE.moved:
+            self._say_moved(where, max(first.rest, last.rest), is_lasting=last.rest > CAPTURE.moved)
 
     def _scatter(self, takes: Sequence[NDArray[Any]]) -> Fault | None:
         """Find what changes between looks that were taken one after another."""
         assert self.merger is not None
         camera = camera_of(self.merger.sensor)
-        if camera is None:
-            return None
-        counts = np.stack([sample(each[0]) for each in takes])
-        return scatter_of(Samples(counts, sample(self.merger.black)), camera)
+        return None if camera is None else scatter_of(self._samples(takes), camera)
+
+    def _differ(self, takes: Sequence[NDArray[Any]]) -> bool:
+        """Test whether looks that were taken one after another differ in their shape."""
+        assert self.merger is not None
+        camera = camera_of(self.merger.sensor)
+        return camera is not None and motion_of(self._samples(takes), camera) is not None
+
+    def _samples(self, takes: Sequence[NDArray[Any]]) -> Samples:
+        assert self.merger is not None
+        return Samples(np.stack([sample(each[0]) for each in takes]), sample(self.merger.black))
 
     def _room_between(self, takes: Sequence[NDArray[Any]]) -> Fault | None:
         """Find light of the room that changes between looks taken one after another."""
