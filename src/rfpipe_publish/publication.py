@@ -85,6 +85,8 @@ def publish(
     inputs = None if settings is None else inputs_of(run.folder, settings)
     for acquisition in run.acquisitions:
         acquisition.check()
+    if inputs is not None:
+        inputs.check_made(run.acquisitions)
     data = list(_data(run, captured=captured))
     if inputs is not None:
         data += [(SETTINGS, settings_file(inputs.settings)), *sorted(inputs.files.items())]
