@@ -179,6 +179,35 @@ def test_a_folder_is_no_file(tmp_path: Path) -> None:
         suffix_of(tmp_path / "a.png", (".png",))
 
 
+@pytest.mark.parametrize("command", INPUTS)
+@pytest.mark.parametrize("place", ["afile", "afile/sub", "/dev/full", "/dev/full/sub"])
+def test_a_file_or_device_is_no_folder(here: Path, command: str, place: str) -> None:
+    (here / "afile").write_text("mine")
+    for suffix in OUTPUTS[command]:
+        output = f"{place}/a{suffix}" if suffix else place
+        with pytest.raises(InputError, match=r"is a (file|device); name a folder"):
+            run(*INPUTS[command], "-o", output)
+    assert (here / "afile").read_text() == "mine"
+
+
+def test_a_calibration_s_folder_in_the_settings_is_no_file(here: Path) -> None:
+    (here / "afile").write_text("mine")
+    (here / "filed.yaml").write_text(
+        (here / "rig.yaml").read_text().replace("calibration: calibration", "calibration: afile")
+    )
+    with pytest.raises(InputError, match="afile: is a file; name a folder"):
+        run("calibrate", "filed.yaml")
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs /proc, in which nobody writes")
+@pytest.mark.parametrize(
+    "command", [name for name, allowed in OUTPUTS.items() if FOLDER in allowed]
+)
+def test_a_place_where_no_folder_can_be_made_is_said(here: Path, command: str) -> None:
+    with pytest.raises(StoreError, match=r"made in /proc|permissions"):
+        run(*INPUTS[command], "-o", "/proc/absent")
+
+
 def cut(path: Path, write: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file whose last bytes are lost without an error, as libraries do on a full disk."""
     import os

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError, PicturesNeeded, StoreError
+from rfpipe.errors import InputError, PicturesNeeded
+from rfpipe.output import storage_errors
 from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.pictures import write_code_picture
@@ -268,13 +269,11 @@ def write_sheet(
 
 def _clear(folder: Path) -> None:
     """Make a sheet's folder, or remove an older sheet from it; StoreError where that fails."""
-    try:
+    with storage_errors(folder, "making the sheet's folder"):
         (folder / PICTURES).mkdir(parents=True, exist_ok=True)
         (folder / MANIFEST).unlink(missing_ok=True)
         for old in folder.glob("[0-9]*_*.png"):
             old.unlink()
-    except OSError as error:
-        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
 
 
 def later_sheets(sheet: Sheet) -> list[Sheet]:
