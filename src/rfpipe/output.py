@@ -118,6 +118,16 @@ def checked_output(command: str, path: Path) -> str:
     return suffix_of(path, OUTPUTS[command], command)
 
 
+def check_no_run(path: Path, mark: str) -> None:
+    """Raise InputError where a folder is a run's, or its results, unless it has a file `mark`."""
+    is_results = path.absolute().name == "results" and any(path.glob("*/*/L00"))
+    if (is_results or (path / "results").is_dir()) and not (path / mark).exists():
+        raise InputError(
+            f"{path}: is the folder of a run, with results; name another folder, such as a new one "
+            "beside it"
+        )
+
+
 @contextmanager
 def storage_errors(
     path: Any, action: str, needed_bytes: int = 0, *, resumes: bool = True

@@ -208,6 +208,15 @@ def test_a_place_where_no_folder_can_be_made_is_said(here: Path, command: str) -
         run(*INPUTS[command], "-o", "/proc/absent")
 
 
+@pytest.mark.parametrize("command", ["calibrate", "collection pack"])
+@pytest.mark.parametrize("place", ["other", "other/results"])
+def test_a_run_s_folder_is_no_output(here: Path, command: str, place: str, tmp_path: Path) -> None:
+    (tmp_path / "other/results/desk/dual/L00").mkdir(parents=True)
+    with pytest.raises(InputError, match="is the folder of a run, with results; name another"):
+        run(*INPUTS[command], "-o", tmp_path / place)
+    assert [path.name for path in (tmp_path / "other").iterdir()] == ["results"]
+
+
 def cut(path: Path, write: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file whose last bytes are lost without an error, as libraries do on a full disk."""
     import os
