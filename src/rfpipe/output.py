@@ -200,7 +200,7 @@ def whole_file(
     Parameters
     ----------
     path
-        The file; folders above it are made.
+        The file; folders above it are made. A symbolic link stays, and its target is written.
     needed_bytes, resumes
         As in `storage_errors`.
     least_bytes
@@ -213,6 +213,7 @@ def whole_file(
     StoreError
         When the disk is full or the folder isn't writable, or the file is damaged.
     """
+    path = path.resolve() if path.is_symlink() else path
     partial = path.with_name(f".partial-{path.name}")
     with storage_errors(path, "writing", needed_bytes, resumes=resumes):
         path.parent.mkdir(parents=True, exist_ok=True)

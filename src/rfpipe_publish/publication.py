@@ -79,7 +79,7 @@ def publish(
     StoreError
         When the disk is full or the folder isn't writable.
     """
-    output = output.absolute()
+    output = output.resolve() if output.is_symlink() else output.absolute()
     _check_output(run, output, overwrite)
     settings = settings_of(run, config)
     inputs = None if settings is None else inputs_of(run.folder, settings)

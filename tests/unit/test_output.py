@@ -217,6 +217,19 @@ def test_a_run_s_folder_is_no_output(here: Path, command: str, place: str, tmp_p
     assert [path.name for path in (tmp_path / "other").iterdir()] == ["results"]
 
 
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_link_stays_and_its_target_is_written(is_there: bool, tmp_path: Path) -> None:
+    target, link = tmp_path / "far/target.png", tmp_path / "link.png"
+    target.parent.mkdir()
+    if is_there:
+        target.write_bytes(b"before")
+    link.symlink_to("far/target.png")
+    write_image(link, RADIANCE)
+    assert link.is_symlink()
+    assert target.read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in target.parent.iterdir()} == {"target.png"}
+
+
 def cut(path: Path, write: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file whose last bytes are lost without an error, as libraries do on a full disk."""
     import os

@@ -272,6 +272,15 @@ def test_code_that_did_not_make_the_results_is_refused(case: str, run: Path) -> 
             assert words in str(caught.value)
 
 
+def test_a_link_to_a_publication_stays_a_link(run: Path, tmp_path: Path) -> None:
+    target, link = tmp_path / "far.zip", tmp_path / "link.zip"
+    link.symlink_to(target)
+    published(run, *GIVEN, "-o", link)
+    published(run, *GIVEN, "-o", link, "--overwrite")
+    assert link.is_symlink()
+    assert "datacite.json" in contents(target)
+
+
 def test_printed_commands_can_be_pasted(run: Path, tmp_path: Path) -> None:
     output = published(run, *GIVEN, "-o", tmp_path / "a crate; of mine.zip")
     (command,) = [line for line in output.splitlines() if "rfpipe verify" in line]
