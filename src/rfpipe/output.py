@@ -177,9 +177,12 @@ def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> 
     return Failure(reason, "check the folder and its file system, then run again")
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a small file so that it is whole or unchanged, also after a power cut."""
-    with whole_file(path, len(content), resumes=True, least_bytes=len(content)) as partial:
+def write_atomically(path: Path, content: bytes, *, resumes: bool = True) -> None:
+    """Write a small file so that it is whole or unchanged, also after a power cut.
+
+    Parameters as `whole_file`.
+    """
+    with whole_file(path, len(content), resumes=resumes, least_bytes=len(content)) as partial:
         partial.write_bytes(content)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import subprocess
@@ -262,6 +263,26 @@ def test_a_file_that_was_cut_silently_is_noticed(
     with pytest.raises(StoreError, match=rf"{name}: writing failed"):
         cut(tmp_path / name, WRITERS[name], monkeypatch)
     assert contents(tmp_path) == {name: before}
+
+
+RESUMED = ("patterns", "calibrate", "collection pack", "collection unpack")
+
+
+@pytest.mark.parametrize("command", [name for name in INPUTS if name not in RESUMED])
+def test_a_full_disk_promises_no_resumption_of_commands_that_begin_again(
+    here: Path, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import os
+
+    def full(self: Path, target: Path) -> Path:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "replace", full)
+    monkeypatch.setattr(Path, "rename", full)
+    for suffix in OUTPUTS[command]:
+        with pytest.raises(StoreError, match="make room and run again") as caught:
+            run(*INPUTS[command], "-o", tmp_path / f"made{suffix}")
+        assert "goes on" not in str(caught.value)
 
 
 def test_errors_name_the_disk(tmp_path: Path) -> None:

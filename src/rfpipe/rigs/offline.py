@@ -269,7 +269,7 @@ def write_sheet(
 
 def _clear(folder: Path) -> None:
     """Make a sheet's folder, or remove an older sheet from it; StoreError where that fails."""
-    with storage_errors(folder, "making the sheet's folder"):
+    with storage_errors(folder, "making the sheet's folder", resumes=False):
         (folder / PICTURES).mkdir(parents=True, exist_ok=True)
         (folder / MANIFEST).unlink(missing_ok=True)
         for old in folder.glob("[0-9]*_*.png"):

@@ -52,7 +52,7 @@ def run(
     transport, masked = assembled(plan, folder)
     about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")
-    digest = save_transport(transport, store, number_format, **about)
+    digest = save_transport(transport, store, number_format, resumes=True, **about)
     write_manifest(
         manifest,
         {
