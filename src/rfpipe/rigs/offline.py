@@ -24,7 +24,13 @@ from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import load_calibration, resampled_sensor
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 from rfpipe.store import read_manifest, write_manifest
-from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, VERIFICATION_KEY
+from rfpipe.units import (
+    BLACK_LEVEL_KEY,
+    FLOODLIT_KEY,
+    SYMMETRY_KEY,
+    VERIFICATION_KEY,
+    picture_name,
+)
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig
@@ -103,7 +109,7 @@ class OfflineRig:
             taken = self.bracket and self.bracket(tuple(key), pattern)
             if taken is None:
                 raise PicturesNeeded(
-                    f"the pictures of pattern {tuple(key)} are still to be taken: 'rfpipe "
+                    f"the exposures of {picture_name(key)} are still to be taken: 'rfpipe "
                     "patterns' writes what to show, 'rfpipe import' reads what was taken"
                 )
             frames[index] = taken.reshape(shape)
