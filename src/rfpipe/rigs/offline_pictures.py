@@ -67,8 +67,8 @@ class Checked:
         if self.patterns[key] != fingerprint(np.asarray(pattern, np.float32)):
             raise CaptureError(
                 f"{self.files[key][0]}: shows another {picture_name(key)} than is asked for now, "
-                "since settings or code changed. Write the patterns anew with 'rfpipe patterns', and "
-                "take them"
+                "since settings or code changed. Write the patterns anew with 'rfpipe patterns', "
+                "and take them"
             )
         return np.stack([_pixels(self.rig, path) for path in self.files[key]])
 
