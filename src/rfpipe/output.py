@@ -19,6 +19,7 @@ from rfpipe.errors import InputError, StoreError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+_BLOCKED = (errno.EEXIST, errno.ENOTDIR)
 _LOCKLESS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 FORMATS = {
@@ -80,7 +81,8 @@ def suffix_of(path: Path, allowed: tuple[str, ...], command: str = "") -> str:
     Raises
     ------
     InputError
-        When the suffix is not allowed, or a folder has the name of a file.
+        When the suffix is not allowed, a folder has the name of a file, or a file or device that of
+        a folder.
     """
     suffix = path.suffix.lower()
     if not suffix[1:2].isalpha() or (path.is_dir() and suffix not in FORMATS):
@@ -93,12 +95,37 @@ def suffix_of(path: Path, allowed: tuple[str, ...], command: str = "") -> str:
         raise InputError(f"{option}: has {has}; expected {expected}")
     if suffix not in (FOLDER, ".zarr", ".zip") and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
+    if suffix == FOLDER:
+        check_folder(path)
+    else:
+        check_folder(path.parent)
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path}: is a device; name a file")
     return suffix
+
+
+def check_folder(path: Path) -> None:
+    """Raise InputError where a file or device has the name of a folder, or of one above it."""
+    for place in (path, *path.parents):
+        if place.exists() and not place.is_dir():
+            what = "a file" if place.is_file() else "a device"
+            subject = f"{place}: is" if place == path else f"{path}: {place} is"
+            raise InputError(f"{subject} {what}; name a folder, or one that can be made")
 
 
 def checked_output(command: str, path: Path) -> str:
     """Return the suffix of a command's output; InputError unless `OUTPUTS` has it."""
     return suffix_of(path, OUTPUTS[command], command)
+
+
+def check_no_run(path: Path, mark: str) -> None:
+    """Raise InputError where a folder is a run's, or its results, unless it has a file `mark`."""
+    is_results = path.absolute().name == "results" and any(path.glob("*/*/L00"))
+    if (is_results or (path / "results").is_dir()) and not (path / mark).exists():
+        raise InputError(
+            f"{path}: is the folder of a run, with results; name another folder, such as a new one "
+            "beside it"
+        )
 
 
 @contextmanager
@@ -138,14 +165,24 @@ def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> 
             "expected a place that this user may write to; change the permissions of "
             f"{path.parent} or choose another folder",
         )
+    if error.errno in _BLOCKED:
+        return Failure(
+            reason, f"a file has the name of a folder in {path}; remove it or choose another place"
+        )
+    if error.errno == errno.ENOENT and isinstance(path, Path):
+        parent = _existing(path.absolute().parent)
+        return Failure(reason, f"check that files can be made in {parent}, or choose another place")
     if error.errno in _LOCKLESS:
         return Failure(reason, "mount its file system with locks (NFS 4, Lustre with -o flock)")
     return Failure(reason, "check the folder and its file system, then run again")
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a small file so that it is whole or unchanged, also after a power cut."""
-    with whole_file(path, len(content), resumes=True, least_bytes=len(content)) as partial:
+def write_atomically(path: Path, content: bytes, *, resumes: bool = True) -> None:
+    """Write a small file so that it is whole or unchanged, also after a power cut.
+
+    Parameters as `whole_file`.
+    """
+    with whole_file(path, len(content), resumes=resumes, least_bytes=len(content)) as partial:
         partial.write_bytes(content)
 
 
@@ -166,7 +203,7 @@ def whole_file(
     Parameters
     ----------
     path
-        The file; folders above it are made.
+        The file; folders above it are made. A symbolic link stays, and its target is written.
     needed_bytes, resumes
         As in `storage_errors`.
     least_bytes
@@ -179,6 +216,7 @@ def whole_file(
     StoreError
         When the disk is full or the folder isn't writable, or the file is damaged.
     """
+    path = path.resolve() if path.is_symlink() else path
     partial = path.with_name(f".partial-{path.name}")
     with storage_errors(path, "writing", needed_bytes, resumes=resumes):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -8,6 +8,9 @@ is ``module:Class``, the module found as Python finds it or in the folder where 
 from __future__ import annotations
 
 import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import cache
 from hashlib import sha256
@@ -18,7 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from rfpipe.errors import InputError
+from rfpipe.errors import InputError, RfpipeError
 
 METHODS = "rfpipe.methods"
 """The group of acquisition methods."""
@@ -115,7 +118,8 @@ def find(group: str, name: str) -> Any:
     Raises
     ------
     InputError
-        When there is no such name, module, file or class: says which, and what to do.
+        When there is no such name, module, file or class, or a user's code can't be imported:
+        says which, and what to do.
     """
     module, _, attribute = path_of(group, name).rpartition(":")
     try:
@@ -128,19 +132,55 @@ def find(group: str, name: str) -> Any:
 
 
 def _module(name: str) -> ModuleType:
+    module = _imported(name)
+    here = str(Path.cwd())
+    if module is None and here not in sys.path:
+        sys.path.insert(0, here)
+        module = _imported(name)
+    if module is None:
+        raise _missing(name)
+    return module
+
+
+def _imported(name: str) -> ModuleType | None:
+    """Import a module; None where Python has none of this name."""
+    package = name.partition(".")[0]
+    if package == "rfpipe" or package.startswith("rfpipe_"):
+        return _if_there(name)
+    with _errors_of_user_code(f"module {name!r}"):
+        return _if_there(name)
+
+
+def _if_there(name: str) -> ModuleType | None:
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
             raise  # the module is there, and lacks one that it needs
-    here = str(Path.cwd())
-    if here in sys.path:
-        raise _missing(name)
-    sys.path.insert(0, here)
+        return None
+
+
+@contextmanager
+def _errors_of_user_code(what: str) -> Iterator[None]:
+    """Turn an error of Python code at its import into an InputError with file and line."""
     try:
-        return import_module(name)
-    except ModuleNotFoundError as error:
-        raise _missing(name) from error
+        yield
+    except RfpipeError:
+        raise
+    except Exception as error:
+        if isinstance(error, SyntaxError):
+            file, line, reason = error.filename, error.lineno, error.msg
+        else:
+            frames = traceback.extract_tb(error.__traceback__)
+            last = [frame for frame in frames if not frame.filename.startswith("<")][-1]
+            file, line, reason = last.filename, last.lineno, str(error)
+        remedy = "mend the code"
+        if isinstance(error, ModuleNotFoundError):
+            remedy = f"install {error.name}, or mend the import"
+        raise InputError(
+            f"{what} can't be imported: {file}, line {line}: {type(error).__name__}: {reason}; "
+            f"{remedy}, then run again"
+        ) from error
 
 
 def _missing(name: str) -> InputError:
@@ -161,7 +201,8 @@ def _file(path: str) -> ModuleType:
     module = module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        with _errors_of_user_code(path):
+            spec.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise

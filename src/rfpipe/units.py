@@ -1,5 +1,6 @@
 """Dtypes, units and limits of counts, and the keys of brackets that aren't a level's patterns."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -45,3 +46,24 @@ LOOK_KEY = 1_000_006
 
 SEQUENCE_KEY = 1_000_007
 """The same of what a sequence shows beside its patterns: (this, ...)."""
+
+_PICTURES = {
+    BLACK_LEVEL_KEY: "all-off reference picture",
+    FLOODLIT_KEY: "all-on reference picture",
+    WARM_UP_KEY: "warm-up picture",
+    SYMMETRY_KEY: "random pattern of the symmetry test,",
+    VERIFICATION_KEY: "verification picture",
+    LOOK_KEY: "repeated random pattern",
+    SEQUENCE_KEY: "reference picture of a sequence,",
+}
+
+
+def picture_name(key: Sequence[int]) -> str:
+    """Name of the picture with a key, for messages: of what kind it is, and its number from 0.
+
+    A pattern of a level is ``pattern (level, index)``.
+    """
+    kind, *rest = (int(part) for part in key)
+    if kind not in _PICTURES:
+        return f"pattern {(kind, *rest)}"
+    return f"{_PICTURES[kind]} {rest[-1] if rest else 0}"

@@ -153,11 +153,12 @@ def pack(
     rfpipe.open_collection reads it as it lies. 'rfpipe verify' checks it; 'unpack' gives back the
     same files.
     """
-    from rfpipe.output import checked_output
+    from rfpipe.output import check_no_run, checked_output
     from rfpipe.transport.storage import STORE_NAME
     from rfpipe_publish.places import pack as store
 
     checked_output("collection pack", output)
+    check_no_run(output, "objects")
     if not results.is_dir():
         raise InputError(f"{results}: is no folder; give a run's results")
     if output.absolute().is_relative_to(results.absolute()):

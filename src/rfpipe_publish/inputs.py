@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from os.path import commonpath
@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from rfpipe_publish.run import files_below
+from rfpipe.errors import InputError
+from rfpipe.provenance import source_digest
+from rfpipe_publish.run import Acquisition, files_below
 
 FOLDER = "inputs"
 """Folder of a publication."""
@@ -45,11 +47,31 @@ class Inputs:
         Files by their names in the publication.
     notes : list of str
         What could not be taken along.
+    classes : dict of str to Path
+        Files of the classes among them, by the setting that names the class.
     """
 
     settings: dict[str, Any]
     files: dict[str, Path] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    classes: dict[str, Path] = field(default_factory=dict)
+
+    def check_made(self, acquisitions: Iterable[Acquisition]) -> None:
+        """Raise InputError where a class' file isn't the code that made an acquisition."""
+        for acquisition in acquisitions:
+            scene, method = f"scenes.{acquisition.scene}", acquisition.method
+            places = {
+                "scene": (f"{scene}.kind",),
+                "method": (f"{scene}.methods.{method}.method", f"methods.{method}.method"),
+            }
+            for role, digest in acquisition.facts.get("sources", {}).items():
+                file = next(filter(None, map(self.classes.get, places[role])), None)
+                if file is not None and source_digest(file) != digest:
+                    raise InputError(
+                        f"{file}: isn't the code that made {acquisition.name}: it was edited "
+                        "after that run. Run again with 'rfpipe run', or restore the file as it "
+                        "was, then publish"
+                    )
 
 
 def inputs_of(folder: Path, settings: dict[str, Any]) -> Inputs:
@@ -100,8 +122,13 @@ class _Finder:
             if not file.is_file():
                 self._note(place, text, f"there is no file {match['file']} in {self._folder}")
                 return text
+            self._inputs.classes[place] = file
             return f"{self._code(file)}:{text.rpartition(':')[2]}"
         self._module(place, text, match["module"])
+        file = self._folder.joinpath(*match["module"].split("."))
+        for source in (file.with_suffix(".py"), file / "__init__.py"):
+            if source in self._inputs.files.values():
+                self._inputs.classes[place] = source
         return text
 
     def _note(self, place: str, text: str, why: str) -> None:
@@ -212,11 +239,19 @@ def _texts_of(scene: Path) -> Iterator[str]:
 
 
 def _imports(file: Path) -> Iterator[str]:
-    """Yield the names of the modules that a file of Python code imports."""
+    """Yield the names of the modules that a file of Python code imports.
+
+    Raises InputError where the file isn't Python.
+    """
     try:
         tree = ast.parse(file.read_bytes())
-    except SyntaxError:
-        return
+    except (SyntaxError, ValueError) as error:
+        line = getattr(error, "lineno", None)
+        where = f"{file}, line {line}" if line else f"{file}"
+        raise InputError(
+            f"{where}: isn't Python: {getattr(error, 'msg', error)}; no results were made with it. "
+            "Mend the file and run again, or restore it as it was"
+        ) from error
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

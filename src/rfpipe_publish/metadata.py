@@ -206,7 +206,9 @@ def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
         raise InputError("\n".join(lines)) from None
     data = citation.model_dump(mode="json", exclude_none=True)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=98)
-    write_atomically(path, f"# What 'rfpipe publish' cites this run by; edit it.\n{text}".encode())
+    write_atomically(
+        path, f"# What 'rfpipe publish' cites this run by; edit it.\n{text}".encode(), resumes=False
+    )
     return citation
 
 

@@ -79,12 +79,14 @@ def publish(
     StoreError
         When the disk is full or the folder isn't writable.
     """
-    output = output.absolute()
+    output = output.resolve() if output.is_symlink() else output.absolute()
     _check_output(run, output, overwrite)
     settings = settings_of(run, config)
     inputs = None if settings is None else inputs_of(run.folder, settings)
     for acquisition in run.acquisitions:
         acquisition.check()
+    if inputs is not None:
+        inputs.check_made(run.acquisitions)
     data = list(_data(run, captured=captured))
     if inputs is not None:
         data += [(SETTINGS, settings_file(inputs.settings)), *sorted(inputs.files.items())]

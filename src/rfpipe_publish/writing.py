@@ -88,7 +88,7 @@ def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
     It is written beside its place and, at the end, takes the place of what stands there.
     """
     new = hidden_sibling(output, "new")
-    with StoreLock(output), storage_errors(output, "publishing", needed_bytes):
+    with StoreLock(output), storage_errors(output, "publishing", needed_bytes, resumes=False):
         remove_tree(new)
         try:
             if output.suffix.lower() == ".zip":

@@ -133,7 +133,7 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
         for index, blob in enumerate(packed.blobs)
     }
     text = _render(view, manifest, embedded).encode()
-    write_atomically(output, text)
+    write_atomically(output, text, resumes=False)
     return Written(output, len(text), chosen)
 
 

@@ -44,6 +44,28 @@ def relit(
     write_manifest(folder / "relight.json", facts)
 
 
+MISSING = {
+    "nothing": ((), "no acquisition is there"),
+    "begun": (("L00",), r"desk by dual: .*desk/dual/relight\.json is missing.*rfpipe run"),
+    "no error": (("L00", "relight"), "error of none is known"),
+}
+
+
+@pytest.mark.parametrize("inside", ["", "results"])
+@pytest.mark.parametrize("case", MISSING)
+def test_missing_parts_of_a_run_are_named(case: str, inside: str, tmp_path: Path) -> None:
+    made, says = MISSING[case]
+    results = tmp_path / "results"
+    results.mkdir()
+    if "relight" in made:
+        relit(results, "desk", "dual", [(3, None)], truth=0)
+        write_manifest(results / "desk/dual/verification.json", {})
+    elif made:
+        (results / "desk/dual/L00").mkdir(parents=True)
+    with pytest.raises(StoreError, match=says):
+        compare([tmp_path / inside])
+
+
 def costs(table: pd.DataFrame, scene: str, method: str, error: float) -> Any:
     own = table[(table["scene"] == scene) & (table["method"] == method) & (table["error"] == error)]
     (row,) = own.to_dict("records")
@@ -110,7 +132,7 @@ def test_other_scenes_and_other_options_are_curves_of_their_own(tmp_path: Path) 
 
 def test_a_captured_scene_counts_by_its_verification(tmp_path: Path) -> None:
     relit(tmp_path, "desk", "dual", [(1, None), (20, None)], truth=0)
-    with pytest.raises(StoreError, match="no relit acquisition whose error is known"):
+    with pytest.raises(StoreError, match="error of none is known"):
         compare([tmp_path])
     write_manifest(tmp_path / "desk/dual/verification.json", {"mean_error": 0.03})
     (row,) = compare([tmp_path], [0.05]).to_dict("records")

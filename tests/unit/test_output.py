@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import subprocess
@@ -179,6 +180,57 @@ def test_a_folder_is_no_file(tmp_path: Path) -> None:
         suffix_of(tmp_path / "a.png", (".png",))
 
 
+@pytest.mark.parametrize("command", INPUTS)
+@pytest.mark.parametrize("place", ["afile", "afile/sub", "/dev/full", "/dev/full/sub"])
+def test_a_file_or_device_is_no_folder(here: Path, command: str, place: str) -> None:
+    (here / "afile").write_text("mine")
+    for suffix in OUTPUTS[command]:
+        output = f"{place}/a{suffix}" if suffix else place
+        with pytest.raises(InputError, match=r"is a (file|device); name a folder"):
+            run(*INPUTS[command], "-o", output)
+    assert (here / "afile").read_text() == "mine"
+
+
+def test_a_calibration_s_folder_in_the_settings_is_no_file(here: Path) -> None:
+    (here / "afile").write_text("mine")
+    (here / "filed.yaml").write_text(
+        (here / "rig.yaml").read_text().replace("calibration: calibration", "calibration: afile")
+    )
+    with pytest.raises(InputError, match="afile: is a file; name a folder"):
+        run("calibrate", "filed.yaml")
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs /proc, in which nobody writes")
+@pytest.mark.parametrize(
+    "command", [name for name, allowed in OUTPUTS.items() if FOLDER in allowed]
+)
+def test_a_place_where_no_folder_can_be_made_is_said(here: Path, command: str) -> None:
+    with pytest.raises(StoreError, match=r"made in /proc|permissions"):
+        run(*INPUTS[command], "-o", "/proc/absent")
+
+
+@pytest.mark.parametrize("command", ["calibrate", "collection pack"])
+@pytest.mark.parametrize("place", ["other", "other/results"])
+def test_a_run_s_folder_is_no_output(here: Path, command: str, place: str, tmp_path: Path) -> None:
+    (tmp_path / "other/results/desk/dual/L00").mkdir(parents=True)
+    with pytest.raises(InputError, match="is the folder of a run, with results; name another"):
+        run(*INPUTS[command], "-o", tmp_path / place)
+    assert [path.name for path in (tmp_path / "other").iterdir()] == ["results"]
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_link_stays_and_its_target_is_written(is_there: bool, tmp_path: Path) -> None:
+    target, link = tmp_path / "far/target.png", tmp_path / "link.png"
+    target.parent.mkdir()
+    if is_there:
+        target.write_bytes(b"before")
+    link.symlink_to("far/target.png")
+    write_image(link, RADIANCE)
+    assert link.is_symlink()
+    assert target.read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in target.parent.iterdir()} == {"target.png"}
+
+
 def cut(path: Path, write: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Write a file whose last bytes are lost without an error, as libraries do on a full disk."""
     import os
@@ -211,6 +263,26 @@ def test_a_file_that_was_cut_silently_is_noticed(
     with pytest.raises(StoreError, match=rf"{name}: writing failed"):
         cut(tmp_path / name, WRITERS[name], monkeypatch)
     assert contents(tmp_path) == {name: before}
+
+
+RESUMED = ("patterns", "calibrate", "collection pack", "collection unpack")
+
+
+@pytest.mark.parametrize("command", [name for name in INPUTS if name not in RESUMED])
+def test_a_full_disk_promises_no_resumption_of_commands_that_begin_again(
+    here: Path, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import os
+
+    def full(self: Path, target: Path) -> Path:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "replace", full)
+    monkeypatch.setattr(Path, "rename", full)
+    for suffix in OUTPUTS[command]:
+        with pytest.raises(StoreError, match="make room and run again") as caught:
+            run(*INPUTS[command], "-o", tmp_path / f"made{suffix}")
+        assert "goes on" not in str(caught.value)
 
 
 def test_errors_name_the_disk(tmp_path: Path) -> None:

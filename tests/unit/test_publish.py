@@ -18,10 +18,12 @@ from tests.finished import SHAPE, write_run
 from typer.testing import CliRunner
 
 import rfpipe
+from rfpipe import provenance
 from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import InputError, IntegrityError
-from rfpipe.store import write_manifest
+from rfpipe.provenance import source_digest
+from rfpipe.store import read_manifest, write_manifest
 from rfpipe_publish.metadata import Citation, check_digit, kept_values
 from rfpipe_publish.publication import encoded
 from rfpipe_publish.publication import publish as publish_run
@@ -230,6 +232,53 @@ def test_files_of_a_user_s_own_are_published_where_the_settings_find_them(
     graph = json.loads(files["ro-crate-metadata.json"])["@graph"]
     (action,) = [entity for entity in graph if entity["@id"] == "#run"]
     assert {"@id": "inputs/lab/methods.py"} in action["object"]
+
+
+EDITED = {
+    "scene": ("desk.py", {"scenes": {"desk": {"kind": "desk.py:Desk"}}}),
+    "scene of a module": ("lab/desk.py", {"scenes": {"desk": {"kind": "lab.desk:Desk"}}}),
+    "method": ("mine.py", {"methods": {"dual": {"method": "mine.py:Mine"}}}),
+    "method of a scene": (
+        "mine.py", {"scenes": {"desk": {"methods": {"dual": {"method": "mine.py:Mine"}}}}},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", EDITED)
+def test_code_that_did_not_make_the_results_is_refused(case: str, run: Path) -> None:
+    name, settings = EDITED[case]
+    file = run / name
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("x = 1\n")
+    manifest, report = run / "results/desk/dual/transport.json", run / "results/report/results.json"
+    write_manifest(
+        manifest,
+        {**read_manifest(manifest), "sources": {case.partition(" ")[0]: source_digest(file)}},
+    )
+    about = json.loads(report.read_bytes())
+    about["provenance"]["configuration"] |= settings
+    report.write_text(json.dumps(about))
+    file.write_text("x = 1  # a remark changes no result\n")
+    published(run, *GIVEN)
+    for text, says in (
+        ("x = 2", ["isn't the code that made results/desk/dual", "restore", "rfpipe run"]),
+        ("x =", [", line 1: isn't Python", "restore"]),
+    ):
+        file.write_text(text)
+        provenance._parsed.cache_clear()  # another process publishes
+        with pytest.raises(InputError) as caught:
+            published(run, *GIVEN, "--overwrite")
+        for words in (str(file), *says):
+            assert words in str(caught.value)
+
+
+def test_a_link_to_a_publication_stays_a_link(run: Path, tmp_path: Path) -> None:
+    target, link = tmp_path / "far.zip", tmp_path / "link.zip"
+    link.symlink_to(target)
+    published(run, *GIVEN, "-o", link)
+    published(run, *GIVEN, "-o", link, "--overwrite")
+    assert link.is_symlink()
+    assert "datacite.json" in contents(target)
 
 
 def test_printed_commands_can_be_pasted(run: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ import pytest
 import yaml
 from tests.workflow.harness import GLASS, Workflow
 
-from rfpipe import open_transport
+from rfpipe import open_transport, plugins
 from rfpipe.config import SceneSettings, parse_config
-from rfpipe.errors import ConfigError
+from rfpipe.errors import ConfigError, InputError
 from rfpipe.scenes import scene_from_config
 from rfpipe.testing import SceneContract
 
@@ -59,6 +60,44 @@ def test_mistakes_in_its_settings_are_explained(change, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_config({"scenes": {"glass": glass}}, "mine.yaml")
     assert message in str(caught.value)
+
+
+BROKEN = {
+    "syntax": ("x = 1\nclass Mine(:\n", "mine.py, line 2: SyntaxError", "mend the code"),
+    "import": (
+        "\nimport absent_package\n",
+        "mine.py, line 2: ModuleNotFound",
+        "install absent_pac",
+    ),
+    "name": ("from time import absent\n", "mine.py, line 1: ImportError", "mend the code"),
+    "value": ("x = 1\n\ny = 1 / 0\n", "mine.py, line 3: ZeroDivisionError", "mend the code"),
+}
+
+
+@pytest.mark.parametrize("form", ["mine.py:Mine", "{module}:Mine"])
+@pytest.mark.parametrize("case", BROKEN)
+@pytest.mark.parametrize("group", [plugins.SCENES, plugins.METHODS, plugins.CAMERAS])
+def test_code_that_cannot_be_imported_is_named_with_its_line(
+    group: str, case: str, form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, place, remedy = BROKEN[case]
+    module = f"m{abs(hash((group, case, tmp_path)))}_mine"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name in ("mine", module):
+        (tmp_path / f"{name}.py").write_text(code)
+    for look_up in (plugins.find, plugins.sources_of):
+        with pytest.raises(InputError) as caught:
+            look_up(group, form.format(module=module))
+        assert place in str(caught.value)
+        assert remedy in str(caught.value)
+
+
+def test_a_scene_s_code_with_an_error_is_a_wrong_setting(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("class Mine(:\n")
+    with pytest.raises(ConfigError, match=r"scenes\.glass.*mine\.py, line 1: SyntaxError"):
+        parse_config({"scenes": {"glass": {"kind": f"{file}:Mine"}}}, "mine.yaml")
 
 
 @pytest.mark.slow

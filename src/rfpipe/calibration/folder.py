@@ -25,6 +25,7 @@ from rfpipe.calibration.symmetry import measure_rig
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig, RigConfig
 from rfpipe.errors import InputError, RfpipeError, StoreError
+from rfpipe.output import storage_errors
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint, plain_data
 from rfpipe.rigs.build import devices_from_config
@@ -310,7 +311,8 @@ def calibrate(
     for name, step in reversed(steps.items()):  # a step needs earlier ones only
         if name in wanted:
             wanted |= {need for need in step.needs if not folder.is_done(need)}
-    folder.path.mkdir(parents=True, exist_ok=True)
+    with storage_errors(folder.path, "making the folder"):
+        folder.path.mkdir(parents=True, exist_ok=True)
     devices = projector, camera
     with StoreLock(folder.path / "steps"):
         if only is None and all(map(folder.is_done, steps)):

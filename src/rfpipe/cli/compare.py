@@ -66,7 +66,8 @@ def compare(
     typer.echo(_aligned(table))
     if output is not None:
         text = rows.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-        write_atomically(output, (latex_table(table) if suffix == ".tex" else text).encode())
+        content = (latex_table(table) if suffix == ".tex" else text).encode()
+        write_atomically(output, content, resumes=False)
         typer.echo(f"\nwritten: {output}")
 
 

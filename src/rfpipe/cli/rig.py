@@ -69,7 +69,7 @@ def calibrate(
 
     from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
     from rfpipe.config import load_rig_config
-    from rfpipe.output import checked_output
+    from rfpipe.output import check_folder, check_no_run, checked_output
     from rfpipe.report.calibration import build_calibration_report
     from rfpipe.rigs.calibrated import STANDINGS
     from rfpipe.stages.jobs.job import Progress
@@ -80,6 +80,8 @@ def calibrate(
     if output is not None:
         checked_output("calibrate", output)
     path = output or Path(config.calibration or "calibration")
+    check_folder(path)
+    check_no_run(path, "steps")
     folder = CalibrationFolder(path)
     before, is_complete = folder.written_at(), False
     try:

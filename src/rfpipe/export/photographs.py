@@ -67,7 +67,8 @@ def write_lights(
             f"{name} {x:.7g} {y:.7g} {z:.7g}\n"
             for name, (x, y, z) in zip(names, directions.tolist(), strict=True)
         ]
-        write_atomically(beside, f"{len(lines)}\n{''.join(lines)}".encode())
+        content = f"{len(lines)}\n{''.join(lines)}".encode()
+        write_atomically(beside, content, resumes=False)
     return len(names)
 
 

@@ -16,7 +16,7 @@ from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.demosaic import filling, weighed
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
 from rfpipe.provenance import fingerprint
-from rfpipe.units import RADIANCE
+from rfpipe.units import RADIANCE, picture_name
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -134,8 +134,8 @@ class ResampledSensor(Sensor):
     def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> NDArray[Any]:  # noqa: ARG002
         """Raise InputError: from rays there is no way back to the camera's pixels."""
         raise InputError(
-            f"pattern {key}: a resampled sensor of {self.resampling.shape} rays can't be exposed "
-            f"to a picture {np.shape(radiance)}; its frames come from a camera"
+            f"{picture_name(key)}: a resampled sensor of {self.resampling.shape} rays can't be "
+            f"exposed to a picture {np.shape(radiance)}; its frames come from a camera"
         )
 
     def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:

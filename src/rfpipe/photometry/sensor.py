@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.units import RADIANCE
+from rfpipe.units import RADIANCE, picture_name
 
 Float = NDArray[np.float32]
 
@@ -170,7 +170,7 @@ def check_shape(frames: NDArray[Any], bracket: tuple[int, ...], first_index: int
 def check_light(radiance: NDArray[Any], key: tuple[int, ...]) -> Float:
     """Return radiance as float32 without negative rounding, or raise CaptureError."""
     light = np.asarray(radiance, RADIANCE)
-    largest = _check_values(light, f"pattern {key}", _NEGATIVE_TOLERANCE)
+    largest = _check_values(light, picture_name(key), _NEGATIVE_TOLERANCE)
     return np.maximum(light, 0, dtype=RADIANCE) if largest else np.zeros_like(light)
 
 

@@ -138,11 +138,30 @@ def acquisitions(folder: Path, seconds_per_pattern: float | None) -> list[Acquir
     )
     known = [one for one in read if one.points]
     if not known:
-        raise StoreError(
-            f"{folder}: holds no relit acquisition whose error is known, by the truth or by "
-            "verification pictures; name the folder of a finished run, such as results"
-        )
+        raise StoreError(f"{folder}: {_missing(results)}")
     return known
+
+
+def _missing(results: Path) -> str:
+    """Reason why no acquisition of a folder of results can be compared, and the remedy."""
+    begun = sorted({level.parent for level in results.glob("*/*/L00")})
+    complete = {manifest.parent for manifest in results.glob("*/*/relight.json")}
+    names = ", ".join(f"{path.parent.name} by {path.name}" for path in begun[:4])
+    if complete:
+        return (
+            "has relit acquisitions, but the error of none is known: these scenes have neither "
+            "the truth nor verification pictures; set verification.pictures, then run "
+            "again"
+        )
+    if begun:
+        return (
+            f"no acquisition there is relit ({names}: {begun[0] / 'relight.json'} is missing); "
+            "complete the run with 'rfpipe run', then compare"
+        )
+    return (
+        "no acquisition is there (no <scene>/<method>/relight.json); name the folder of a "
+        "finished run, such as results, or run it first with 'rfpipe run'"
+    )
 
 
 def _configuration(results: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.units import picture_name
 from rfpipe.weights import as_weights
 
 Float = NDArray[np.float32]
@@ -105,7 +106,7 @@ def check_patterns(
         )
     if len(keys) != len(patterns):
         raise InputError(f"{len(patterns)} patterns came with {len(keys)} keys; one key each")
-    return check_weights(patterns, "the batch of patterns", [f"pattern {tuple(k)}" for k in keys])
+    return check_weights(patterns, "the batch of patterns", [picture_name(key) for key in keys])
 
 
 def check_weights(weights: NDArray[Any], what: str, names: Sequence[str]) -> Float:

@@ -26,6 +26,7 @@ from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import SimulatedRig
 from rfpipe.rigs.stale import StaleWatch
+from rfpipe.units import picture_name
 
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
@@ -100,7 +101,7 @@ class DeviceRig(Closing):
         shape = self.camera.sensor.frame_shape(self.camera.shape, self.channels)
         frames = np.empty((len(patterns), *shape), self.camera.sensor.frame_dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
-            name, picture = f"pattern {tuple(key)}", self._picture(pattern)
+            name, picture = picture_name(key), self._picture(pattern)
             take = partial(bracket_of, self.projector, self.camera, picture, name)
             frames[index] = self._watch.kept(name, picture, take)
         return frames

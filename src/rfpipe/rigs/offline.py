@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError, PicturesNeeded, StoreError
+from rfpipe.errors import InputError, PicturesNeeded
+from rfpipe.output import storage_errors
 from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.pictures import write_code_picture
@@ -23,7 +24,13 @@ from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import load_calibration, resampled_sensor
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 from rfpipe.store import read_manifest, write_manifest
-from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, VERIFICATION_KEY
+from rfpipe.units import (
+    BLACK_LEVEL_KEY,
+    FLOODLIT_KEY,
+    SYMMETRY_KEY,
+    VERIFICATION_KEY,
+    picture_name,
+)
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig
@@ -102,7 +109,7 @@ class OfflineRig:
             taken = self.bracket and self.bracket(tuple(key), pattern)
             if taken is None:
                 raise PicturesNeeded(
-                    f"the pictures of pattern {tuple(key)} are still to be taken: 'rfpipe "
+                    f"the exposures of {picture_name(key)} are still to be taken: 'rfpipe "
                     "patterns' writes what to show, 'rfpipe import' reads what was taken"
                 )
             frames[index] = taken.reshape(shape)
@@ -268,13 +275,11 @@ def write_sheet(
 
 def _clear(folder: Path) -> None:
     """Make a sheet's folder, or remove an older sheet from it; StoreError where that fails."""
-    try:
+    with storage_errors(folder, "making the sheet's folder", resumes=False):
         (folder / PICTURES).mkdir(parents=True, exist_ok=True)
         (folder / MANIFEST).unlink(missing_ok=True)
         for old in folder.glob("[0-9]*_*.png"):
             old.unlink()
-    except OSError as error:
-        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
 
 
 def later_sheets(sheet: Sheet) -> list[Sheet]:

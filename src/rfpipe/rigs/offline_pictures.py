@@ -21,7 +21,7 @@ from rfpipe.rigs.faults import late_fault, moved_fault
 from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.offline import OfflineRig, Sheet
 from rfpipe.rigs.offline_light import light_faults
-from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION
+from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION, picture_name
 
 Picture = tuple[Header, Path]
 Float = NDArray[np.float32]
@@ -66,9 +66,9 @@ class Checked:
             return None
         if self.patterns[key] != fingerprint(np.asarray(pattern, np.float32)):
             raise CaptureError(
-                f"{self.files[key][0]}: shows another pattern {key} than is asked for now, since "
-                "settings or code changed. Write the patterns anew with 'rfpipe patterns', and "
-                "take them"
+                f"{self.files[key][0]}: shows another {picture_name(key)} than is asked for now, "
+                "since settings or code changed. Write the patterns anew with 'rfpipe patterns', "
+                "and take them"
             )
         return np.stack([_pixels(self.rig, path) for path in self.files[key]])
 

@@ -20,6 +20,7 @@ from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.rigs.devices import check_frames
 from rfpipe.rigs.messages import Message, Metrics, SentPatterns
+from rfpipe.units import picture_name
 
 _log = logging.getLogger("rfpipe.server")
 
@@ -253,8 +254,8 @@ class RigWorker:
             raise
         except Exception as error:
             self.metrics.failures += 1
-            self.metrics.last_error = f"pattern {keys[0]}: {error}"
-            _log.exception("the rig failed at pattern %s", keys[0])
+            self.metrics.last_error = f"{picture_name(keys[0])}: {error}"
+            _log.exception("the rig failed at %s", picture_name(keys[0]))
             if isinstance(error, CaptureError):
                 raise
             raise CaptureError(f"the rig failed: {type(error).__name__}: {error}") from error

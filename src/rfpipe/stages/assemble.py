@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,12 @@ def run(
     scene: str,
     number_format: NumberFormat,
     code: str,
+    sources: Mapping[str, str] | None = None,
 ) -> None:
-    """Write the transport, in a format of `rfpipe.transport.save_transport`, and its manifest."""
+    """Write the transport, in a format of `rfpipe.transport.save_transport`, and its manifest.
+
+    The manifest has the digests `sources` of a user's files, see `rfpipe.stages.plan`.
+    """
     plan.settle(folder)
     levels = folder.levels_above(None)
     made_of = {
@@ -47,7 +52,7 @@ def run(
     transport, masked = assembled(plan, folder)
     about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")
-    digest = save_transport(transport, store, number_format, **about)
+    digest = save_transport(transport, store, number_format, resumes=True, **about)
     write_manifest(
         manifest,
         {
@@ -65,6 +70,7 @@ def run(
             "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
             "options": plan.options.options(),
             "masked": int(np.count_nonzero(masked)),
+            **({"sources": dict(sources)} if sources else {}),
             "versions": versions(),
         },
     )

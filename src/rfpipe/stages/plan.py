@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.states import unprefixed
-from rfpipe.plugins import METHODS, SCENES, sources_of
-from rfpipe.provenance import code_digest
+from rfpipe.plugins import METHODS, SCENES, is_of_rfpipe, sources_of
+from rfpipe.provenance import code_digest, source_digest
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.symmetry import read_asymmetry
@@ -215,13 +215,19 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
         "mask_defects": of_scene.merge.mask_defects,
         "divide_out_drift": of_scene.divides_out_drift,
     }
+    sources = user_sources(config, scene, name)
     return {
         "schedule": code,
         "capture": captured,
         "merge": {**merged, **code},
         "normalize": {"mode": of_scene.normalization, **code},
         "refine": code,
-        "assemble": {"scene": scene, "number_format": of_scene.storage.number_format, **code},
+        "assemble": {
+            "scene": scene,
+            "number_format": of_scene.storage.number_format,
+            **({"sources": sources} if sources else {}),
+            **code,
+        },
     }
 
 
@@ -230,10 +236,28 @@ def code_of(config: Config, scene: str, name: str | None = None, *, pages: bool 
 
     The files of a scene and a method of a user's own count, too.
     """
-    used = [(SCENES, config.scenes[scene].kind)]
-    if name is not None:
-        used.append((METHODS, config.methods_of(scene)[name].method or name))
+    used = _classes(config, scene, name).values()
     return code_digest(*(path for each in used for path in sources_of(*each)), pages=pages)
+
+
+def user_sources(config: Config, scene: str, name: str) -> dict[str, str]:
+    """Digests of the files of a user's scene and method, by ``scene`` and ``method``.
+
+    Classes of rfpipe and its extras have no entry.
+    """
+    return {
+        role: source_digest(*sources_of(*named))
+        for role, named in _classes(config, scene, name).items()
+        if not is_of_rfpipe(*named)
+    }
+
+
+def _classes(config: Config, scene: str, name: str | None) -> dict[str, tuple[str, str]]:
+    """Groups and names of the classes of a scene and its method; see `rfpipe.plugins`."""
+    classes = {"scene": (SCENES, config.scenes[scene].kind)}
+    if name is not None:
+        classes["method"] = (METHODS, config.methods_of(scene)[name].method or name)
+    return classes
 
 
 def rig_of(config: Config, scene: str) -> dict[str, Any]:

@@ -177,6 +177,7 @@ def write_arrays(
     *,
     small: bool = False,
     by_parts: bool = False,
+    resumes: bool = True,
 ) -> str:
     """Write a bundle, complete or not at all; takes the place of an older one.
 
@@ -197,6 +198,8 @@ def write_arrays(
         Whether to compress harder, see `rfpipe.store.chunks.small_layout`.
     by_parts
         Whether to cut arrays finer, for those who read parts of them by `ArrayBundle.take`.
+    resumes
+        As in `storage_errors`.
 
     Returns
     -------
@@ -231,7 +234,7 @@ def write_arrays(
     header = plain(header, f"{path}: attributes")
     needed = sum(array.nbytes for array in contiguous.values())
     new = hidden_sibling(path, "new")
-    with StoreLock(path), storage_errors(path, "writing arrays", needed):
+    with StoreLock(path), storage_errors(path, "writing arrays", needed, resumes=resumes):
         if path.exists():
             _refuse_foreign(path)
         remove_tree(new)

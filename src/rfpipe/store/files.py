@@ -68,7 +68,7 @@ def remove_tree(path: Path) -> None:
     A folder is renamed first, so that an interrupted removal never leaves half of it under its
     name.
     """
-    with storage_errors(path, "removing"):
+    with storage_errors(path, "removing", resumes=False):
         doomed = hidden_sibling(path, "removed")
         shutil.rmtree(doomed, ignore_errors=True)
         if path.is_dir() and not path.is_symlink():

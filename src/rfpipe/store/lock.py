@@ -65,7 +65,7 @@ class StoreLock:
             When the folder isn't writable, or its file system has no locks.
         """
         begun = time.monotonic()
-        with storage_errors(self._lock_file, "locking"):
+        with storage_errors(self._lock_file, "locking", resumes=False):
             self._lock_file.parent.mkdir(parents=True, exist_ok=True)
             while self._descriptor is None:
                 descriptor = os.open(self._lock_file, os.O_RDWR | os.O_CREAT, 0o644)

@@ -222,6 +222,8 @@ def save_transport(
     transport: Transport,
     path: str | Path,
     number_format: NumberFormat = "float32",
+    *,
+    resumes: bool = False,
     **attributes: Any,
 ) -> str:
     """Write a transport into a chunked, compressed store, complete or not at all.
@@ -234,6 +236,8 @@ def save_transport(
     number_format : {"float32", "uint16", "uint8"}
         "float32" keeps every bit. The others round, factors of leaves by about 1e-5 and 3e-3 of
         their values; "uint8" is the default of runs (``storage.number_format``).
+    resumes : bool
+        Whether a run writes it, which goes on after an error; see `rfpipe.output.storage_errors`.
     **attributes
         Plain data to keep beside the transport's own (scene, method, fingerprints).
 
@@ -256,7 +260,9 @@ def save_transport(
     if transport.noise is not None:
         arrays = {**arrays, NOISE: transport.noise}
     by_parts = len(transport.camera_shape) > 2
-    return write_arrays(Path(path), arrays, {**attributes, **packed}, small=True, by_parts=by_parts)
+    return write_arrays(
+        Path(path), arrays, {**attributes, **packed}, small=True, by_parts=by_parts, resumes=resumes
+    )
 
 
 def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
