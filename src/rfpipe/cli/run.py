@@ -57,7 +57,10 @@ def run(context: typer.Context) -> None:
       --keep-going         go on with the other scenes where one fails
       --retake SCENE/METHOD/LEVEL
                            take a level's pictures again, or all of SCENE/METHOD;
-                           the old ones are set aside
+                           the old ones are set aside, once the rig has answered
+      --put-back SCENE/METHOD/LEVEL
+                           take the pictures that were set aside last in place of
+                           those that were taken since
       --forcerun STAGE     run a stage again, such as merge
       --unlock             free a folder that an unknown Snakemake has locked
       --help-all           all options, which are Snakemake's
@@ -75,6 +78,8 @@ def run(context: typer.Context) -> None:
     if not options.looks or "--unlock" in options.passed_on:
         _free(options)
     if options.retake and _retaken(options, settings):
+        return
+    if options.put_back and _put_back(options, settings):
         return
     own = [] if options.is_named else ["--snakefile", str(_own_snakefile())]
     ended = _to_its_end([program("snakemake"), *own, *options.passed_on])
@@ -94,12 +99,14 @@ class _Options:
     help_all: bool
     looks: bool
     retake: list[str]
+    put_back: list[str]
     passed_on: list[str]
 
     @classmethod
     def of(cls, arguments: list[str]) -> _Options:
         ours = ArgumentParser(add_help=False, allow_abbrev=False)
         ours.add_argument("--retake", nargs="+", action="extend", default=[])
+        ours.add_argument("--put-back", nargs="+", action="extend", default=[])
         ours.add_argument("--help-all", action="store_true")
         own, passed_on = ours.parse_known_args(arguments)
         shared = ArgumentParser(add_help=False, allow_abbrev=False)
@@ -114,6 +121,7 @@ class _Options:
             help_all=own.help_all,
             looks=any(option.partition("=")[0] in _LOOKS for option in passed_on),
             retake=own.retake,
+            put_back=own.put_back,
             passed_on=passed_on,
         )
 
@@ -153,6 +161,7 @@ def _free(options: _Options) -> None:
 def _retaken(options: _Options, settings: Config | None) -> bool:
     """Set aside the pictures to take again; return True for a rehearsal, with --dry-run."""
     from rfpipe.errors import InputError
+    from rfpipe.stages.captures import check_retakes
     from rfpipe.stages.retake import find_retakes
 
     acquisitions = None if settings is None else settings.acquisitions
@@ -161,15 +170,36 @@ def _retaken(options: _Options, settings: Config | None) -> bool:
             "--retake: these pictures are taken by hand (capture.rig is offline). Take them back "
             "with 'rfpipe import FOLDER --take-back', FOLDER being the sheet's"
         )
-    for retake in find_retakes(options.folder / "results", options.retake, acquisitions):
+    retakes = find_retakes(options.folder / "results", options.retake, acquisitions)
+    if settings is not None and not options.looks:
+        with chdir(options.folder):  # where a token's file is looked for
+            check_retakes(settings, retakes)
+    for retake in retakes:
         if options.looks:
             typer.echo(f"{retake.path}: its pictures would be taken again")
             continue
         kept = ", ".join(path.name for path in retake.set_aside())
         typer.echo(
             f"{retake.path}: its pictures are taken again; the old ones are kept beside the new "
-            f"ones, as {kept}. Remove them to free the space"
+            f"ones, as {kept}. Remove them to free the space, or put them back with --put-back "
+            f"{'/'.join(retake.path.parts[-3:])} in place of --retake"
         )
+    return options.looks
+
+
+def _put_back(options: _Options, settings: Config | None) -> bool:
+    """Put pictures back that were set aside; return True for a rehearsal, with --dry-run."""
+    from rfpipe.stages.retake import find_retakes
+
+    acquisitions = None if settings is None else settings.acquisitions
+    results = options.folder / "results"
+    levels = find_retakes(results, options.put_back, acquisitions, "--put-back")
+    for retake in [level for level in levels if level.is_set_aside] or levels:
+        if options.looks:
+            typer.echo(f"{retake.path}: the pictures set aside last would be put back")
+            continue
+        names = ", ".join(path.name for path in retake.put_back())
+        typer.echo(f"{retake.path}: the pictures set aside last are put back, as {names}")
     return options.looks
 
 
