@@ -61,7 +61,7 @@ def run(context: typer.Context) -> None:
       --put-back SCENE/METHOD/LEVEL
                            take the pictures that were set aside last in place of
                            those that were taken since
-      --forcerun STAGE     run a stage again, such as merge
+      --forcerun STAGE     run a stage again, such as report
       --unlock             free a folder that an unknown Snakemake has locked
       --help-all           all options, which are Snakemake's
 
@@ -69,12 +69,18 @@ def run(context: typer.Context) -> None:
     the target error allows. A Snakefile in this folder, or --snakefile, takes the place of
     rfpipe's own.
     """
+    from rfpipe.cli.targets import check_forced_rules, check_no_settings_file
     from rfpipe.stages.jobs.ends import program
 
     options = _Options.of(context.args)
     if options.help_all:
         raise typer.Exit(subprocess.call([program("snakemake"), "--help"]))
     settings = _checked(options)
+    if not options.is_named:
+        check_no_settings_file(options.rest)
+        is_whole = settings is not None and "--config" not in options.passed_on
+        jobs = settings.jobs if settings is not None and is_whole else None
+        check_forced_rules(options.passed_on, _own_snakefile().parent / "workflow/rules", jobs)
     if not options.looks or "--unlock" in options.passed_on:
         _free(options)
     if options.retake and _retaken(options, settings):
@@ -101,6 +107,8 @@ class _Options:
     retake: list[str]
     put_back: list[str]
     passed_on: list[str]
+    rest: list[str]
+    """Those that are passed on without settings files and folders."""
 
     @classmethod
     def of(cls, arguments: list[str]) -> _Options:
@@ -113,7 +121,7 @@ class _Options:
         shared.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
         shared.add_argument("--directory", "-d", type=Path, default=Path())
         shared.add_argument("--snakefile", "-s")
-        known, _ = shared.parse_known_args(passed_on)
+        known, rest = shared.parse_known_args(passed_on)
         return cls(
             files=known.configfile,
             folder=known.directory,
@@ -123,6 +131,7 @@ class _Options:
             retake=own.retake,
             put_back=own.put_back,
             passed_on=passed_on,
+            rest=rest,
         )
 
 
