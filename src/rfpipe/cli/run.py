@@ -87,6 +87,7 @@ def run(context: typer.Context) -> None:
         return
     if options.put_back and _put_back(options, settings):
         return
+    _warn_unrecorded(options)
     own = [] if options.is_named else ["--snakefile", str(_own_snakefile())]
     ended = _to_its_end([program("snakemake"), *own, *options.passed_on])
     if not options.looks:
@@ -210,6 +211,22 @@ def _put_back(options: _Options, settings: Config | None) -> bool:
         names = ", ".join(path.name for path in retake.put_back())
         typer.echo(f"{retake.path}: the pictures set aside last are put back, as {names}")
     return options.looks
+
+
+def _warn_unrecorded(options: _Options) -> None:
+    """Warn of results that were copied without Snakemake's records of their settings."""
+    from rfpipe.stages.jobs.running import unrecorded
+
+    names = [] if {"--forceall", "-F"} & set(options.passed_on) else unrecorded(options.folder)
+    if names:
+        several = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        typer.echo(
+            f"rfpipe: warning: {options.folder / '.snakemake'} has no records of the settings of "
+            f"{names[0]}{several}: settings that changed since can't be noticed, and these results "
+            "stay as they are. Copy .snakemake with results, or run with --forceall: it compares "
+            "all stages with the settings, and takes pictures again only where these changed",
+            err=True,
+        )
 
 
 def _say_outcome(folder: Path, ended: int) -> None:
