@@ -18,6 +18,7 @@ import os
 from pathlib import Path
 
 from rfpipe.stages.jobs.ends import (
+    explain_reruns,
     list_changed_parameters_alone,
     notify,
     say_failed_jobs,
@@ -35,6 +36,7 @@ os.environ.update(RFPIPE_HOME=str(workflow.basedir))
 
 
 list_changed_parameters_alone()
+explain_reruns()
 failed_jobs = FailedJobs()
 logger.addHandler(failed_jobs)
 

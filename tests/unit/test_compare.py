@@ -177,3 +177,9 @@ def test_errors_that_no_method_reaches_are_left_out_unless_named(tmp_path: Path)
     assert " 5 " in shown
     assert "not reached" not in shown
     assert "not reached" in run("compare", tmp_path, "-e", "0.001")
+
+
+@pytest.mark.parametrize(("error", "meant"), [("5", "0.05"), ("1", "0.01"), ("0", "fraction")])
+def test_percent_are_refused_as_errors(tmp_path: Path, error: str, meant: str) -> None:
+    with pytest.raises(InputError, match=f"--error {error}.*{meant}"):
+        run("compare", tmp_path, "-e", error)

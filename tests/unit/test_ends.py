@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from snakemake.api import Workflow  # first, else snakemake.workflow imports itself
 
 from rfpipe.stages.jobs import ends
-from rfpipe.stages.jobs.ends import notify, run_again, write_run
+from rfpipe.stages.jobs.ends import explain_reruns, notify, run_again, write_run
 
 
 @pytest.mark.parametrize(
@@ -60,3 +63,18 @@ def test_outputs_of_unchanged_parameters_are_not_listed() -> None:
     changed = ParamsChange(only_new={"2"}, only_old={"1"}, files={"b.json"})
     assert list(NO_PARAMS_CHANGE | same) == []
     assert list(NO_PARAMS_CHANGE | same | changed) == ["b.json"]
+
+
+@pytest.mark.parametrize("is_triggered", [True, False])
+def test_reruns_are_explained_without_advice_to_keep_results_of_other_settings(
+    is_triggered: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(Workflow, "log_provenance_info", Workflow.log_provenance_info)
+    explain_reruns()
+    reason = SimpleNamespace(is_provenance_triggered=lambda: is_triggered)
+    dag = SimpleNamespace(needrun_jobs=lambda exclude_finished: ["job"], reason=lambda job: reason)
+    with caplog.at_level(logging.INFO):
+        Workflow.log_provenance_info(SimpleNamespace(dag=dag))
+    assert ("config/README.md" in caplog.text) == is_triggered
+    assert "mtime" not in caplog.text
+    assert "cleanup-metadata" not in caplog.text

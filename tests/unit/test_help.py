@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
+from tests.helpers import run
 from typer.testing import CliRunner
 
 from rfpipe.cli import app
 from rfpipe.cli.run import _Options
+from rfpipe.errors import InputError
 
 WIDTH = 80
 
@@ -74,3 +78,49 @@ def test_all_options_are_snakemake_s(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "call", lambda command: called.append(command) or 0)
     assert CliRunner().invoke(app, ["run", "--help-all"]).exit_code == 0
     assert called[0][1:] == ["--help"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mine.yaml"], r"settings go after --configfile: rfpipe run --configfile mine\.yaml"),
+        (["--cores", "2", "mine.yml"], "--configfile mine.yml"),
+        (["--dry-run", "mine.yaml"], "--configfile mine.yaml"),
+        (["--forcerun", "merg"], "no stage of this name.*such as merge"),
+        (["-R", "reprt", "--cores", "1"], "such as report"),
+        (["--configfile", "small.yaml", "-R", "merge"], "resources.jobs to stage"),
+        (["--configfile", "small.yaml", "-R", "acquir"], "such as acquire"),
+        (["--configfile", "stages.yaml", "-R", "acquire"], "no stage of this name"),
+    ],
+)
+def test_a_wrong_target_says_what_was_expected(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = "scenes: {wall: {kind: wedge, surfaces: [texture, white], shape: [6, 8]}}\n"
+    Path("small.yaml").write_text(scene)
+    Path("stages.yaml").write_text(scene + "resources: {jobs: stage}\n")
+    with pytest.raises(InputError, match=message):
+        run("run", *arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--profile", "mine.yaml"],
+        ["--configfile", "small.yaml", "-R", "results/report/index.html", "report"],
+        ["--configfile", "stages.yaml", "--forcerun", "merge", "--cores", "2"],
+    ],
+)
+def test_right_targets_are_passed_on(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = "scenes: {wall: {kind: wedge, surfaces: [texture, white], shape: [6, 8]}}\n"
+    Path("small.yaml").write_text(scene)
+    Path("stages.yaml").write_text(scene + "resources: {jobs: stage}\n")
+    started: list[list[str]] = []
+    cli_run = sys.modules["rfpipe.cli.run"]
+    monkeypatch.setattr(cli_run, "_to_its_end", lambda command: started.append(command) or 0)
+    run("run", *arguments)
+    assert started[0][-len(arguments) :] == arguments

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.helpers import run
 
-from rfpipe.errors import InputError
+from rfpipe.config import Config
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import OperatorRig
+from rfpipe.stages import captures
+from rfpipe.stages.capture import frame_settings
 from rfpipe.stages.folder import STAGES
 from rfpipe.stages.retake import find_retakes
 from rfpipe.store import write_manifest
@@ -153,3 +159,75 @@ def test_a_rehearsal_sets_nothing_aside(results: Path, monkeypatch: pytest.Monke
     said = run("run", "--dry-run", "--retake", "vase/dual/2")
     assert "results/vase/dual/L02: its pictures would be taken again" in said
     assert present(results) == before
+
+
+def test_pictures_are_put_back_and_those_taken_since_set_aside(results: Path) -> None:
+    before = present(results)
+    store = results / "vase/dual/L00/capture.zarr"
+    (retake,) = find_retakes(results, ["vase/dual/0"])
+    retake.set_aside()
+    # a run that failed before it took a picture
+    (retake,) = find_retakes(results, ["vase/dual/0"], option="--put-back")
+    assert {path.name for path in retake.put_back()} == {f"{it}.zarr" for it in STORES["L00"]}
+    assert {path for path in before if ".zarr" in path} <= present(results)
+    retake.set_aside()
+    store.mkdir()
+    (store / "c.0").write_text("new light")
+    write_manifest(store.with_name("capture.json"), {})
+    write_manifest(results / "vase/dual/transport.json", {})
+    retake.put_back()
+    assert (store / "c.0").read_text() == "light"
+    assert (store.with_name("capture.before_2.zarr") / "c.0").read_text() == "new light"
+    gone = (store.with_name("capture.json"), results / "vase/dual/transport.json")
+    assert not any(path.exists() for path in gone)
+    (retake,) = find_retakes(results, ["vase/dual/1"])
+    with pytest.raises(InputError, match="no pictures are set aside in"):
+        retake.put_back()
+
+
+CAMERAS = {"as before": {}, "other": {"exposures": (0.5,)}}
+
+
+@pytest.mark.parametrize(
+    ("server", "name", "message"),
+    [
+        ("down", "vase/dual", "no answer"),
+        ("down", "vase/dual/L02", "no answer"),
+        ("other rays", "vase/dual", "the rig has"),
+        ("other", "vase/dual/L02", "the rig is not that of the patterns captured before"),
+        ("other", "vase/dual/L00", "the rig is not that of the patterns captured before"),
+        ("other", "vase/dual", None),
+        ("as before", "vase/dual/L02", None),
+    ],
+)
+def test_nothing_is_set_aside_unless_the_rig_answers_and_is_that_of_before(
+    results: Path, monkeypatch: pytest.MonkeyPatch, server: str, name: str, message: str | None
+) -> None:
+    def rig_of_server(url: str, token: str, patience: float) -> OperatorRig:
+        assert patience <= 10
+        if server == "down":
+            raise CaptureError(f"{url}: no answer")
+        side = 6 if server == "other rays" else 4
+        camera = CameraModel(**CAMERAS.get(server, {}))
+        rig = OperatorRig(np.eye(side * side)[None], (side, side), (side, side), camera)
+        rig.url, rig.close = url, lambda: None
+        return rig
+
+    monkeypatch.setattr(captures, "RemoteRig", rig_of_server)
+    monkeypatch.setenv("RFPIPE_TOKEN", "a-token-for-tests-only")
+    monkeypatch.chdir(results.parent)
+    monkeypatch.setattr(captures, "_begun_with", lambda folder: described)
+    settings = Config.model_validate(
+        {
+            "scenes": {"vase": {"kind": "captured", "shape": [4, 4], "channels": 1}},
+            "methods": {"dual": {}},
+            "capture": {"rig": "remote", "url": "http://127.0.0.1:1"},
+        }
+    )
+    described = frame_settings(OperatorRig(np.eye(16)[None], (4, 4), (4, 4), CameraModel()))
+    retakes = find_retakes(results, [name])
+    if message is None:
+        captures.check_retakes(settings, retakes)
+    else:
+        with pytest.raises(CaptureError, match=f"{message}.*set nothing aside"):
+            captures.check_retakes(settings, retakes)

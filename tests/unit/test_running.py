@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,9 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.helpers import run as run_command
 
 from rfpipe.errors import LockedError
-from rfpipe.stages.jobs.running import free_if_dead
+from rfpipe.stages.jobs.running import free_if_dead, unrecorded
+from rfpipe.store import write_manifest
 
 RUN = """
 import sys, time
@@ -86,3 +89,26 @@ def test_a_lock_that_is_not_known_stays(
         free_if_dead(tmp_path, UNLOCK)
     assert not free_if_dead(tmp_path, None)  # which is for Snakemake to do
     assert locks(tmp_path)
+
+
+def test_results_without_snakemake_s_records_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for scene in ("copied", "recorded"):
+        write_manifest(Path(f"results/{scene}/dual/transport.json"), {})
+    records = Path(".snakemake/metadata")
+    records.mkdir(parents=True)
+    # as Snakemake names the record of results/recorded/dual/transport.json
+    name = "cmVzdWx0cy9yZWNvcmRlZC9kdWFsL3RyYW5zcG9ydC5qc29u"
+    (records / name).write_text("{}")
+    assert unrecorded(Path()) == ["copied/dual"]
+    monkeypatch.setattr(sys.modules["rfpipe.cli.run"], "_to_its_end", lambda command: 0)
+    said = run_command("run")
+    assert "no records of the settings of copied/dual" in said
+    assert "--forceall" in said
+    assert "no records" not in run_command("run", "--forceall")
+    (records / name).unlink()
+    assert "and 1 more" in run_command("run")
+    shutil.rmtree("results")
+    assert "no records" not in run_command("run")

@@ -95,6 +95,7 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
         with pytest.raises(StaleStoreError, match="mask_defects True -> False") as error:
             acquisition.merge(level, mask_defects=False)
         assert "capture.keep_raw is false" in str(error.value)
+        assert "Set that back and run again" in str(error.value)
         assert acquisition.folder.retaking() in str(error.value)
         acquisition.merge(level)  # with the settings of before
     assert everything(acquisition.folder.path) == before

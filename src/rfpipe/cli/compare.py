@@ -51,12 +51,19 @@ def compare(
     Costs are interpolated between its points, which are levels where a transport is known level by
     level. The note says where a method does not reach an error.
     """
+    from rfpipe.errors import InputError
     from rfpipe.output import checked_output
     from rfpipe.report.compare import ERRORS
     from rfpipe.report.compare import compare as compared
     from rfpipe.report.page import latex_table
     from rfpipe.store.files import write_atomically
 
+    for error in errors or ():
+        if not 0 < error < 1:
+            percent = f"; for {error:g} % write {error / 100:g}" if 1 <= error < 100 else ""
+            raise InputError(
+                f"--error {error:g}: should be a fraction above 0 and below 1{percent}"
+            )
     suffix = checked_output("compare", output) if output is not None else ""
     rows = compared(folders, errors or ERRORS, seconds)
     if errors is None:

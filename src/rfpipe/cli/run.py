@@ -57,8 +57,11 @@ def run(context: typer.Context) -> None:
       --keep-going         go on with the other scenes where one fails
       --retake SCENE/METHOD/LEVEL
                            take a level's pictures again, or all of SCENE/METHOD;
-                           the old ones are set aside
-      --forcerun STAGE     run a stage again, such as merge
+                           the old ones are set aside, once the rig has answered
+      --put-back SCENE/METHOD/LEVEL
+                           take the pictures that were set aside last in place of
+                           those that were taken since
+      --forcerun STAGE     run a stage again, such as report
       --unlock             free a folder that an unknown Snakemake has locked
       --help-all           all options, which are Snakemake's
 
@@ -66,16 +69,25 @@ def run(context: typer.Context) -> None:
     the target error allows. A Snakefile in this folder, or --snakefile, takes the place of
     rfpipe's own.
     """
+    from rfpipe.cli.targets import check_forced_rules, check_no_settings_file
     from rfpipe.stages.jobs.ends import program
 
     options = _Options.of(context.args)
     if options.help_all:
         raise typer.Exit(subprocess.call([program("snakemake"), "--help"]))
     settings = _checked(options)
+    if not options.is_named:
+        check_no_settings_file(options.rest)
+        is_whole = settings is not None and "--config" not in options.passed_on
+        jobs = settings.jobs if settings is not None and is_whole else None
+        check_forced_rules(options.passed_on, _own_snakefile().parent / "workflow/rules", jobs)
     if not options.looks or "--unlock" in options.passed_on:
         _free(options)
     if options.retake and _retaken(options, settings):
         return
+    if options.put_back and _put_back(options, settings):
+        return
+    _warn_unrecorded(options)
     own = [] if options.is_named else ["--snakefile", str(_own_snakefile())]
     ended = _to_its_end([program("snakemake"), *own, *options.passed_on])
     if not options.looks:
@@ -94,19 +106,23 @@ class _Options:
     help_all: bool
     looks: bool
     retake: list[str]
+    put_back: list[str]
     passed_on: list[str]
+    rest: list[str]
+    """Those that are passed on without settings files and folders."""
 
     @classmethod
     def of(cls, arguments: list[str]) -> _Options:
         ours = ArgumentParser(add_help=False, allow_abbrev=False)
         ours.add_argument("--retake", nargs="+", action="extend", default=[])
+        ours.add_argument("--put-back", nargs="+", action="extend", default=[])
         ours.add_argument("--help-all", action="store_true")
         own, passed_on = ours.parse_known_args(arguments)
         shared = ArgumentParser(add_help=False, allow_abbrev=False)
         shared.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
         shared.add_argument("--directory", "-d", type=Path, default=Path())
         shared.add_argument("--snakefile", "-s")
-        known, _ = shared.parse_known_args(passed_on)
+        known, rest = shared.parse_known_args(passed_on)
         return cls(
             files=known.configfile,
             folder=known.directory,
@@ -114,7 +130,9 @@ class _Options:
             help_all=own.help_all,
             looks=any(option.partition("=")[0] in _LOOKS for option in passed_on),
             retake=own.retake,
+            put_back=own.put_back,
             passed_on=passed_on,
+            rest=rest,
         )
 
 
@@ -153,6 +171,7 @@ def _free(options: _Options) -> None:
 def _retaken(options: _Options, settings: Config | None) -> bool:
     """Set aside the pictures to take again; return True for a rehearsal, with --dry-run."""
     from rfpipe.errors import InputError
+    from rfpipe.stages.captures import check_retakes
     from rfpipe.stages.retake import find_retakes
 
     acquisitions = None if settings is None else settings.acquisitions
@@ -161,16 +180,53 @@ def _retaken(options: _Options, settings: Config | None) -> bool:
             "--retake: these pictures are taken by hand (capture.rig is offline). Take them back "
             "with 'rfpipe import FOLDER --take-back', FOLDER being the sheet's"
         )
-    for retake in find_retakes(options.folder / "results", options.retake, acquisitions):
+    retakes = find_retakes(options.folder / "results", options.retake, acquisitions)
+    if settings is not None and not options.looks:
+        with chdir(options.folder):  # where a token's file is looked for
+            check_retakes(settings, retakes)
+    for retake in retakes:
         if options.looks:
             typer.echo(f"{retake.path}: its pictures would be taken again")
             continue
         kept = ", ".join(path.name for path in retake.set_aside())
         typer.echo(
             f"{retake.path}: its pictures are taken again; the old ones are kept beside the new "
-            f"ones, as {kept}. Remove them to free the space"
+            f"ones, as {kept}. Remove them to free the space, or put them back with --put-back "
+            f"{'/'.join(retake.path.parts[-3:])} in place of --retake"
         )
     return options.looks
+
+
+def _put_back(options: _Options, settings: Config | None) -> bool:
+    """Put pictures back that were set aside; return True for a rehearsal, with --dry-run."""
+    from rfpipe.stages.retake import find_retakes
+
+    acquisitions = None if settings is None else settings.acquisitions
+    results = options.folder / "results"
+    levels = find_retakes(results, options.put_back, acquisitions, "--put-back")
+    for retake in [level for level in levels if level.is_set_aside] or levels:
+        if options.looks:
+            typer.echo(f"{retake.path}: the pictures set aside last would be put back")
+            continue
+        names = ", ".join(path.name for path in retake.put_back())
+        typer.echo(f"{retake.path}: the pictures set aside last are put back, as {names}")
+    return options.looks
+
+
+def _warn_unrecorded(options: _Options) -> None:
+    """Warn of results that were copied without Snakemake's records of their settings."""
+    from rfpipe.stages.jobs.running import unrecorded
+
+    names = [] if {"--forceall", "-F"} & set(options.passed_on) else unrecorded(options.folder)
+    if names:
+        several = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        typer.echo(
+            f"rfpipe: warning: {options.folder / '.snakemake'} has no records of the settings of "
+            f"{names[0]}{several}: settings that changed since can't be noticed, and these results "
+            "stay as they are. Copy .snakemake with results, or run with --forceall: it compares "
+            "all stages with the settings, and takes pictures again only where these changed",
+            err=True,
+        )
 
 
 def _say_outcome(folder: Path, ended: int) -> None:

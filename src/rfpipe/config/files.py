@@ -159,7 +159,8 @@ def _parsed(kind: type[_S], data: object, source: str, collection: Collection | 
         if not lines:
             return settings
     except ValidationError as error:
-        found = [(_scene_of(*each, collection), each[1]) for each in located(error)]
+        mistakes = located(error) + _hidden_by_names(kind, data, error)
+        found = [(_scene_of(*each, collection), each[1]) for each in mistakes]
         for scene, line in found:
             place = (
                 f"{collection.file}: {collection.places[scene]}" if collection and scene else source
@@ -173,6 +174,35 @@ def _parsed(kind: type[_S], data: object, source: str, collection: Collection | 
     if len(lines) > _MOST_LINES:
         lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more mistakes"]
     raise ConfigError("\n".join(dict.fromkeys(lines)))
+
+
+def _hidden_by_names(
+    kind: type[Settings], data: Mapping[Any, Any], error: ValidationError
+) -> list[tuple[Location, str]]:
+    """Mistakes that are checked only once the scenes' names are valid.
+
+    The settings are checked again with valid names in place of the others.
+    """
+    problems = error.errors(include_url=False)
+    invalid = {it["loc"][1] for it in problems if it["loc"][::2] == ("scenes", "[key]")}
+    if not invalid or kind is not Config:
+        return []
+    valid = {name: f"renamed_scene_{number}" for number, name in enumerate(sorted(invalid))}
+    scenes = {valid.get(name, name): scene for name, scene in data["scenes"].items()}
+    try:
+        kind.model_validate({**data, "scenes": scenes})
+    except ValidationError as renamed:
+        mistakes = located(renamed)
+    else:
+        return []
+    original = {renamed: str(name) for name, renamed in valid.items()}
+    return [
+        (
+            tuple(original.get(str(part), part) for part in location),
+            re.sub(r"renamed_scene_\d+", lambda match: original[match[0]], line),
+        )
+        for location, line in mistakes
+    ]
 
 
 def _scene_of(location: Location, line: str, collection: Collection | None) -> str:

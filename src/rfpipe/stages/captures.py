@@ -6,11 +6,11 @@ import logging
 import os
 import shlex
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import closing
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rfpipe.errors import CaptureError, PicturesNeeded, StoreError
 from rfpipe.rigs import RemoteRig
@@ -19,10 +19,17 @@ from rfpipe.rigs.messages import read_token
 from rfpipe.stages import capture
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
+from rfpipe.stages.plan import rig_of
+from rfpipe.stages.retake import Retake, is_whole
 from rfpipe.store import FrameStore
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
 
 Capture = Callable[..., None]
 """``capture(folder, level, **options)``: `rfpipe.stages.capture.run` with its rig."""
+
+_PATIENCE_BEFORE_RETAKE = 5.0  # seconds; somebody waits for the answer
 
 _log = logging.getLogger(__name__)
 
@@ -119,6 +126,37 @@ def by_server(
         capture.run(rig, folder, level, **options)
 
 
+def check_retakes(config: Config, retakes: Collection[Retake]) -> None:
+    """Check, before pictures are set aside, that the rig can take them again.
+
+    A simulated rig always can. One behind a server has to answer within a few seconds, and has to
+    be that of the pictures which stay; where all of an acquisition are taken again, it may be
+    another one.
+
+    Raises
+    ------
+    ConfigError
+        When there is no token.
+    CaptureError
+        When the rig doesn't answer, has other rays, or isn't that of the pictures which stay.
+    """
+    if config.capture.rig != "remote":
+        return
+    for path in dict.fromkeys(retake.folder.path for retake in retakes):
+        folder = AcquisitionFolder(path)
+        scene = path.parent.name
+        asked = config.of_scene(scene).capture
+        token = read_token(Path(asked.token_file) if asked.token_file else None)
+        patience = min(asked.patience_seconds, _PATIENCE_BEFORE_RETAKE)
+        try:
+            with closing(RemoteRig(str(asked.url), token, patience)) as rig:
+                _check_rays(rig, rig_of(config, scene)["rig"], str(asked.url))
+                if not is_whole(retakes, folder):
+                    _check_begun(rig, folder)
+        except CaptureError as error:
+            raise CaptureError(f"{error}. --retake has set nothing aside") from error
+
+
 @cache
 def place(command: str, scene: str) -> None:
     """Have the user's command put a scene before the rig, once in a process.
@@ -149,11 +187,7 @@ def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
 
 def _check_begun(rig: RemoteRig, folder: AcquisitionFolder) -> None:
     """Refuse to go on with another rig than that of the frames that are on disk."""
-    try:
-        with FrameStore.open(folder.store(0, REFERENCE)) as frames:
-            begun_with = frames.attributes["rig"] if frames.done.any() else None
-    except (StoreError, KeyError):
-        return  # nothing is captured, or its own stage will say what is damaged
+    begun_with = _begun_with(folder)
     described = capture.frame_settings(rig)
     if begun_with not in (None, described):
         raise CaptureError(
@@ -161,3 +195,15 @@ def _check_begun(rig: RemoteRig, folder: AcquisitionFolder) -> None:
             f"{differing(begun_with, described)}). Serve it with those settings, or "
             f"begin anew with this rig: '{folder.retaking()}', with the run's other options"
         )
+
+
+def _begun_with(folder: AcquisitionFolder) -> dict[str, Any] | None:
+    """Description of the rig that took the first frames, None where none are captured.
+
+    Also None where they can't be read: their own stage reports the damage.
+    """
+    try:
+        with FrameStore.open(folder.store(0, REFERENCE)) as frames:
+            return dict(frames.attributes["rig"]) if frames.done.any() else None
+    except (StoreError, KeyError):
+        return None

@@ -256,7 +256,10 @@ def _kept(
         why = f"there are no whole merged images of them ({error})"
     if not why and facts["made_of"] != made_of:
         changed = differing(facts["made_of"], made_of)
-        why = f"what they were merged with changed ({changed}): restore it"
+        why = (
+            f"what they were merged with changed ({changed}). Set that back and run again: all "
+            "merged images are still there, and manifests that are missing are made again"
+        )
     if why:
         raise StaleStoreError(
             f"{raw}: the raw exposures were dropped after their merge (capture.keep_raw is false), "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 
 from rfpipe.errors import InputError
@@ -49,10 +48,49 @@ class Retake:
         with StoreLock(self.folder.path):
             for manifest in self._manifests():
                 manifest.unlink(missing_ok=True)
-            stores = [self.path / f"{name}.zarr" for name in _CAPTURED]
-            if is_dropped(self.path / "capture.zarr"):
-                stores += [self.path / f"{name}.zarr" for name in _MERGED]
-            return [store.rename(_aside(store)) for store in stores if store.exists()]
+            return self._rename_aside()
+
+    @property
+    def is_set_aside(self) -> bool:
+        """Whether older pictures of the level are set aside."""
+        return self._last_number() > 0
+
+    def put_back(self) -> list[Path]:
+        """Exchange the pictures for those set aside last; return the stores that are back.
+
+        Pictures taken since are set aside in turn. Manifests are removed first, as by `set_aside`.
+
+        Raises
+        ------
+        InputError
+            When no pictures of the level are set aside.
+        """
+        number = self._last_number()
+        if not number:
+            raise InputError(
+                f"--put-back: no pictures are set aside in {self.path.absolute()}; name a level "
+                "with a store capture.before_1.zarr"
+            )
+        with StoreLock(self.folder.path):
+            for manifest in self._manifests():
+                manifest.unlink(missing_ok=True)
+            self._rename_aside()
+            stores = [self.path / f"{name}.zarr" for name in (*_CAPTURED, *_MERGED)]
+            pairs = [(_numbered(store, number), store) for store in stores]
+            return [aside.rename(store) for aside, store in pairs if aside.exists()]
+
+    def _rename_aside(self) -> list[Path]:
+        """Rename the stores of the pictures, all with the first number that is free."""
+        stores = [self.path / f"{name}.zarr" for name in _CAPTURED]
+        if is_dropped(self.path / "capture.zarr"):
+            stores += [self.path / f"{name}.zarr" for name in _MERGED]
+        number = self._last_number() + 1
+        return [store.rename(_numbered(store, number)) for store in stores if store.exists()]
+
+    def _last_number(self) -> int:
+        """Largest number in the names of stores that are set aside, 0 where there are none."""
+        numbers = (path.stem.rpartition("_")[2] for path in self.path.glob("*.before_*.zarr"))
+        return max((int(number) for number in numbers if number.isdigit()), default=0)
 
     def _manifests(self) -> list[Path]:
         """Manifests of the pictures and of the stages after them, in the reverse order of stages.
@@ -74,7 +112,10 @@ class Retake:
 
 
 def find_retakes(
-    results: Path, names: Sequence[str], acquisitions: Collection[tuple[str, str]] | None = None
+    results: Path,
+    names: Sequence[str],
+    acquisitions: Collection[tuple[str, str]] | None = None,
+    option: str = "--retake",
 ) -> list[Retake]:
     """Return the levels of names, ``SCENE/METHOD/LEVEL`` or all of ``SCENE/METHOD``.
 
@@ -87,6 +128,8 @@ def find_retakes(
         to verify the transport, which are among all levels.
     acquisitions : collection of (str, str), optional
         Scenes and methods of the settings.
+    option : str
+        Name of the command's option, for messages.
 
     Raises
     ------
@@ -99,21 +142,33 @@ def find_retakes(
     for name in names:
         wanted = [key for key in captured if key == _normal(name) or _is_in(key, _normal(name))]
         if not wanted:
-            raise InputError(_unknown(name, results, list(captured)))
+            raise InputError(f"{option} {_unknown(name, results, list(captured))}")
         scene, method, *_ = wanted[0].split("/")
         if acquisitions is not None and (scene, method) not in acquisitions:
             raise InputError(
-                f"--retake {name}: the settings have no acquisition of {scene} by {method}, only "
+                f"{option} {name}: the settings have no acquisition of {scene} by {method}, only "
                 f"{', '.join('/'.join(each) for each in acquisitions)}. Add it to them first"
             )
         retakes |= {key: captured[key] for key in wanted}
     return list(retakes.values())
 
 
+def is_whole(retakes: Collection[Retake], folder: AcquisitionFolder) -> bool:
+    """Whether retakes have all levels that are captured of an acquisition."""
+    levels = {retake.level for retake in retakes if retake.folder.path == folder.path}
+    captured = _captured(folder.path.parents[1])
+    return levels >= {each.level for _, each in captured if each.folder.path == folder.path}
+
+
 def _captured(results: Path) -> Iterator[tuple[str, Retake]]:
-    """Yield the name and level of each capture, begun or complete."""
+    """Yield the name and level of each capture: begun, complete, or set aside."""
     stores = (
-        path for stem in ("capture", REFERENCE) for path in results.glob(f"*/*/*/{stem}.zarr")
+        path
+        for stem in ("capture", REFERENCE)
+        for path in (
+            *results.glob(f"*/*/*/{stem}.zarr"),
+            *results.glob(f"*/*/*/{stem}.before_*.zarr"),
+        )
     )
     for place in sorted({store.parent for store in stores}):
         folder, name = AcquisitionFolder(place.parent), "/".join(place.parts[-3:])
@@ -139,18 +194,17 @@ def _is_in(key: str, name: str) -> bool:
 def _unknown(name: str, results: Path, known: list[str]) -> str:
     """Describe a name by which nothing is captured."""
     if not known:
-        return f"--retake {name}: nothing is captured in {results.absolute()}"
+        return f"{name}: nothing is captured in {results.absolute()}"
     acquisitions = dict.fromkeys(key.rpartition("/")[0] for key in known)
     names = [*acquisitions, *known]
     close = difflib.get_close_matches(_normal(name), names, n=_NEAREST, cutoff=0.5)
     nearest = close or list(acquisitions)[:_NEAREST]
     return (
-        f"--retake {name}: nothing is captured by this name in {results.absolute()}; expected "
+        f"{name}: nothing is captured by this name in {results.absolute()}; expected "
         f"SCENE/METHOD or SCENE/METHOD/LEVEL, such as {', '.join(nearest)}"
     )
 
 
-def _aside(store: Path) -> Path:
-    """Return a free name for pictures that are set aside."""
-    names = (store.with_name(f"{store.stem}.before_{n}{store.suffix}") for n in count(1))
-    return next(name for name in names if not name.exists())
+def _numbered(store: Path, number: int) -> Path:
+    """Name of a store that is set aside."""
+    return store.with_name(f"{store.stem}.before_{number}{store.suffix}")

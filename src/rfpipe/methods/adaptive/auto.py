@@ -56,8 +56,11 @@ class Auto(Method[Any]):
         return self._likely(camera, projector).expected_patterns(camera, projector, options)
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
-        """Return the largest number, of the method that the shapes allow."""
-        return self._likely(camera, projector).most_patterns(camera, projector, options)
+        """Return the largest number of the methods that the rig may turn out to need."""
+        rigs = (True, False) if self.asks_symmetry(camera, projector) else (False,)
+        return max(
+            self.on_rig(coaxial).most_patterns(camera, projector, options) for coaxial in rigs
+        )
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions

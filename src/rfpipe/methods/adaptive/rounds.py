@@ -51,6 +51,9 @@ _log = logging.getLogger(__name__)
 BLOCK_ROUNDS = tuple(("residual", count) for count in (12, 20, 28, 40, 60, 88, 124, 170))
 """Rounds of what models leave, in random blocks: each has some 1.4 times all patterns before it."""
 
+HIERARCHY_MARGIN = 4.0
+"""Largest number of patterns of a hierarchy, over the number that `hierarchy_patterns` expects."""
+
 
 class Adaptive(PackingMethod[AdaptiveState]):
     """A method in rounds, ended at an error that held-out pictures tell."""
@@ -89,15 +92,22 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Guess the patterns from the target, by the benchmark's open scenes; see `PATTERNS`."""
         a_view, power = PATTERNS
         typical = projector.views * a_view * float((0.01 / total_error(options)) ** power)
-        return min(round(typical), self.most_patterns(camera, projector, options))
+        most = self.most_patterns(camera, projector, options)
+        return min(round(typical), projector.size, most)
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return the patterns of all rounds, and of a hierarchy between them."""
+        """Bound the patterns of all rounds and of a hierarchy between them.
+
+        A hierarchy shows at most each block of each level once. On large projectors that is far
+        more than it needs, and `HIERARCHY_MARGIN` times its law bounds it.
+        """
         rounds = sum(count for _, count in self.levels(projector))
-        depth = BlockTree(projector).n_levels
-        hierarchy = hierarchy_patterns(total_error(options), depth, self.way.law)
-        total = 1 + len(HELD_OUT) + rounds + round(hierarchy)
-        return min(projector.size, options.patterns or total)
+        tree = BlockTree(projector)
+        blocks = sum(tree.n_blocks(level) for level in range(1, tree.n_levels))
+        law = hierarchy_patterns(total_error(options), tree.n_levels, self.way.law)
+        hierarchy = min(blocks, round(HIERARCHY_MARGIN * law))
+        total = 1 + len(HELD_OUT) + rounds + hierarchy
+        return min(total, options.patterns or total)
 
     def below(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
         """Return the levels of the hierarchy below its floodlit one, and of what that leaves."""

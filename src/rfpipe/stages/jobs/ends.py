@@ -123,6 +123,24 @@ def list_changed_parameters_alone() -> None:
     ParamsChange.__iter__ = lambda change: iter(change.files if change else ())
 
 
+def explain_reruns() -> None:
+    """Let a run explain jobs that changed settings trigger, in place of Snakemake's advice.
+
+    Snakemake advises to look at times alone, or to remove its records, by which results of other
+    settings would stay.
+    """
+    from snakemake.workflow import Workflow
+
+    def log_reasons(workflow: Any) -> None:
+        reasons = map(workflow.dag.reason, workflow.dag.needrun_jobs(exclude_finished=False))
+        if any(reason.is_provenance_triggered() for reason in reasons):
+            logging.getLogger("snakemake.logging").info(
+                "Settings or code changed; config/README.md lists which change runs what again."
+            )
+
+    Workflow.log_provenance_info = log_reasons
+
+
 def say_failed_jobs(logger: logging.Logger) -> None:
     """Let Snakemake say by what jobs failed on other machines, of which its profile is quiet."""
     from snakemake.logging import DefaultFormatter

@@ -8,6 +8,7 @@ Snakemake's lock files. If that lock is free and the same files still exist, the
 from __future__ import annotations
 
 import shutil
+from base64 import urlsafe_b64encode
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,6 +19,7 @@ _SNAKEMAKE = Path(".snakemake")
 _LOCKS = "locks"
 _HELD = "rfpipe_run"  # names the lock
 _RECORD = "rfpipe_run.json"
+_NAME_LENGTH = 200
 
 
 def hold(folder: Path = Path()) -> None:
@@ -70,6 +72,27 @@ def free_if_dead(folder: Path, unlocking: str | None) -> bool:
             )
         shutil.rmtree(home / _LOCKS)
     return True
+
+
+def unrecorded(folder: Path) -> list[str]:
+    """Acquisitions of a run whose settings Snakemake has no record of, ``SCENE/METHOD``.
+
+    Without these records, which lie in ``.snakemake`` beside ``results``, Snakemake takes complete
+    results for those of today's settings.
+    """
+    metadata = folder / _SNAKEMAKE / "metadata"
+    names = [
+        "/".join(path.parts[-3:-1]) for path in sorted(folder.glob("results/*/*/transport.json"))
+    ]
+    return [name for name in names if not _has_record(metadata, f"results/{name}/transport.json")]
+
+
+def _has_record(metadata: Path, output: str) -> bool:
+    """Whether Snakemake has a record of an output; it divides the names of long ones."""
+    name = urlsafe_b64encode(output.encode()).decode()
+    if len(name) > _NAME_LENGTH:
+        return metadata.is_dir()
+    return (metadata / name).exists()
 
 
 def _lock_files(home: Path) -> dict[str, list[int]]:
