@@ -85,8 +85,12 @@ def measure_steadiness(bench: Bench) -> Findings:
         "noise_of_looks": float(references.noise.min()),
         **{f"{fault.kind}_size": fault.size for fault in faults},
     }
-    arrays = {"references": references.frames, "noise": references.noise, "gain": gains.gain}
-    arrays["judged"] = known_exposures(gains, CALIBRATION.light)
+    arrays: dict[str, NDArray[Any]] = {
+        "references": references.frames,
+        "noise": references.noise,
+        "gain": gains.gain,
+        "judged": known_exposures(gains, CALIBRATION.light),
+    }
     findings = Findings.of("steadiness", facts, arrays)
     return with_faults(findings, [fault for fault in faults if fault.kind != "drift"])
 

@@ -125,7 +125,8 @@ def motion_of(samples: Samples, camera: CameraModel) -> Fault | None:
         return None
     light = samples.counts - samples.black
     variances = CountNoise.of(camera).variance(light.mean(axis=0))
-    usable = (samples.counts < SATURATION_FRACTION * camera.white_level).all(axis=0)
+    is_below = samples.counts < SATURATION_FRACTION * camera.white_level
+    usable = np.asarray(is_below.all(axis=0))
     largest = 0.0
     for exposure, pixels in enumerate(usable):
         if pixels.mean() < 0.5:
