@@ -139,7 +139,7 @@ def test_a_camera_that_stays_away_is_an_error_with_advice(
     ("settings", "expected"),
     [
         ({"shape": (40, 30_000)}, r"refuses Width = 30000.*It takes 1 to 4096"),
-        ({"serial": "40001234"}, r"camera 40001234: 1 cameras answer: 0815-0000.*camera\.serial"),
+        ({"serial": "40001234"}, r"40001234: 1 cameras answer: 0815-0000.*camera\.options\.serial"),
         ({"nodes": {"Gain": 99.0}}, "refuses Gain = 99"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -95,8 +96,15 @@ def name_of(command: str, suffix: str, at: str) -> str:
 
 def on_full_disk(folder: Path, cases: list[tuple[int, list[str]]]) -> list[tuple[int, str]]:
     program = [sys.executable, "-m", "tests.on_full_disk", json.dumps(cases)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(
-        program, capture_output=True, text=True, check=True, cwd=folder, timeout=400
+        program,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
+        env=environment,
+        timeout=400,
     )
     return [(status, output) for status, output in json.loads(done.stdout)]
 
