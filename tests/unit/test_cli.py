@@ -70,7 +70,7 @@ def test_validate_names_the_acquisitions() -> None:
     planned = run("plan", CONFIG)
     assert "valid. 6 acquisitions. One job a stage, since a scene has 10,368 rays" in planned
     (room,) = (line.split() for line in planned.splitlines() if " auto " in line and "room" in line)
-    assert room[:6] == ["room", "auto", "10,368", "31", "30", "1,439"]
+    assert room[:6] == ["room", "auto", "10,368", "31", "30", "2,527"]
 
 
 def test_schema_is_the_model_s() -> None:
