@@ -68,7 +68,7 @@ FAULTS: dict[str, Case] = {
 
 WRONG_REMEDIES = re.compile(
     r"lens open|[Rr]aise the (camera's )?black|[Aa]lign the|centres|divide_out_drift|"
-    r"Set \\S*settle_seconds|e\\+0\\d"
+    r"Set \S*settle_seconds|e\+0\d"
 )
 """Remedies of other faults."""
 

@@ -15,6 +15,7 @@ from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages import symmetry
 from rfpipe.stages.brackets import differing
+from rfpipe.stages.brightness import measure_looks
 from rfpipe.stages.capture import read_sensor
 from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.job import Progress
@@ -31,7 +32,7 @@ from rfpipe.stages.merger import (
     write_references,
 )
 from rfpipe.stages.repeated import camera_of
-from rfpipe.stages.watch import MOVES, measure_looks
+from rfpipe.stages.watch import MOVES
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE_UNIT
 
