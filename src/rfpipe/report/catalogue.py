@@ -21,7 +21,7 @@ from rfpipe.report.text import ray_size
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import StoreLock
 from rfpipe.store.files import write_atomically
-from rfpipe.transport.base import estimates
+from rfpipe.transport.base import last_estimate
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -170,7 +170,6 @@ def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
         of their indirect light, against the truth.
     """
     acquired, relit = _manifest(folder / "transport.json"), _manifest(folder / "relight.json")
-    steps = estimates(acquired.get("levels", []))
     files = [path.stat().st_size for path in (folder / "transport.zarr").rglob("*.*")]
     return {
         "patterns": acquired.get("patterns"),
@@ -178,7 +177,7 @@ def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
         "nbytes": sum(files) if files else None,
         "error": relit.get("mean_error"),
         "indirect": relit.get("mean_indirect"),
-        "estimate": steps[-1]["estimated_error"] if steps else None,
+        "estimate": last_estimate(acquired.get("levels", [])).get("estimated_error"),
         "verified": _manifest(folder / "verification.json").get("mean_error"),
     }
 
@@ -195,7 +194,7 @@ def _seconds(folder: Path, seconds_per_picture: float) -> float | None:
 def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:
     """Return a sentence for each target that an acquisition missed."""
     acquired = _manifest(folder / "transport.json")
-    *_, last = {}, *estimates(acquired.get("levels", []))
+    last = last_estimate(acquired.get("levels", []))
     has_truth = numbers["error"] is not None
     row = {
         **acquired.get("options", {}),

@@ -12,7 +12,7 @@ from rfpipe.report.pictures import scene_pictures
 from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import ERROR, fixed, indirect_percent, number, percent, rig_standing
 from rfpipe.report.verification import alarms_of, summary
-from rfpipe.transport.base import estimates
+from rfpipe.transport.base import last_estimate
 
 _EXACT, _RECORDED, _NOTHING = "exact truth", "recording", "not verified"
 _SIMULATED = "simulated"
@@ -157,7 +157,7 @@ def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
     recorded = run.facts.get("recorded", {}).get("grain", {})
     pictures = f"{len(run.verified['pictures'])} pictures" if run.verified else _NOTHING
     by_truth = _RECORDED if recorded else _EXACT
-    *_, last = {}, *estimates(run.facts["levels"])
+    last = last_estimate(run.facts["levels"])
     options = run.facts["options"]
     return {
         "scene": run.scene,

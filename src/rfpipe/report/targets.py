@@ -7,16 +7,7 @@ from typing import Any
 
 from rfpipe.config.model import TARGET_MARGIN
 from rfpipe.report.text import percent
-
-_KINDS = (
-    ("mean_error", "target_error", "estimated_error", "the mean error"),
-    (
-        "mean_indirect",
-        "target_indirect",
-        "estimated_indirect",
-        "the mean error of indirect light",
-    ),
-)
+from rfpipe.stages.targets import misses
 
 
 def ending_of(level_rows: Sequence[Mapping[str, Any]]) -> str:
@@ -40,20 +31,15 @@ def missed_targets(
         Whether the error is that of verification pictures: it scatters, and meets a target up to
         `TARGET_MARGIN` times it, as for the run's exit status.
     """
-    for name, target, estimate, quantity in _KINDS:
-        error, is_estimate = row.get(name), False
-        if error is None:
-            error, is_estimate = row.get(estimate), True
-        limit = row.get(target)
-        if error is None or limit is None:
+    measured = row.get("mean_error"), row.get("mean_indirect")
+    for miss in misses(row, measured, row, TARGET_MARGIN if by_few_pictures else 1.0):
+        if percent(miss.error) == percent(miss.accepted):
             continue
-        accepted = limit * (TARGET_MARGIN if by_few_pictures and not is_estimate else 1)
-        if error <= accepted or percent(error) == percent(accepted):
-            continue
-        by = "estimated by the method" if is_estimate else f"verified by: {row['verified']}"
+        by = "estimated by the method" if miss.is_estimate else f"verified by: {row['verified']}"
         yield (
-            f"TARGET MISSED: {quantity} is {percent(error)} %, {percent(limit)} % was asked for "
-            f"({by}). {_explained(row.get(estimate), limit, reason)}"
+            f"TARGET MISSED: the mean {miss.quantity} is {percent(miss.error)} %, "
+            f"{percent(miss.target)} % was asked for ({by}). "
+            f"{_explained(miss.estimate, miss.target, reason)}"
         )
 
 

@@ -21,7 +21,7 @@ from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.steps import counted_by
 from rfpipe.text import counted, percent
-from rfpipe.transport.base import estimates
+from rfpipe.transport.base import last_estimate
 from rfpipe.units import RADIANCE_UNIT
 
 _log = logging.getLogger(__name__)
@@ -108,9 +108,8 @@ def _warnings() -> Iterator[list[str]]:
 
 def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:
     """Log the error that a method estimated after the last of its levels, if it did."""
-    estimated = estimates(level_rows)
-    if estimated and estimated[-1]["level"] == level_rows[-1]["level"]:
-        last = estimated[-1]
+    last = last_estimate(level_rows)
+    if last and last["level"] == level_rows[-1]["level"]:
         target_error = getattr(options, "target_error", None)
         asked = "" if target_error is None else f", {100 * target_error:.3g} % asked for"
         _log.info(

@@ -30,7 +30,7 @@ from rfpipe.stages.watch import MOVES
 from rfpipe.store import read_manifest
 from rfpipe.text import counted, percent
 from rfpipe.transport import Transport, open_transport
-from rfpipe.transport.base import estimates
+from rfpipe.transport.base import last_estimate
 from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
@@ -268,8 +268,7 @@ def check_bounds(
 def _above(name: str, facts: Mapping[str, Any], bound: float) -> str:
     """Describe an error that is above a bound; empty where it isn't."""
     if "levels" in facts:
-        estimated = estimates(facts["levels"])
-        error = estimated[-1]["estimated_error"] if estimated else 0.0
+        error = last_estimate(facts["levels"]).get("estimated_error", 0.0)
         above = f"{name} is off by an estimated {percent(error)}%, above {percent(bound)}%"
         return "" if error <= bound else above
     if facts["mean_error"] is None:

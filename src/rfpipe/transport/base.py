@@ -274,3 +274,8 @@ def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
             known = {name: float(row.get(name, np.nan)) for name in HISTORY_COLUMNS[2:]}
             errors.append({"level": int(row["level"]), "patterns": count, **known})
     return errors
+
+
+def last_estimate(level_rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the last of `estimates`; empty where there is none."""
+    return next(reversed(estimates(level_rows)), {})

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import StoreError
+from rfpipe.stages.targets import misses
 from rfpipe.store import read_manifest, write_manifest
+from rfpipe.transport.base import last_estimate
 
 FAILED = "failed.json"
 """Lies in ``results`` after a run of which jobs failed."""
@@ -151,23 +153,13 @@ def missed_targets(
 def _missed(
     acquired: Mapping[str, Any], verified: Mapping[str, Any], margin: float, why: str
 ) -> list[Missed]:
-    """Compare the errors of an acquisition with the options of its method."""
-    names = acquired["scene"], acquired["method"]
-    options: Mapping[str, Any] = acquired.get("options", {})
-    target, indirect = options.get("target_error"), options.get("target_indirect")
-    last = [row for row in acquired["levels"] if row.get("estimated_error") is not None][-1:]
-    measured = verified.get("mean_error")
-    if target is not None and measured is not None and measured > margin * target:
-        return [Missed(*names, measured, target, "measured error", why)]
-    missed = []
-    for row in last:
-        estimate, of_indirect = row["estimated_error"], row.get("estimated_indirect")
-        if target is not None and measured is None and estimate > target:
-            missed.append(Missed(*names, estimate, target, "estimated error", why))
-        elif indirect is not None and of_indirect is not None and of_indirect > indirect:
-            quantity = "estimated error of indirect light"
-            missed.append(Missed(*names, of_indirect, indirect, quantity, why))
-    return missed
+    """Compare the errors of an acquisition with the options of its method; name one at most."""
+    measured, estimated = (verified.get("mean_error"), None), last_estimate(acquired["levels"])
+    for miss in misses(acquired.get("options", {}), measured, estimated, margin):
+        quantity = f"{'estimated' if miss.is_estimate else 'measured'} {miss.quantity}"
+        names = acquired["scene"], acquired["method"]
+        return [Missed(*names, miss.error, miss.target, quantity, why)]
+    return []
 
 
 def _warnings(folder: Path, acquired: Mapping[str, Any]) -> str:

@@ -1,0 +1,62 @@
+"""Targets that an acquisition was given, and errors above them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+_KINDS = (
+    ("error", "target_error", "estimated_error"),
+    ("error of indirect light", "target_indirect", "estimated_indirect"),
+)
+
+
+class Miss(NamedTuple):
+    """An error above its target.
+
+    Attributes
+    ----------
+    quantity : {"error", "error of indirect light"}
+    error, target, accepted : float
+        Relative, see `rfpipe.relighting.picture_errors`; errors up to `accepted` meet the target.
+    estimate : float or None
+        The method's estimate of the error.
+    is_estimate : bool
+        Whether the error is that estimate, since none was measured.
+    """
+
+    quantity: str
+    error: float
+    target: float
+    accepted: float
+    estimate: float | None
+    is_estimate: bool
+
+
+def misses(
+    options: Mapping[str, Any],
+    measured: tuple[float | None, float | None],
+    estimated: Mapping[str, Any],
+    margin: float = 1.0,
+) -> Iterator[Miss]:
+    """Yield the mean error, and that of indirect light, where they are above their targets.
+
+    Parameters
+    ----------
+    options : mapping
+        Of the method; ``target_error`` and ``target_indirect`` count.
+    measured : (float or None, float or None)
+        Measured mean error, and that of indirect light; None where the estimate counts.
+    estimated : mapping
+        ``estimated_error`` and ``estimated_indirect`` of the last level that has them.
+    margin : float
+        Factor on the target up to which a measured error meets it.
+    """
+    for (quantity, target_name, name), known in zip(_KINDS, measured, strict=True):
+        target, estimate = options.get(target_name), estimated.get(name)
+        error = estimate if known is None else known
+        if error is None or target is None:
+            continue
+        accepted = target * (1.0 if known is None else margin)
+        if error > accepted:
+            yield Miss(quantity, error, target, accepted, estimate, known is None)
