@@ -14,12 +14,12 @@ import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import RfpipeError
-from rfpipe.report.inputs import read_json, seconds_spent
+from rfpipe.report.inputs import seconds_spent
 from rfpipe.report.page import rendered
 from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import ray_size
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.store import StoreLock
+from rfpipe.store import StoreLock, manifest_or_empty
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import last_estimate
 
@@ -169,7 +169,10 @@ def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
         the truth, by the method's estimate, and against pictures that no method saw; ``indirect``:
         of their indirect light, against the truth.
     """
-    acquired, relit = _manifest(folder / "transport.json"), _manifest(folder / "relight.json")
+    acquired, relit = (
+        manifest_or_empty(folder / "transport.json"),
+        manifest_or_empty(folder / "relight.json"),
+    )
     files = [path.stat().st_size for path in (folder / "transport.zarr").rglob("*.*")]
     return {
         "patterns": acquired.get("patterns"),
@@ -178,7 +181,7 @@ def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
         "error": relit.get("mean_error"),
         "indirect": relit.get("mean_indirect"),
         "estimate": last_estimate(acquired.get("levels", [])).get("estimated_error"),
-        "verified": _manifest(folder / "verification.json").get("mean_error"),
+        "verified": manifest_or_empty(folder / "verification.json").get("mean_error"),
     }
 
 
@@ -193,7 +196,7 @@ def _seconds(folder: Path, seconds_per_picture: float) -> float | None:
 
 def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:
     """Return a sentence for each target that an acquisition missed."""
-    acquired = _manifest(folder / "transport.json")
+    acquired = manifest_or_empty(folder / "transport.json")
     last = last_estimate(acquired.get("levels", []))
     has_truth = numbers["error"] is not None
     row = {
@@ -205,13 +208,6 @@ def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:
     }
     reason = ending_of(acquired.get("levels", []))
     return [*missed_targets(row, reason, by_few_pictures=not has_truth)]
-
-
-def _manifest(path: Path) -> dict[str, Any]:
-    try:
-        return read_json(path)
-    except RfpipeError:
-        return {}
 
 
 def write_thumbnail(folder: Path, picture: Path) -> bool:

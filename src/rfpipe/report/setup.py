@@ -11,6 +11,7 @@ from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Section, Table
 from rfpipe.report.text import plain
 from rfpipe.rigs.calibrated import VERDICTS_KEY
+from rfpipe.rigs.settings import flat
 
 
 def setup_section(inputs: Inputs) -> Section:
@@ -23,7 +24,7 @@ def setup_section(inputs: Inputs) -> Section:
         # the camera of the settings is that of a simulated or offline rig
         shaping = {name: value for name, value in shaping.items() if name != "camera"}
         about += " The camera is the rig's, below."
-    settings = [[name, str(value)] for name, value in _flat(shaping)]
+    settings = [[name, str(value)] for name, value in _with_values(shaping)]
     packages = [[name, version] for name, version in _versions(inputs).items()]
     tables = [
         *_choices_table(inputs),
@@ -72,7 +73,7 @@ def _rig_tables(inputs: Inputs) -> Iterator[Table]:
         groups.setdefault(key, []).append(f"{run.scene} by {run.method}")
     for number, (key, runs) in enumerate(groups.items(), 1):
         name = "Rig" if len(groups) == 1 else f"Rig {number}"
-        rows = [[fact, str(value)] for fact, value in _flat(rigs[key])]
+        rows = [[fact, str(value)] for fact, value in _with_values(rigs[key])]
         about = f"As it described itself when it captured {', '.join(runs)}."
         yield Table(name, about, ["fact", "value"], rows, 2)
 
@@ -88,13 +89,9 @@ def _versions(inputs: Inputs) -> dict[str, str]:
     return dict(ChainMap(versions(), *recorded))
 
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _with_values(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield the settings that have a value, by their dotted names."""
-    for name, value in settings.items():
-        if isinstance(value, Mapping) and value:
-            yield from _flat(value, f"{prefix}{name}.")
-        elif value not in (None, [], {}):
-            yield f"{prefix}{name}", value
+    yield from ((name, value) for name, value in flat(settings).items() if value not in (None, []))
 
 
 def provenance_of(inputs: Inputs) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from rfpipe.store.frames import FrameStore, drop, is_dropped
 from rfpipe.store.headers import header_is_whole, keep_header, restore_header
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
-from rfpipe.store.manifest import read_manifest, write_manifest
+from rfpipe.store.manifest import manifest_or_empty, read_manifest, write_manifest
 
 __all__ = [
     "ArrayBundle",
@@ -22,6 +22,7 @@ __all__ = [
     "header_is_whole",
     "is_dropped",
     "keep_header",
+    "manifest_or_empty",
     "open_arrays",
     "read_manifest",
     "restore_header",

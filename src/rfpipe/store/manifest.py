@@ -59,3 +59,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
             advice="remove it and run the stage that writes it again",
         )
     return data
+
+
+def manifest_or_empty(path: Path) -> dict[str, Any]:
+    """Read a manifest as `read_manifest`; empty where it is missing, unreadable or damaged."""
+    try:
+        return read_manifest(path)
+    except StoreError:
+        return {}

@@ -11,7 +11,7 @@ from typing import Any
 
 from rfpipe.errors import StoreError
 from rfpipe.stages.targets import misses
-from rfpipe.store import read_manifest, write_manifest
+from rfpipe.store import manifest_or_empty, read_manifest, write_manifest
 from rfpipe.transport.base import last_estimate
 
 FAILED = "failed.json"
@@ -145,7 +145,7 @@ def missed_targets(
         folder = results / scene / method
         with suppress(StoreError):
             acquired = read_manifest(folder / "transport.json")
-            verified = _manifest(folder / "verification.json")
+            verified = manifest_or_empty(folder / "verification.json")
             missed += _missed(acquired, verified, margin, _warnings(folder, acquired))
     return missed
 
@@ -165,13 +165,7 @@ def _missed(
 def _warnings(folder: Path, acquired: Mapping[str, Any]) -> str:
     """Return the method's last warning, see `rfpipe.stages.refine`."""
     for number, _ in reversed(acquired.get("made_of", {}).get("refine", [])):
-        warnings = _manifest(folder / f"L{number:02d}" / "refine.json").get("warnings")
+        warnings = manifest_or_empty(folder / f"L{number:02d}" / "refine.json").get("warnings")
         if warnings:
             return str(warnings[-1])
     return ""
-
-
-def _manifest(path: Path) -> Mapping[str, Any]:
-    with suppress(StoreError):
-        return read_manifest(path)
-    return {}
