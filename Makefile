@@ -80,7 +80,7 @@ unlock: $(INSTALLED) ## free folders that a Snakemake of unknown origin has lock
 test: $(INSTALLED) ## run the quick tests, which need nothing more: at most 5 minutes on 2 cores
 	$(PYTEST) -m "not slow and not needs"
 
-test-all: $(INSTALLED) ## run all tests; those that need more of the system say what (tests/needs.py)
+test-all: $(INSTALLED) ## run all tests; those that need more of the system say what (tests/machine/needs.py)
 	$(PYTEST)
 
 validators: $(INSTALLED) ## install what some tests check published runs by, into .venv-validators

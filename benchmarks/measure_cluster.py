@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 import yaml
-from tests.slurm import NODES, Slurm
+from tests.services.slurm import NODES, Slurm
 
 from rfpipe.config import load_config
 from rfpipe.store.files import digest_of

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
-from tests import needs
+from tests.machine import needs
 
 # Two workers whose BLAS takes both cores each wait for one another. Read when numpy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -99,7 +99,7 @@ def kernels(shared: Path) -> None:
     """
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
-    from tests.kernels import compile_kernels
+    from tests.machine.kernels import compile_kernels
 
     folder = shared / "kernels"
     with (shared / "kernels.lock").open("w") as lock:

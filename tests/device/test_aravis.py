@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cameras import FilledCamera, enable_fake, gige_camera
-from tests.waiting import wait_until
+from tests.emulators.aravis_cameras import FilledCamera, enable_fake, gige_camera
+from tests.services.waiting import wait_until
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel

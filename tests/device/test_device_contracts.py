@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
-from tests.simulated_devices import SimulatedCamera, SimulatedProjector
+from tests.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel

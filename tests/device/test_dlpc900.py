@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.dlpc900 import Emulator
-from tests.simulated_devices import SimulatedCamera
+from tests.emulators.dlpc900 import Emulator
+from tests.rigs.simulated_devices import SimulatedCamera
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel

@@ -15,8 +15,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import yaml
-from tests.benches import CAMERA, brighter, wedge_bench
-from tests.simulated_devices import SimulatedCamera, SimulatedProjector
+from tests.rigs.calibration_bench import CAMERA, brighter, wedge_bench
+from tests.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 from typer.testing import CliRunner
 
 from rfpipe.calibration import latency

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.coaxial_rig import RAYS, coaxial_rig, darker
 from tests.device.test_fault_table import FAULTS
+from tests.rigs.coaxial_rig import RAYS, coaxial_rig, darker
 from tests.workflow.stagewise import acquire as acquire_on_files
 from tests.workflow.stagewise import stages
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.dng import dng_bytes
+from tests.files.dng import dng_bytes
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.displays import OWN_NAME, XServer
-from tests.waiting import wait_until
+from tests.emulators.x_displays import OWN_NAME, XServer
+from tests.services.waiting import wait_until
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs.devices import code_table

@@ -13,7 +13,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from tests.helpers import acquire_matrix
+from tests.rigs.known_matrix import acquire_matrix
 
 from rfpipe.methods.dual import Dual
 

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.helpers import acquire_matrix, dense
+from tests.rigs.known_matrix import acquire_matrix, dense
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.dual import Dual

@@ -8,8 +8,8 @@ import matplotlib.image as mpimg
 import numpy as np
 import pytest
 from httpx import ASGITransport, AsyncClient, Response
-from tests.benches import CAMERA, Bench, brighter, wedge_bench
-from tests.waiting import wait_until
+from tests.rigs.calibration_bench import CAMERA, Bench, brighter, wedge_bench
+from tests.services.waiting import wait_until
 
 from rfpipe.errors import CaptureError
 from rfpipe.server.aim import Watch, create_app

@@ -14,9 +14,9 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.ports import free_port
 from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, posted, running
-from tests.waiting import wait_until
+from tests.services.ports import free_port
+from tests.services.waiting import wait_until
 
 import rfpipe
 from rfpipe.errors import CaptureError, ConfigError

@@ -13,10 +13,10 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.ports import free_port
 from tests.server.harness import RIGHT, SlowRig, head_of_capture, running
 from tests.server.test_attacks import crowd
-from tests.waiting import wait_until
+from tests.services.ports import free_port
+from tests.services.waiting import wait_until
 
 from rfpipe.rigs.messages import MEDIA_TYPE, Message, encode_patterns, pack
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.serving import serving
+from tests.services.web_servers import serving
 from typer.testing import CliRunner
 
 import rfpipe

@@ -8,7 +8,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from tests.helpers import scene_matrices
+from tests.rigs.known_matrix import scene_matrices
 
 import rfpipe
 from rfpipe import steps

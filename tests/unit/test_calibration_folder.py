@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.benches import CAMERA, GAMMA, Bench, brighter, wedge_bench
+from tests.rigs.calibration_bench import CAMERA, GAMMA, Bench, brighter, wedge_bench
 
 from rfpipe.calibration import latency
 from rfpipe.calibration.folder import (

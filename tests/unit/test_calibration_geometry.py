@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.benches import CAMERA, Bench, surface_bench, wedge_bench
+from tests.rigs.calibration_bench import CAMERA, Bench, surface_bench, wedge_bench
 
 from rfpipe.calibration.bench import Bench as Steps
 from rfpipe.calibration.black import measure_dark

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.benches import flat_frames, uneven
+from tests.rigs.calibration_bench import flat_frames, uneven
 
 from rfpipe.calibration.black import measure_dark
 from rfpipe.calibration.responses import (

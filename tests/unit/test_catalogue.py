@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.collections_ import acquire_item
-from tests.helpers import run
+from tests.results.acquired_collections import acquire_item
+from tests.rigs.known_matrix import run
 
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue

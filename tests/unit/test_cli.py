@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import main

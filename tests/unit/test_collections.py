@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.collections_ import acquire_item
-from tests.helpers import contents
-from tests.serving import serving
+from tests.results.acquired_collections import acquire_item
+from tests.rigs.known_matrix import contents
+from tests.services.web_servers import serving
 from typer.testing import CliRunner
 
 import rfpipe

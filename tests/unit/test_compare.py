@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 
 from rfpipe.errors import InputError, StoreError
 from rfpipe.report import catalogue

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.buckets import BUCKET, proxy, put, s3_server, use
+from tests.services.buckets import BUCKET, proxy, put, s3_server, use
 
 import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain

@@ -9,7 +9,7 @@ import pytest
 import typer
 import yaml
 from benchmarks.measured import FOLDER, PAGES, written
-from tests.helpers import settings_of_a_plane
+from tests.rigs.known_matrix import settings_of_a_plane
 
 from rfpipe import plugins
 from rfpipe.cli import app

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import acquire_matrix, dense, picture_error
+from tests.rigs.known_matrix import acquire_matrix, dense, picture_error
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.dual import Dual

@@ -5,7 +5,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 
 import rfpipe
 from rfpipe.errors import InputError

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from tests.reports import acquired, tables_of
+from tests.results.report_folders import acquired, tables_of
 
 from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import Config

@@ -7,7 +7,7 @@ import av
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 
 from rfpipe.errors import InputError, RfpipeError, StoreError
 from rfpipe.export import (

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from tests.structured_light import Shot, shot
+from tests.rigs.structured_light import Shot, shot
 
 from rfpipe.errors import InputError
 from rfpipe.fitting import Series, fit_transport

@@ -10,7 +10,7 @@ import OpenImageIO as oiio
 import pytest
 import yaml
 from scipy.linalg import hadamard
-from tests.helpers import dense, picture_error, run
+from tests.rigs.known_matrix import dense, picture_error, run
 
 from rfpipe import open_transport
 from rfpipe.config import CameraConfig

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from tests.structured_light import Shot, shot
+from tests.rigs.structured_light import Shot, shot
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.dng import dng_bytes
+from tests.files.dng import dng_bytes
 
 from rfpipe.errors import InputError
 from rfpipe.fitting.folder import list_pictures

@@ -8,8 +8,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import yaml
-from tests.helpers import run
-from tests.structured_light import shot
+from tests.rigs.known_matrix import run
+from tests.rigs.structured_light import shot
 
 from rfpipe import open_transport
 from rfpipe.errors import InputError

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import nnls
-from tests.helpers import dense, picture_error
+from tests.rigs.known_matrix import dense, picture_error
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain

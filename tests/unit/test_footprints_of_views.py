@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.helpers import dense, picture_error
+from tests.rigs.known_matrix import dense, picture_error
 
 from rfpipe.methods.adaptive.footprints.method import Footprints, in_round
 from rfpipe.scenes import room_scene

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 
 import rfpipe
 from rfpipe.blocks import RayDomain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.helpers import scene_matrices
+from tests.rigs.known_matrix import scene_matrices
 
 from rfpipe.methods.adaptive.estimate import HELD_OUT, error_of, held_out_parts, held_out_patterns
 from rfpipe.methods.images import Pictures

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import typer
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 from typer.testing import CliRunner
 
 from rfpipe.cli import app

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.buckets import BUCKET, Faults, proxy, s3_server, use
-from tests.finished import SHAPE, N, write_run, write_transport
-from tests.waiting import wait_until
+from tests.results.finished_run import SHAPE, N, write_run, write_transport
+from tests.services.buckets import BUCKET, Faults, proxy, s3_server, use
+from tests.services.waiting import wait_until
 from typer.testing import CliRunner
 
 import rfpipe

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.helpers import picture_error
+from tests.rigs.known_matrix import picture_error
 
 from rfpipe import acquire
 from rfpipe.photometry import CameraModel

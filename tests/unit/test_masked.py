@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.helpers import dense, scene_matrices
+from tests.rigs.known_matrix import dense, scene_matrices
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig

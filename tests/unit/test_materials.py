@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.helpers import run
-from tests.reports import acquired
+from tests.results.report_folders import acquired
+from tests.rigs.known_matrix import run
 from tests.unit.test_mitsuba_scene import ASIDE, LOOKING, file_of, options
 
 from rfpipe.config import Config

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.benches import CAMERA, wedge_bench
+from tests.rigs.calibration_bench import CAMERA, wedge_bench
 
 from rfpipe.calibration.bench import Bench
 from rfpipe.calibration.folder import STEPS

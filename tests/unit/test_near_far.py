@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from figures.hard_scenes import hard_cases
-from tests.helpers import acquire_matrix, dense, picture_error
+from tests.rigs.known_matrix import acquire_matrix, dense, picture_error
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 from tests.unit.test_lights_between import ball, sphere_of_lights, transport_of
 
 from rfpipe.errors import InputError

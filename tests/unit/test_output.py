@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.finished import write_run
-from tests.helpers import contents, run
-from tests.on_full_disk import LARGEST
+from tests.results.finished_run import write_run
+from tests.rigs.known_matrix import contents, run
+from tests.services.full_disk import LARGEST
 from tests.unit.test_compare import relit
 
 import rfpipe
@@ -95,7 +95,7 @@ def name_of(command: str, suffix: str, at: str) -> str:
 
 
 def on_full_disk(folder: Path, cases: list[tuple[int, list[str]]]) -> list[tuple[int, str]]:
-    program = [sys.executable, "-m", "tests.on_full_disk", json.dumps(cases)]
+    program = [sys.executable, "-m", "tests.services.full_disk", json.dumps(cases)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(
         program,

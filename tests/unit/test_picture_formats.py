@@ -14,8 +14,8 @@ import OpenImageIO as oiio
 import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
-from tests.dng import dng_bytes
-from tests.tiffs import tiff_bytes
+from tests.files.dng import dng_bytes
+from tests.files.tiffs import tiff_bytes
 
 from rfpipe.errors import InputError
 from rfpipe.pictures import (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from tests.helpers import settings_of_a_plane
-from tests.knocked import SHAPE, Knocked, beside, wedge
+from tests.rigs.displaced_rigs import SHAPE, Knocked, beside, wedge
+from tests.rigs.known_matrix import settings_of_a_plane
 
 import rfpipe
 from rfpipe.config import parse_config

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import settings_of_a_plane
+from tests.rigs.known_matrix import settings_of_a_plane
 
 from rfpipe import provenance
 from rfpipe.errors import InputError

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests import helpers
-from tests.finished import SHAPE, write_run
+from tests.results.finished_run import SHAPE, write_run
+from tests.rigs import known_matrix
 from typer.testing import CliRunner
 
 import rfpipe
@@ -50,7 +50,7 @@ def published(run: Path, *options: object) -> str:
 
 def contents(path: Path) -> dict[str, bytes]:
     if path.is_dir():
-        return helpers.contents(path)
+        return known_matrix.contents(path)
     with zipfile.ZipFile(path) as archive:
         assert all(info.compress_type == zipfile.ZIP_STORED for info in archive.infolist())
         return {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
@@ -86,7 +86,7 @@ def test_zips_and_folders_hold_the_same_bytes_with_their_digests(run: Path) -> N
     assert {name for name in files if not name.startswith("source/")} == expected
     assert not any(str(run).encode() in content for content in files.values())
     settings = parse_config(yaml.safe_load(files["settings.yaml"]), "settings.yaml")
-    assert settings.shaping() == helpers.settings_of_a_plane().shaping()
+    assert settings.shaping() == known_matrix.settings_of_a_plane().shaping()
 
 
 def test_licence_and_creators_are_asked_for_once(run: Path) -> None:
@@ -359,7 +359,9 @@ def test_a_damaged_or_foreign_transport_is_not_published(run: Path) -> None:
 
 def test_settings_that_no_report_knows_are_given(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
-    other.write_text(yaml.safe_dump(helpers.settings_of_a_plane(seed=7).model_dump(mode="json")))
+    other.write_text(
+        yaml.safe_dump(known_matrix.settings_of_a_plane(seed=7).model_dump(mode="json"))
+    )
     (run / "results/report/results.json").unlink()
     published(run, "--config", other, *GIVEN)
     assert b"seed: 7" in contents(run / "publication.zip")["settings.yaml"]

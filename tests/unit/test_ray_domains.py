@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.helpers import dense
+from tests.rigs.known_matrix import dense
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.calibration.rays import coverage

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests import helpers
-from tests.buckets import use
 from tests.property.test_hierarchical import random_transport
-from tests.serving import serving
+from tests.rigs import known_matrix
+from tests.services.buckets import use
+from tests.services.web_servers import serving
 
 import rfpipe
 from rfpipe.errors import InputError, IntegrityError, StoreError
@@ -196,7 +196,7 @@ def test_what_a_published_folder_on_a_web_server_lacks_is_found(tmp_path: Path) 
 
 
 def verified(path: Path | str, status: int = 0) -> str:
-    return helpers.run("verify", path, status=status)
+    return known_matrix.run("verify", path, status=status)
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

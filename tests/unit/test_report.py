@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from figures.__main__ import run as run_script
 from figures.common import Size
-from tests.reports import BOTH, FIELD, GREY, Page, acquired, benchmarked, tables_of
+from tests.results.report_folders import BOTH, FIELD, GREY, Page, acquired, benchmarked, tables_of
 
 from rfpipe.config import Config
 from rfpipe.config.capture import VerificationConfig

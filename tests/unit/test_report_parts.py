@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from tests.reports import WEDGE
+from tests.results.report_folders import WEDGE
 
 from rfpipe import acquire
 from rfpipe.calibration.folder import STEPS

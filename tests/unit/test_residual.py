@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.helpers import scene_matrices
+from tests.rigs.known_matrix import scene_matrices
 
 from rfpipe.methods.adaptive.posterior import Posterior
 from rfpipe.methods.adaptive.residual import Canvas, Sender, residual_of, root_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 
 from rfpipe.config import Config
 from rfpipe.errors import CaptureError, InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.simulated_devices import SimulatedCamera, SimulatedProjector
+from tests.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 from typer.testing import CliRunner
 
 from rfpipe import provenance

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.rivals.compressive import Compressive
 from benchmarks.rivals.low_rank import LowRank
-from tests.helpers import acquire_matrix, dense
+from tests.rigs.known_matrix import acquire_matrix, dense
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.helpers import run as run_command
+from tests.rigs.known_matrix import run as run_command
 
 from rfpipe.errors import LockedError
 from rfpipe.stages.jobs.running import free_if_dead, unrecorded

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.helpers import acquire_matrix, dense
+from tests.rigs.known_matrix import acquire_matrix, dense
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError

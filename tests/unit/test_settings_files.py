@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 
 from rfpipe.errors import ConfigError, RfpipeError
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tests.helpers import scene_matrices
+from tests.rigs.known_matrix import scene_matrices
 
 from rfpipe.methods.adaptive.patterns import probe_patterns
 from rfpipe.methods.adaptive.smooth import as_transport, fit

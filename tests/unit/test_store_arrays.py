@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import zarr
 from numpy.typing import NDArray
-from tests.helpers import contents
+from tests.rigs.known_matrix import contents
 
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.store import FrameStore, open_arrays, write_arrays

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import contents
-from tests.waiting import wait_until
+from tests.rigs.known_matrix import contents
+from tests.services.waiting import wait_until
 
 from rfpipe.errors import LockedError, StoreError
 from rfpipe.store import FrameStore, StoreLock, lock, open_arrays, write_arrays

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import zarr
 from numpy.typing import NDArray
-from tests.helpers import contents
+from tests.rigs.known_matrix import contents
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StaleStoreError, StoreError
 from rfpipe.store import FrameStore, ItemWriter, bytes_on_disk

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.helpers import acquire_matrix, dense, picture_error
+from tests.rigs.known_matrix import acquire_matrix, dense, picture_error
 
 import rfpipe
 from rfpipe.errors import CaptureError

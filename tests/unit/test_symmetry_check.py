@@ -6,8 +6,8 @@ import logging
 
 import numpy as np
 import pytest
-from tests.helpers import picture_error
-from tests.knocked import DIM, SHAPE, beside, wedge
+from tests.rigs.displaced_rigs import DIM, SHAPE, beside, wedge
+from tests.rigs.known_matrix import picture_error
 from tests.workflow.stagewise import FaultyRig
 
 import rfpipe

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.simulated_devices import SimulatedCamera, SimulatedProjector
+from tests.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 
 from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel

@@ -5,8 +5,8 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from tests.helpers import contents
 from tests.property.test_hierarchical import random_transport
+from tests.rigs.known_matrix import contents
 
 import rfpipe
 from rfpipe.errors import InputError, IntegrityError, StoreError

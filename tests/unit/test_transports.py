@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, random_array
-from tests.helpers import dense
 from tests.property.test_hierarchical import random_transport
+from tests.rigs.known_matrix import dense
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.testing import dot_test

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from tests.helpers import settings_of_a_plane
-from tests.knocked import DIM, SHAPE, beside, wedge
+from tests.rigs.displaced_rigs import DIM, SHAPE, beside, wedge
+from tests.rigs.known_matrix import settings_of_a_plane
 
 import rfpipe
 from rfpipe.config import parse_config

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import run
-from tests.viewers import transport_of
+from tests.results.transports import transport_of
+from tests.rigs.known_matrix import run
 
 from rfpipe.errors import RfpipeError
 from rfpipe.pictures.images import write_image

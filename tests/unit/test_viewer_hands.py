@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
-from tests.browsers import opened, wait_until
-from tests.viewers import planar, transport_of
+from tests.results.transports import planar, transport_of
+from tests.services.browsers import opened, wait_until
 
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image

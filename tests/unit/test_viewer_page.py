@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.browsers import opened, picture_of
-from tests.viewers import KINDS, lights, planar, transport_of
+from tests.results.transports import KINDS, lights, planar, transport_of
+from tests.services.browsers import opened, picture_of
 
 from rfpipe.transport import open_transport, save_transport
 from rfpipe_viewer import View, write_view

@@ -3,7 +3,7 @@
 from typing import Any
 
 import dask
-from tests.waiting import PATIENCE_SECONDS
+from tests.services.waiting import PATIENCE_SECONDS
 
 
 def kept_workers() -> Any:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from tests.helpers import contents
-from tests.waiting import PATIENCE_SECONDS, wait_until
+from tests.rigs.known_matrix import contents
+from tests.services.waiting import PATIENCE_SECONDS, wait_until
 from tests.workflow.starter import SNAKEMAKE, run_snakemake
 
 ROOT = Path(__file__).parents[2]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.helpers import contents
+from tests.rigs.known_matrix import contents
 
 from rfpipe.config import CameraConfig
 from rfpipe.photometry import CameraModel, Sensor

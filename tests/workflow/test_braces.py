@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.helpers import run
+from tests.rigs.known_matrix import run
 from tests.workflow.harness import ROOT, Workflow
 from tests.workflow.test_calibrate import RIG
 

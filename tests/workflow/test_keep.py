@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.buckets import BUCKET, proxy, s3_server, use
+from tests.services.buckets import BUCKET, proxy, s3_server, use
 from tests.workflow.harness import Workflow
 
 import rfpipe

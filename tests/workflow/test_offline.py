@@ -15,8 +15,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import yaml
-from tests.dng import dng_bytes
 from tests.examples import photographer
+from tests.files.dng import dng_bytes
 from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import acquire, contents, symmetric_matrix
 from typer.testing import CliRunner

@@ -11,7 +11,7 @@ from pathlib import Path
 import dask
 import pytest
 from distributed import Client, LocalCluster, Security
-from tests.waiting import wait_until
+from tests.services.waiting import wait_until
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.harness import TINY, Workflow, undo
 from tests.workflow.pieces import Dying, identity, slow

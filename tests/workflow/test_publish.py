@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers import contents
+from tests.rigs.known_matrix import contents
 from tests.workflow.harness import GLASS, OWN_METHODS, ROOT, Workflow
 
 import rfpipe

@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 import yaml
-from tests.ports import free_port
-from tests.waiting import wait_until
+from tests.services.ports import free_port
+from tests.services.waiting import wait_until
 from tests.workflow.harness import (
     CONFIG,
     LONG,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.slurm import Slurm
+from tests.services.slurm import Slurm
 from tests.workflow.harness import GLASS, LONG, ROOT, TINY, Workflow, freeze_writer, journal
 
 PROFILES = ROOT / "workflow" / "profiles"

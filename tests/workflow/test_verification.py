@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.knocked import SHAPE, Knocked, beside, wedge
+from tests.rigs.displaced_rigs import SHAPE, Knocked, beside, wedge
 from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import CODE, FaultyRig, stages
 from tests.workflow.stagewise import acquire as acquire_matrix

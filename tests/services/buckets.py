@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler
 
 import pytest
-from tests.ports import free_port
-from tests.serving import listening
+from tests.services.ports import free_port
+from tests.services.web_servers import listening
 
 BUCKET = "lab"
 _HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}

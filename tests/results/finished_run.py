@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from tests.helpers import settings_of_a_plane
+from tests.rigs.known_matrix import settings_of_a_plane
 
 from rfpipe.store import write_arrays, write_manifest
 from rfpipe.transport import save_transport

@@ -26,7 +26,7 @@ HINTS = {
 }
 """How each is installed."""
 
-VALIDATORS = Path(__file__).parents[1] / ".venv-validators" / "bin" / "python"
+VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin" / "python"
 
 _PROGRAMS = {
     "chromium": ("chromium", "chromium-browser", "google-chrome"),

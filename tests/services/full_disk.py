@@ -1,4 +1,4 @@
-"""Run commands on a disk that is full: ``python -m tests.on_full_disk CASES``.
+"""Run commands on a disk that is full: ``python -m tests.services.full_disk CASES``.
 
 CASES is JSON: a list of (bytes that a file may have, arguments of ``rfpipe``). Each command runs in
 a process of its own, forked so that libraries are loaded once, and ends as from a shell. Prints

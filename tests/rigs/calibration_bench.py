@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tests.simulated_devices import SimulatedCamera, SimulatedProjector
+from tests.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 
 from rfpipe.config import SceneSettings
 from rfpipe.photometry import CameraModel

@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
-from tests.ports import free_port
-from tests.waiting import wait_until
+from tests.services.ports import free_port
+from tests.services.waiting import wait_until
 
 NODES = ("one", "two")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
-from tests.benches import CAMERA, bench_of
+from tests.rigs.calibration_bench import CAMERA, bench_of
 
 from rfpipe.config import SceneSettings
 from rfpipe.photometry import CameraModel
