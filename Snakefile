@@ -17,15 +17,15 @@ same bytes.
 import os
 from pathlib import Path
 
-from rfpipe.stages.jobs.ends import (
+from rfpipe.jobs.ends import (
     explain_reruns,
     list_changed_parameters_alone,
     notify,
     say_failed_jobs,
     write_run,
 )
-from rfpipe.stages.jobs.outcome import FailedJobs, clear_failures, write_failures
-from rfpipe.stages.jobs.running import hold
+from rfpipe.jobs.outcome import FailedJobs, clear_failures, write_failures
+from rfpipe.jobs.running import hold
 from snakemake.logging import logger
 from snakemake.utils import min_version
 

@@ -23,9 +23,9 @@ import numpy as np
 import pandas as pd
 import psutil
 
+from rfpipe.jobs.workers import Resources
 from rfpipe.stages import merge
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.store import FrameStore, read_manifest
 
 OUTPUT = Path("results/bench")

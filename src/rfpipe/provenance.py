@@ -23,7 +23,7 @@ _RECORDED_PACKAGES = ("numba", "numpy", "rustworkx", "scipy", "zarr")
 # Of rfpipe: what shows results, serves them or runs jobs, and shapes none.
 _SHAPES_NOTHING = (
     "calibration/", "cli/", "export/", "fitting/", "publish/", "report/", "server/",
-    "stages/evaluate.py", "stages/jobs/", "stages/check", "testing/",
+    "stages/evaluate.py", "jobs/", "stages/check", "testing/",
 )  # fmt: skip
 
 

@@ -15,8 +15,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import write_image
 from rfpipe.provenance import workflow_folder
+from rfpipe.references.reference_images import REFERENCES
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.merger import REFERENCES
 from rfpipe.transport.storage import MANIFEST, STORE_NAME
 from rfpipe.version import __version__
 from rfpipe_publish.inputs import FOLDER as INPUTS

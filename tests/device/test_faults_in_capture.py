@@ -16,9 +16,9 @@ from tests.workflow.stagewise import stages
 
 import rfpipe
 from rfpipe.errors import CaptureError
+from rfpipe.jobs.workers import Resources
 from rfpipe.rigs import DeviceRig, stale
 from rfpipe.stages import capture, verification
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import read_manifest
 from rfpipe.testing import faults

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from rfpipe.config import Config
+from rfpipe.jobs.workers import Resources
 from rfpipe.stages import acquisition, captures
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
 from rfpipe.store import StoreLock
 

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import pytest
 from snakemake.api import Workflow  # first, else snakemake.workflow imports itself
 
-from rfpipe.stages.jobs import ends
-from rfpipe.stages.jobs.ends import explain_reruns, notify, run_again, write_run
+from rfpipe.jobs import ends
+from rfpipe.jobs.ends import explain_reruns, notify, run_again, write_run
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,11 @@ from tests.rigs.known_matrix import run
 import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.config import Config
+from rfpipe.jobs import workers
 from rfpipe.methods.adaptive.decisions import PATTERNS
 from rfpipe.methods.base import get_method, options_of
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages.forecast import forecast
-from rfpipe.stages.jobs import workers
 from rfpipe.store import files
 
 ACQUISITIONS = Path(__file__).parents[2] / "docs" / "benchmark" / "acquisitions.csv"

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
+from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel, ExactSensor
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
-from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merger import Merger
+from rfpipe.references.reference_images import Merger
 
 CAMERA = CameraModel()
 IMAGE = (11, 13, 3)

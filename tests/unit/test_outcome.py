@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from rfpipe.stages.jobs.outcome import (
+from rfpipe.jobs.outcome import (
     FailedJobs,
     Failure,
     clear_failures,

@@ -6,8 +6,8 @@ import logging
 
 import pytest
 
-from rfpipe.stages.jobs import job
-from rfpipe.stages.jobs.job import Progress
+from rfpipe.jobs import job
+from rfpipe.jobs.job import Progress
 
 
 @pytest.fixture(autouse=True)

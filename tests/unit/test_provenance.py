@@ -111,7 +111,7 @@ def test_code_that_shows_results_counts_for_pages_alone(
     def digests(name: str) -> tuple[str, str]:
         """Digests, without and with pages, where one module differs."""
         package = tmp_path / name.replace("/", "_")
-        for each in ("methods/dual.py", "report/page.py", "stages/jobs/job.py"):
+        for each in ("methods/dual.py", "report/page.py", "jobs/job.py"):
             (package / each).parent.mkdir(parents=True, exist_ok=True)
             (package / each).write_text(f"x = {each == name}\n")
         monkeypatch.setattr(provenance, "_PACKAGE", package)
@@ -120,7 +120,7 @@ def test_code_that_shows_results_counts_for_pages_alone(
 
     before, of_pages = digests("none")
     assert digests("methods/dual.py")[0] != before
-    for name in ("report/page.py", "stages/jobs/job.py"):
+    for name in ("report/page.py", "jobs/job.py"):
         assert digests(name)[0] == before
         assert digests(name)[1] != of_pages
     code_digest.cache_clear()

@@ -11,10 +11,10 @@ import rfpipe
 from rfpipe import CameraModel, OperatorRig
 from rfpipe.config import CameraConfig, OfflineConfig, SceneSettings
 from rfpipe.errors import CaptureError
+from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, Kind, kind_of
 from rfpipe.rigs import SimulatedRig
 from rfpipe.rigs.offline import offline_rig
 from rfpipe.scenes import MatrixScene, scene_from_config
-from rfpipe.stages.remedies import REMEDIES, FloodlitFault, Kind, kind_of
 
 SHAPE = (4, 5)
 CAMERA = CameraModel()  # takes radiance up to 2

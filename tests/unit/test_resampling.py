@@ -17,7 +17,7 @@ from rfpipe.photometry import (
 )
 from rfpipe.photometry.defects import check_floodlit
 from rfpipe.photometry.resampling import normalised
-from rfpipe.stages.merger import Merger
+from rfpipe.references.reference_images import Merger
 
 CAMERA = CameraModel(exposures=(1 / 64, 1 / 16), electrons_per_radiance=200_000.0)
 SHAPE, CAMERA_SHAPE = (3, 4), (8, 10)

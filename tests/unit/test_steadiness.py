@@ -11,17 +11,17 @@ import pytest
 
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
-from rfpipe.rigs import stale
-from rfpipe.rigs.faults import CAPTURE
-from rfpipe.rigs.stale import StaleWatch
-from rfpipe.stages.placement import placement_of
-from rfpipe.stages.repeated import (
+from rfpipe.references.placement import placement_of
+from rfpipe.references.steadiness import (
     Samples,
     faults_of_references,
     sample,
     scatter_of,
     smooth_changes,
 )
+from rfpipe.rigs import stale
+from rfpipe.rigs.faults import CAPTURE
+from rfpipe.rigs.stale import StaleWatch
 
 CAMERA = CameraModel()
 SHAPE = (24, 30)

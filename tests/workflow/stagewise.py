@@ -12,6 +12,7 @@ import numpy as np
 from tests.rigs.known_matrix import contents
 
 from rfpipe.config import CameraConfig
+from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
@@ -25,7 +26,6 @@ from rfpipe.stages import (
     schedule,
 )
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 from rfpipe.transport import open_transport

@@ -38,9 +38,9 @@ _OF_SNAKEMAKE = (
     "rfpipe.methods.dual",
     "rfpipe.methods.symmetric.method",
     "rfpipe.scenes.rooms",
-    "rfpipe.stages.jobs.ends",
+    "rfpipe.jobs.ends",
     "rfpipe.stages.plan",
-    "rfpipe.stages.jobs.ends",
+    "rfpipe.jobs.ends",
 )
 _OF_JOBS = (
     "colour",

@@ -9,7 +9,7 @@ import pytest
 from tests.workflow.harness import Workflow
 from tests.workflow.test_reruns import jobs
 
-from rfpipe.stages.jobs.workers import machine_memory_mb
+from rfpipe.jobs.workers import machine_memory_mb
 
 ROWS = """\
 name,kind,surfaces,file,shape,channels,capture.floodlit_frames,camera.bits,settings.seed

@@ -11,10 +11,10 @@ import pytest
 from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 
 from rfpipe.errors import CaptureError
+from rfpipe.references.check_pictures import look_positions
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.watch import look_positions
 from rfpipe.store import FrameStore
 from rfpipe.units import LOOK_KEY, WARM_UP_KEY
 

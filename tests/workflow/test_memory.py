@@ -26,7 +26,7 @@ from rfpipe.stages import capture, merge, normalize
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.folder import write_bundle
-from rfpipe.stages.jobs.workers import Resources
+from rfpipe.jobs.workers import Resources
 
 shape, count = (40, 50), int(sys.argv[2])
 rays = shape[0] * shape[1]

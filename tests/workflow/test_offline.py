@@ -25,12 +25,12 @@ from rfpipe import OperatorRig, open_transport
 from rfpipe.cli import app
 from rfpipe.config import CameraConfig, load_config, parse_config
 from rfpipe.errors import InputError, RfpipeError
+from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.stages import captures, verification
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
 from rfpipe.store import read_manifest, write_manifest
 

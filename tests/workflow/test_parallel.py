@@ -19,9 +19,9 @@ from tests.workflow.stagewise import CAMERA, Acquisition, contents, damage, matr
 from tests.workflow.stagewise import SHAPE as STAGED
 
 from rfpipe.errors import ClusterError, IntegrityError
-from rfpipe.stages import merger as merging
-from rfpipe.stages.jobs import workers as cluster_module
-from rfpipe.stages.jobs.workers import Resources, connected
+from rfpipe.jobs import workers as cluster_module
+from rfpipe.jobs.workers import Resources, connected
+from rfpipe.references import reference_images as merging
 from rfpipe.stages.plan import Plan
 
 PIECES = [(index, index + 1) for index in range(6)]

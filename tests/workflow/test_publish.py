@@ -15,8 +15,8 @@ from tests.workflow.harness import GLASS, OWN_METHODS, ROOT, Workflow
 
 import rfpipe
 from rfpipe.pictures.images import read_image
+from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.merger import read_floodlit
 from rfpipe_publish.metadata import Citation
 from rfpipe_publish.publication import publish
 from rfpipe_publish.run import find_run

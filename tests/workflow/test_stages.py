@@ -24,8 +24,8 @@ from tests.workflow.stagewise import (
 
 from rfpipe import acquire
 from rfpipe.errors import CaptureError, StaleStoreError
+from rfpipe.jobs.workers import Resources
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import read_manifest
 
@@ -181,7 +181,7 @@ def test_a_job_says_why_it_ends_early(
     lines = [
         "import signal",
         "from rfpipe.errors import CaptureError",
-        "from rfpipe.stages.jobs.job import start",
+        "from rfpipe.jobs.job import start",
         f"start({str(log)!r})",
         failure,
     ]
@@ -198,9 +198,7 @@ def test_a_job_says_why_it_ends_early(
 
 
 def test_a_log_that_can_t_be_written_is_done_without() -> None:
-    code = (
-        "from rfpipe.stages.jobs.job import start, _log; start('/dev/full'); _log.warning('for it')"
-    )
+    code = "from rfpipe.jobs.job import start, _log; start('/dev/full'); _log.warning('for it')"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "for it" in said.stderr
     assert "No space left" not in said.stderr

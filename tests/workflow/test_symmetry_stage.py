@@ -28,11 +28,11 @@ from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
+from rfpipe.references import symmetry
+from rfpipe.references.symmetry import Asymmetry
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import symmetry
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.symmetry import Asymmetry
 from rfpipe.store import FrameStore, read_manifest
 
 FRAMES = 6

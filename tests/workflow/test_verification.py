@@ -17,12 +17,12 @@ from tests.workflow.stagewise import CODE, FaultyRig, stages
 from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.errors import CaptureError
+from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, verification
 from rfpipe.stages.checking import check
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.retake import find_retakes
 from rfpipe.store import read_manifest

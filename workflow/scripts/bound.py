@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from rfpipe.stages.jobs.job import start
+from rfpipe.jobs.job import start
 from rfpipe.stages.verification import check_bounds
 from rfpipe.store import read_manifest
 

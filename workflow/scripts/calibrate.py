@@ -2,8 +2,8 @@ from pathlib import Path
 
 from rfpipe.calibration.folder import CalibrationFolder, finish
 from rfpipe.config import CalibrationConfig
+from rfpipe.jobs.job import start
 from rfpipe.report.calibration import build_calibration_report
-from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 folder = CalibrationFolder(Path(snakemake.output.facts).parent)

@@ -2,7 +2,7 @@ from pathlib import Path
 
 from rfpipe.calibration.folder import calibrate_rig
 from rfpipe.config import RigConfig
-from rfpipe.stages.jobs.job import Progress, start
+from rfpipe.jobs.job import Progress, start
 
 start(snakemake.log[0])
 calibrate_rig(

@@ -1,7 +1,7 @@
 from pathlib import Path
 
+from rfpipe.jobs.job import start
 from rfpipe.stages import evaluate
-from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 evaluate.run(

@@ -1,7 +1,7 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from rfpipe.stages.jobs.job import start
+from rfpipe.jobs.job import start
 from rfpipe.store import write_manifest
 from rfpipe_publish.keep import keep
 from rfpipe_publish.run import find_run

@@ -1,8 +1,8 @@
 from pathlib import Path
 
 from rfpipe.config import SceneSettings
+from rfpipe.jobs.job import start
 from rfpipe.stages import relight
-from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 relight.run(

@@ -1,8 +1,8 @@
 from pathlib import Path
 
 from rfpipe.config import Config
+from rfpipe.jobs.job import start
 from rfpipe.report import build_report
-from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 page = Path(snakemake.output.page)

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from rfpipe.stages.jobs.job import start
+from rfpipe.jobs.job import start
 from rfpipe_viewer import write_acquisition
 
 start(snakemake.log[0])

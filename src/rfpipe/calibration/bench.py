@@ -24,7 +24,7 @@ Double = NDArray[np.float64]
 
 
 Progress = Callable[[str, int], AbstractContextManager[Any]]
-"""Makes what counts pictures of a title, such as `rfpipe.stages.jobs.job.Progress`."""
+"""Makes what counts pictures of a title, such as `rfpipe.jobs.job.Progress`."""
 
 
 class DeviceError(Exception):

@@ -90,9 +90,9 @@ def fit(
     from rfpipe.config import load_camera
     from rfpipe.errors import InputError
     from rfpipe.fitting import fit_transport, read_series
+    from rfpipe.jobs.job import Progress
     from rfpipe.output import checked_output
     from rfpipe.photometry import CameraModel, sensor_from_config
-    from rfpipe.stages.jobs.job import Progress
     from rfpipe.steps import counted_by
     from rfpipe.text import counted, percent
     from rfpipe.transport import save_transport

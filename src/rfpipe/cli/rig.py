@@ -69,10 +69,10 @@ def calibrate(
 
     from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
     from rfpipe.config import load_rig_config
+    from rfpipe.jobs.job import Progress
     from rfpipe.output import check_folder, check_no_run, checked_output
     from rfpipe.report.calibration import build_calibration_report
     from rfpipe.rigs.calibrated import STANDINGS
-    from rfpipe.stages.jobs.job import Progress
 
     logging.basicConfig(format="%(message)s")
     logging.getLogger("rfpipe").setLevel(logging.INFO)

@@ -70,7 +70,7 @@ def run(context: typer.Context) -> None:
     rfpipe's own.
     """
     from rfpipe.cli.targets import check_forced_rules, check_no_settings_file
-    from rfpipe.stages.jobs.ends import program
+    from rfpipe.jobs.ends import program
 
     options = _Options.of(context.args)
     if options.help_all:
@@ -145,7 +145,7 @@ def _own_snakefile() -> Path:
 def _checked(options: _Options) -> Config | None:
     """Check folders and settings; return these where they are of one file."""
     from rfpipe.config import load_config, read_yaml
-    from rfpipe.stages.jobs.ends import check_no_braces
+    from rfpipe.jobs.ends import check_no_braces
 
     check_no_braces("the run's folder", options.folder.absolute())
     if not options.is_named:
@@ -160,7 +160,7 @@ def _checked(options: _Options) -> Config | None:
 
 def _free(options: _Options) -> None:
     """Free the folder where its last run was killed; raise LockedError where a run works in it."""
-    from rfpipe.stages.jobs.running import free_if_dead
+    from rfpipe.jobs.running import free_if_dead
 
     unlocks = "--unlock" in options.passed_on
     command = shlex.join(["rfpipe", "run", *options.passed_on, "--unlock"])
@@ -215,7 +215,7 @@ def _put_back(options: _Options, settings: Config | None) -> bool:
 
 def _warn_unrecorded(options: _Options) -> None:
     """Warn of results that were copied without Snakemake's records of their settings."""
-    from rfpipe.stages.jobs.running import unrecorded
+    from rfpipe.jobs.running import unrecorded
 
     names = [] if {"--forceall", "-F"} & set(options.passed_on) else unrecorded(options.folder)
     if names:
@@ -232,8 +232,8 @@ def _warn_unrecorded(options: _Options) -> None:
 def _say_outcome(folder: Path, ended: int) -> None:
     """Print the report's path, the failures, and the acquisitions above their target error."""
     from rfpipe.config.model import TARGET_MARGIN
-    from rfpipe.stages.jobs.ends import acquisitions_of
-    from rfpipe.stages.jobs.outcome import failure_line, missed_targets, read_failures
+    from rfpipe.jobs.ends import acquisitions_of
+    from rfpipe.jobs.outcome import failure_line, missed_targets, read_failures
 
     results = folder / "results"
     if (folder / _REPORT).is_file() and not ended:
@@ -325,8 +325,8 @@ def plan(
 
 def _say_totals(rows: pd.DataFrame, free: int) -> None:
     """Print what all acquisitions take together, and what this machine lacks for them."""
+    from rfpipe.jobs.workers import machine_memory_mb
     from rfpipe.stages.forecast import shown_bytes
-    from rfpipe.stages.jobs.workers import machine_memory_mb
 
     total = rows[["seconds", "most_seconds", "disk", "most_disk"]].sum()
     disk, memory = int(total["disk"]), int(rows["memory"].max())

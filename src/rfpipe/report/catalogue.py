@@ -220,7 +220,7 @@ def write_thumbnail(folder: Path, picture: Path) -> bool:
     picture : Path
     """
     from rfpipe.pictures.images import resized, write_image
-    from rfpipe.stages.merger import read_floodlit
+    from rfpipe.references.reference_images import read_floodlit
 
     merged = _modified(folder / "L00/merge.json")
     if not merged or _modified(picture) > merged:

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rfpipe.config.model import TARGET_MARGIN
+from rfpipe.jobs.targets import misses
 from rfpipe.report.text import percent
-from rfpipe.stages.targets import misses
 
 
 def ending_of(level_rows: Sequence[Mapping[str, Any]]) -> str:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rfpipe.config.capture import PRECAUTIONS, Watch
 from rfpipe.errors import InputError, StoreError
+from rfpipe.jobs.workers import Resources
 from rfpipe.methods import Method, get_method
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated
@@ -25,7 +26,6 @@ from rfpipe.stages import capture
 from rfpipe.stages.acquisition import run_levels
 from rfpipe.stages.assemble import assembled
 from rfpipe.stages.folder import AcquisitionFolder, Arrays, Facts
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
 from rfpipe.stages.verification import Verification, capture_and_merge, compared, schedule_of

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.errors import DamagedStageError
+from rfpipe.jobs.job import start
+from rfpipe.jobs.workers import Resources
 from rfpipe.stages.folder import STAGES, AcquisitionFolder, clear
-from rfpipe.stages.jobs.job import start
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:

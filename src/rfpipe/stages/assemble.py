@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.references.reference_images import REFERENCES, read_floodlit
 from rfpipe.stages.folder import AcquisitionFolder, standing
-from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.normalize import masked_rays
 from rfpipe.stages.plan import Plan
 from rfpipe.store import write_manifest

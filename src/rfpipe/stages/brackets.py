@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, StaleStoreError
+from rfpipe.jobs.job import Progress
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.job import Progress
 from rfpipe.store import FrameStore, StoreLock, restore_header
 from rfpipe.text import counted
 

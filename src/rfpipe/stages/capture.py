@@ -16,19 +16,20 @@ from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import CaptureError, StoreError
+from rfpipe.jobs.job import Progress
+from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
+from rfpipe.references.calibration_check import check
+from rfpipe.references.check_pictures import ways_on
+from rfpipe.references.steadiness import camera_of, faults_of_references, sample
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated, sequence_patterns
 from rfpipe.rigs.faults import CAPTURE
-from rfpipe.stages.against_calibration import check
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
-from rfpipe.stages.jobs.job import Progress
-from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.repeated import camera_of, faults_of_references, sample
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.stages.watch import watching_level, ways_on
+from rfpipe.stages.watch import watching_level
 from rfpipe.steps import counted_by
 from rfpipe.store import bytes_on_disk
 from rfpipe.text import counted
@@ -71,7 +72,7 @@ def run(
     references : (int, int)
         All-off and all-on brackets with which level 0 begins; exact radiance takes one of each.
     symmetry_frames : int
-        Brackets of random patterns that follow them, for `rfpipe.stages.symmetry`.
+        Brackets of random patterns that follow them, for `rfpipe.references.symmetry`.
     batch_patterns : int
         Patterns shown, then stored, at a time; fewer where memory is short, or a sequence's.
     when_patterns_change : {"recapture", "refuse"}
@@ -82,7 +83,7 @@ def run(
         "mode", "off", "warn" or "refuse": what to do where pictures show that the rig or its light
         changed; "looks": patterns from one look to the next, 0 for none, see
         `rfpipe.stages.watch`; "asymmetry": what is accepted, see
-        `rfpipe.stages.against_calibration`.
+        `rfpipe.references.calibration_check`.
 
     Raises
     ------

@@ -12,13 +12,13 @@ from typing import Any
 from urllib.parse import unquote
 
 from rfpipe.errors import InputError, RfpipeError, StoreError
+from rfpipe.jobs.ends import RUN
+from rfpipe.references.check_pictures import MOVES
+from rfpipe.references.reference_images import REFERENCES
 from rfpipe.stages.capture import SENSOR
 from rfpipe.stages.folder import BY_PRODUCTS, REFERENCE, STAGES, SYMMETRY
-from rfpipe.stages.jobs.ends import RUN
 from rfpipe.stages.mending import RESTORE, Finding, Mend, is_acquisition, mend_of, part_of
 from rfpipe.stages.merge import SUMS
-from rfpipe.stages.merger import REFERENCES
-from rfpipe.stages.watch import MOVES
 from rfpipe.store import (
     FrameStore,
     StoreLock,

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from rfpipe.calibration.folder import STEPS
+from rfpipe.jobs.ends import RUN, run_again
 from rfpipe.rigs.calibrated import FACTS
 from rfpipe.stages.folder import FILES, VERIFICATION_FOLDER, with_followers
-from rfpipe.stages.jobs.ends import RUN, run_again
 from rfpipe.stages.verification import MANIFEST as VERIFICATION_MANIFEST
 from rfpipe.store.places import Place
 

@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import LockedError, StaleStoreError, StoreError
+from rfpipe.jobs.job import Progress
+from rfpipe.jobs.workers import Resources
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.stages import symmetry
-from rfpipe.stages.brackets import differing
-from rfpipe.stages.brightness import measure_looks
-from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
-from rfpipe.stages.jobs.job import Progress
-from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.lamp import measure_lamp, with_brightness
-from rfpipe.stages.merger import (
+from rfpipe.references import symmetry
+from rfpipe.references.check_pictures import MOVES
+from rfpipe.references.drift import measure_looks
+from rfpipe.references.initial_brightness import measure_lamp, with_brightness
+from rfpipe.references.reference_images import (
     REFERENCES,
     LevelSum,
     Merger,
@@ -31,8 +29,11 @@ from rfpipe.stages.merger import (
     runs,
     write_references,
 )
-from rfpipe.stages.repeated import camera_of
-from rfpipe.stages.watch import MOVES
+from rfpipe.references.steadiness import camera_of
+from rfpipe.stages.brackets import differing
+from rfpipe.stages.capture import read_sensor
+from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
+from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE_UNIT
 
@@ -137,7 +138,9 @@ def _learn(
     facts: dict[str, Any] = {}
     randoms = None
     if divide_out_drift and camera_of(sensor) is not None:
-        lamp = measure_lamp(folder, merger)
+        schedule = read_schedule(folder, 0)
+        is_white = schedule.count == 1 and bool((schedule.batch(0, 1) == 1).all())
+        lamp = measure_lamp(folder, merger, level_0_is_white=is_white)
         merger, randoms = with_brightness(merger, lamp.whites), lamp.randoms
         facts |= lamp.facts()
     facts[REFERENCES] = write_references(folder, merger)

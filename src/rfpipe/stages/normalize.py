@@ -15,9 +15,9 @@ from rfpipe.methods.base import Method
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
 from rfpipe.provenance import fingerprint
+from rfpipe.references.reference_images import REFERENCES, LevelSum, read_floodlit
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merge import SUMS, read_level_sum
-from rfpipe.stages.merger import REFERENCES, LevelSum, read_floodlit
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.transport import Transport

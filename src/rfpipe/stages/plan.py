@@ -12,9 +12,9 @@ from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.states import unprefixed
 from rfpipe.plugins import METHODS, SCENES, is_of_rfpipe, sources_of
 from rfpipe.provenance import code_digest, source_digest
+from rfpipe.references.symmetry import read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.symmetry import read_asymmetry
 from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:

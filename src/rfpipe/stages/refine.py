@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+from rfpipe.jobs.job import Progress
+from rfpipe.jobs.workers import Resources
 from rfpipe.methods import Pack
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.images import ImagesAs
 from rfpipe.provenance import fingerprint
+from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.job import Progress
-from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merger import read_floodlit
 from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule

@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import VerificationError
+from rfpipe.jobs.workers import Resources
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
+from rfpipe.references.calibration_check import alarm
+from rfpipe.references.check_pictures import MOVES
+from rfpipe.references.drift import alarms_of
+from rfpipe.references.reference_images import REFERENCES, read_floodlit
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
 from rfpipe.stages import merge
-from rfpipe.stages.against_calibration import alarm
-from rfpipe.stages.brightness import alarms_of
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write_bundle
-from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.schedule import read_schedule, write_schedule
-from rfpipe.stages.watch import MOVES
 from rfpipe.store import read_manifest
 from rfpipe.text import counted, percent
 from rfpipe.transport import Transport, open_transport

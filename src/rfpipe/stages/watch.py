@@ -1,7 +1,7 @@
 """Watch over a capture: looks at a fine random pattern, between the patterns of a level.
 
 A look that differs from the first one is repeated, and what changed is named: see
-`rfpipe.stages.comparison`, and `rfpipe.stages.repeated` for looks one after another.
+`rfpipe.references.comparison`, and `rfpipe.references.steadiness` for looks one after another.
 """
 
 from __future__ import annotations
@@ -16,20 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.symmetry import random_signs
-from rfpipe.errors import CaptureError, StoreError
+from rfpipe.errors import CaptureError
 from rfpipe.photometry.sensor import Merged
+from rfpipe.references.check_pictures import MOVES, first_look, look_count, look_pattern, ways_on
+from rfpipe.references.comparison import Change, change
+from rfpipe.references.reference_images import Merger, read_merger
+from rfpipe.references.steadiness import Samples, camera_of, motion_of, sample, scatter_of
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, moved_fault, room_fault
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.comparison import Change, change
-from rfpipe.stages.folder import AcquisitionFolder, name_of
-from rfpipe.stages.merger import Merger, read_merger
-from rfpipe.stages.repeated import Samples, camera_of, motion_of, sample, scatter_of
+from rfpipe.stages.folder import name_of
 from rfpipe.store import FrameStore, restore_header
 from rfpipe.units import LOOK_KEY
-
-MOVES = "moves"
-"""The repeated random pattern of a level: its store and its key in manifests."""
 
 # Change of brightness from one look to the next after which the look is repeated.
 _JUMP = 0.01
@@ -38,55 +35,6 @@ _REPETITIONS = 2
 Double = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
-
-
-def look_count(patterns: int, every: int) -> int:
-    """Return the looks at a level: one before each `every` patterns, and one after the last."""
-    return -(-patterns // every) + 1
-
-
-def look_positions(patterns: int, every: int) -> Double:
-    """Return before which pattern each look is taken."""
-    return np.minimum(np.arange(look_count(patterns, every)) * every, patterns).astype(np.float64)
-
-
-def look_pattern(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return the random pattern that looks repeat, over the projector's rays."""
-    lit = random_signs(shape, 1, seed=15)[0] > 0
-    return np.asarray(lit if lit.any() else ~lit, np.float32)
-
-
-def first_look(folder: AcquisitionFolder, merger: Merger) -> Merged | None:
-    """Merge the acquisition's first look, with which others are compared; None without one."""
-    for level in folder.levels():
-        try:
-            with folder.open_frames(level, MOVES) as frames:
-                if frames.done[0]:
-                    return merger.merge(frames.read(0, 1), 0)
-        except StoreError:  # not taken yet, or damaged
-            continue
-    return None
-
-
-def ways_on(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
-    """Describe ways on from a capture that ended at a level since the rig or its light changed.
-
-    `kind` is the rig's.
-    """
-    if kind == "offline":
-        return "mend it, and take the pictures again; capture.watch: warn goes on all the same"
-    if not folder.is_kept:
-        return "watch='warn' goes on all the same"
-    ways = (
-        f"all that is captured is kept. To begin anew: '{folder.retaking()}', with the run's other "
-        "options. "
-    )
-    if level:
-        ways += (
-            f"Or put back what changed: '{folder.retaking(level)}' takes this level alone again, "
-            "if the pattern looks as it did first. "
-        )
-    return f"{ways}capture.watch: warn goes on all the same"
 
 
 @contextmanager

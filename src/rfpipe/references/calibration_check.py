@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from rfpipe.errors import CaptureError
+from rfpipe.references.check_pictures import first_look, look_pattern, ways_on
+from rfpipe.references.placement import placement_of
+from rfpipe.references.reference_images import Merger
+from rfpipe.references.symmetry import no_longer_coaxial, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.stages.folder import LAMP, AcquisitionFolder
-from rfpipe.stages.merger import Merger
-from rfpipe.stages.placement import placement_of
-from rfpipe.stages.symmetry import no_longer_coaxial, read_asymmetry
-from rfpipe.stages.watch import first_look, look_pattern, ways_on
 
 _log = logging.getLogger(__name__)
 

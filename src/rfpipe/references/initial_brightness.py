@@ -25,11 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
+from rfpipe.references.reference_images import Merger
+from rfpipe.references.steadiness import smooth_changes
 from rfpipe.rigs.faults import SIGNIFICANCE
 from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, AcquisitionFolder
-from rfpipe.stages.merger import Merger
-from rfpipe.stages.repeated import smooth_changes
-from rfpipe.stages.schedule import read_schedule
 
 Double = NDArray[np.float64]
 
@@ -67,7 +66,7 @@ class _Light(NamedTuple):
     variance: Double
 
 
-def measure_lamp(folder: AcquisitionFolder, merger: Merger) -> Lamp:
+def measure_lamp(folder: AcquisitionFolder, merger: Merger, *, level_0_is_white: bool) -> Lamp:
     """Compare the brightness of the first brackets; log a change."""
     captured = folder.read_manifest(0, "capture")
     off, on = (captured[REFERENCE][name] for name in ("black_frames", "floodlit_frames"))
@@ -77,7 +76,7 @@ def measure_lamp(folder: AcquisitionFolder, merger: Merger) -> Lamp:
     last = range(off + max(0, on - _LAST), off + on)
     with folder.frames(0, "capture", REFERENCE) as frames:
         whites = [_light(merger.merge(frames.read(index, index + 1), index)) for index in last]
-    now = _level_0(folder, merger)
+    now = _level_0(folder, merger) if level_0_is_white else None
     series = np.stack([one.total for one in (*whites, *([now] if now else []))])
     over = series[-1]
     if not (over > 0).all():
@@ -112,11 +111,8 @@ def with_brightness(merger: Merger, whites: Double) -> Merger:
     )
 
 
-def _level_0(folder: AcquisitionFolder, merger: Merger) -> _Light | None:
-    """Light of level 0's picture; None where that isn't taken under white light."""
-    schedule = read_schedule(folder, 0)
-    if schedule.count != 1 or not (schedule.batch(0, 1) == 1).all():
-        return None
+def _level_0(folder: AcquisitionFolder, merger: Merger) -> _Light:
+    """Light of level 0's picture."""
     with folder.frames(0, "capture") as frames:
         return _light(merger.merge(frames.read(0, 1), 0))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import StoreError
-from rfpipe.stages.targets import misses
+from rfpipe.jobs.targets import misses
 from rfpipe.store import manifest_or_empty, read_manifest, write_manifest
 from rfpipe.transport.base import last_estimate
 

@@ -23,8 +23,8 @@ from rfpipe.photometry.defects import (
 )
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
+from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, Kind, kind_of
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
-from rfpipe.stages.remedies import REMEDIES, FloodlitFault, Kind, kind_of
 from rfpipe.units import RADIANCE
 
 REFERENCES = "merged_reference"

@@ -13,6 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.references.check_pictures import MOVES, first_look, look_positions
+from rfpipe.references.comparison import change
+from rfpipe.references.reference_images import Merger
+from rfpipe.references.steadiness import smooth_changes
 from rfpipe.rigs.faults import (
     AUTOMATIC_OFF,
     CAPTURE,
@@ -21,11 +25,7 @@ from rfpipe.rigs.faults import (
     SIGNIFICANCE,
     room_fault,
 )
-from rfpipe.stages.comparison import change
 from rfpipe.stages.folder import AcquisitionFolder, name_of
-from rfpipe.stages.merger import Merger
-from rfpipe.stages.repeated import smooth_changes
-from rfpipe.stages.watch import MOVES, first_look, look_positions
 
 Double = NDArray[np.float64]
 

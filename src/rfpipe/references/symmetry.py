@@ -20,9 +20,9 @@ from rfpipe.calibration.symmetry import (
     random_signs,
 )
 from rfpipe.errors import CaptureError
+from rfpipe.references.placement import placement_of
+from rfpipe.references.reference_images import Merger
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
-from rfpipe.stages.merger import Merger
-from rfpipe.stages.placement import placement_of
 
 if TYPE_CHECKING:
     from rfpipe.methods import Method, Options
@@ -46,8 +46,8 @@ class Asymmetry:
     """Error of relit pictures, relative to their norm, if T were symmetric.
 
     The error is 0 where nothing but noise is seen. `place` describes a wrong place of the
-    pictures on the rays, see `rfpipe.stages.placement`. `excess` is the light of random pictures
-    beyond that expected from the white ones, relative to the white; 0 unless it is significant. No
+    pictures on the rays, see `rfpipe.references.placement`. `excess` is the light of random
+    pictures beyond that expected from the white ones, relative to the white; 0 unless it is significant. No
     asymmetry makes it: ``1^T (T - T^T) 1 = 0``.
     """
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
+from rfpipe.references.reference_images import Merger
 from rfpipe.rigs.faults import SIGNIFICANCE
-from rfpipe.stages.merger import Merger
 
 Double = NDArray[np.float64]
 
