@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.adaptive.smooth_fit import conjugate_gradients
 from rfpipe.methods.base import Float
+from rfpipe.methods.least_squares import conjugate_gradients
 from rfpipe.transport.wavelet import Group, Haar
 
 _ROUNDING = float(np.finfo(np.float32).eps)
@@ -177,7 +177,13 @@ class Posterior:
         self.direct = np.zeros(len(observed), np.float32)
         self._applied(
             conjugate_gradients(
-                self._applied, observed, self._preconditioned, None, 1e-3, iterations, weighed=False
+                self._applied,
+                observed,
+                self._preconditioned,
+                None,
+                1e-3,
+                iterations,
+                preconditioned_norm=False,
             )
         )
         self.core = self._core

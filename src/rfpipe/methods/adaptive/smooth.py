@@ -23,11 +23,11 @@ from rfpipe.methods.adaptive.smooth_fit import (
     Observations,
     Patches,
     expected,
-    learned,
     solve,
 )
 from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures, beyond_noise
+from rfpipe.methods.smooth_light import learned_deviations
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale import (
@@ -80,7 +80,7 @@ def fit(shape: tuple[int, ...], pictures: Pictures) -> Smooth:
     deviations, group = expected(basis, evidence)
     # from nothing: cores that fewer pictures told keep the prior that is learned from drawing near
     near = solve(observed, deviations, 1e-3, 120)
-    deviations = learned(group, near)
+    deviations = learned_deviations(group, near)
     estimate = solve(observed, deviations, 1.5e-4, 300, near)
     for index in range(pictures.channels):
         channel = pictures.channel(index)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,16 +11,13 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.least_squares import conjugate_gradients
+from rfpipe.methods.smooth_light import prior_areas
 from rfpipe.steps import step
 from rfpipe.transport.multiscale import MultiscaleBasis
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-
-# Octaves of distance among which indirect light is shared a priori: rather many, for small cores;
-# the data soon say better.
-OCTAVES = 12.0
 
 
 @dataclass(frozen=True)
@@ -188,20 +184,13 @@ def expected(basis: MultiscaleBasis, evidence: Evidence) -> tuple[Float, NDArray
     distance = basis.distances()
     first, second = basis.scales[basis.first], basis.scales[basis.second]
     coarser = np.maximum(first, second)
-    area = np.square(np.maximum(distance, coarser)) * OCTAVES
+    area = prior_areas(basis)
     tiny = float(np.finfo(np.float32).tiny)
     deviations = evidence.indirect / (max(evidence.floodlit, tiny) * area)
     distance_bin = (2 * distance / coarser).astype(np.int64)
     # scales are images' extents at most, below 2^20
     key = distance_bin << 40 | first.astype(np.int64) << 20 | second
     return deviations.astype(np.float32), np.unique(key, return_inverse=True)[1]
-
-
-def learned(group: NDArray[np.int64], cores: Float) -> Float:
-    """Return each group's deviation as the root of its cores' mean square, (cores,)."""
-    energy = np.bincount(group, np.square(cores, dtype=np.float64))
-    deviations = np.sqrt(energy / np.bincount(group))[group]
-    return deviations.astype(np.float32)
 
 
 def solve(
@@ -242,44 +231,3 @@ def solve(
     solution = conjugate_gradients(normal, goal, scaling.__mul__, start, tolerance, most)
     step()
     return deviations * solution
-
-
-def conjugate_gradients(
-    normal: Callable[[Float], Float],
-    goal: Float,
-    precondition: Callable[[Float], Float],
-    start: Float | None,
-    tolerance: float,
-    most: int,
-    *,
-    weighed: bool = True,
-) -> Float:
-    """Solve ``normal(x) = goal``, normal symmetric and positive, in at most so many iterations.
-
-    `precondition` is about the inverse of normal, `start` None for 0, `tolerance` the part of the
-    goal's norm that may be left: `weighed` by the preconditioner, or plain.
-    """
-    solution = np.zeros_like(goal) if start is None else start
-    rest = goal if start is None else goal - normal(start)
-    step = direction = precondition(rest)
-    energy = _dot(rest, step)
-    enough = tolerance**2 * _dot(goal, precondition(goal) if weighed else goal)
-    for _ in range(most):
-        if energy <= 0 or (energy if weighed else _dot(rest, rest)) <= enough:
-            break
-        image = normal(direction)
-        curvature = _dot(direction, image)
-        if curvature <= 0:  # rounding is all that is left
-            break
-        length = np.float32(energy / curvature)
-        solution, rest = solution + length * direction, rest - length * image
-        step = precondition(rest)
-        before, energy = energy, _dot(rest, step)
-        direction = step + np.float32(energy / before) * direction
-    return solution
-
-
-def _dot(a: Float, b: Float) -> float:
-    # not BLAS: its threads change the sum's last bits, and wait for each other on a busy machine
-    axes = "ij"[: a.ndim]
-    return float(np.einsum(f"{axes},{axes}->", a, b, dtype=np.float64))

@@ -15,7 +15,8 @@ import numpy as np
 from rfpipe.methods.adaptive.footprints.candidates import Precision
 from rfpipe.methods.adaptive.footprints.functions import Functions
 from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
-from rfpipe.methods.adaptive.smooth_fit import conjugate_gradients, learned
+from rfpipe.methods.least_squares import conjugate_gradients
+from rfpipe.methods.smooth_light import learned_deviations
 from rfpipe.steps import step
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ class Exchange:
 
     def learned(self) -> Float:
         """Return deviations by group, as the root of the mean square of what was found."""
-        return learned(self.functions.groups, self.unknowns)
+        return learned_deviations(self.functions.groups, self.unknowns)
 
     def with_gains(self) -> Exchange:
         """Fit the gain of each projector pixel, then of each camera pixel, given S.

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int64
-from rfpipe.methods.adaptive.smooth_fit import OCTAVES
 from rfpipe.methods.images import nearest
+from rfpipe.methods.smooth_light import prior_areas
 from rfpipe.transport.multiscale import (
     MultiscaleBasis,
     along,
@@ -150,8 +150,7 @@ class Functions:
         What goes one way and not the other is a fifth of what goes both ways.
         """
         basis = self.camera
-        coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
-        area = np.square(np.maximum(basis.distances(), coarser)) * OCTAVES
+        area = prior_areas(basis)
         level = indirect / (max(floodlit, float(np.finfo(np.float32).tiny)) ** 2)
         expected = level / (area * self._crowd)
         return np.concatenate([expected, 0.2 * expected]).astype(np.float32)

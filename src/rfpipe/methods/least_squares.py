@@ -1,0 +1,64 @@
+"""Iterative least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from rfpipe.methods.base import Float
+
+
+def conjugate_gradients(
+    normal: Callable[[Float], Float],
+    target: Float,
+    precondition: Callable[[Float], Float],
+    start: Float | None,
+    tolerance: float,
+    iterations: int,
+    *,
+    preconditioned_norm: bool = True,
+) -> Float:
+    """Solve ``normal(x) = target`` by preconditioned conjugate gradients.
+
+    Parameters
+    ----------
+    normal : callable
+        Product with a symmetric, positive definite matrix.
+    target : ndarray of float32
+        Right-hand side.
+    precondition : callable
+        Product with an approximate inverse of that matrix.
+    start : ndarray of float32, optional
+        First estimate of x; zeros by default.
+    tolerance : float
+        Norm of the residual at which to stop, relative to that of `target`.
+    iterations : int
+        Largest number of iterations.
+    preconditioned_norm : bool
+        Measure both norms with the preconditioner, as ``sqrt(r^T precondition(r))``.
+    """
+    solution = np.zeros_like(target) if start is None else start
+    residual = target if start is None else target - normal(start)
+    step = direction = precondition(residual)
+    energy = _dot(residual, step)
+    end = tolerance**2 * _dot(target, precondition(target) if preconditioned_norm else target)
+    for _ in range(iterations):
+        if energy <= 0 or (energy if preconditioned_norm else _dot(residual, residual)) <= end:
+            break
+        image = normal(direction)
+        curvature = _dot(direction, image)
+        if curvature <= 0:  # the residual is rounding
+            break
+        length = np.float32(energy / curvature)
+        solution, residual = solution + length * direction, residual - length * image
+        step = precondition(residual)
+        previous, energy = energy, _dot(residual, step)
+        direction = step + np.float32(energy / previous) * direction
+    return solution
+
+
+def _dot(a: Float, b: Float) -> float:
+    # not BLAS: its threads change the sum's last bits, and wait for each other on a busy machine
+    axes = "ij"[: a.ndim]
+    return float(np.einsum(f"{axes},{axes}->", a, b, dtype=np.float64))

@@ -1,0 +1,85 @@
+"""Parts of the fit of smooth indirect light that near/far and footprint acquisition share.
+
+Both models describe indirect light by a matrix S of *cores*, one for each pair of B-splines of
+several scales (`rfpipe.transport.multiscale.MultiscaleBasis`). Cores are independent normal
+variables with mean zero. Their standard deviations fall with the squared distance before any fit,
+and are learned from the fitted cores afterwards, group by group. Splines of a finer scale are added
+only where the pictures need them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import Float
+from rfpipe.transport.multiscale import MultiscaleBasis, cells, coarsest_scale, functions_over
+
+# Octaves of distance among which indirect light is shared before any fit. The number is large, so
+# that cores begin small; deviations that are learned from the pictures replace it.
+_OCTAVES = 12.0
+
+Model = TypeVar("Model")
+
+
+def prior_areas(basis: MultiscaleBasis) -> NDArray[np.float64]:
+    """Compute the area over which each pair's indirect light is spread before any fit.
+
+    It is 12 times the squared distance of the two functions, in squared pixels, or of the coarser
+    one's scale where they are closer; one value a pair. Cores are inversely proportional to it.
+    """
+    coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
+    area: NDArray[np.float64] = np.square(np.maximum(basis.distances(), coarser)) * _OCTAVES
+    return area
+
+
+def learned_deviations(group: NDArray[np.int64], cores: Float) -> Float:
+    """Estimate the cores' standard deviations: the root mean square of each group, (cores,).
+
+    `group` has the number of each core's group.
+    """
+    energy = np.bincount(group, np.square(cores, dtype=np.float64))
+    deviations = np.sqrt(energy / np.bincount(group))[group]
+    return deviations.astype(np.float32)
+
+
+def coarse_to_fine(
+    shape: tuple[int, ...],
+    fit: Callable[[NDArray[np.int32], Model | None], Model | None],
+    cells_to_refine: Callable[[Model, int], NDArray[np.bool_]],
+) -> Model:
+    """Fit a model with functions of finer and finer scales, where the pictures need them.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Ray domain of the functions.
+    fit : callable
+        ``fit(functions, previous)`` returns the model with the functions, int32 (n, 4) as in
+        `MultiscaleBasis`; `previous` is the model before, None at first. It returns None if these
+        are too many.
+    cells_to_refine : callable
+        ``cells_to_refine(model, scale)`` returns the cells of a scale in which the model differs
+        from the pictures, bool ``cells(shape, scale)``.
+
+    Returns
+    -------
+    model
+        With all scales down to single rays, or to the last one before there are too many functions.
+    """
+    scale = coarsest_scale(shape)
+    functions = functions_over(scale, np.ones(cells(shape, scale), np.bool_))
+    model = fit(functions, None)
+    assert model is not None, "the coarsest functions are too many"
+    while scale > 1:
+        scale //= 2
+        finer = functions_over(scale, cells_to_refine(model, scale))
+        functions = np.concatenate([functions, finer])
+        refined = fit(functions, model)
+        if refined is None:
+            return model
+        model = refined
+    return model
