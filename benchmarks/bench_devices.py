@@ -16,11 +16,11 @@ import numpy as np
 
 from benchmarks.harness import write
 from rfpipe.config import load_rig_config
+from rfpipe.devices.pylon import PylonCamera
+from rfpipe.devices.window import WindowProjector
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import rig_from_config
-from rfpipe_devices.pylon import PylonCamera
-from rfpipe_devices.window import WindowProjector
 
 REPEATS = 50
 DISPLAYS = (288, 320), (768, 1024), (1080, 1920)

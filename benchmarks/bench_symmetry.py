@@ -26,10 +26,10 @@ from rfpipe.calibration.symmetry import (
     random_signs,
     symmetry_patterns,
 )
+from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes import planes_scene
 from rfpipe.scenes.relighting import relighting_patterns
-from rfpipe_mitsuba.worlds import WORLDS
 
 SCENES = ("wedge", "two_blocks", "translucent")
 SIDE = 32

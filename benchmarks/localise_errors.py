@@ -21,11 +21,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import rfpipe
+from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
+from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
-from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
-from rfpipe_mitsuba.worlds import WORLDS
 
 OUTPUT = Path("results/bench")
 SCENES = ("two_blocks", "red_wall_box")
@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 def recorded(scene: str, side: int) -> MitsubaScene:
     """Return a scene whose light is recorded."""
     options = MitsubaOptions(
-        kind="rfpipe_mitsuba.scene:MitsubaScene", scene=scene, shape=(side, side), samples=16384
+        kind="rfpipe.mitsuba.scene:MitsubaScene", scene=scene, shape=(side, side), samples=16384
     )
     return MitsubaScene(options)
 

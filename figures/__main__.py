@@ -64,7 +64,7 @@ def unknown(script: str) -> str:
 
 def _check() -> None:
     """End with a line that says what to install where physically based scenes can't be traced."""
-    from rfpipe_mitsuba.variant import lacking_llvm
+    from rfpipe.mitsuba.variant import lacking_llvm
 
     lacking = lacking_llvm("make figures")
     if lacking is not None:

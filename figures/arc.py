@@ -31,7 +31,7 @@ _CAMERA_SHARE = 2  # the camera's pixels are so much larger: at a light they are
 
 def items(size: Size) -> Items:
     """Acquire a still life from each camera position, and relight its dual picture from there."""
-    from rfpipe_mitsuba.worlds import WORLDS
+    from rfpipe.mitsuba.worlds import WORLDS
 
     world = WORLDS[_WORLD]
     projectors = [each.model_dump() for each in world.projectors or ()]

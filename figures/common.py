@@ -90,7 +90,7 @@ def physical(size: Size, name: str, **options: Any) -> Any:
 
 def aside(size: Size, name: str, right: float = 22.0, up: float = 12.0, **options: Any) -> Any:
     """Return a scene whose projector stands degrees to the right of its camera and above."""
-    from rfpipe_mitsuba.worlds import WORLDS
+    from rfpipe.mitsuba.worlds import WORLDS
 
     camera = WORLDS[name].cameras[0]
     views = {"cameras": [camera.model_dump()], "projectors": [turned(camera, right, up)]}

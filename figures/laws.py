@@ -45,7 +45,7 @@ def items(size: Size) -> Items:
 
 def _duality(size: Size) -> tuple[Double, Double, list[Any]]:
     """Exchange projector and camera: T becomes its transpose [2.12, A]."""
-    from rfpipe_mitsuba.worlds import WORLDS
+    from rfpipe.mitsuba.worlds import WORLDS
 
     camera = WORLDS["two_blocks"].cameras[0]
     views = [[camera.model_dump()], [turned(camera, 22.0, 12.0)]]
@@ -76,7 +76,7 @@ def _blocks(matrix: Double, side: int, length: int = 6) -> Double:
 
 def _symmetry(size: Size) -> list[Any]:
     """A coaxial rig's matrix equals its transpose [2.10], traced as though it were not one."""
-    from rfpipe_mitsuba.worlds import WORLDS
+    from rfpipe.mitsuba.worlds import WORLDS
 
     rows = []
     for name in ("two_blocks", "glossy_metal"):

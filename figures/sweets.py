@@ -81,7 +81,7 @@ def items(size: Size) -> Items:
 
 def letters(side: int) -> Float:
     """Return bright letters in the middle of a dark picture (side, side)."""
-    from rfpipe_mitsuba.parts import lettering
+    from rfpipe.mitsuba.parts import lettering
 
     dots = lettering(_LETTERS, ink=(1, 1, 1), paper=(0, 0, 0), fine=1)[..., 0]
     rows, columns = dots.shape

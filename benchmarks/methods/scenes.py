@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, planes_scene
 from rfpipe.scenes.sight import Pinhole
-from rfpipe_mitsuba.worlds import WORLDS
 
 if TYPE_CHECKING:
-    from rfpipe_mitsuba.scene import MitsubaScene
+    from rfpipe.mitsuba.scene import MitsubaScene
 
 __all__ = ["KINDS", "Kind", "Stage", "settings_of", "stage_of"]
 
@@ -99,7 +99,7 @@ def _world(name: str) -> Kind:
 
 def _mitsuba(name: str, side: str, channels: int, samples: int, cache: Path) -> MitsubaScene:
     """Return a world; the views of a stack share about the pixels of one picture."""
-    from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
+    from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
 
     world = WORLDS[name]
     views = max(len(world.cameras), len(world.projectors or ()))
@@ -108,7 +108,7 @@ def _mitsuba(name: str, side: str, channels: int, samples: int, cache: Path) -> 
     ]
     options = MitsubaOptions.model_validate(
         {
-            "kind": "rfpipe_mitsuba.scene:MitsubaScene",
+            "kind": "rfpipe.mitsuba.scene:MitsubaScene",
             "scene": name,
             "shape": each,
             "channels": channels,

@@ -29,17 +29,8 @@ METHODS = "rfpipe.methods"
 PROJECTORS, CAMERAS, RIGS = "rfpipe.projectors", "rfpipe.cameras", "rfpipe.rigs"
 """The groups of devices' drivers, and of rigs as a whole."""
 
-SEQUENCES = "rfpipe.sequences"
-"""The group of what takes sequences in hardware: ``hardware`` makes one of two devices."""
-
 SCENES = "rfpipe.scenes"
 """The group of kinds of scenes."""
-
-COMMANDS = "rfpipe.commands"
-"""The group of commands of ``rfpipe`` that extras bring: functions, or typer's apps of several."""
-
-PLACES = "rfpipe.places"
-"""The group of one function, which finds out where a zip file or an address leads."""
 
 
 @cache
@@ -49,7 +40,7 @@ def _installed() -> dict[str, dict[str, str]]:
     # of two packages with the same name, the first on the path has it
     return {
         group: {entry.name: entry.value for entry in reversed(tuple(entries.select(group=group)))}
-        for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES, SEQUENCES, COMMANDS, PLACES)
+        for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES)
     }
 
 
@@ -82,7 +73,7 @@ def path_of(group: str, name: str) -> str:
 def sources_of(group: str, name: str) -> tuple[Path, ...]:
     """Return the files behind a name or path that rfpipe's own digest of code doesn't count.
 
-    None for rfpipe itself, all modules of one of its extras, else the file of the class.
+    None for rfpipe itself, else the file of the class.
 
     Raises
     ------
@@ -94,13 +85,11 @@ def sources_of(group: str, name: str) -> tuple[Path, ...]:
     if package == "rfpipe":
         return ()
     file = (_file(module) if module.endswith(".py") else _module(module)).__file__
-    if package.startswith("rfpipe_"):
-        return tuple(sorted(Path(str(_module(package).__file__)).parent.rglob("*.py")))
     return () if file is None else (Path(file),)
 
 
 def is_of_rfpipe(group: str, name: str) -> bool:
-    """Test whether a name leads to rfpipe or one of its extras, not to a user's code.
+    """Test whether a name leads to a class of rfpipe, not to a user's code.
 
     Raises
     ------
@@ -109,7 +98,7 @@ def is_of_rfpipe(group: str, name: str) -> bool:
     """
     module = path_of(group, name).rpartition(":")[0]
     package = module.partition(".")[0]
-    return not module.endswith(".py") and (package == "rfpipe" or package.startswith("rfpipe_"))
+    return not module.endswith(".py") and package == "rfpipe"
 
 
 def find(group: str, name: str) -> Any:
@@ -145,7 +134,7 @@ def _module(name: str) -> ModuleType:
 def _imported(name: str) -> ModuleType | None:
     """Import a module; None where Python has none of this name."""
     package = name.partition(".")[0]
-    if package == "rfpipe" or package.startswith("rfpipe_"):
+    if package == "rfpipe":
         return _if_there(name)
     with _errors_of_user_code(f"module {name!r}"):
         return _if_there(name)

@@ -22,8 +22,8 @@ _RECORDED_PACKAGES = ("numba", "numpy", "rustworkx", "scipy", "zarr")
 
 # Of rfpipe: what shows results, serves them or runs jobs, and shapes none.
 _SHAPES_NOTHING = (
-    "calibration/", "cli/", "export/", "fitting/", "publish/", "report/", "server/",
-    "stages/evaluate.py", "jobs/", "stages/check", "testing/",
+    "calibration/", "cli/", "devices/", "export/", "fitting/", "publishing/", "report/", "server/",
+    "stages/evaluate.py", "jobs/", "stages/check", "testing/", "viewer/",
 )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 import os
 
-from rfpipe_devices.bracket import BracketCamera
+from rfpipe.devices.bracket import BracketCamera
 
 BracketCamera.reconnect_seconds = 0.0  # virtual cameras are back at once
 os.environ["PYLON_CAMEMU"] = "1"  # before pypylon is loaded

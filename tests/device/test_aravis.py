@@ -9,12 +9,12 @@ import pytest
 from tests.emulators.aravis_cameras import FilledCamera, enable_fake, gige_camera
 from tests.services.waiting import wait_until
 
+from rfpipe.devices import aravis_library
+from rfpipe.devices.aravis import AravisCamera
+from rfpipe.devices.aravis_library import AravisNodes
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.testing import CameraContract
-from rfpipe_devices import aravis_library
-from rfpipe_devices.aravis import AravisCamera
-from rfpipe_devices.aravis_library import AravisNodes
 
 SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1), bits=16)
 SHAPE = (40, 48)

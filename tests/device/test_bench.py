@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from rfpipe.config import RigConfig, parse_rig_config
+from rfpipe.devices.bench import optical_path
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.build import rig_from_config
 from rfpipe.testing import ProjectorContract, RigContract
 from rfpipe.units import BLACK_LEVEL_KEY
-from rfpipe_devices.bench import optical_path
 
 RAYS = (8, 10)
 

@@ -109,7 +109,7 @@ def test_a_device_that_fails_leaves_a_report(
 ) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(json.dumps(settings()))
-    from rfpipe_devices.bench import PylonBenchCamera
+    from rfpipe.devices.bench import PylonBenchCamera
 
     expose, left = PylonBenchCamera.expose, [20]
 

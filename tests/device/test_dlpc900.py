@@ -7,12 +7,12 @@ import pytest
 from tests.emulators.dlpc900 import Emulator
 from tests.rigs.simulated_devices import SimulatedCamera
 
+from rfpipe.devices import dlpc900
+from rfpipe.devices.dlpc900 import Dlpc900Projector, lut_entry, message
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import DeviceRig, ProjectorLayout
 from rfpipe.testing import ProjectorContract
-from rfpipe_devices import dlpc900
-from rfpipe_devices.dlpc900 import Dlpc900Projector, lut_entry, message
 
 SHAPE = (30, 44)
 RAYS = (6, 8)

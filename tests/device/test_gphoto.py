@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from tests.files.dng import dng_bytes
 
+from rfpipe.devices import gphoto_library
+from rfpipe.devices.gphoto import PhotoCamera, PhotoOptions
+from rfpipe.devices.gphoto_library import Photo
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.testing import CameraContract
-from rfpipe_devices import gphoto_library
-from rfpipe_devices.gphoto import PhotoCamera, PhotoOptions
-from rfpipe_devices.gphoto_library import Photo
 
 SENSOR = CameraModel(exposures=(0.01, 0.05))
 SHAPE = (48, 60)

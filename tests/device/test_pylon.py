@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rfpipe.devices.pylon import PylonCamera
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.testing import CameraContract
-from rfpipe_devices.pylon import PylonCamera
 
 pytestmark = pytest.mark.slow
 

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from rfpipe.devices.webcam import Webcam
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.testing import CameraContract
-from rfpipe_devices.webcam import Webcam
 
 SENSOR = CameraModel(exposures=(0.03,), bits=8, black_level_counts=2)
 SHAPE = (24, 30)

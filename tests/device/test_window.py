@@ -9,10 +9,10 @@ import pytest
 from tests.emulators.x_displays import OWN_NAME, XServer
 from tests.services.waiting import wait_until
 
+from rfpipe.devices.window import WindowProjector
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs.devices import code_table
 from rfpipe.testing import ProjectorContract
-from rfpipe_devices.window import WindowProjector
 
 XVFB = pytest.mark.needs("xvfb")
 GAMMA = np.linspace(0.01, 1, 256) ** 2.2

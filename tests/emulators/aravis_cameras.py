@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from rfpipe.devices.aravis import AravisCamera
+from rfpipe.devices.aravis_library import call, load_aravis, release
 from rfpipe.photometry import CameraModel
-from rfpipe_devices.aravis import AravisCamera
-from rfpipe_devices.aravis_library import call, load_aravis, release
 
 _FILL = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32

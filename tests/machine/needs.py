@@ -55,12 +55,12 @@ def program(name: str) -> str | None:
 
 def _is_here(name: str) -> bool:
     if name == "llvm":
-        from rfpipe_mitsuba.variant import usable_llvm
+        from rfpipe.mitsuba.variant import usable_llvm
 
         return usable_llvm() is not None
     if name == "aravis":
+        from rfpipe.devices.aravis_library import load_aravis
         from rfpipe.errors import CaptureError
-        from rfpipe_devices.aravis_library import load_aravis
 
         try:
             return bool(load_aravis())

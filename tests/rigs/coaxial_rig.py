@@ -12,12 +12,12 @@ from scipy.sparse import csr_array
 from tests.rigs.calibration_bench import CAMERA, bench_of
 
 from rfpipe.config import SceneSettings
+from rfpipe.devices.bench import OpticalPath
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import Resampling
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.layout import Quadrilateral
 from rfpipe.scenes import scene_from_config
-from rfpipe_devices.bench import OpticalPath
 
 RAYS = (12, 16)
 PIXELS = 3

@@ -17,7 +17,7 @@ from importlib import import_module
 from rfpipe.cli import main
 
 LARGEST = 2**40
-LIBRARIES = ("rfpipe.export", "rfpipe.fitting", "rfpipe_publish.publication", "rfpipe_viewer")
+LIBRARIES = ("rfpipe.export", "rfpipe.fitting", "rfpipe.publishing.publication", "rfpipe.viewer")
 
 
 def ended(limit: int, arguments: Sequence[str]) -> tuple[int, str]:

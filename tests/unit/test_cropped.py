@@ -11,12 +11,12 @@ from tests.services.buckets import BUCKET, proxy, put, s3_server, use
 import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
+from rfpipe.publishing.run import files_below
+from rfpipe.store.packed import pack
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.sum import SumTransport
-from rfpipe_publish.places import pack
-from rfpipe_publish.run import files_below
 
 SHAPE = (9, 24, 28)
 STORE = "results/field/symmetric/transport.zarr"

@@ -19,12 +19,12 @@ import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import ConfigError, StoreError
-from rfpipe.store import open_arrays, write_arrays
-from rfpipe.store.places import content_of, locate
-from rfpipe_publish import addresses
-from rfpipe_publish.addresses import Bucket
-from rfpipe_publish.keep import Kept, keep
-from rfpipe_publish.run import find_run
+from rfpipe.publishing.keep import Kept, keep
+from rfpipe.publishing.run import find_run
+from rfpipe.store import addresses, open_arrays, write_arrays
+from rfpipe.store.addresses import Bucket
+from rfpipe.store.location import locate
+from rfpipe.store.places import content_of
 
 SCENES = ("desk", "shelf", "wall")
 N_OBJECTS = 11

@@ -10,11 +10,11 @@ from tests.unit.test_mitsuba_scene import ASIDE, LOOKING, file_of, options
 
 from rfpipe.config import Config
 from rfpipe.errors import InputError
+from rfpipe.mitsuba.materials import choose_caustics, surfaces_of
+from rfpipe.mitsuba.scene import MitsubaOptions
+from rfpipe.mitsuba.world import load_scene
+from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.store import read_manifest
-from rfpipe_mitsuba.materials import choose_caustics, surfaces_of
-from rfpipe_mitsuba.scene import MitsubaOptions
-from rfpipe_mitsuba.world import load_scene
-from rfpipe_mitsuba.worlds import WORLDS
 
 FLOOR = "<shape type='rectangle' id='floor'><bsdf type='diffuse'/></shape>"
 FOG = """<medium type="homogeneous" name="interior"><rgb name="albedo" value="0.9"/>

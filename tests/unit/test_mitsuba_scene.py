@@ -7,11 +7,11 @@ import pytest
 from pydantic import ValidationError
 
 from rfpipe.errors import InputError
+from rfpipe.mitsuba import recording, variant
+from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
+from rfpipe.mitsuba.tracing import Tracer
 from rfpipe.store.manifest import read_manifest
 from rfpipe.testing import SceneContract
-from rfpipe_mitsuba import recording, variant
-from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
-from rfpipe_mitsuba.tracing import Tracer
 
 LOOKING = """
 <sensor type="perspective"><float name="fov" value="40"/><transform name="to_world">

@@ -7,8 +7,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.sight import Pinhole
-from rfpipe_mitsuba.parts import (
+from rfpipe.mitsuba.parts import (
     ball,
     box,
     glass,
@@ -18,12 +17,13 @@ from rfpipe_mitsuba.parts import (
     painted,
     sheet,
 )
-from rfpipe_mitsuba.rendering import hits
-from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
-from rfpipe_mitsuba.variant import load_mitsuba
-from rfpipe_mitsuba.views import View
-from rfpipe_mitsuba.world import World, load_scene
-from rfpipe_mitsuba.worlds import WORLDS, view
+from rfpipe.mitsuba.rendering import hits
+from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
+from rfpipe.mitsuba.variant import load_mitsuba
+from rfpipe.mitsuba.views import View
+from rfpipe.mitsuba.world import World, load_scene
+from rfpipe.mitsuba.worlds import WORLDS, view
+from rfpipe.scenes.sight import Pinhole
 
 SIZE = 12
 AHEAD = view((0, 0, 3), (0, 0, 0), 20)

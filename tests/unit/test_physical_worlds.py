@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rfpipe_mitsuba.parts import matt, turned
-from rfpipe_mitsuba.world import load_scene
-from rfpipe_mitsuba.worlds import WORLDS
+from rfpipe.mitsuba.parts import matt, turned
+from rfpipe.mitsuba.world import load_scene
+from rfpipe.mitsuba.worlds import WORLDS
 
 SHARE_SEEN = 0.4  # of a view's pixels that meet a surface, at least
 
@@ -31,7 +31,7 @@ def test_worlds_are_plain_data_and_the_same_each_time() -> None:
 @pytest.mark.needs("llvm")
 @pytest.mark.parametrize("name", WORLDS)
 def test_each_view_of_a_world_sees_something(name: str) -> None:
-    from rfpipe_mitsuba.rendering import hits
+    from rfpipe.mitsuba.rendering import hits
 
     scene = load_scene(WORLDS[name])
     for side in (WORLDS[name].cameras, WORLDS[name].projectors or ()):

@@ -23,12 +23,12 @@ from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import source_digest
+from rfpipe.publishing.metadata import Citation, check_digit, kept_values
+from rfpipe.publishing.publication import encoded
+from rfpipe.publishing.publication import publish as publish_run
+from rfpipe.publishing.run import find_run
+from rfpipe.publishing.writing import Writer
 from rfpipe.store import read_manifest, write_manifest
-from rfpipe_publish.metadata import Citation, check_digit, kept_values
-from rfpipe_publish.publication import encoded
-from rfpipe_publish.publication import publish as publish_run
-from rfpipe_publish.run import find_run
-from rfpipe_publish.writing import Writer
 
 GIVEN = ["--license", "CC-BY-4.0", "--creator", "Doe, Jane; 0000-0002-1825-0097; A Lab"]
 STORE = "results/desk/dual/transport.zarr"

@@ -15,9 +15,9 @@ from tests.services.web_servers import serving
 
 import rfpipe
 from rfpipe.errors import InputError, IntegrityError, StoreError
+from rfpipe.publishing.run import files_below
+from rfpipe.publishing.writing import write_zip
 from rfpipe.transport import save_transport
-from rfpipe_publish.run import files_below
-from rfpipe_publish.writing import write_zip
 
 SHAPE = (24, 28)
 DESK = "results/desk/symmetric/transport.zarr"

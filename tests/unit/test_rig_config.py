@@ -63,7 +63,7 @@ def settings_of_devices() -> set[str]:
 
 def test_messages_of_rigs_name_settings_that_there_are() -> None:
     known, wrong, count = settings_of_devices(), [], 0
-    for folder in ("rfpipe_devices", "rfpipe/calibration", "rfpipe/server"):
+    for folder in ("rfpipe/devices", "rfpipe/calibration", "rfpipe/server"):
         for file in sorted((SOURCES / folder).rglob("*.py")):
             names = [name for text in texts_of(file) for name in NAMED.findall(text)]
             wrong += [f"{file.name}: {name}" for name in names if name not in known]

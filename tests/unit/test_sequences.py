@@ -11,13 +11,13 @@ from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.rigs.base import Key, capture_batch, check_patterns, sequence_patterns
+from rfpipe.rigs.sequences import Sequencer
 from rfpipe.stages import capture
 from rfpipe.stages.capture import brackets_of
 from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
 from rfpipe.units import BLACK_LEVEL_KEY, SEQUENCE_KEY
-from rfpipe_devices.sequences import Sequencer
 
 RAYS = (12, 14)
 COUNT = 13

@@ -2,8 +2,8 @@
 
 import pytest
 
+from rfpipe.devices.gphoto_library import nearest_times, shutter_times
 from rfpipe.errors import InputError
-from rfpipe_devices.gphoto_library import nearest_times, shutter_times
 
 THIRDS = (
     "30", "25", "20", "2.5", "1", "0.8", "0.6", "0.5", "1/13", "1/15", "1/60", "1/80", "1/125",

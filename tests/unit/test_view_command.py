@@ -13,7 +13,7 @@ from tests.rigs.known_matrix import run
 from rfpipe.errors import RfpipeError
 from rfpipe.pictures.images import write_image
 from rfpipe.transport import save_transport
-from rfpipe_viewer import write_acquisition
+from rfpipe.viewer import write_acquisition
 
 SHAPE = (20, 24)
 

@@ -16,7 +16,7 @@ from tests.services.browsers import opened, wait_until
 
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image
-from rfpipe_viewer import Compared, View, write_view
+from rfpipe.viewer import Compared, View, write_view
 
 SHAPE = (20, 24)
 
@@ -327,7 +327,7 @@ def test_a_page_without_room_has_the_last_level_and_a_picture_to_compare_with(
 def test_the_kernel_is_that_of_its_source() -> None:
     import wasmtime
 
-    kernel = files("rfpipe_viewer").joinpath("kernel")
+    kernel = files("rfpipe.viewer").joinpath("kernel")
     source = kernel.joinpath("kernels.wat").read_text("utf-8")
     assert bytes(wasmtime.wat2wasm(source)) == kernel.joinpath("kernels.wasm").read_bytes()
 

@@ -11,7 +11,7 @@ from tests.results.transports import KINDS, lights, planar, transport_of
 from tests.services.browsers import opened, picture_of
 
 from rfpipe.transport import open_transport, save_transport
-from rfpipe_viewer import View, write_view
+from rfpipe.viewer import View, write_view
 
 KERNELS = ("", "?kernel=javascript")
 

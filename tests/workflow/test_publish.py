@@ -15,11 +15,11 @@ from tests.workflow.harness import GLASS, OWN_METHODS, ROOT, Workflow
 
 import rfpipe
 from rfpipe.pictures.images import read_image
+from rfpipe.publishing.metadata import Citation
+from rfpipe.publishing.publication import publish
+from rfpipe.publishing.run import find_run
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe_publish.metadata import Citation
-from rfpipe_publish.publication import publish
-from rfpipe_publish.run import find_run
 
 _VALIDATE_CRATE = """
 import sys, json, responses

@@ -1,6 +1,6 @@
 # What the rules behind the transports share: viewers' pages and the report.
 
-import rfpipe_viewer
+import rfpipe
 from rfpipe.errors import RfpipeError
 from rfpipe.provenance import fingerprint
 from rfpipe.store.files import digest_of
@@ -32,7 +32,7 @@ def other_acquisitions(wildcards):
 VIEWER = fingerprint(
     [
         digest_of(path.read_bytes())
-        for path in sorted(Path(rfpipe_viewer.__file__).parent.rglob("*.*"))
+        for path in sorted(Path(rfpipe.__file__).with_name("viewer").rglob("*.*"))
         if path.suffix != ".pyc"
     ]
 )

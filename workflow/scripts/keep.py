@@ -2,9 +2,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rfpipe.jobs.job import start
+from rfpipe.publishing.keep import keep
+from rfpipe.publishing.run import find_run
 from rfpipe.store import write_manifest
-from rfpipe_publish.keep import keep
-from rfpipe_publish.run import find_run
 
 start(snakemake.log[0])
 output = Path(snakemake.output[0])

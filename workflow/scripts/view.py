@@ -1,7 +1,7 @@
 from pathlib import Path
 
 from rfpipe.jobs.job import start
-from rfpipe_viewer import write_acquisition
+from rfpipe.viewer import write_acquisition
 
 start(snakemake.log[0])
 others = [Path(other).with_suffix(".zarr") for other in snakemake.input.others]

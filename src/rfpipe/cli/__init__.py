@@ -9,16 +9,17 @@ from typing import Annotated
 
 import typer
 
-from rfpipe import plugins
 from rfpipe.cli.compare import compare
 from rfpipe.cli.fit import fit
 from rfpipe.cli.offline import import_, patterns
+from rfpipe.cli.publishing import collection, keep, publish
 from rfpipe.cli.relight import relight
 from rfpipe.cli.rig import aim, calibrate, serve
 from rfpipe.cli.run import PASSED_ON, catalogue, plan, run
 from rfpipe.cli.settings import settings
 from rfpipe.cli.transports import export, info, movie
 from rfpipe.cli.verify import verify
+from rfpipe.cli.view import view
 from rfpipe.errors import RfpipeError
 from rfpipe.output import is_full
 from rfpipe.version import __version__
@@ -61,12 +62,10 @@ app.command("import")(import_)
 app.command()(aim)
 app.command()(calibrate)
 app.command()(serve)
-for _name in plugins.names(plugins.COMMANDS):
-    _command = plugins.find(plugins.COMMANDS, _name)
-    if isinstance(_command, typer.Typer):
-        app.add_typer(_command, name=_name)
-    else:
-        app.command(_name)(_command)
+app.command()(publish)
+app.command()(keep)
+app.add_typer(collection, name="collection")
+app.command()(view)
 
 
 def _reflow(commands: typer.Typer) -> None:

@@ -25,6 +25,7 @@ from rfpipe.rigs.calibrated import (
 from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import SimulatedRig
+from rfpipe.rigs.sequences import Sequencer, device_sequencer
 from rfpipe.rigs.stale import StaleWatch
 from rfpipe.units import picture_name
 
@@ -88,12 +89,11 @@ class DeviceRig(Closing):
         self.channels = camera.channels
         self.sensor = resampled_sensor(camera.sensor, resampling)
         self._watch = StaleWatch(camera.sensor)
-        self._sequencer: Any = None
+        self._sequencer: Sequencer | None = None
         if getattr(projector, "sequence_pictures", 0) and getattr(
             camera, "can_be_triggered", False
         ):
-            sequencer_of = plugins.find(plugins.SEQUENCES, "hardware")
-            self._sequencer = sequencer_of(projector, camera, self._picture, self.capture)
+            self._sequencer = device_sequencer(projector, camera, self._picture, self.capture)
 
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""

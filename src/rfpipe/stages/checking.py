@@ -28,8 +28,8 @@ from rfpipe.store import (
     read_manifest,
 )
 from rfpipe.store.files import digest_of
-from rfpipe.store.places import METADATA, Place, as_address, content_of, locate
-from rfpipe.transport.storage import MANIFEST as LIST
+from rfpipe.store.location import locate
+from rfpipe.store.places import CHECKSUMS, METADATA, Place, as_address, content_of
 from rfpipe.transport.storage import ZIP_NAME, transports_in
 
 _TAGS = "tagmanifest-sha256.txt"
@@ -111,7 +111,7 @@ def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> C
     """
     checked = Checked(progress)
     place = folder if folder.is_dir() and as_address(folder) is None else locate(folder)
-    if isinstance(place, Place) or (place / LIST).is_file():
+    if isinstance(place, Place) or (place / CHECKSUMS).is_file():
         _check_published(place, checked)
         return checked
     inside = [each for each in (folder / "results", folder / "calibration") if each.is_dir()]
@@ -129,18 +129,18 @@ def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> C
 
 def _check_published(place: Path | Place, checked: Checked) -> None:
     """Check files by their list, in one folder of a zip file, too; else transports."""
-    if isinstance(place, Place) and not place.key and content_of(place / LIST) is None:
+    if isinstance(place, Place) and not place.key and content_of(place / CHECKSUMS) is None:
         with suppress(StoreError):  # a web server doesn't list its files
-            lists = [name for name in place.files() if name.endswith(f"/{LIST}")]
-            place = place / min(lists, key=len).removesuffix(f"/{LIST}") if lists else place
-    if content_of(place / LIST) is not None:
+            lists = [name for name in place.files() if name.endswith(f"/{CHECKSUMS}")]
+            place = place / min(lists, key=len).removesuffix(f"/{CHECKSUMS}") if lists else place
+    if content_of(place / CHECKSUMS) is not None:
         _check_list(place, checked)
         return
     is_store = content_of(place / METADATA) is not None
     stores = [place] if is_store else [place / name for name in transports_in(place)]
     if not stores:
         raise InputError(
-            f"{place}: has no {LIST} and no transport; expected what 'rfpipe keep' or 'rfpipe "
+            f"{place}: has no {CHECKSUMS} and no transport; expected what 'rfpipe keep' or 'rfpipe "
             "publish' made, or a transport"
         )
     for store in stores:
@@ -154,7 +154,7 @@ def _check_published(place: Path | Place, checked: Checked) -> None:
 def _check_list(root: Path | Place, checked: Checked) -> None:
     """Check each file of a list ``digest  path``, as BagIt (RFC 8493) has it."""
     listed = {}
-    for name in (LIST, _TAGS):
+    for name in (CHECKSUMS, _TAGS):
         for line in (content_of(root / name) or b"").decode(errors="replace").splitlines():
             digest, _, path = line.strip().partition(" ")
             listed[unquote(path.lstrip(" \t*")).removeprefix("./")] = digest.lower()
@@ -181,7 +181,7 @@ def _check_list(root: Path | Place, checked: Checked) -> None:
 
 def _note_others(root: Path | Place, names: set[str], checked: Checked) -> None:
     payload = "" if content_of(root / "bagit.txt") is None else "data/"
-    for name in sorted(names - {LIST, _TAGS}):
+    for name in sorted(names - {CHECKSUMS, _TAGS}):
         if name.startswith(payload):
             checked.notes.append(f"{root / name}: isn't in the list of files")
 

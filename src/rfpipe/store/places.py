@@ -1,34 +1,39 @@
-"""Folders that are read where they lie, in a zip file or behind an address."""
+"""Read-only folders and files that are not on this machine's disk, and helpers for both kinds."""
 
 from __future__ import annotations
 
 import io
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
-from rfpipe import plugins
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from rfpipe.errors import StoreError, UnreachableError
 
 Range = tuple[int, int | None]
-"""Bytes of a file, as a slice has them: ``(-4, None)`` are the last four."""
+"""First and last-plus-one byte of a part of a file; ``(-4, None)`` are the last four bytes."""
 
 METADATA = "zarr.json"
+"""File with the description of a Zarr array or group."""
+
+CHECKSUMS = "manifest-sha256.txt"
+"""File with the SHA-256 and the name of every file of a publication or packed folder, a line per
+file.
+"""
 
 _ADDRESS = re.compile(r"^([A-Za-z][A-Za-z0-9+]+):/+(?=[^/])")
 
 
 class Place(ABC):
-    """A folder or file that is read, but not written; what `Path` is on a disk.
+    """A read-only folder or file in a container; the counterpart of `Path`.
+
+    A container is a zip file, a packed folder, a web server or a bucket.
 
     Attributes
     ----------
     key : str
-        Its name in the whole, parts joined by ``/``; empty for the whole.
+        Name in the container, parts joined by ``/``; empty for the container itself.
     """
 
     def __init__(self, key: str) -> None:
@@ -39,7 +44,7 @@ class Place(ABC):
 
     @abstractmethod
     def at(self, key: str) -> Place:
-        """Return another place in the same whole."""
+        """Return the place of another key in the same container."""
 
     @abstractmethod
     def read_bytes(self) -> bytes:
@@ -47,35 +52,76 @@ class Place(ABC):
 
     @abstractmethod
     def files(self) -> list[str]:
-        """Return the names, relative to this folder, of all files in it, or raise StoreError."""
+        """List all files in this folder by names relative to it, or raise StoreError."""
 
     @abstractmethod
     def nbytes(self) -> int | None:
-        """Return the bytes of all files in this folder; None where that isn't known."""
+        """Total size in bytes of all files in this folder; None if unknown."""
 
     def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
-        """Read parts of a file, without a check of the whole; errors as `read_bytes`."""
+        """Read ranges of a file without verifying its checksum; raises as `read_bytes`."""
         content = self.read_bytes()
         return [content[start:stop] for start, stop in ranges]
 
     def open(self) -> IO[bytes]:
-        """Open a file for reading; errors as `read_bytes`."""
+        """Open a file for reading; raises as `read_bytes`."""
         return io.BytesIO(self.read_bytes())
 
     def __truediv__(self, name: str) -> Place:
         return self.at(f"{self.key}/{name}")
 
 
+class ListedPlace(Place):
+    """A place in a container that lists its files with their sizes."""
+
+    @property
+    @abstractmethod
+    def _sizes(self) -> Mapping[str, int]:
+        """Size in bytes of every file in the container, by key."""
+
+    def files(self) -> list[str]:
+        return sorted(key[len(self._prefix) :] for key in self._keys_inside)
+
+    def nbytes(self) -> int:
+        return sum(self._sizes[key] for key in self._keys_inside)
+
+    @property
+    def _prefix(self) -> str:
+        return f"{self.key}/" if self.key else ""
+
+    @property
+    def _keys_inside(self) -> list[str]:
+        return [key for key in self._sizes if key.startswith(self._prefix)]
+
+
 def content_of(file: Path | Place) -> bytes | None:
-    """Return the content of a file, None where there is none."""
+    """Read a file; None if it doesn't exist."""
     try:
         return file.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         return None
 
 
+def readable_content(file: Path | Place) -> bytes | None:
+    """Read a file; None if it doesn't exist or its server refuses to read it.
+
+    A bucket may answer a request for a missing object with "access denied".
+
+    Raises
+    ------
+    UnreachableError
+        When the server doesn't answer.
+    """
+    try:
+        return content_of(file)
+    except UnreachableError:
+        raise
+    except StoreError:
+        return None
+
+
 def read_ranges(file: Path | Place, ranges: Sequence[Range]) -> list[bytes]:
-    """Read parts of a file; OSError, or the errors of `Place.read_ranges`."""
+    """Read ranges of a file; raises OSError or the errors of `Place.read_ranges`."""
     if isinstance(file, Place):
         return file.read_ranges(ranges)
     parts = []
@@ -89,33 +135,9 @@ def read_ranges(file: Path | Place, ranges: Sequence[Range]) -> list[bytes]:
 
 
 def as_address(path: str | Path) -> str | None:
-    """Return an address such as ``https://host/run`` as text, None for a path on this machine.
+    """Return an address such as ``https://host/run``; None for a path on this machine.
 
-    A `Path` made of an address has lost one of its slashes; it counts as well.
+    `Path` drops one of the two slashes of an address; such a path counts as an address, too.
     """
     match = _ADDRESS.match(str(path))
     return None if match is None else _ADDRESS.sub(r"\1://", str(path))
-
-
-def locate(path: str | Path | Place) -> Path | Place:
-    """Find out where something lies: a path here, inside of a zip file, or behind an address.
-
-    Parameters
-    ----------
-    path
-        A path; ``crate.zip`` or ``crate.zip/folder/inside``; a folder that ``rfpipe collection
-        pack`` made; an address of any of these, ``http(s)://host/...`` or ``s3://bucket/...``; or
-        the place of a zip file.
-
-    Raises
-    ------
-    StoreError
-        When a zip file or a packed folder is damaged, or a server doesn't answer.
-    InputError
-        When an address is of another kind.
-    """
-    if not isinstance(path, Place) and (Path(path) / METADATA).is_file():
-        return Path(path)
-    (opener,) = plugins.names(plugins.PLACES)
-    find: Callable[[str | Path | Place], Path | Place] = plugins.find(plugins.PLACES, opener)
-    return find(path)

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError, StoreError
 from rfpipe.pictures.files import natural
-from rfpipe.store.places import Place, locate
+from rfpipe.store.location import locate
+from rfpipe.store.places import Place
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
 from rfpipe.transport.storage import STORE_NAME, open_transport, transports_in

@@ -8,7 +8,8 @@ from typing import get_args
 
 from rfpipe.errors import StoreError
 from rfpipe.store.arrays import ArrayBundle, open_arrays
-from rfpipe.store.places import METADATA, Place, content_of, locate
+from rfpipe.store.location import locate
+from rfpipe.store.places import CHECKSUMS, METADATA, Place, content_of
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import NOISE, Transport
 from rfpipe.units import NumberFormat
@@ -18,9 +19,6 @@ STORE_NAME = "transport.zarr"
 
 ZIP_NAME = "transport.zip"
 """Under which `rfpipe keep` brings it into a bucket, as one object."""
-
-MANIFEST = "manifest-sha256.txt"
-"""Of a publication: the SHA-256 and the name of every file, a line each."""
 
 _CLASSES = {
     "dense": "arrays:DenseTransport",
@@ -93,7 +91,7 @@ def transports_in(place: Path | Place) -> list[str]:
     if isinstance(place, Path):
         stores = (store for store in place.rglob(STORE_NAME) if store.is_dir())
         return sorted(store.relative_to(place).as_posix() for store in stores)
-    listed = content_of(place / MANIFEST)
+    listed = content_of(place / CHECKSUMS)
     if listed is None:
         files = place.files()
     else:

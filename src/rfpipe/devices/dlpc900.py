@@ -1,0 +1,348 @@
+"""Projectors with TI's DLPC900 controller: LightCrafter 6500 and its kin, over USB.
+
+Bytes are those of its programmer's guide (DLPU018J), numbers little-endian. A message over USB (a
+HID device) is a header of flags, sequence byte and payload length, then command and data, cut into
+packets of 64 bytes.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from enum import IntEnum
+from itertools import islice
+from struct import pack, unpack
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rfpipe.config.base import Settings
+from rfpipe.devices.bracket import load_library
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs.devices import Closing, check_picture
+
+Float = NDArray[np.float32]
+Device = Literal["DLP6500", "DLP670S"]
+
+VENDOR, PRODUCT = 0x0451, 0xC900
+
+SHAPES: dict[str, tuple[int, int]] = {"DLP6500": (1080, 1920), "DLP670S": (1600, 2716)}
+"""Height and width of the mirrors of devices with a single controller."""
+
+MOST_PICTURES = 236
+"""Loaded at a time: their order, with the words of a sequence, must fit into a message."""
+
+STANDING_MICROSECONDS = 100_000
+"""Of a picture that is shown until the next one, again and again."""
+
+GREY_BITS = 8
+"""Of a picture that isn't part of a sequence."""
+
+LEAST_MICROSECONDS, MOST_MICROSECONDS = 105, 2**24 - 1
+
+ANSWER_MILLISECONDS = 2000
+
+PACKET = 64
+"""Bytes of a packet."""
+
+MOST_DATA = 504
+"""Bytes of an image that a message holds: 512 less header, command and the bytes' number."""
+
+BITS_AN_IMAGE = 24
+"""Binary pictures that are loaded as one image."""
+
+_READ, _REPLY, _FAILED = 0x80, 0x40, 0x20
+_WHITE = 0b111
+_SIGNATURE = b"Spld"
+_ENHANCED_RLE = 2
+
+_STOP, _START = b"\0", b"\2"
+_ON_THE_FLY = b"\3"
+_ERRORS = 0b11001110
+"""Bits of the hardware's status; the lowest says that it is initialised."""
+
+
+class Command(IntEnum):
+    """Commands of the controller."""
+
+    HARDWARE_STATUS = 0x1A0A
+    DISPLAY_MODE = 0x1A1B
+    DISPLAY_START = 0x1A24
+    IMAGE_BEGIN = 0x1A2A
+    IMAGE_DATA = 0x1A2B
+    LUT_CONFIGURE = 0x1A31
+    LUT_ORDER = 0x1A32
+    LUT_DEFINE = 0x1A34
+
+
+class Dlpc900Options(Settings):
+    """A projector with TI's DLPC900 controller."""
+
+    device: Device = Field(
+        "DLP6500", description="Its mirrors: DLP6500 (1080 x 1920) or DLP670S (1600 x 2716)."
+    )
+    serial: str | None = Field(
+        None, min_length=1, description="Serial number of its USB device, or null for the only one."
+    )
+    settle_seconds: float = Field(
+        0.05, ge=0, le=60, description="Wait after a picture was loaded and started, 0 to 60 s."
+    )
+
+
+class Dlpc900Projector(Closing):
+    """A projector of pictures of 8 bits, and of sequences of binary ones that trigger the camera.
+
+    Pictures are loaded into the controller's memory ("pattern on-the-fly"). Its first trigger
+    output frames each picture of a sequence: wire it to the input that the camera's settings name.
+    Written from the maker's guide DLPU018J and tried on an emulator of it only: never on metal.
+
+    Options as `Dlpc900Options` has them. `transport` stands in the place of the USB device, with
+    ``write``, ``read`` and ``close`` of hidapi's `device`. CaptureError where no device answers.
+    """
+
+    Options = Dlpc900Options
+
+    sequence_pictures = MOST_PICTURES
+    sequence_levels = 2
+    """Weights that a picture of a sequence may have: 0 and 1."""
+
+    def __init__(
+        self,
+        device: Device = "DLP6500",
+        serial: str | None = None,
+        settle_seconds: float = 0.05,
+        transport: Any = None,
+    ) -> None:
+        self.shape = SHAPES[device]
+        self.settle_seconds = settle_seconds
+        self._device = device
+        self._number = 0
+        self._loaded = 0
+        self._lock = threading.Lock()
+        self._transport: Any = transport or open_usb(serial)
+        try:
+            self._tell(Command.DISPLAY_START, _STOP)
+            self._tell(Command.DISPLAY_MODE, _ON_THE_FLY)
+        except BaseException:
+            self.close()
+            raise
+
+    def show(self, picture: Float) -> None:
+        """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
+        self.show_now(picture)
+        time.sleep(self.settle_seconds)
+
+    def show_now(self, picture: Float) -> None:
+        """Show a picture, and return when it was started; see `rfpipe.rigs.devices.Projector`."""
+        picture = check_picture(picture, self.shape)
+        is_binary = bool(((picture == 0) | (picture == 1)).all())
+        with self._lock:
+            if is_binary:
+                self._load([picture == 1])
+            else:  # its mirrors are on for a time in proportion to the code
+                codes = np.rint(255 * picture).astype(np.uint8)
+                self._load([codes >> bit & 1 == 1 for bit in range(GREY_BITS)], GREY_BITS)
+            self._tell(Command.DISPLAY_START, _START)
+
+    def load(self, pictures: Iterable[Float]) -> None:
+        """Take the pictures of a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
+        lit = (
+            _binary(check_picture(picture, self.shape), index)
+            for index, picture in enumerate(pictures)
+        )
+        with self._lock:
+            self._load(lit)
+
+    def play(self, order: Sequence[int], seconds: float) -> None:
+        """Show a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
+        microseconds = int(np.ceil(1e6 * seconds))
+        if not LEAST_MICROSECONDS <= microseconds <= MOST_MICROSECONDS:
+            raise CaptureError(
+                f"projector: shows a picture of a sequence for {LEAST_MICROSECONDS} us to "
+                f"{MOST_MICROSECONDS / 1e6:.1f} s, not for {seconds:g} s"
+            )
+        with self._lock:
+            self._tell(Command.DISPLAY_START, _STOP)
+            self._define(microseconds)
+            order_of = pack("<HI", len(order), len(order)) + pack(f"<{len(order)}H", *order)
+            self._tell(Command.LUT_ORDER, order_of)
+            self._tell(Command.DISPLAY_START, _START)
+            time.sleep(len(order) * microseconds / 1e6 + self.settle_seconds)
+            self._check_status()
+            self._tell(Command.DISPLAY_START, _STOP)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes the light."""
+        return {"kind": "dlpc900", "device": self._device, "shape": list(self.shape)}
+
+    def close(self) -> None:
+        """Stop showing, and give the device back; closing twice is no error."""
+        with self._lock:
+            transport, self._transport = self._transport, None
+        if transport is not None:
+            with suppress(Exception):
+                for packet in message(Command.DISPLAY_START, _STOP, 0):
+                    transport.write(b"\0" + packet)
+            transport.close()
+
+    def _load(self, lit: Iterable[NDArray[np.bool_]], bits: int = 1) -> None:
+        """Load bits of pictures: their definitions first, then images, the last one first."""
+        images, count, rest = [], 0, iter(lit)
+        while pictures := list(islice(rest, BITS_AN_IMAGE)):  # few at a time are in memory
+            images.append(encoded_image(np.stack(pictures)))
+            count += len(pictures)
+            if count > MOST_PICTURES:
+                raise InputError(f"the projector holds up to {MOST_PICTURES} pictures, not more")
+        self._tell(Command.DISPLAY_START, _STOP)
+        self._loaded = count // bits
+        self._define(STANDING_MICROSECONDS, bits)
+        for index, image in reversed(list(enumerate(images))):
+            self._tell(Command.IMAGE_BEGIN, pack("<HI", index, len(image)))
+            for first in range(0, len(image), MOST_DATA):
+                part = image[first : first + MOST_DATA]
+                self._tell(Command.IMAGE_DATA, pack("<H", len(part)) + part)
+
+    def _define(self, microseconds: int, bits: int = 1) -> None:
+        """Define every loaded picture as a pattern, shown for so long, again and again."""
+        for index in range(self._loaded):
+            entry = lut_entry(index, microseconds, index * bits, bits)
+            self._tell(Command.LUT_DEFINE, entry)
+        self._tell(Command.LUT_CONFIGURE, pack("<HI", self._loaded, 0))
+
+    def _check_status(self) -> None:
+        status = self._tell(Command.HARDWARE_STATUS, b"", read=True)[0]
+        if status & 1 == 0 or status & _ERRORS:
+            raise CaptureError(
+                f"projector: reports an error (hardware status {status:#04x}). Show sequences more "
+                "slowly, or switch it off and on"
+            )
+
+    def _tell(self, command: int, data: bytes, *, read: bool = False) -> bytes:
+        """Send a message; return its answer's data."""
+        if self._transport is None:
+            raise CaptureError("the projector is closed; open it anew")
+        self._number = (self._number + 1) % 256
+        try:
+            for packet in message(command, data, self._number, read=read):
+                self._transport.write(b"\0" + packet)
+            answer = bytes(self._transport.read(PACKET, ANSWER_MILLISECONDS))
+        except (OSError, ValueError) as error:
+            raise CaptureError(
+                f"projector: the USB device is lost ({error}). Check its cable and power"
+            ) from error
+        if not answer:
+            raise CaptureError(
+                f"projector: no answer to command {command:#06x} within "
+                f"{ANSWER_MILLISECONDS / 1000:g} s. Check its cable and power"
+            )
+        return answer_of(answer, command, self._number)
+
+
+def open_usb(serial: str | None) -> Any:
+    """Open a DLPC900's USB device, or raise CaptureError."""
+    device: Any = load_library("hid", "dlp").device()
+    try:
+        device.open(VENDOR, PRODUCT, serial)
+    except OSError as error:
+        raise CaptureError(
+            f"projector: no DLPC900 answers on USB ({error}). Check cable and power, that this "
+            "user may open the device (a udev rule for 0451:c900), and that no other program has it"
+        ) from error
+    return device
+
+
+def _binary(picture: Float, index: int) -> NDArray[np.bool_]:
+    """Return a picture as bits, or raise InputError."""
+    lit = picture == 1
+    grey = ~lit & (picture != 0)
+    if grey.any():
+        where = tuple(int(i) for i in np.argwhere(grey)[0])
+        raise InputError(
+            f"picture {index} is {picture[where]:g} at projector pixel {where}; this "
+            "projector's sequences are of zeros and ones"
+        )
+    return np.asarray(lit)
+
+
+def message(command: int, data: bytes, number: int, *, read: bool = False) -> list[bytes]:
+    """Return the packets of a message, each of `PACKET` bytes."""
+    flags = _REPLY | (_READ if read else 0)
+    whole = pack("<BBHH", flags, number, len(data) + 2, command) + data
+    padded = whole + bytes(-len(whole) % PACKET)
+    return [padded[first : first + PACKET] for first in range(0, len(padded), PACKET)]
+
+
+def answer_of(packet: bytes, command: int, number: int) -> bytes:
+    """Return the data of an answer; CaptureError where it is none to this message, or a refusal."""
+    if len(packet) < 4:
+        raise CaptureError(f"projector: {len(packet)} bytes answer command {command:#06x}")
+    flags, answered, length = unpack("<BBH", packet[:4])
+    if flags & _FAILED:
+        raise CaptureError(
+            f"projector: refuses command {command:#06x}. Is its firmware that of a DLPC900, 3.0 or "
+            "later, and no other program using it?"
+        )
+    if answered != number:
+        raise CaptureError(f"projector: answers message {answered} where {number} was sent")
+    return packet[4 : 4 + length]
+
+
+def lut_entry(index: int, microseconds: int, place: int, bits: int = 1) -> bytes:
+    """Return the definition of a pattern in white light, shown for so long.
+
+    Of its 1 to 8 `bits`, in one image, the lowest has this place among the loaded binary pictures;
+    a trigger output frames it.
+    """
+    image, bit = divmod(place, BITS_AN_IMAGE)
+    flags = 1 | (bits - 1) << 1 | _WHITE << 4  # cleared afterwards; runs on untriggered
+    return (
+        pack("<H", index)
+        + microseconds.to_bytes(3, "little")
+        + bytes([flags])
+        + bytes(3)  # no dark time
+        + bytes(1)
+        + pack("<H", image | bit << 11)
+    )
+
+
+def encoded_image(pictures: NDArray[np.bool_]) -> bytes:
+    """Return up to `BITS_AN_IMAGE` binary pictures (n, H, W) as one compressed image."""
+    _, height, width = pictures.shape
+    values = np.zeros((height, width), np.uint32)
+    for bit, picture in enumerate(pictures):
+        values |= picture.astype(np.uint32) << np.uint32(bit)
+    pixels = np.stack([values >> 16, values >> 8, values], axis=-1).astype(np.uint8)
+    rows = b"".join(_encoded_rows(values, pixels))
+    data = rows + bytes([0, 1, 0])
+    header = (
+        _SIGNATURE
+        + pack("<HHI", width, height, len(data))
+        + b"\xff" * 8
+        + bytes(4)
+        + bytes([0, _ENHANCED_RLE, 1])
+    )
+    return header + bytes(48 - len(header)) + data
+
+
+def _encoded_rows(values: NDArray[np.uint32], pixels: NDArray[np.uint8]) -> Iterator[bytes]:
+    width = values.shape[1]
+    for row, line in enumerate(values):
+        if row and np.array_equal(line, values[row - 1]):
+            yield bytes([0, 1]) + _length(width)
+            continue
+        ends = np.append(np.flatnonzero(np.diff(line)) + 1, width)
+        starts = np.insert(ends[:-1], 0, 0)
+        if (ends - starts < 2).any():  # a single pixel is no run: the whole row as it stands
+            yield bytes([0]) + _length(width) + pixels[row].tobytes()
+            continue
+        for start, end in zip(starts, ends, strict=True):
+            yield _length(int(end - start)) + pixels[row, start].tobytes()
+
+
+def _length(count: int) -> bytes:
+    """Return a number of pixels, in one byte or two."""
+    return bytes([count]) if count < 128 else bytes([count & 0x7F | 0x80, count >> 7])

@@ -1,0 +1,356 @@
+"""Cameras of the GenICam standard: their settings, and triggers, through whatever library."""
+
+from __future__ import annotations
+
+import logging
+import math
+from abc import abstractmethod
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rfpipe.devices.bracket import BracketCamera, FrameOptions
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry.camera import CameraModel
+
+Counts = NDArray[np.uint16]
+Value: TypeAlias = bool | int | float | str
+"""Of a camera's setting."""
+
+FIXED: dict[str, Value] = {
+    "GainAuto": "Off",
+    "ExposureAuto": "Off",
+    "ExposureMode": "Timed",
+    "BalanceWhiteAuto": "Off",
+    "BlackLevelAuto": "Off",
+    "Gamma": 1.0,
+    "GammaEnable": False,
+    "LUTEnable": False,
+    "DigitalShift": 0,
+    "SharpnessEnhancement": 0.0,
+    "NoiseReduction": 0.0,
+    "AcquisitionFrameRateEnable": False,
+    "AcquisitionMode": "Continuous",
+}
+"""What must not adapt or bend counts, made where a camera has it."""
+
+_FRAME_RATES = "ResultingFrameRate", "ResultingFrameRateAbs", "AcquisitionResultingFrameRate"
+"""Names that makers give the frames a second that the camera takes as it is set up."""
+
+_log = logging.getLogger(__name__)
+
+
+class GenicamOptions(FrameOptions):
+    """A camera of the GenICam standard."""
+
+    serial: str | None = Field(
+        None, min_length=1, description="Serial number, or null for the only camera connected."
+    )
+    gain_db: float = Field(
+        0.0, ge=0, le=48, description="Gain in decibels, fixed, 0 to 48; 0 has the least noise."
+    )
+    nodes: dict[str, bool | int | float | str] = Field(
+        default_factory=dict,
+        description="Further settings of the camera, as its manual names them, such as "
+        "{SensorReadoutMode: Fast}.",
+    )
+    sequence_line: str | None = Field(
+        None,
+        min_length=1,
+        description="Input at which a projector with sequences triggers the camera, as its manual "
+        "names it, such as Line1; null where there is no such projector.",
+    )
+
+
+class RefusedError(CaptureError):
+    """A camera doesn't take a setting: as it can't, or as it is gone."""
+
+
+class Nodes(Protocol):
+    """A camera's settings by name, as a library of GenICam reaches them."""
+
+    def is_writable(self, name: str) -> bool:
+        """Tell whether the camera has the setting, and takes values for it now."""
+
+    def write(self, name: str, value: Value) -> Value:
+        """Give a setting a value, and return what the camera took; RefusedError says why not."""
+
+    def execute(self, name: str) -> None:
+        """Run a command of the camera."""
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Return the least and the largest value of a number."""
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        """Return the values of an enumeration."""
+
+    def number(self, name: str) -> float | None:
+        """Return a number; None where the camera doesn't tell it."""
+
+
+class GenicamCamera(BracketCamera):
+    """A camera that takes brackets by software trigger, and sequences by a projector's.
+
+    All automatic functions are off and the gain is fixed; the sensor's bits and mosaic choose the
+    pixel format, or raise InputError where there is none. Options as `GenicamOptions` has them.
+    """
+
+    Options = GenicamOptions
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        if sensor.bits not in (8, 10, 12, 16):
+            raise InputError(f"sensor.bits is {sensor.bits}; a GenICam camera has 8, 10, 12 or 16")
+        super().__init__(sensor, **options)
+        self.channels = 1 if sensor.bayer is None else 3
+        mosaic = "Mono" if sensor.bayer is None else f"Bayer{sensor.bayer[:2]}"
+        self._pixel_format = f"{mosaic}{sensor.bits}"
+        self._serial = self._options.serial
+        self._model = ""
+        self._armed: tuple[float, int] | None = None
+
+    @property
+    @abstractmethod
+    def nodes(self) -> Nodes:
+        """The open camera's settings."""
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Find and open the camera; note its serial number and model."""
+
+    @abstractmethod
+    def _start(self, room: int = 0) -> None:
+        """Start taking a frame at each trigger, with room for so many that nobody fetches yet."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """Stop taking frames, and drop those that are on their way."""
+
+    @abstractmethod
+    def _trigger(self) -> None:
+        """Trigger a frame."""
+
+    @abstractmethod
+    def _next(self, seconds: float) -> tuple[Counts | None, str]:
+        """Return the next frame, or None and what is wrong: ``""`` where none came in time."""
+
+    def _is_ready(self, seconds: float) -> bool:  # noqa: ARG002
+        """Wait until the camera takes a trigger; tell whether it does so within `seconds`."""
+        return True
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return super().describe() | {
+            "model": self._model,
+            "serial": self._serial,
+            "pixel_format": self._pixel_format,
+            "offset": list(self._options.offset),
+            "gain_db": self._options.gain_db,
+            "nodes": dict(sorted(self._options.nodes.items())),
+        }
+
+    @property
+    def can_be_triggered(self) -> bool:
+        """Whether a projector triggers it; see `rfpipe.rigs.devices.SequenceCamera`."""
+        return self._options.sequence_line is not None
+
+    def seconds_between(self, exposure: float) -> float:
+        """Return the least time between two triggers; as `SequenceCamera` has it."""
+        rate = next(filter(None, map(self.nodes.number, _FRAME_RATES)), None)
+        if rate is None and self.nodes.number("AcquisitionFrameRate") is not None:
+            rate = self.nodes.bounds("AcquisitionFrameRate")[1]  # as size and format allow it
+        # makers without a bound say a huge number; a trigger a twentieth too early is missed
+        return 1.05 * (max(exposure, 1 / rate) if rate and rate > 0 else exposure)
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the projector; as `SequenceCamera` has it.
+
+        CaptureError where the camera is lost, or refuses the line.
+        """
+        with self._lock:
+            self._check_open()
+            try:
+                self._stop()
+                self._set_exposure(exposure)
+                self._set_trigger(str(self._options.sequence_line))
+                self._start(count)
+            except CaptureError:  # it is there, and refuses
+                self._by_software()
+                raise
+            except self.faults as error:
+                self._drop()
+                raise CaptureError(f"{self._name}: {self._said(error)}") from error
+            self._armed = exposure, count
+
+    def collect(self) -> Counts:
+        """Return the frames since `arm`; as `SequenceCamera` has it."""
+        with self._lock:
+            if self._armed is None:
+                raise CaptureError(f"{self._name}: isn't armed")
+            (exposure, count), self._armed = self._armed, None
+            item = self.sensor.frame_shape(self.shape, self.channels)[1:]
+            frames, taken, failed = np.empty((count, *item), np.uint16), 0, 0
+            with suppress(*self.faults):  # of a lost camera what is missing is played again
+                while taken + failed < count and not self._is_lost():
+                    frame, problem = self._next(exposure + self._options.timeout_seconds)
+                    if frame is None and not problem:
+                        break
+                    if frame is None or frame.shape != self.shape:
+                        failed += 1
+                    else:
+                        frames[taken] = frame.reshape(item)
+                        taken += 1
+            self.statistics["frames"] += taken
+            self.statistics["failed"] += failed
+            self.statistics["timed_out"] += count - taken - failed
+            self._by_software()
+        return frames[:taken]
+
+    def _frame(self, exposure: float) -> tuple[Counts | None, str]:
+        seconds = exposure + self._options.timeout_seconds
+        self._set_exposure(exposure)
+        if not self._is_ready(seconds):
+            return None, "not ready for a trigger in time"
+        self._before_trigger(exposure)
+        self._trigger()
+        return self._next(seconds)
+
+    def _open(self) -> tuple[int, int]:
+        try:
+            self._connect()
+            self._name = f"camera {self._serial}"
+            shape = self._set_up()
+            self._start()
+        except CaptureError:
+            self._drop()
+            raise
+        except self.faults as error:
+            self._drop()
+            raise CaptureError(
+                f"camera {self._serial}: can't be opened: {self._said(error)}. Close other "
+                "programs that hold it, and check its power and cable"
+            ) from error
+        _log.info("%s (%s): %s, %d x %d", self._name, self._model, self._pixel_format, *shape)
+        return shape
+
+    def _restart(self) -> None:
+        self._stop()
+        self._start()
+
+    def _by_software(self) -> None:
+        """Go back to triggers by this program; a camera that can't is looked for at the next."""
+        if self._is_lost():
+            return
+        wrong: tuple[type[Exception], ...] = (CaptureError, *self.faults)
+        try:
+            self._stop()
+            self._set_trigger("Software")
+            self._start()
+        except wrong as error:
+            self._drop()
+            _log.warning("%s: %s", self._name, self._said(error))
+
+    def _set_up(self) -> tuple[int, int]:
+        """Make all settings but the exposure time; return the frames' height and width."""
+        nodes, options = self.nodes, self._options
+        if nodes.is_writable("UserSetLoad"):
+            self._set("UserSetSelector", "Default")  # not what the last program left
+            nodes.execute("UserSetLoad")
+        for name, value in FIXED.items():
+            if nodes.is_writable(name):
+                self._set(name, value)
+        self._set("PixelFormat", self._pixel_format)
+        shape = self._set_region()
+        for selector in nodes.choices("TriggerSelector"):
+            self._set("TriggerSelector", selector)
+            self._set("TriggerMode", "On" if selector == "FrameStart" else "Off")
+        self._set("TriggerSelector", "FrameStart")
+        self._set("TriggerMode", "On")  # where a camera has one for all selectors
+        self._set_trigger("Software")
+        if nodes.is_writable("Gain"):
+            self._set("Gain", float(options.gain_db))
+        elif options.gain_db == 0:
+            self._set("GainRaw", int(nodes.bounds("GainRaw")[0]))
+        else:
+            raise CaptureError(
+                "camera: has no gain in decibels; set camera.options.gain_db to 0 and "
+                "camera.options.nodes to {GainRaw: ...}"
+            )
+        for name, value in options.nodes.items():
+            self._set(name, value)
+        return shape
+
+    def _set_region(self) -> tuple[int, int]:
+        """Choose the part of the sensor; return its height and width."""
+        offsets = dict(zip(("OffsetY", "OffsetX"), self._options.offset, strict=True))
+        for name in offsets:
+            if self.nodes.is_writable(name):
+                self._set(name, 0)  # or the extents are limited by the last offset
+        largest = tuple(int(self.nodes.bounds(name)[1]) for name in ("Height", "Width"))
+        height, width = self._options.shape or largest
+        for name, value in (("Height", height), ("Width", width), *offsets.items()):
+            if value > 0:
+                self._set(name, value)
+        return height, width
+
+    def _set_exposure(self, exposure: float) -> None:
+        """Set the exposure time in seconds, and make sure that the camera took it."""
+        # cameras before SFNC 2 have the other name
+        name = "ExposureTime" if self.nodes.is_writable("ExposureTime") else "ExposureTimeAbs"
+        nominal = 1e6 * exposure
+        least, largest = self.nodes.bounds(name)
+        if not least <= nominal <= largest:
+            raise CaptureError(
+                f"camera: an exposure of {exposure:g} s is not in its range, {least / 1e6:g} to "
+                f"{largest / 1e6:g} s; change sensor.exposures"
+            )
+        actual = float(self._write(name, nominal))
+        if abs(actual - nominal) > 1e-3 * nominal:  # the merge trusts the nominal times
+            raise CaptureError(
+                f"camera: rounds an exposure of {exposure:g} s to {actual / 1e6:g} s; set "
+                "sensor.exposures to what it can do"
+            )
+
+    def _set_trigger(self, source: str) -> None:
+        """Set the source of triggers: Software, or the rising edge of an input such as Line1."""
+        self._set("TriggerSource", source)
+        if source != "Software" and self.nodes.is_writable("TriggerActivation"):
+            self._set("TriggerActivation", "RisingEdge")
+
+    def _set(self, name: str, value: Value) -> None:
+        """Make one setting, and compare the camera's value: numbers may be rounded by 2 %."""
+        actual = self._write(name, value)
+        is_near = isinstance(value, float) and math.isclose(
+            float(actual), value, rel_tol=0.02, abs_tol=1e-6
+        )
+        if not is_near and actual != value:
+            raise CaptureError(f"camera: takes {name} = {actual} where {value} was asked for")
+
+    def _write(self, name: str, value: Value) -> Value:
+        """Make one setting, and return what the camera took; else say which values it takes."""
+        nodes, takes = self.nodes, ""
+        try:
+            return nodes.write(name, value)
+        except RefusedError as error:
+            with suppress(Exception):
+                takes = f". It takes {' to '.join(f'{bound:g}' for bound in nodes.bounds(name))}"
+            with suppress(Exception):
+                takes = f". It takes {', '.join(nodes.choices(name))}"
+            raise RefusedError(f"camera: refuses {name} = {value}: {error}{takes}") from error
+
+
+def chosen(connected: Iterable[str], serial: str | None) -> int:
+    """Return the index of a camera by the serial numbers of those that answer, or CaptureError."""
+    serials = list(connected)
+    if serial is not None and serial in serials:
+        return serials.index(serial)
+    if serial is None and len(serials) == 1:
+        return 0
+    name = "any camera" if serial is None else f"camera {serial}"
+    raise CaptureError(
+        f"{name}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
+        "Check power, cable and network, and name the camera by camera.options.serial"
+    )

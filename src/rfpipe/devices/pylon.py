@@ -1,0 +1,133 @@
+"""Basler cameras, through their driver pylon."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.devices.bracket import load_library
+from rfpipe.devices.genicam import GenicamCamera, RefusedError, Value, chosen
+from rfpipe.photometry.camera import CameraModel
+
+Counts = NDArray[np.uint16]
+
+BUFFERS = 10
+"""Frames that pylon has room for, where no sequence needs more."""
+
+
+class PylonCamera(GenicamCamera):
+    """A Basler camera that takes brackets by software trigger, and sequences by a projector's.
+
+    Options as `GenicamOptions` has them. CaptureError where pypylon is missing, no camera answers,
+    or it refuses a setting: says which.
+    """
+
+    kind = "pylon"
+    bench = "rfpipe.devices.bench:software_bench"
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        super().__init__(sensor, **options)
+        self._pylon, self._genicam = _load_pylon()
+        self.faults = self._genicam.GenericException, RefusedError
+        self.shape = self._open()
+
+    @property
+    def nodes(self) -> PylonNodes:
+        """The open camera's settings."""
+        return PylonNodes(self._handle)
+
+    def _is_lost(self) -> bool:
+        return self._handle is None or bool(self._handle.IsCameraDeviceRemoved())
+
+    def _said(self, error: Exception) -> str:
+        return _said(error)
+
+    def _is_ready(self, seconds: float) -> bool:
+        patience, ending = round(1000 * seconds), self._pylon.TimeoutHandling_Return
+        return bool(self._handle.WaitForFrameTriggerReady(patience, ending))
+
+    def _trigger(self) -> None:
+        self._handle.ExecuteSoftwareTrigger()
+
+    def _next(self, seconds: float) -> tuple[Counts | None, str]:
+        patience, ending = round(1000 * seconds), self._pylon.TimeoutHandling_Return
+        with self._handle.RetrieveResult(patience, ending) as result:
+            if not result.IsValid():
+                return None, ""
+            if not result.GrabSucceeded():
+                return None, result.GetErrorDescription() or "the frame is damaged"
+            return np.array(result.GetArray(), np.uint16), ""
+
+    def _connect(self) -> None:
+        factory = self._pylon.TlFactory.GetInstance()
+        connected = list(factory.EnumerateDevices())
+        info = connected[chosen((one.GetSerialNumber() for one in connected), self._serial)]
+        self._serial = info.GetSerialNumber()
+        self._handle = self._pylon.InstantCamera(factory.CreateDevice(info))
+        self._handle.Open()
+        self._model = info.GetModelName()
+
+    def _start(self, room: int = 0) -> None:
+        self._handle.MaxNumBuffer.Value = max(room, BUFFERS)
+        self._handle.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+
+    def _stop(self) -> None:
+        self._handle.StopGrabbing()
+
+    def _release(self, handle: Any) -> None:
+        for step in (handle.StopGrabbing, handle.Close, handle.DestroyDevice):
+            with suppress(self._genicam.GenericException):
+                step()
+
+
+@dataclass(frozen=True)
+class PylonNodes:
+    """The settings of an open `pypylon.pylon.InstantCamera`; `Nodes` of `GenicamCamera`."""
+
+    camera: Any
+
+    def is_writable(self, name: str) -> bool:
+        return bool(_load_pylon()[1].IsWritable(getattr(self.camera, name)))
+
+    def write(self, name: str, value: Value) -> Value:
+        node = getattr(self.camera, name)
+        try:
+            node.Value = value
+            actual: Value = node.Value
+        except (_load_pylon()[1].GenericException, TypeError) as error:
+            raise RefusedError(_said(error)) from error
+        return actual
+
+    def execute(self, name: str) -> None:
+        getattr(self.camera, name).Execute()
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        node = getattr(self.camera, name)
+        return node.Min, node.Max
+
+    def number(self, name: str) -> float | None:
+        with suppress(Exception):
+            return float(getattr(self.camera, name).Value)
+        return None
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        return tuple(getattr(self.camera, name).Symbolics)
+
+
+def _load_pylon() -> tuple[Any, Any]:
+    """Return the driver's modules ``pylon`` and ``genicam``, or raise CaptureError."""
+    with warnings.catch_warnings():
+        # its wrapper's types warn, and end the process where a warning is an error
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return load_library("pypylon.pylon", "rig"), load_library("pypylon.genicam", "rig")
+
+
+def _said(error: Exception) -> str:
+    """Return an error of the driver without the names of its source files."""
+    return re.split(r" : \w+ thrown", str(error))[0].strip().rstrip(".")

@@ -1,0 +1,276 @@
+"""The projector: a full-screen window, pixel-exact, linear in the pattern."""
+
+from __future__ import annotations
+
+import json
+import logging
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rfpipe.config.base import Settings
+from rfpipe.errors import CaptureError
+from rfpipe.provenance import fingerprint
+from rfpipe.rigs.devices import (
+    STEPS,
+    Closing,
+    Offset,
+    PictureExtent,
+    check_picture,
+    code_table,
+)
+
+Float = NDArray[np.float32]
+Codes = NDArray[np.uint8]
+
+ANSWER_SECONDS = 20.0
+"""Time within which a window opens and a picture is drawn, or the display counts as dead."""
+
+_log = logging.getLogger(__name__)
+
+
+class WindowOptions(Settings):
+    """The projector: a full-screen window on a display."""
+
+    display: str | None = Field(
+        None,
+        pattern=r"^\S*:\d+(\.\d+)?$",
+        description="X display, such as :0, or null for that of the environment's DISPLAY.",
+    )
+    screen: int = Field(
+        0, ge=0, le=63, description="Number of the monitor on that display, 0 to 63."
+    )
+    offset: tuple[Offset, Offset] = Field(
+        (0, 0),
+        description="Place of the picture on the monitor: pixels from its upper edge and from "
+        "its left edge.",
+    )
+    shape: tuple[PictureExtent, PictureExtent] | None = Field(
+        None,
+        description="Height and width of the picture in pixels, or null for the whole monitor. "
+        "Set the monitor to the projector's native resolution.",
+    )
+    settle_seconds: float = Field(
+        0.1,
+        ge=0,
+        le=60,
+        description="Wait after a picture was drawn, until the projector shows it, in seconds, 0 "
+        "to 60: two or three frames of the display plus the projector's own delay.",
+    )
+
+
+class _LostWindowError(CaptureError):
+    """The window, or its display, is gone."""
+
+    def __init__(self, display: str | None, reason: str) -> None:
+        super().__init__(
+            f"projector on display {display or 'unset'}: {reason}. Check that the "
+            "projector is a monitor of this display, and set projector.options.display, screen, "
+            "offset and shape, or the environment's DISPLAY (and XAUTHORITY), accordingly"
+        )
+
+
+class WindowProjector(Closing):
+    """A projector as a monitor: a borderless window with one pixel for each of its pixels.
+
+    The window lives in a process of its own (`rfpipe.devices.window_process`), so `show` may be
+    called from any thread, and the loss of the display is an error instead of the process' end.
+    A window that is lost is opened again at the next picture. `show` returns `settle_seconds` after
+    the display's server has confirmed that it drew the picture (on X11 by XSync). When the light
+    leaves the lens is known to the projector alone: calibration's step *latency* measures it.
+
+    Parameters
+    ----------
+    display : str, optional
+    response : ndarray, shape (256,), optional
+        Light measured at each code, see `code_table`.
+    options
+        As `WindowOptions` has them, by name, the same where they aren't given.
+
+    `statistics` counts pictures ``shown``, times that the window was ``reopened``, and pictures of
+    which `undisturbed` told that they were ``disturbed``.
+
+    Raises
+    ------
+    CaptureError
+        When the window can't be opened: says what to set.
+    InputError
+        When the response is none.
+    """
+
+    Options = WindowOptions
+
+    def __init__(
+        self,
+        display: str | None = None,
+        *,
+        response: NDArray[Any] | None = None,
+        **options: Any,
+    ) -> None:
+        chosen = WindowOptions(**options)
+        self._codes = code_table(response)
+        self._display = display
+        self._settings = chosen.model_dump(include={"screen", "offset", "shape"}, mode="json")
+        self.settle_seconds = chosen.settle_seconds
+        self._lock = threading.Lock()
+        self._is_closed = False
+        self.statistics = {"shown": 0, "reopened": 0, "disturbed": 0}
+        self._window: Any = self._open()
+        self.shape: tuple[int, int] = self._window.shape
+
+    def show(self, picture: Float) -> None:
+        """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
+        self.show_now(picture)
+        time.sleep(self.settle_seconds)
+
+    def show_now(self, picture: Float) -> None:
+        """Show a picture, and return when it is drawn; see `rfpipe.rigs.devices.Projector`."""
+        self._show(check_picture(picture, self.shape))
+
+    def show_colour(self, picture: Float) -> None:
+        """Show weights (H, W, 3) of red, green and blue; see `rfpipe.rigs.devices.Projector`."""
+        self._show(check_picture(picture, (*self.shape, 3)))
+        time.sleep(self.settle_seconds)
+
+    def _show(self, picture: Float) -> None:
+        codes = self._codes[np.rint(picture * np.float32(STEPS)).astype(np.uint16)]
+        with self._lock:
+            self._draw(codes)
+            self.statistics["shown"] += 1
+
+    def undisturbed(self) -> bool:
+        """Whether the last picture stood until now; see `rfpipe.rigs.devices.Projector`."""
+        with self._lock:
+            try:
+                stood = self._window is not None and bool(self._window.is_undisturbed())
+            except _LostWindowError as error:
+                _log.warning("%s", error)
+                self._drop()
+                stood = False
+            self.statistics["disturbed"] += not stood
+        return stood
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes the light."""
+        return {
+            "kind": "window",
+            "shape": list(self.shape),
+            "offset": self._settings["offset"],
+            "codes": fingerprint(self._codes),
+        }
+
+    def close(self) -> None:
+        """Close the window; closing twice is no error."""
+        with self._lock:
+            self._is_closed = True
+            self._drop()
+
+    def _open(self) -> Any:
+        """Return a new window."""
+        return _WindowProcess(self._display, self._settings)
+
+    def _draw(self, codes: Codes) -> None:
+        """Draw a picture, in a window opened again where it is lost."""
+        if self._is_closed:
+            raise CaptureError("the projector's window is closed; open it anew")
+        if self._window is not None:
+            try:
+                self._window.draw(codes)
+                return
+            except _LostWindowError as error:
+                _log.warning("%s. Opening the window again", error)
+                self._drop()
+        self._window = self._open()
+        if self._window.shape != self.shape:
+            shape = self._window.shape
+            self._drop()
+            raise _LostWindowError(
+                self._display,
+                f"the projector's monitor has {shape} pixels now, {self.shape} before; set its "
+                "resolution back",
+            )
+        self._window.draw(codes)
+        self.statistics["reopened"] += 1
+
+    def _drop(self) -> None:
+        window, self._window = self._window, None
+        if window is not None:
+            window.close()
+
+
+class _WindowProcess:
+    """The process that owns the window."""
+
+    def __init__(self, display: str | None, settings: dict[str, Any]) -> None:
+        environment = dict(os.environ, PYGAME_HIDE_SUPPORT_PROMPT="1")
+        if display is not None:
+            environment["DISPLAY"] = display
+        self._display = environment.get("DISPLAY")
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        self._connection, theirs = multiprocessing.Pipe()
+        program = Path(__file__).with_name("window_process.py")
+        self._process = subprocess.Popen(
+            # -P: modules beside the program are no top-level ones
+            [sys.executable, "-P", str(program), str(theirs.fileno()), json.dumps(settings)],
+            pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=self._errors,
+            stderr=self._errors, env=environment,
+            process_group=0,  # Ctrl-C is ours; then the connection ends
+        )  # fmt: skip
+        theirs.close()
+        try:
+            self.shape: tuple[int, int] = self._asked(None)
+        except BaseException:
+            self.close()
+            raise
+
+    def draw(self, codes: Codes) -> None:
+        """Send a picture, and wait until it is drawn."""
+        self._asked(codes.tobytes())
+
+    def is_undisturbed(self) -> bool:
+        """Ask whether the last picture stood where it was drawn, and nothing hid it."""
+        return bool(self._asked(b""))
+
+    def close(self) -> None:
+        """End the process, which closes the window."""
+        self._connection.close()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._errors.close()
+
+    def _asked(self, message: bytes | None) -> Any:
+        """Send a message, if there is one, and return the answer."""
+        try:
+            if message is not None:
+                self._connection.send_bytes(message)
+            if not self._connection.poll(ANSWER_SECONDS):
+                raise self._failure(f"the display gave no answer within {ANSWER_SECONDS:g} s")
+            answer, problem = self._connection.recv()
+        except (EOFError, OSError):
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=1)  # its last words are then said
+            raise self._failure("the projector's window is gone") from None
+        if problem:
+            raise self._failure(problem)
+        return answer
+
+    def _failure(self, what: str) -> _LostWindowError:
+        """Return the error of a problem, with the last lines of the window's process."""
+        self._errors.seek(0)
+        words = self._errors.read().decode(errors="replace").strip().splitlines()[-2:]
+        detail = f" ({' '.join(' '.join(words).split())})" if words else ""
+        return _LostWindowError(self._display, f"{what}{detail}")

@@ -1,0 +1,283 @@
+"""The kind of scene ``mitsuba``: any materials, any light, as ground truth of a simulated rig."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import asdict
+from functools import cached_property
+from importlib import metadata
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from rfpipe.config.base import Extent
+from rfpipe.config.scenes import Choice, SceneSettings
+from rfpipe.errors import InputError
+from rfpipe.mitsuba.materials import (
+    Surface,
+    check_traceable,
+    choose_bounces,
+    choose_caustics,
+    omissions_of,
+    surfaces_of,
+)
+from rfpipe.mitsuba.recording import Piece, Recording, dense, is_recorded, product, record
+from rfpipe.mitsuba.variant import lacking_llvm
+from rfpipe.mitsuba.views import Side, View
+from rfpipe.mitsuba.world import Light, World, load_scene, world_of_file
+from rfpipe.mitsuba.worlds import WORLDS
+from rfpipe.provenance import fingerprint
+from rfpipe.scenes.base import Scene, apply_in_batches
+
+Double = NDArray[np.float64]
+
+_SET, _DECLARED = "set", "declared with the scene"
+
+
+class MitsubaOptions(SceneSettings):
+    """A physically based scene, and the light that is followed in it."""
+
+    scene: str = Field(
+        min_length=1,
+        description=f"Which scene: one of {', '.join(WORLDS)}; or a file of Mitsuba 3, .xml. Its "
+        "sensors and lights but for projectors are left out.",
+    )
+    projector_shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width of each projector's picture in pixels, 1 to 4096; null for "
+        "the camera's.",
+    )
+    cameras: tuple[View, ...] | None = Field(
+        None, min_length=1, description="Where the cameras stand; null for the scene's own."
+    )
+    projectors: tuple[View, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Where the projectors stand; null: the scene's own, or with the cameras.",
+    )
+    samples: int = Field(
+        16384, ge=2, le=2**20, description="Paths of light a pixel, 2 to 1,048,576."
+    )
+    bounces: int | None = Field(
+        None,
+        ge=1,
+        le=64,
+        description="Surfaces or scatterings of a path of light at most; null: what the scene "
+        "needs, of a file 6, 10 with bodies of glass, 48 with translucent ones.",
+    )
+    caustics: bool | None = Field(
+        None,
+        description="Whether to follow light by mirrors or lenses; null: what the scene needs, "
+        "true where any surface is a smooth mirror or lens.",
+    )
+    seed: int = Field(0, ge=0, description="Seed of textures or paths of light, 0 or more.")
+    cache: str = Field(
+        "results/recorded",
+        min_length=1,
+        description="Folder that recorded matrices are kept in, relative to the working folder.",
+    )
+
+    @cached_property
+    def world(self) -> World:
+        """The scene; raises InputError when there is none of this name, or the file is none."""
+        if self.scene in WORLDS:
+            return WORLDS[self.scene]
+        path = Path(self.scene)
+        if path.suffix != ".xml":
+            raise InputError(
+                f"scene is {self.scene!r}; expected a file of Mitsuba 3, .xml, or one of "
+                f"{', '.join(WORLDS)}"
+            )
+        return world_of_file(path)
+
+    @property
+    def followed(self) -> Light:
+        """The light that is followed."""
+        return Light(self._bounces.value, self.samples, self._caustics.value, self.seed)
+
+    @cached_property
+    def surfaces(self) -> list[Surface]:
+        """The scene's surfaces; raises InputError where it can't be loaded, or not be traced."""
+        surfaces = surfaces_of(load_scene(self.world))
+        check_traceable(surfaces, self.world.name)
+        return surfaces
+
+    @cached_property
+    def _bounces(self) -> Choice:
+        """The setting `bounces`, or what the scene chooses for it."""
+        if self.bounces is not None:
+            return Choice("bounces", self.bounces, _SET)
+        if self.world.bounces is not None:
+            return Choice("bounces", self.world.bounces, _DECLARED)
+        return choose_bounces(self.surfaces)
+
+    @cached_property
+    def _caustics(self) -> Choice:
+        """The setting `caustics`, or what the scene chooses for it."""
+        if self.caustics is not None:
+            return Choice("caustics", self.caustics, _SET)
+        if self.world.caustics is not None:
+            return Choice("caustics", self.world.caustics, _DECLARED)
+        return choose_caustics(self.surfaces, self._bounces.value)
+
+    @property
+    def _projectors(self) -> Choice:
+        """The setting `projectors`, or what a file chooses for it."""
+        if self.projectors is not None or self.scene in WORLDS:
+            return Choice("projectors", self.projectors, _SET)
+        if self.cameras is not None:
+            return Choice("projectors", "coaxial", "cameras is set: they stand there, too")
+        if self.world.projectors is None:
+            return Choice("projectors", "coaxial", "the file has no emitter of type projector")
+        return Choice("projectors", "the file's", "its first emitter of type projector")
+
+    @property
+    def choices(self) -> list[Choice]:
+        """Values of the settings that are null and depend on the scene."""
+        choices = self._projectors, self._bounces, self._caustics
+        return [choice for choice in choices if choice.reason != _SET]
+
+    @property
+    def omissions(self) -> list[str]:
+        """Sentences on the light that isn't recorded, though the scene has it."""
+        light = self.followed
+        return omissions_of(self.surfaces, light.bounces, caustics=light.caustics)
+
+    @property
+    def obstacles(self) -> list[str]:
+        """Sentences on what recording needs and this machine lacks, unless it was recorded."""
+        if MitsubaScene(self).is_recorded:
+            return []
+        obstacle = lacking_llvm(f"scene {self.world.name}")
+        return [] if obstacle is None else [obstacle]
+
+    @property
+    def is_coaxial(self) -> bool:
+        """Whether camera and projector share their rays."""
+        return self.projectors is None and (
+            self.cameras is not None or self.world.projectors is None
+        )
+
+    @property
+    def camera_side(self) -> Side:
+        """The cameras."""
+        views = self.cameras or self.world.cameras
+        return Side(tuple(view.pinhole(self.shape) for view in views))
+
+    @property
+    def projector_side(self) -> Side:
+        """The projectors."""
+        if self.is_coaxial:
+            return self.camera_side
+        views = self.projectors or self.world.projectors or ()
+        return Side(tuple(view.pinhole(self.projector_shape or self.shape) for view in views))
+
+    @property
+    def ray_shape(self) -> tuple[int, ...]:
+        """Shape of the projector's ray domain: (H, W), or (V, H, W) of several projectors."""
+        return self.projector_side.domain
+
+    @property
+    def camera_ray_shape(self) -> tuple[int, ...]:
+        """Shape of the camera's ray domain: (H, W), or (V, H, W) of several cameras."""
+        return self.camera_side.domain
+
+    @property
+    def view_grid(self) -> tuple[int, int]:
+        """One row of as many views as there are cameras."""
+        return 1, len(self.camera_side.pinholes)
+
+    @model_validator(mode="after")
+    def _can_be_made(self) -> Self:
+        if self.is_coaxial and self.projector_shape not in {None, self.shape}:
+            raise ValueError(
+                f"projector_shape is {self.projector_shape}; a rig whose projectors stand where "
+                "its cameras stand has one shape: leave it out, or name projectors"
+            )
+        return self
+
+
+class MitsubaScene(Scene):
+    """A physically based scene of Mitsuba 3: any materials, any light."""
+
+    Options: ClassVar[type[SceneSettings]] = MitsubaOptions
+
+    def __init__(self, options: MitsubaOptions) -> None:
+        self.options, self.world, self.light = options, options.world, options.followed
+        self.camera, self.projector = options.camera_side, options.projector_side
+        self.coaxial = options.is_coaxial
+        super().__init__(self.camera.domain, self.projector.domain, options.channels)
+
+    def describe(self) -> dict[str, Any]:
+        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        return {
+            "scene": "mitsuba",
+            "world": self.world.describe(),
+            "camera": asdict(self.camera),
+            "projector": asdict(self.projector),
+            "light": self.light.describe(),
+            "coaxial": self.coaxial,
+            "channels": self.channels,
+            "mitsuba": metadata.version("mitsuba"),
+        }
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The recorded matrix; recorded now, unless it was before."""
+        sides = self.camera, self.projector
+        return record(self._loaded, *sides, self.light, self._folder, coaxial=self.coaxial)
+
+    @property
+    def is_recorded(self) -> bool:
+        """True where the matrix was recorded before."""
+        return is_recorded(self._folder)
+
+    @property
+    def _folder(self) -> Path:
+        """Folder of the recorded matrix."""
+        described = {**self.describe(), "channels": 3}
+        return Path(self.options.cache) / f"{self.world.name}-{fingerprint(described)[:12]}"
+
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """The recording's grain and versions, see `Scene.recorded`."""
+        return {"grain": self.recording.noise["half_lit"], "versions": self.recording.versions}
+
+    def _loaded(self) -> Any:
+        obstacle = lacking_llvm(f"scene {self.world.name}")
+        if obstacle is not None:
+            raise InputError(obstacle)
+        for sentence in self.options.omissions:
+            warnings.warn(f"scene {self.world.name}: {sentence}", stacklevel=2)
+        return load_scene(self.world)
+
+    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
+        """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape).
+
+        Raises InputError where no light comes back to the camera, or it can't be recorded here.
+        """
+        return apply_in_batches(
+            self._recorded,
+            patterns,
+            self.projector_shape,
+            self.channels,
+            self.camera.rays,
+            padded=False,
+        )
+
+    def _recorded(self, weights: Double) -> Double:
+        """Radiance (M, B, C) of patterns (N, B), by the recorded matrix."""
+        return product(self._pieces, self.recording.coaxial, weights, self.camera.rays)
+
+    @cached_property
+    def _pieces(self) -> list[Piece]:
+        """The recorded matrix in memory."""
+        return self.recording.read(self.channels)
+
+    def dense(self, channel: int = 0) -> Double:
+        """The whole matrix (M, N) of one channel."""
+        shape = self.camera.rays, self.projector.rays
+        return dense(self._pieces, self.recording.coaxial, channel, shape)

@@ -1,0 +1,304 @@
+"""Physically based scenes of our own, each by name; docs/scenes.md says what each tests.
+
+Lengths are in scene units: x to the right, y up, z towards the viewer. Geometry and textures are
+code: each scene is a function of its name that returns the parts of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rfpipe.mitsuba.parts import (
+    Part,
+    Vector,
+    ball,
+    blots,
+    body,
+    both_sides,
+    box,
+    checks,
+    glass,
+    gloss,
+    lettering,
+    matt,
+    metal,
+    mirror,
+    painted,
+    pillar,
+    sheet,
+    turned,
+)
+from rfpipe.mitsuba.views import View
+from rfpipe.mitsuba.world import World
+
+WORLDS: dict[str, World] = {}
+"""All of them by name."""
+
+_WHITE, _RED, _GREEN = (0.75, 0.72, 0.68), (0.57, 0.06, 0.05), (0.12, 0.4, 0.1)
+
+
+def view(origin: Vector, target: Vector, degrees: float, up: Vector = (0, 1, 0)) -> View:
+    """Return a view of a field of view in degrees."""
+    return View.model_validate({"origin": origin, "target": target, "up": up, "degrees": degrees})
+
+
+def aside(degrees: float, distance: float, target: Vector, rise: float, field: float) -> View:
+    """Return a view some degrees to the right of the z axis through its target.
+
+    It stands at a distance from the vertical through the target, and rises above it; `field` is its
+    field of view in degrees.
+    """
+    turn = float(np.radians(degrees))
+    x, y, z = target
+    origin = x + distance * np.sin(turn), y + rise, z + distance * np.cos(turn)
+    return view([float(coordinate) for coordinate in origin], target, field)
+
+
+def _world(
+    cameras: Sequence[View],
+    projectors: Sequence[View] | None = None,
+    *,
+    bounces: int = 6,
+    caustics: bool = False,
+) -> Callable[[Callable[[], Part]], None]:
+    """Add a scene under its function's name, with its rig and the light that it needs."""
+
+    def add(build: Callable[[], Part]) -> None:
+        name = build.__name__
+        lamps = None if projectors is None else tuple(projectors)
+        WORLDS[name] = World(
+            name, lambda: {"type": "scene", **build()}, tuple(cameras), lamps, bounces, caustics
+        )
+
+    return add
+
+
+def _walls(left: tuple[float, ...] = _WHITE, right: tuple[float, ...] = _WHITE) -> Part:
+    """Return the five walls of a box from -1 to 1, open towards the viewer."""
+    white = matt(*_WHITE)
+    return {
+        "floor": sheet((0, -1, 0), (1, 0, 0), (0, 0, -1), white),
+        "ceiling": sheet((0, 1, 0), (1, 0, 0), (0, 0, 1), white),
+        "back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), white),
+        "left": sheet((-1, 0, 0), (0, 0, -1), (0, 1, 0), matt(*left)),
+        "right": sheet((1, 0, 0), (0, 0, 1), (0, 1, 0), matt(*right)),
+    }
+
+
+_BOX_VIEW = view((0, 0, 3.9), (0, 0, 0), 39.3)  # before the open side of the walls
+
+
+@_world([_BOX_VIEW])
+def red_wall_box() -> Part:
+    """Colour bleeding in a diffuse cavity."""
+    return _walls(_RED)
+
+
+@_world([_BOX_VIEW])
+def two_blocks() -> Part:
+    """Shadows and occlusion between matt surfaces."""
+    white = matt(*_WHITE)
+    return _walls(_RED, _GREEN) | {
+        "tall": box((-0.33, -0.4, -0.28), (0.6, 1.2, 0.6), 18, white),
+        "short": box((0.33, -0.7, 0.38), (0.6, 0.6, 0.6), -17, white),
+    }
+
+
+@_world([_BOX_VIEW], [aside(35, 1.6, (0, -0.1, 0), 0.35, 84)])  # in front of the open side
+def two_blocks_aside() -> Part:
+    """The same with shadows that the camera sees: entries without direct light."""
+    return WORLDS["two_blocks"].build()
+
+
+@_world([view((0, 0.5, 3.9), (0, -0.28, 0), 33)])
+def glossy_metal() -> Part:
+    """Highlights and blurred reflections: gloss and rough metal in a box."""
+    return _walls() | {
+        "floor": sheet((0, -1, 0), (1, 0, 0), (0, 0, -1), painted(checks(8, 8))),
+        "plastic": ball((-0.5, -0.62, 0.25), 0.38, gloss(0.08, 0.5, 0.05, 0.04)),
+        "copper": ball((0.42, -0.65, 0.4), 0.35, metal(0.3, 0.93, 0.6, 0.45)),
+        "steel": box((0.05, -0.45, -0.45), (0.55, 1.1, 0.4), 28, metal(0.25, 0.75, 0.76, 0.78)),
+    }
+
+
+@_world([view((0, 0.4, 3.9), (0.05, -0.4, 0), 31)], caustics=True)
+def mirror_beside() -> Part:
+    """A mirror beside an object: far pixels that see one surface, light thrown back on it."""
+    letters = painted(lettering(["EG", "SR"]))
+    return {
+        "floor": sheet((0, -1, 0), (1.6, 0, 0), (0, 0, -1.6), painted(checks(12, 12))),
+        "back": sheet((0, 0, -1.6), (1.6, 0, 0), (0, 1, 0), matt(0.6, 0.62, 0.66)),
+        "mirror": sheet((0.75, -0.4, -0.2), (0.4, 0, 0.37), (0, 0.6, 0), mirror()),
+        "block": box((-0.4, -0.55, 0.1), (0.9, 0.9, 0.5), 53, matt(0.1, 0.25, 0.5)),
+        "letters": sheet((-0.196, -0.55, 0.253), (0.25, 0, -0.333), (0, 0.4, 0), letters),
+        "ball": ball((0.2, -0.8, 0.6), 0.2, matt(0.65, 0.25, 0.05)),
+    }
+
+
+@_world(
+    [view((-0.1, 4.0, 0.25), (-0.1, -0.5, 0.15), 30, up=(0, 0, -1))],
+    [aside(8, 4.2, (-0.05, -0.55, 0), 0.7, 32)],
+    caustics=True,
+)
+def right_angles() -> Part:
+    """A box before a mirror that the camera sees edge on, and the projector in full [Fig. 3.10]."""
+    letters = painted(lettering(["EGSR", "DUAL"], ink=(0.5, 0.05, 0.05)))
+    return {
+        "floor": sheet((0, -1, 0), (2, 0, 0), (0, 0, -2), matt(0.65, 0.62, 0.55)),
+        "back": sheet((0, -0.3, -1.3), (1.3, 0, 0), (0, 0.7, 0), matt(0.5, 0.55, 0.65)),
+        "mirror": sheet((-0.85, -0.5, 0.05), (0.3, 0.0, -0.6), (0.08, 0.5, 0.04), mirror()),
+        "block": box((0.25, -0.7, 0.15), (0.6, 0.6, 0.6), 25, matt(0.6, 0.45, 0.2)),
+        "lid": sheet((0.25, -0.395, 0.15), (0.26, 0, -0.12), (-0.12, 0, -0.26), letters),
+        "post": pillar((0.85, -1, -0.6), 0.9, 0.14, matt(0.15, 0.45, 0.2)),
+        "knob": ball((0.85, -0.06, -0.6), 0.16, matt(0.6, 0.5, 0.15)),
+        "ball": ball((-0.25, -0.82, 0.75), 0.18, matt(0.6, 0.12, 0.1)),
+    }
+
+
+def _table() -> Part:
+    """A floor, and a wall behind it."""
+    return {
+        "floor": sheet((0, -1, 0), (3, 0, 0), (0, 0, -3), matt(0.72, 0.7, 0.66)),
+        "back": sheet((0, 0.4, -1.3), (3, 0, 0), (0, 1.4, 0), matt(0.45, 0.5, 0.6)),
+    }
+
+
+_TABLE_VIEW = view((-0.25, 1.7, 3.6), (-0.25, -0.55, 0), 33)
+
+
+@_world([_TABLE_VIEW], [aside(50, 3.3, (0.0, -0.6, 0), 1.9, 33)], bounces=10, caustics=True)
+def glass_ball() -> Part:
+    """A caustic that the camera sees directly: a ball of glass."""
+    return _table() | {
+        "ball": ball((0.15, -0.55, 0), 0.44, glass()),
+        "block": box((-0.85, -0.8, -0.75), (0.4, 0.4, 0.4), 20, matt(0.6, 0.2, 0.1)),
+    }
+
+
+@_world([_TABLE_VIEW], [aside(60, 3.5, (-0.05, -0.5, 0), 0.9, 33)], bounces=10, caustics=True)
+def bottle() -> Part:
+    """Caustics of a bottle of water, and refraction in its dual image [Fig. 3.2, 3.6]."""
+    shoulder = [
+        (0.175 + 0.095 * np.cos(t), 0.75 + 0.3 * np.sin(t / 2)) for t in np.linspace(0.4, np.pi, 8)
+    ]
+    foot = [(0, 0), (0.24, 0), (0.27, 0.03), *((0.27, h) for h in np.linspace(0.1, 0.75, 6))]
+    neck = [(0.08, 1.12), (0.08, 1.3), (0.07, 1.32), (0, 1.32)]  # radii and heights, filled
+    return _table() | {
+        "bottle": turned((0.2, -0.999, 0.1), [*foot, *shoulder, *neck], glass(1.4)),
+        "block": box((-0.85, -0.8, -0.75), (0.4, 0.4, 0.4), 20, matt(0.15, 0.35, 0.6)),
+    }
+
+
+@_world([view((0, 1.9, 3.2), (0, -0.8, 0), 32)], bounces=10, caustics=True)
+def glass_and_ring() -> Part:
+    """Caustics within a mirror's ring, and a block of glass, lit and seen through.
+
+    A ball would be a cat's eye: lit and seen through it, its focus outshines all else.
+    """
+    return _table() | {
+        "ring": pillar((-0.5, -0.999, 0.1), 0.32, 0.5, both_sides(mirror())),
+        "block": box((0.5, -0.74, 0.15), (0.55, 0.5, 0.4), 25, glass()),
+        "check": sheet((0.5, -0.3, -1.29), (0.6, 0, 0), (0, 0.3, 0), painted(checks(3, 6))),
+    }
+
+
+@_world([_TABLE_VIEW], bounces=48)
+def translucent() -> Part:
+    """Bodies of marble and soap that glow where they aren't lit."""
+    marble = body(ball((-0.3, -0.52, 0.1), 0.46, {}), 0.08, 0.0, 0.98, 0.95, 0.88)
+    soap = body(box((0.5, -0.72, 0.35), (0.5, 0.52, 0.5), -25, {}), 0.12, 0.5, 0.85, 0.97, 0.9)
+    return _table() | {"marble": marble, "soap": soap}
+
+
+@_world([aside(turn, 3.6, (0, -0.05, 0), 0.6, 24) for turn in (0, 120)], bounces=48)
+def sweets() -> Part:
+    """Translucent balls in a tumbler that reflects a little, and bends nothing [Fig. 5.6]."""
+    red, green, yellow = (0.97, 0.35, 0.3), (0.45, 0.95, 0.4), (0.97, 0.9, 0.4)
+    orange, white = (0.97, 0.65, 0.25), (0.96, 0.95, 0.92)
+    places = (  # x, height above the floor, z, radius, colour
+        (-0.18, 0.22, 0.13, 0.2, red),
+        (0.21, 0.21, 0.08, 0.19, green),
+        (0.0, 0.21, -0.25, 0.19, yellow),
+        (0.02, 0.53, 0.17, 0.2, orange),
+        (-0.2, 0.56, -0.15, 0.19, white),
+        (0.22, 0.56, -0.17, 0.2, red),
+        (-0.16, 0.87, 0.1, 0.2, green),
+        (0.2, 0.9, 0.09, 0.18, white),
+        (0.0, 0.92, -0.24, 0.19, orange),
+    )
+    letters = painted(lettering(["EGSR"]))
+    sheen = {"type": "mask", "opacity": 0.06, "sheen": both_sides(metal(0.1, 0.9))}
+    return {
+        "floor": sheet((0, -0.7, 0), (1.4, 0, 0), (0, 0, -1.4), matt(0.5, 0.48, 0.45)),
+        "tumbler": pillar((0, -0.699, 0), 1.35, 0.47, sheen),
+        "letters": sheet((-0.02, -0.5, 0.6), (0.32, 0, 0), (0, 0.16, -0.06), letters),
+    } | {
+        f"sweet_{k}": body(ball((x, height - 0.69, z), radius, {}), 0.09, 0.3, *colour)
+        for k, (x, height, z, radius, colour) in enumerate(places)
+    }
+
+
+@_world([view((0.0, -0.3, 3.4), (0, -0.4, -0.6), 32)])
+def foreshortened() -> Part:
+    """Fine detail at grazing angles: print on a long floor, a pillar's rings, a wall's checks."""
+    text = ["LIGHT ", "RETURN", "ALONG ", "EITHER", "SIDE  "]
+    rings = np.repeat(checks(24, 1, (0.5, 0.1, 0.08), (0.85, 0.83, 0.75)), 4, axis=1)
+    return {
+        "floor": sheet((0, -1, -0.6), (1.1, 0, 0), (0, 0, -1.8), painted(lettering(text))),
+        "wall": sheet((-1.1, 0.5, -0.6), (0, 0, -1.8), (0, 1.5, 0), painted(checks(15, 40))),
+        "right": sheet((1.1, 0.5, -0.6), (0, 0, 1.8), (0, 1.5, 0), matt(0.4, 0.5, 0.6)),
+        "back": sheet((0, 0.5, -2.4), (1.1, 0, 0), (0, 1.5, 0), matt(0.6, 0.6, 0.6)),
+        "pillar": pillar((0.6, -1, -1.0), 2.4, 0.2, painted(rings)),
+    }
+
+
+@_world([_BOX_VIEW])
+def venetian_blind() -> Part:
+    """Many thin edges, each a step of depth: slats before a window of colour."""
+    spots = blots(96, 3, [(0.75, 0.7, 0.5), (0.6, 0.1, 0.05), (0.05, 0.3, 0.5), (0.1, 0.4, 0.1)])
+    tilt = np.radians(38)
+    slat = (0.85, 0, 0), (0, 0.085 * np.sin(tilt), -0.085 * np.cos(tilt)), matt(0.5, 0.49, 0.45)
+    slats = {
+        f"slat_{k}": sheet((0, float(y), 0.1), *slat)
+        for k, y in enumerate(np.linspace(-0.8, 0.8, 13))
+    }
+    return _walls() | slats | {"back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), painted(spots))}
+
+
+_STILL_LIFE = (0.0, -0.55, 0.0)
+
+
+@_world(
+    [aside(float(turn), 3.7, _STILL_LIFE, 1.6, 34) for turn in np.linspace(-70, 70, 80)],
+    [aside(0, 3.7, _STILL_LIFE, 1.0, 34)],
+    bounces=1,  # so that the matrix stays small
+)
+def still_life_arc() -> Part:
+    """Relighting from 80 places on an arc of 140 degrees, soft shadows [Fig. 3.9]."""
+    spots = blots(128, 7, [(0.75, 0.72, 0.62), (0.5, 0.35, 0.2), (0.2, 0.3, 0.45)])
+    vase = [(0.2 + 0.14 * np.sin(5.2 * h) * (1 - 0.5 * h), 1.1 * h) for h in np.linspace(0, 1, 16)]
+    dual = painted(lettering(["DUAL"]))
+    return {
+        "table": sheet((0, -1, 0), (1.9, 0, 0), (0, 0, -1.5), painted(spots)),
+        "vase": turned((-0.35, -1, -0.2), vase, both_sides(matt(0.2, 0.35, 0.6))),
+        "apple": ball((0.32, -0.76, 0.35), 0.24, gloss(0.15, 0.55, 0.06, 0.04)),
+        "orange": ball((-0.2, -0.79, 0.55), 0.21, gloss(0.3, 0.75, 0.35, 0.03)),
+        "book": box((0.5, -0.9, -0.3), (0.75, 0.2, 0.55), 20, matt(0.25, 0.45, 0.2)),
+        "candle": pillar((0.55, -0.8, -0.3), 0.7, 0.1, matt(0.8, 0.75, 0.6)),
+        "card": sheet((-0.05, -0.62, -0.85), (0.6, 0, 0.1), (0, 0.36, 0), dual),
+    }
+
+
+@_world(
+    [view((0.22 * x, 0.22 * y, 3.9), (0, 0, 0), 39.3) for y in (1, 0, -1) for x in (-1, 0, 1)],
+    bounces=3,
+)
+def views_3x3() -> Part:
+    """Parallax between near and far: three rows, from above, of three views, from the left."""
+    return _walls(_RED, _GREEN) | {
+        "back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), painted(lettering(["FAR"]))),
+        "near": ball((0.3, -0.6, 0.45), 0.4, gloss(0.1, 0.5, 0.35, 0.05)),
+        "block": box((-0.4, -0.55, -0.1), (0.45, 0.9, 0.45), 30, matt(0.7, 0.68, 0.64)),
+    }
