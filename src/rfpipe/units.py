@@ -41,8 +41,8 @@ SYMMETRY_KEY = 1_000_004
 VERIFICATION_KEY = 1_000_005
 """The same of pictures that no method saw, taken to verify a transport: (this, i)."""
 
-LOOK_KEY = 1_000_006
-"""The same of the random pattern that tells, repeated, whether the rig moved: (this, level, i)."""
+CHECK_PICTURE_KEY = 1_000_006
+"""The same of check pictures, by which changes of rig and light are noticed: (this, level, i)."""
 
 SEQUENCE_KEY = 1_000_007
 """The same of what a sequence shows beside its patterns: (this, ...)."""
@@ -53,7 +53,7 @@ _PICTURES = {
     WARM_UP_KEY: "warm-up picture",
     SYMMETRY_KEY: "random pattern of the symmetry test,",
     VERIFICATION_KEY: "verification picture",
-    LOOK_KEY: "repeated random pattern",
+    CHECK_PICTURE_KEY: "check picture",
     SEQUENCE_KEY: "reference picture of a sequence,",
 }
 

@@ -97,7 +97,7 @@ def test_the_files_state_target_error_and_reason(
     tmp_path: Path, name: str | None, target: float, standing: str, alarm: str | None
 ) -> None:
     rig = coaxial_rig(FAULTS[name].inject if name else None, camera=darker(2))
-    watching = {"mode": "warn", "looks": 8, "asymmetry": 0.05}
+    watching = {"mode": "warn", "check_interval": 8, "asymmetry": 0.05}
     captured = {"references": (8, 16), "symmetry_frames": 6, "watching": watching}
     settings = stages(captured, divide_out_drift=True)
     accepted = 0.05 if name != "gain" else 0.9  # not to go on as on a rig that isn't coaxial

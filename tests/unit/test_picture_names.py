@@ -17,7 +17,7 @@ NAMES = {
     (units.WARM_UP_KEY, 5): "warm-up picture 5",
     (units.SYMMETRY_KEY, 4): "random pattern of the symmetry test, 4",
     (units.VERIFICATION_KEY, 2): "verification picture 2",
-    (units.LOOK_KEY, 0, 7): "repeated random pattern 7",
+    (units.CHECK_PICTURE_KEY, 0, 7): "check picture 7",
     (units.SEQUENCE_KEY, 1): "reference picture of a sequence, 1",
 }
 

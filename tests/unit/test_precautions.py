@@ -16,7 +16,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs.base import is_simulated
 from rfpipe.stages import acquire as module
 from rfpipe.stages.plan import in_manner, manner_of, stages_of
-from rfpipe.units import LOOK_KEY, VERIFICATION_KEY
+from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
 
 FEW = {"floodlit_frames": 8, "progress": False, "symmetry_frames": 0, "tolerance": 1e-2}
 
@@ -42,14 +42,14 @@ def rig() -> rfpipe.OperatorRig:
 
 
 def kinds_of(keys: list[tuple[int, ...]]) -> set[int]:
-    return {key[0] for key in keys} & {LOOK_KEY, VERIFICATION_KEY}
+    return {key[0] for key in keys} & {CHECK_PICTURE_KEY, VERIFICATION_KEY}
 
 
 @pytest.mark.parametrize(
     ("asked", "pictures", "kinds"),
     [
-        ({}, 9, {LOOK_KEY, VERIFICATION_KEY}),
-        ({"verification": 0}, 0, {LOOK_KEY}),
+        ({}, 9, {CHECK_PICTURE_KEY, VERIFICATION_KEY}),
+        ({"verification": 0}, 0, {CHECK_PICTURE_KEY}),
         ({"watch": "off", "verification": 2}, 2, {VERIFICATION_KEY}),
     ],
 )
@@ -71,7 +71,7 @@ def test_a_simulated_rig_is_not_unless_that_is_asked_for() -> None:
         watched = Real(rig())
         watched.is_simulated = True
         rfpipe.acquire(watched, "dual", watch=mode, **FEW)
-        assert kinds_of(watched.keys) == {LOOK_KEY}
+        assert kinds_of(watched.keys) == {CHECK_PICTURE_KEY}
     with pytest.raises(InputError, match="watch is 'on'; expected one of off, warn, refuse"):
         rfpipe.acquire(simulated, "dual", watch="on", **FEW)
 
@@ -95,7 +95,7 @@ def test_one_place_decides_for_runs_and_for_acquire(
     stages = in_manner(stages_of(settings, "plane", method), manner_of(settings, "plane"))
     of_run = PRECAUTIONS[kind]  # type: ignore[index]
     assert stages["capture"]["watching"]["mode"] == of_run.watch
-    assert stages["capture"]["watching"]["looks"] == of_run.looks
+    assert stages["capture"]["watching"]["check_interval"] == of_run.check_interval
     assert stages["merge"]["divide_out_drift"] == of_run.divide_out_drift
     assert settings.verification_pictures == of_run.verification_pictures
     if kind == "offline":

@@ -278,7 +278,7 @@ def test_pictures_on_the_rig_are_counted_by_level(tmp_path: Path) -> None:
     for level, facts in enumerate([
         {"patterns": 1, "reference": store, "symmetry": {**store, "shape": [6, 4, 8, 10, 3]},
          "rig": {"digest": "no", "shape": [9]}, "sensor": {"digest": "arrays"}, "shape": [1]},
-        {"patterns": 12, "moves": {**store, "shape": [3, 4, 8, 10, 3]}},
+        {"patterns": 12, "check_pictures": {**store, "shape": [3, 4, 8, 10, 3]}},
     ]):  # fmt: skip
         (tmp_path / f"L{level:02}").mkdir()
         write_manifest(tmp_path / f"L{level:02}" / "capture.json", facts)

@@ -19,7 +19,7 @@ from rfpipe.stages.retake import find_retakes
 from rfpipe.store import write_manifest
 
 LEVELS = ("L00", "L01", "L02", "verification")
-STORES = {"L00": ("capture", "reference", "moves"), "verification": ("capture",)}
+STORES = {"L00": ("capture", "reference", "check_pictures"), "verification": ("capture",)}
 
 
 @pytest.fixture

@@ -91,7 +91,7 @@ class Acquisition:
 def stages(capture: dict[str, Any] | None = None, **merge: Any) -> dict[str, dict[str, Any]]:
     """Settings of the stages of an acquisition as in `Acquisition`, but for changes."""
     code = {"code": CODE}
-    watching = {"mode": "warn", "looks": 0}
+    watching = {"mode": "warn", "check_interval": 0}
     return {
         "schedule": code,
         "capture": {"references": (2, 2), "watching": watching, **(capture or {})},

@@ -11,15 +11,15 @@ import pytest
 from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 
 from rfpipe.errors import CaptureError
-from rfpipe.references.check_pictures import look_positions
+from rfpipe.references.check_pictures import check_positions
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
 from rfpipe.stages.plan import Plan
 from rfpipe.store import FrameStore
-from rfpipe.units import LOOK_KEY, WARM_UP_KEY
+from rfpipe.units import CHECK_PICTURE_KEY, WARM_UP_KEY
 
 EVERY = 3
-WATCHING = {"mode": "warn", "looks": EVERY}
+WATCHING = {"mode": "warn", "check_interval": EVERY}
 
 
 class DimmingRig:
@@ -35,7 +35,7 @@ class DimmingRig:
         return getattr(self._rig, name)
 
     def brightness(self, key: tuple[int, ...]) -> float:
-        if key[0] == LOOK_KEY:
+        if key[0] == CHECK_PICTURE_KEY:
             return 1 - self._loss * min(key[2] * EVERY, RAYS) / RAYS
         return 1 - self._loss * (key[1] + 0.5) / RAYS if key[0] == 1 else 1.0
 
@@ -90,8 +90,8 @@ def test_what_the_lamp_lost_is_measured_and_told(
     with caplog.at_level(logging.INFO):
         mine.capture(1, watching=WATCHING)
     mine.merge(1)
-    drift = mine.folder.read_manifest(1, "merge")["moves"]
-    expected = [1 - 0.2 * position / RAYS for position in look_positions(RAYS, EVERY)]
+    drift = mine.folder.read_manifest(1, "merge")["check_pictures"]
+    expected = [1 - 0.2 * position / RAYS for position in check_positions(RAYS, EVERY)]
     noise = np.array(drift["deviation"])
     assert 1e-4 < noise.max() < 0.02
     assert np.abs(np.array(drift["gain"])[:, 0] - expected).max() < 4 * noise.max()
@@ -101,7 +101,7 @@ def test_what_the_lamp_lost_is_measured_and_told(
     with caplog.at_level(logging.INFO):
         steady.capture(1, watching=WATCHING)
         steady.merge(1)
-    assert steady.folder.read_manifest(1, "merge")["moves"]["change"] == [0.0] * 8
+    assert steady.folder.read_manifest(1, "merge")["check_pictures"]["change"] == [0.0] * 8
 
 
 def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> No
     assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
 
 
-@pytest.mark.parametrize("stops_at", [(1, 4), (LOOK_KEY, 1, 2), (LOOK_KEY, 1, 7)])
+@pytest.mark.parametrize("stops_at", [(1, 4), (CHECK_PICTURE_KEY, 1, 2), (CHECK_PICTURE_KEY, 1, 7)])
 def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     tmp_path: Path, stops_at: tuple[int, ...]
 ) -> None:
@@ -134,7 +134,7 @@ def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # nothing is taken twice
     manifests = [mine.folder.read_manifest(1, "merge") for mine in (whole, stopped)]
     assert manifests[0]["digest"] == manifests[1]["digest"]
-    assert manifests[0]["moves"] == manifests[1]["moves"]
+    assert manifests[0]["check_pictures"] == manifests[1]["check_pictures"]
 
 
 def test_a_level_begun_without_a_watch_goes_on_without(
@@ -146,9 +146,9 @@ def test_a_level_begun_without_a_watch_goes_on_without(
         mine.capture(1, batch_patterns=2)
     mine.rig.stops_at = None
     mine.capture(1, watching=WATCHING)
-    assert "moves" not in mine.folder.read_manifest(1, "capture")
+    assert "check_pictures" not in mine.folder.read_manifest(1, "capture")
     mine.merge(1, divide_out_drift=True)
-    assert "moves" not in mine.folder.read_manifest(1, "merge")
+    assert "check_pictures" not in mine.folder.read_manifest(1, "merge")
 
 
 def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Path) -> None:
@@ -156,8 +156,8 @@ def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Pat
     mine.capture(1, watching=WATCHING)
     taken = len(mine.rig.keys)
     for every in (0, 10 * EVERY):
-        mine.capture(1, watching={**WATCHING, "looks": every})
-        assert mine.folder.read_manifest(1, "capture")["moves"]["every"] == EVERY
+        mine.capture(1, watching={**WATCHING, "check_interval": every})
+        assert mine.folder.read_manifest(1, "capture")["check_pictures"]["interval"] == EVERY
     assert len(mine.rig.keys) == taken
 
 

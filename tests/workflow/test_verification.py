@@ -26,14 +26,14 @@ from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.retake import find_retakes
 from rfpipe.store import read_manifest
-from rfpipe.units import LOOK_KEY, VERIFICATION_KEY
+from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
 
 PICTURES = 4
 LOOKS = 8
 
 
 def settings(mode: str = "warn", looks: int = LOOKS, code: str = CODE) -> Any:
-    watching = {"mode": mode, "looks": looks}
+    watching = {"mode": mode, "check_interval": looks}
     capture = {"references": (2, 8), "batch_patterns": 1, "watching": watching}
     return stages(capture, code=code)
 
@@ -140,7 +140,7 @@ def test_what_passes_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     looks = count()  # the first that is compared is the third
 
     def passing(key: tuple[int, ...], frames: np.ndarray) -> np.ndarray:
-        return frames[:, ::-1] if key[0] == LOOK_KEY and next(looks) == 2 else frames
+        return frames[:, ::-1] if key[0] == CHECK_PICTURE_KEY and next(looks) == 2 else frames
 
     rig = FaultyRig(OperatorRig(list(wedge()), SHAPE, SHAPE, CameraModel()), passing)
     with caplog.at_level(logging.WARNING):
@@ -153,7 +153,7 @@ def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
     facts = verified(acquire(tmp_path, rig, mode="refuse"), rig)
     assert facts["moved"] < 0.02
     assert facts["alarms"] == []
-    looks = [key for key in rig.shown if key[0] == LOOK_KEY]
+    looks = [key for key in rig.shown if key[0] == CHECK_PICTURE_KEY]
     patterns = [key for key in rig.shown if key[0] < 1000]
     n_levels = len({key[0] for key in patterns})
     assert len(looks) <= len(patterns) / LOOKS + 2 * n_levels + 2

@@ -35,8 +35,8 @@ class Precautions(NamedTuple):
     ----------
     watch : {"off", "warn", "refuse"}
         What to do where pictures show that the rig or its light changed.
-    looks : int
-        Patterns from one look at the rig to the next, 0 for none.
+    check_interval : int
+        Patterns from one check picture to the next, 0 for no check pictures.
     verification_pictures : int
         Pictures that verify a transport, 0 for none.
     divide_out_drift : bool
@@ -44,7 +44,7 @@ class Precautions(NamedTuple):
     """
 
     watch: Watch
-    looks: int
+    check_interval: int
     verification_pictures: int
     divide_out_drift: bool
 
@@ -92,7 +92,7 @@ class CaptureConfig(Settings):
     watch: Watch = setting(
         "refuse",
         "Where pictures show that the rig or its light changed: refuse ends the capture; off: no "
-        "looks.",
+        "check pictures.",
     )
     batch_patterns: Batch = setting(16, "Patterns captured and stored at a time, 1 to 1024.")
     keep_raw: bool = setting(
@@ -168,7 +168,7 @@ class MergeConfig(Settings):
     )
     divide_out_drift: bool | None = setting(
         None,
-        "Whether images are divided by the lamp's brightness, which looks at the rig measure; "
+        "Whether images are divided by the lamp's brightness, which check pictures measure; "
         "null: of a real rig.",
     )
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rfpipe.errors import CaptureError
-from rfpipe.references.check_pictures import first_look, look_pattern, ways_on
+from rfpipe.references.check_pictures import check_pattern, first_check_picture, recovery_advice
 from rfpipe.references.placement import placement_of
 from rfpipe.references.reference_images import Merger
 from rfpipe.references.symmetry import no_longer_coaxial, read_asymmetry
@@ -55,7 +55,7 @@ def check(
     if not text:
         return
     if refuse:
-        raise CaptureError(f"{text}. {ways_on(folder, 0)}")
+        raise CaptureError(f"{text}. {recovery_advice(folder, 0)}")
     if not any(folder.levels_above(level)[1:]):  # once
         _log.warning("%s", text)
 
@@ -78,7 +78,7 @@ def alarm(folder: AcquisitionFolder, rig: Mapping[str, Any], accepted: float) ->
 
 def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
     """Describe a wrong place of the first look's picture, "" for a right one."""
-    look, shape = first_look(folder, merger), merger.floodlit.shape[:-1]
+    look, shape = first_check_picture(folder, merger), merger.floodlit.shape[:-1]
     if look is None or len(shape) != 2:
         return ""
     pictures, floodlit = (
@@ -88,5 +88,5 @@ def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
             (merger.floodlit, merger.floodlit_variance),
         )
     )
-    signs = 2 * look_pattern(shape).astype(np.float64) - 1
+    signs = 2 * check_pattern(shape).astype(np.float64) - 1
     return placement_of(signs[None], pictures, floodlit).text

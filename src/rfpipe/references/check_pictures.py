@@ -14,33 +14,35 @@ from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import Merger
 from rfpipe.stages.folder import AcquisitionFolder
 
-MOVES = "moves"
+CHECK_PICTURES = "check_pictures"
 """The repeated random pattern of a level: its store and its key in manifests."""
 
 Double = NDArray[np.float64]
 
 
-def look_count(patterns: int, every: int) -> int:
+def check_picture_count(patterns: int, every: int) -> int:
     """Return the looks at a level: one before each `every` patterns, and one after the last."""
     return -(-patterns // every) + 1
 
 
-def look_positions(patterns: int, every: int) -> Double:
+def check_positions(patterns: int, every: int) -> Double:
     """Return before which pattern each look is taken."""
-    return np.minimum(np.arange(look_count(patterns, every)) * every, patterns).astype(np.float64)
+    return np.minimum(np.arange(check_picture_count(patterns, every)) * every, patterns).astype(
+        np.float64
+    )
 
 
-def look_pattern(shape: tuple[int, ...]) -> NDArray[np.float32]:
+def check_pattern(shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return the random pattern that looks repeat, over the projector's rays."""
     lit = random_signs(shape, 1, seed=15)[0] > 0
     return np.asarray(lit if lit.any() else ~lit, np.float32)
 
 
-def first_look(folder: AcquisitionFolder, merger: Merger) -> Merged | None:
+def first_check_picture(folder: AcquisitionFolder, merger: Merger) -> Merged | None:
     """Merge the acquisition's first look, with which others are compared; None without one."""
     for level in folder.levels():
         try:
-            with folder.open_frames(level, MOVES) as frames:
+            with folder.open_frames(level, CHECK_PICTURES) as frames:
                 if frames.done[0]:
                     return merger.merge(frames.read(0, 1), 0)
         except StoreError:  # not taken yet, or damaged
@@ -48,7 +50,7 @@ def first_look(folder: AcquisitionFolder, merger: Merger) -> Merged | None:
     return None
 
 
-def ways_on(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
+def recovery_advice(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
     """Describe ways on from a capture that ended at a level since the rig or its light changed.
 
     `kind` is the rig's.

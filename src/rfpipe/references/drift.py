@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.references.check_pictures import MOVES, first_look, look_positions
+from rfpipe.references.check_pictures import CHECK_PICTURES, check_positions, first_check_picture
 from rfpipe.references.comparison import change
 from rfpipe.references.reference_images import Merger
 from rfpipe.references.steadiness import smooth_changes
@@ -49,11 +49,11 @@ def measure_looks(
     facts for the manifest.
     """
     captured = folder.read_manifest(level, "capture")
-    known = first_look(folder, merger) if MOVES in captured else None
+    known = first_check_picture(folder, merger) if CHECK_PICTURES in captured else None
     if known is None:
         return None, {}
-    every = captured[MOVES]["every"]
-    with folder.frames(level, "capture", MOVES) as frames:
+    every = captured[CHECK_PICTURES]["interval"]
+    with folder.frames(level, "capture", CHECK_PICTURES) as frames:
         taken = (frames.read(n, n + 1) for n in range(frames.shape[0]))
         looks = [change(merger, known, bracket) for bracket in taken]
     gain = np.stack([look.gain for look in looks])
@@ -62,7 +62,7 @@ def measure_looks(
     # brightness of another picture does not show gain
     is_steady &= is_moved or smooth_changes(*_series(folder, level, gain, captured))
     facts = {
-        "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
+        "interval": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
         "change": _rounded(look.rest for look in looks),
         "room": _rounded(look.room for look in looks),
         "moved": is_moved,
@@ -70,10 +70,10 @@ def measure_looks(
     }  # fmt: skip
     _log_brightness(level, gain, deviation, facts, divide_out=divide_out)
     if not facts["divided_out"]:
-        return None, {MOVES: facts}
-    at, looked = np.arange(captured["patterns"]) + 0.5, look_positions(captured["patterns"], every)
+        return None, {CHECK_PICTURES: facts}
+    at, looked = np.arange(captured["patterns"]) + 0.5, check_positions(captured["patterns"], every)
     gains = np.stack([np.interp(at, looked, of_channel) for of_channel in gain.T], axis=1)
-    return gains, {MOVES: facts}
+    return gains, {CHECK_PICTURES: facts}
 
 
 def alarms_of(facts: dict[str, Any]) -> list[str]:
@@ -99,15 +99,19 @@ def _series(
     gains, times, before = [], [], 0.0
     for above in (*folder.levels_above(level), level):
         if above == level:
-            of_level, every, patterns = gain, captured[MOVES]["every"], captured["patterns"]
+            of_level, every, patterns = (
+                gain,
+                captured[CHECK_PICTURES]["interval"],
+                captured["patterns"],
+            )
         else:
             facts = folder.read_manifest(above, "merge")
-            if MOVES not in facts:
+            if CHECK_PICTURES not in facts:
                 continue
-            of_level = np.asarray(facts[MOVES]["gain"])
-            every, patterns = facts[MOVES]["every"], facts["patterns"]
+            of_level = np.asarray(facts[CHECK_PICTURES]["gain"])
+            every, patterns = facts[CHECK_PICTURES]["interval"], facts["patterns"]
         gains.append(of_level)
-        times.append(before + look_positions(patterns, every) + np.arange(len(of_level)))
+        times.append(before + check_positions(patterns, every) + np.arange(len(of_level)))
         before += patterns + len(of_level)
     return np.concatenate(gains), np.concatenate(times)
 

@@ -47,8 +47,8 @@ class Asymmetry:
 
     The error is 0 where nothing but noise is seen. `place` describes a wrong place of the
     pictures on the rays, see `rfpipe.references.placement`. `excess` is the light of random
-    pictures beyond that expected from the white ones, relative to the white; 0 unless it is significant. No
-    asymmetry makes it: ``1^T (T - T^T) 1 = 0``.
+    pictures beyond that expected from the white ones, relative to the white; 0 unless it is
+    significant. No asymmetry makes it: ``1^T (T - T^T) 1 = 0``.
     """
 
     error: float

@@ -174,8 +174,8 @@ def acquire(
         "references": (black_frames, floodlit_frames), "progress": progress,
         "symmetry_frames": symmetry_frames if plan.asks_symmetry else 0,
         "watching": {
-            "mode": watch, "looks": precautions.looks or PRECAUTIONS["remote"].looks,
-            "asymmetry": asymmetry,
+            "mode": watch, "asymmetry": asymmetry,
+            "check_interval": precautions.check_interval or PRECAUTIONS["remote"].check_interval,
         },
     }  # fmt: skip
     code = {"code": ""}  # nothing is kept that it made

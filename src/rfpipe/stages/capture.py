@@ -20,7 +20,7 @@ from rfpipe.jobs.job import Progress
 from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.references.calibration_check import check
-from rfpipe.references.check_pictures import ways_on
+from rfpipe.references.check_pictures import recovery_advice
 from rfpipe.references.steadiness import camera_of, faults_of_references, sample
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated, sequence_patterns
@@ -81,7 +81,7 @@ def run(
         Minutes that the lamp warms up, where no bracket was taken in the last so many minutes.
     watching : mapping, optional
         "mode", "off", "warn" or "refuse": what to do where pictures show that the rig or its light
-        changed; "looks": patterns from one look to the next, 0 for none, see
+        changed; "check_interval": patterns from one look to the next, 0 for none, see
         `rfpipe.stages.watch`; "asymmetry": what is accepted, see
         `rfpipe.references.calibration_check`.
 
@@ -95,7 +95,7 @@ def run(
         When the rig fails, returns what is no bracket, or isn't what it was where `watching`
         refuses that; what is captured stays.
     """
-    watching = {"mode": "off", "looks": 0, "asymmetry": 1.0, **(watching or {})}
+    watching = {"mode": "off", "check_interval": 0, "asymmetry": 1.0, **(watching or {})}
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     if _stands(folder, level, of_level, before):
         if of_level.count:
@@ -121,7 +121,7 @@ def run(
             beside[name] = {**part.capture(batch, progress=progress), **counts}
             if name == REFERENCE and watching["mode"] != "off":
                 _check_references(folder, rig.sensor, part.shown, watching["mode"])
-    looks = max(watching["looks"], in_sequences) if watching["looks"] else 0
+    looks = max(watching["check_interval"], in_sequences) if watching["check_interval"] else 0
     with watching_level(of_level, level, watching["mode"], looks) as watch:
         if watch and watch.merger and level != VERIFICATION:
             watch.before(0)  # says first what changes from picture to picture
@@ -272,7 +272,7 @@ def _check_references(
         if mode == "refuse" and fault.exceeds(CAPTURE):
             raise CaptureError(
                 f"black and white pictures show that {fault.text}. The capture ends here; "
-                f"{ways_on(folder, 0, shown['rig'].get('kind', ''))}"
+                f"{recovery_advice(folder, 0, shown['rig'].get('kind', ''))}"
             )
         _log.warning("black and white pictures show that %s", fault.text)
 

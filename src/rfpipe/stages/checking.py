@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 from rfpipe.errors import InputError, RfpipeError, StoreError
 from rfpipe.jobs.ends import RUN
-from rfpipe.references.check_pictures import MOVES
+from rfpipe.references.check_pictures import CHECK_PICTURES
 from rfpipe.references.reference_images import REFERENCES
 from rfpipe.stages.capture import SENSOR
 from rfpipe.stages.folder import BY_PRODUCTS, REFERENCE, STAGES, SYMMETRY
@@ -34,7 +34,7 @@ from rfpipe.transport.storage import ZIP_NAME, transports_in
 
 _TAGS = "tagmanifest-sha256.txt"
 # Stores of a level that the manifest of another name is about.
-_OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, MOVES, SENSOR), "capture") | dict.fromkeys(
+_OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, CHECK_PICTURES, SENSOR), "capture") | dict.fromkeys(
     (SUMS, REFERENCES), "merge"
 )
 _STAGES_OF: dict[str, tuple[str, ...]] = {

@@ -93,7 +93,7 @@ def forecast(settings: Config) -> pd.DataFrame:
         references = 2 if is_exact else capture.black_frames + capture.floodlit_frames
         references += plan.asks_symmetry * SYMMETRY_FRAMES
         pictures = of_scene.verification_pictures
-        looks = 2 if pictures and capture.precautions.looks else 0
+        looks = 2 if pictures and capture.precautions.check_interval else 0
         references += pictures + looks
         rays = plan.camera, plan.projector
         warm_up, each = 60 * capture.warm_up_minutes, capture.seconds_per_pattern

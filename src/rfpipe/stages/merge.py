@@ -16,7 +16,7 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.references import symmetry
-from rfpipe.references.check_pictures import MOVES
+from rfpipe.references.check_pictures import CHECK_PICTURES
 from rfpipe.references.drift import measure_looks
 from rfpipe.references.initial_brightness import measure_lamp, with_brightness
 from rfpipe.references.reference_images import (
@@ -99,8 +99,8 @@ def run(
         "references": references[REFERENCE if level == 0 else REFERENCES]["digest"],
         **({SYMMETRY: captured[SYMMETRY]["digest"]} if SYMMETRY in captured else {}),
     }
-    if MOVES in captured:
-        made_of[MOVES] = [captured[MOVES]["digest"], divide_out_drift]
+    if CHECK_PICTURES in captured:
+        made_of[CHECK_PICTURES] = [captured[CHECK_PICTURES]["digest"], divide_out_drift]
     made_from = fingerprint([made_of, code])
     if folder.standing(level, "merge", made_from) is None:
         facts = _kept(folder, level, made_of, made_from)
@@ -110,7 +110,7 @@ def run(
                 "fingerprint": made_from, "versions": versions(),
             }  # fmt: skip
             if level == 0:
-                divide = divide_out_drift and MOVES in captured
+                divide = divide_out_drift and CHECK_PICTURES in captured
                 merger, of_rig = _learn(sensor, folder, mask_defects, divide)
                 facts |= of_rig
             else:

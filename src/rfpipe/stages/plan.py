@@ -209,7 +209,7 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
     captured = {
         "references": [capture.black_frames, capture.floodlit_frames],
         "symmetry_frames": SYMMETRY_FRAMES if plan.asks_symmetry else 0,
-        "watching": {"looks": capture.precautions.looks},
+        "watching": {"check_interval": capture.precautions.check_interval},
     }
     merged = {
         "mask_defects": of_scene.merge.mask_defects,

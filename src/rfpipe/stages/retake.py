@@ -18,7 +18,7 @@ from rfpipe.stages.folder import (
 )
 from rfpipe.store import StoreLock, is_dropped
 
-_CAPTURED = ("capture", REFERENCE, SYMMETRY, "sensor", "moves")
+_CAPTURED = ("capture", REFERENCE, SYMMETRY, "sensor", "check_pictures")
 """Stores of a level's capture."""
 
 _MERGED = ("merge", "sums", "merged_reference")

@@ -20,7 +20,7 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
 from rfpipe.references.calibration_check import alarm
-from rfpipe.references.check_pictures import MOVES
+from rfpipe.references.check_pictures import CHECK_PICTURES
 from rfpipe.references.drift import alarms_of
 from rfpipe.references.reference_images import REFERENCES, read_floodlit
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
@@ -237,9 +237,9 @@ def capture_options(
     Looks at the rig are taken before the first picture and after the last, if levels had any.
     """
     captured = [level for level in folder.levels_above(None) if folder.exists(level, "capture")]
-    is_watched = any(MOVES in folder.read_manifest(level, "capture") for level in captured)
+    is_watched = any(CHECK_PICTURES in folder.read_manifest(level, "capture") for level in captured)
     mode = "warn" if is_watched else "off"
-    watching = {"mode": mode, "looks": pictures}
+    watching = {"mode": mode, "check_interval": pictures}
     return {**options, "symmetry_frames": 0, "batch_patterns": 1, "watching": watching}
 
 
@@ -298,7 +298,7 @@ def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
     assert weights is not None
     with folder.frames(VERIFICATION, "merge") as frames:
         images = frames.read(0, len(weights))
-    looks = folder.read_manifest(VERIFICATION, "merge").get(MOVES)
+    looks = folder.read_manifest(VERIFICATION, "merge").get(CHECK_PICTURES)
     gain = np.mean(looks["gain"], axis=0) if looks else np.ones(transport.channels)
     relit = transport.relight_batch(weights)
     observed = images[:, 0], images[:, 1]
@@ -361,7 +361,9 @@ def _rig_facts(folder: AcquisitionFolder, watching: Mapping[str, Any]) -> dict[s
     """Sum up the looks at the rig of all levels; None where there were none."""
     levels = [*folder.levels_above(None), VERIFICATION]
     merged = {level: folder.read_manifest(level, "merge") for level in levels}
-    looks = {level: facts[MOVES] for level, facts in merged.items() if MOVES in facts}
+    looks = {
+        level: facts[CHECK_PICTURES] for level, facts in merged.items() if CHECK_PICTURES in facts
+    }
     rig = folder.read_manifest(0, "capture")["rig"]
     of_rig = alarm(folder, rig, watching.get("asymmetry", 1.0))
     drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]

@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.sensor import Merged
-from rfpipe.references.check_pictures import MOVES, first_look, look_count, look_pattern, ways_on
+from rfpipe.references.check_pictures import (
+    CHECK_PICTURES,
+    check_pattern,
+    check_picture_count,
+    first_check_picture,
+    recovery_advice,
+)
 from rfpipe.references.comparison import Change, change
 from rfpipe.references.reference_images import Merger, read_merger
 from rfpipe.references.steadiness import Samples, camera_of, motion_of, sample, scatter_of
@@ -26,7 +32,7 @@ from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, moved_fault,
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import name_of
 from rfpipe.store import FrameStore, restore_header
-from rfpipe.units import LOOK_KEY
+from rfpipe.units import CHECK_PICTURE_KEY
 
 # Change of brightness from one look to the next after which the look is repeated.
 _JUMP = 0.01
@@ -55,21 +61,21 @@ def watching_level(
     looks : int
         Patterns from one look to the next, 0 for none.
     """
-    path = of_level.folder.store(level, MOVES)
+    path = of_level.folder.store(level, CHECK_PICTURES)
     every = _interval(of_level, path, looks if mode != "off" else 0)
     if not every:
         yield None
         return
-    pattern = look_pattern(of_level.rig.projector_shape)
+    pattern = check_pattern(of_level.rig.projector_shape)
 
     def repeated(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        keys: Keys = [(LOOK_KEY, level, index) for index in range(first, last)]
+        keys: Keys = [(CHECK_PICTURE_KEY, level, index) for index in range(first, last)]
         return np.repeat(pattern[None], last - first, axis=0), keys
 
-    about = {"every": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
+    about = {"interval": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
     brackets = Brackets(
         of_level.rig, of_level.folder, path, f"{name_of(level)}, looks at the rig",
-        look_count(of_level.count, every), about, repeated,
+        check_picture_count(of_level.count, every), about, repeated,
     )  # fmt: skip
     brackets.settle()
     with brackets.recording() as frames:
@@ -86,7 +92,7 @@ def _interval(of_level: Brackets, path: Path, every: int) -> int:
         restore_header(path)
         with FrameStore.open(path) as begun:
             if begun.attributes.get("made_beside") == of_level.made_for:
-                return int(begun.attributes["every"])
+                return int(begun.attributes["interval"])
     return 0
 
 
@@ -124,7 +130,7 @@ class Watcher:
 
     def _compare(self, merger: Merger, position: int, index: int, bracket: NDArray[Any]) -> None:
         """Compare a look with the first one, and repeat it where more than the lamp may differ."""
-        known = first_look(self.of_level.folder, merger)
+        known = first_check_picture(self.of_level.folder, merger)
         if known is None:
             return
         gain = np.ones(known.radiance.shape[-1])
@@ -169,11 +175,11 @@ class Watcher:
             _log.warning("%s", text)
             return
         folder = self.of_level.folder
-        raise CaptureError(f"{text}. The capture ends here; {ways_on(folder, self.level)}")
+        raise CaptureError(f"{text}. The capture ends here; {recovery_advice(folder, self.level)}")
 
     def entries(self) -> dict[str, Any]:
         """Entries of the looks in the level's manifest."""
-        return {MOVES: {**self.looks.entry(self.frames), "every": self.every}}
+        return {CHECK_PICTURES: {**self.looks.entry(self.frames), "interval": self.every}}
 
 
 def _is_doubtful(shown: Change, before: Double) -> bool:
