@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 import rfpipe
 from benchmarks.harness import errors, write
-from rfpipe.methods.adaptive.patterns import octave_noise
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
+from rfpipe.relighting import octave_noise
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import relighting_patterns, room_scene
 from rfpipe.stages.relight import images_of

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.patterns import (
-    block_patterns,
-    probe_patterns,
-    view_patterns,
-)
-from rfpipe.methods.adaptive.residual import cells_of
-from rfpipe.methods.adaptive.smooth import LightRange
+from rfpipe.methods.adaptive.footprints.patterns import view_patterns
+from rfpipe.methods.near_far.model import LightRange
+from rfpipe.methods.near_far.patterns import probe_patterns
+from rfpipe.methods.residual.model import cells_of
+from rfpipe.methods.residual.patterns import block_patterns
 
 SHAPE = (32, 40)
 CREASE = np.abs(np.arange(40) - 19.5)

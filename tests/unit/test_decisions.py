@@ -8,14 +8,14 @@ import pytest
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import going_on, next_round
-from rfpipe.methods.adaptive.estimate import Estimate
 from rfpipe.methods.adaptive.footprints.method import ROUNDS as FOOTPRINTS
 from rfpipe.methods.adaptive.footprints.method import Footprints
 from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
-from rfpipe.methods.adaptive.residual import Residual
 from rfpipe.methods.adaptive.state import SURE, AdaptiveState
 from rfpipe.methods.base import ErrorOptions
+from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.residual.model import Residual
 from rfpipe.methods.states import level_row
 
 RAYS = RayDomain((48, 48))

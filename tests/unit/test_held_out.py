@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.rigs.known_matrix import scene_matrices
 
-from rfpipe.methods.adaptive.estimate import HELD_OUT, error_of, held_out_parts, held_out_patterns
+from rfpipe.methods.error_estimate import HELD_OUT, error_of, held_out_parts, held_out_patterns
 from rfpipe.methods.images import Pictures
 from rfpipe.provenance import generator
 from rfpipe.relighting import picture_errors, relighting_pictures

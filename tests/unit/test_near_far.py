@@ -12,9 +12,9 @@ from tests.rigs.known_matrix import acquire_matrix, dense, picture_error
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError
-from rfpipe.methods.adaptive.estimate import HELD_OUT
 from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
 from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS
+from rfpipe.methods.error_estimate import HELD_OUT
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, reference_scene, relighting_patterns
 from rfpipe.stages.acquire import AcquisitionResult

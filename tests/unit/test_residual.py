@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.rigs.known_matrix import scene_matrices
 
-from rfpipe.methods.adaptive.posterior import Posterior
-from rfpipe.methods.adaptive.residual import Canvas, Sender, residual_of, root_of
+from rfpipe.methods.residual.model import Canvas, Sender, residual_of, root_of
+from rfpipe.methods.residual.posterior import Posterior
 from rfpipe.provenance import generator
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.wavelet import Cells, Haar, cell_side

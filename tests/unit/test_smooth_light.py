@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from tests.rigs.known_matrix import scene_matrices
 
-from rfpipe.methods.adaptive.patterns import probe_patterns
-from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.near_far.fit import fit_smooth_model
+from rfpipe.methods.near_far.model import near_far_transport
+from rfpipe.methods.near_far.patterns import probe_patterns
 
 SHARE = 0.002
 
@@ -22,10 +23,10 @@ def test_channels_are_found_from_what_all_of_them_told_and_dark_ones_stay_dark()
     matrix[2] = 0
     radiance = np.einsum("mn,crn->mcr", lit, matrix).astype(np.float32)
     pictures = Pictures(lit, radiance, np.full_like(radiance, 1e-8))
-    model = fit(shape, pictures)
+    model = fit_smooth_model(shape, pictures)
     assert not model.cores[2].any()
     pattern = (np.arange(576) % 24 < 8).astype(np.float32)
-    transport = as_transport(shape, [], model, pictures)
+    transport = near_far_transport(shape, [], model, pictures)
     image = transport.forward(np.broadcast_to(pattern, (1, 3, 576)), range(3))[0]
     for found, expected in zip(image[:2], (matrix @ pattern)[:2], strict=True):
         assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)

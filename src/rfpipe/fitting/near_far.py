@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from rfpipe.fitting.series import Series
-from rfpipe.methods.adaptive.residual import Canvas, residual_of
-from rfpipe.methods.adaptive.smooth import as_transport, fit
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.near_far.fit import fit_smooth_model
+from rfpipe.methods.near_far.model import near_far_transport
+from rfpipe.methods.residual.model import Canvas, residual_of
 from rfpipe.methods.states import joined
 from rfpipe.transport.base import Transport
 
@@ -48,8 +49,8 @@ def solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
     floodlit = Pictures(lit[white][:1], radiance, spread.astype(np.float32)).completed(shape)
     probes = Pictures(lit[~white], series.radiance[~white], series.variance[~white])
     pictures = joined([floodlit, probes], axis=0)
-    model = fit(shape, pictures)
+    model = fit_smooth_model(shape, pictures)
     canvas = Canvas.of(shape, pictures)
     samples = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
-    residual = residual_of(canvas, samples, as_transport(shape, [], model, pictures))
-    return as_transport(shape, rows, model, pictures, [residual.transport(canvas, shape)])
+    residual = residual_of(canvas, samples, near_far_transport(shape, [], model, pictures))
+    return near_far_transport(shape, rows, model, pictures, [residual.transport(canvas, shape)])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
+from rfpipe.transport.base import Transport
 
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
@@ -187,3 +188,10 @@ def nearest(known: NDArray[np.bool_]) -> NDArray[np.int64]:
     place = distance_transform_edt(~known, return_distances=False, return_indices=True)
     number: NDArray[np.int64] = np.ravel_multi_index(tuple(place), known.shape).ravel()
     return number
+
+
+def relight_white(transport: Transport, patterns: NDArray[Any]) -> Float:
+    """Compute a transport's pictures (P, C, M) of patterns (P, N) of white light."""
+    shape = (len(patterns), transport.channels, patterns.shape[1])
+    light = np.broadcast_to(patterns[:, None].astype(np.float32), shape)
+    return transport.forward(light, range(transport.channels))

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import COAXIAL
-from rfpipe.methods.adaptive.patterns import probe_patterns
 from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive
-from rfpipe.methods.adaptive.smooth import LightRange, Smooth, as_transport, fit, light_range
 from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import LevelImages
+from rfpipe.methods.near_far.fit import fit_smooth_model as fit
+from rfpipe.methods.near_far.model import LightRange, light_range
+from rfpipe.methods.near_far.model import SmoothModel as Smooth
+from rfpipe.methods.near_far.model import near_far_transport as as_transport
+from rfpipe.methods.near_far.patterns import probe_patterns
 from rfpipe.methods.states import kept
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport

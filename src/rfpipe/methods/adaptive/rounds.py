@@ -27,9 +27,6 @@ from rfpipe.methods.adaptive.decisions import (
     total_error,
     what_follows,
 )
-from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, error_of, held_out_patterns
-from rfpipe.methods.adaptive.patterns import block_patterns
-from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, residual_of
 from rfpipe.methods.adaptive.state import SURE, AdaptiveState
 from rfpipe.methods.base import (
     MEMORY_BYTES,
@@ -40,7 +37,10 @@ from rfpipe.methods.base import (
     get_method,
     options_of,
 )
+from rfpipe.methods.error_estimate import HELD_OUT, Estimate, error_of, held_out_patterns
 from rfpipe.methods.images import ImagesAs, Pictures
+from rfpipe.methods.residual.model import Canvas, Sender, cells_of, residual_of
+from rfpipe.methods.residual.patterns import block_patterns
 from rfpipe.methods.states import PackingMethod, joined, level_row, unprefixed
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport

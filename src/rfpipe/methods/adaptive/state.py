@@ -8,9 +8,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from rfpipe.methods.adaptive.estimate import Estimate
-from rfpipe.methods.adaptive.residual import CellPictures, Residual
+from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.residual.model import CellPictures, Residual
 from rfpipe.methods.states import MethodState, grown, kept, lengthened
 
 SURE = 0.95

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import ASIDE
-from rfpipe.methods.adaptive.estimate import HELD_OUT, held_out_patterns, relit
 from rfpipe.methods.adaptive.footprints.candidates import Candidates
 from rfpipe.methods.adaptive.footprints.model import Model, find
+from rfpipe.methods.adaptive.footprints.patterns import view_patterns
 from rfpipe.methods.adaptive.footprints.series import series_of, unit_of
-from rfpipe.methods.adaptive.patterns import view_patterns
-from rfpipe.methods.adaptive.residual import Canvas, Sender, cells_of, root_of
 from rfpipe.methods.adaptive.rounds import Adaptive
 from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import LevelImages
-from rfpipe.methods.images import nearest
+from rfpipe.methods.error_estimate import HELD_OUT, held_out_patterns
+from rfpipe.methods.images import nearest, relight_white
+from rfpipe.methods.residual.model import Canvas, Sender, cells_of, root_of
 from rfpipe.methods.states import kept
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
@@ -151,7 +151,7 @@ class Footprints(Adaptive):
         """Return the camera pixels with at most a 50th of their direct light."""
         lit = held_out_patterns(state.projector.shape).reshape(len(HELD_OUT), -1)
         shown = np.concatenate([np.ones_like(lit[:1]), lit])
-        full, *direct = relit(_model_of(state).direct(), shown).sum(axis=1)
+        full, *direct = relight_white(_model_of(state).direct(), shown).sum(axis=1)
         return ~np.asarray(np.stack(direct) > 0.02 * full)
 
 

@@ -44,8 +44,8 @@ from rfpipe.methods.adaptive.footprints.functions import (
 )
 from rfpipe.methods.adaptive.footprints.matching import Templates
 from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
-from rfpipe.methods.adaptive.patterns import SEED
 from rfpipe.methods.images import beyond_noise
+from rfpipe.methods.near_far.patterns import SEED
 from rfpipe.provenance import generator
 from rfpipe.transport.multiscale import (
     cells,

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.adaptive.estimate import relit
-from rfpipe.methods.adaptive.posterior import Posterior
 from rfpipe.methods.base import Float, LevelImages
-from rfpipe.methods.images import Pictures, planar_batches
+from rfpipe.methods.images import Pictures, planar_batches, relight_white
+from rfpipe.methods.residual.posterior import Posterior
 from rfpipe.methods.states import joined
 from rfpipe.steps import step, steps
 from rfpipe.transport.base import Transport
@@ -200,7 +199,7 @@ def residual_of(
     channels, cells = len(canvas.factor), canvas.cells
     lamp, factor = (cells, canvas.factor) if sender is None else (sender.cells, sender.factor)
     batches = np.split(pictures.lit, range(64, len(pictures.lit), 64))
-    predicted = [canvas.reduced(relit(model, lit)) for lit in batches]
+    predicted = [canvas.reduced(relight_white(model, lit)) for lit in batches]
     residual = pictures.radiance - np.concatenate(predicted)
     # a picture may be wrong by a part of the brightest light in any case
     expected = np.square(np.float32(5e-4) * canvas.brightest)

@@ -34,14 +34,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
-from rfpipe.methods.images import Pictures
+from rfpipe.methods.images import Pictures, relight_white
 from rfpipe.provenance import generator
 from rfpipe.relighting import KINDS, across, reference_light, shapes, spot, typical_indirect
 from rfpipe.transport.base import Transport
@@ -153,13 +152,6 @@ def held_out_patterns(shape: tuple[int, ...]) -> Bools:
     return np.stack(whole).reshape(-1, *shape)
 
 
-def relit(transport: Transport, patterns: NDArray[Any]) -> Float:
-    """Return a transport's pictures (P, C, M) of patterns (P, N) of white light."""
-    shape = (len(patterns), transport.channels, patterns.shape[1])
-    light = np.broadcast_to(patterns[:, None].astype(np.float32), shape)
-    return transport.forward(light, range(transport.channels))
-
-
 @dataclass(frozen=True)
 class _Comparison:
     """Squared errors of the parts of a held-out pattern, as if each was relit alone.
@@ -198,7 +190,7 @@ def error_of(transport: Transport, held: Pictures, floodlit: Float, dark: Bools)
     """
     patterns, known = held_out_parts(transport.projector_shape), held.measured
     every_ray = np.ones((1, patterns[0].shape[1]), np.bool_)
-    of_floodlit, noise = relit(transport, every_ray)[0] - floodlit, _noise_of(held)
+    of_floodlit, noise = relight_white(transport, every_ray)[0] - floodlit, _noise_of(held)
     full = float(np.square(floodlit[:, known], dtype=np.float64).sum())
     of_parts: dict[str, list[Double]] = {kind: [] for kind in KINDS}
     compared = []
@@ -238,7 +230,7 @@ def _compared(
     of all parts, by their shares.
     """
     noise, dark, taken = noise[known], dark[known], taken[:, known].astype(np.float64)
-    predicted = relit(transport, parts)[..., known]
+    predicted = relight_white(transport, parts)[..., known]
     together = predicted.sum(axis=0, dtype=np.float64)
     squares = np.square(together - taken).sum(axis=0) - noise
     shares, brightest = parts.mean(axis=1), predicted.sum(axis=1).argmax(axis=0)

@@ -1,0 +1,1 @@
+"""Near/far acquisition: direct light and smooth indirect light on coaxial rigs."""

@@ -1,0 +1,349 @@
+"""Fit of the near/far model's indirect light, by regularised least squares.
+
+With ``T = diag(d) + F B S B^T F`` (`rfpipe.methods.near_far.model`), the floodlit image ``F = T 1``
+fixes the direct light d, so that the picture c of a pattern p depends on S alone. Divided by F,
+
+    y_ip = (c_ip - F_i p_i) / F_i = a_ip                 where pattern p leaves pixel i dark
+                                  = a_ip - a_i1          where it lights pixel i
+
+    a = B S L,    L = B^T F [p_1 ... p_P, 1]
+
+On dark pixels y is the indirect light itself, without the noise of the direct light. The cores S
+minimise
+
+    sum_ip w_ip (y_ip - prediction_ip)^2 + sum_k (S_k / sigma_k)^2
+
+with ``w_ip = F_i^2 / var(c_ip - F_i p_i)``, where the variance includes an error of the model of
+0.2 % of F. The prior deviations sigma first fall with the squared distance of the functions and are
+then learned from the fit. Pixels are summed over patches where all functions are coarse.
+
+=========  ==================  ===============  ====================================================
+symbol     name in the code    shape            meaning and unit
+=========  ==================  ===============  ====================================================
+``p``      `lit`               (P, N)           the patterns of P pictures, bool
+``F``      `factor`            (N,)             floodlit image, radiance
+``w``      `weight`            (P, N)           weight of each pixel of each picture, no unit
+``w y``    `weighted`          (P, N)           weighted data, no unit
+``B``      `Patches.values`    (patches, n)     mean of each function over each patch
+``L``      `light`             (n, P + 1)       light of each pattern on each function, radiance
+``S``      cores               (pairs,)         one number a pair of functions, inverse radiance
+``sigma``  `deviations`        (pairs,)         prior standard deviation of the cores
+=========  ==================  ===============  ====================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.base import Float
+from rfpipe.methods.images import Pictures, beyond_noise
+from rfpipe.methods.least_squares import conjugate_gradients
+from rfpipe.methods.near_far.model import SmoothModel
+from rfpipe.methods.smooth_light import coarse_to_fine, learned_deviations, prior_areas
+from rfpipe.steps import step
+from rfpipe.transport.multiscale import MultiscaleBasis, bounced, cells
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# Errors on dark pixels as fractions of the floodlit image: finer functions are added where the
+# error exceeds the first; the second is the assumed error of the model. A basis finer than the
+# pictures can resolve increases errors. On scenes with one, two and three creases the best values
+# lay between half and twice these, with little difference.
+_REFINED_AT = 0.005
+_MODEL_ERROR = 0.002
+# Largest number of pairs of functions; to find them takes 1 GB of memory.
+_MOST_PAIRS = 2**24
+# Tolerance and largest number of iterations of conjugate gradients.
+_COARSE, _FIRST, _FINAL, _CHANNEL = (3e-3, 60), (1e-3, 120), (1.5e-4, 300), (3e-4, 300)
+
+
+def fit_smooth_model(shape: tuple[int, ...], pictures: Pictures) -> SmoothModel:
+    """Fit the indirect light of all channels to pictures, the first of them floodlit.
+
+    The basis is refined, and the cores are fitted, to the sum of the channels. Each channel's fit
+    starts from that, scaled to the channel's indirect light.
+    """
+    grey = pictures.grey()
+    data = channel_data(grey)
+    patches = patches_of(_refined_basis(shape, grey, data))
+    basis = patches.basis
+    cores = np.zeros((pictures.channels, len(basis.first)), np.float32)
+    if not grey.shine():
+        return SmoothModel(shape, basis.functions, cores)
+    problem = CoreProblem.from_data(patches, data)
+    # cores that few patterns determine stay near 0 in the first fit, so learned deviations are
+    # those of the others in the group
+    estimate = problem.solve(prior_deviations(basis, data), _FIRST)
+    deviations = learned_deviations(_core_groups(basis), estimate)
+    estimate = problem.solve(deviations, _FINAL, estimate)
+    if pictures.channels == 1:
+        cores[0] = estimate
+        return SmoothModel(shape, basis.functions, cores)
+    for index in range(pictures.channels):
+        channel = pictures.channel(index)
+        if not channel.shine():
+            continue
+        single = channel_data(channel)
+        scale = np.float32(single.core_scale / data.core_scale if data.core_scale else 0)
+        single_problem = CoreProblem.from_data(patches, single)
+        cores[index] = single_problem.solve(scale * deviations, _CHANNEL, scale * estimate)
+    return SmoothModel(shape, basis.functions, cores)
+
+
+def _refined_basis(
+    shape: tuple[int, ...], pictures: Pictures, data: ChannelData
+) -> MultiscaleBasis:
+    """Add functions scale by scale where the pictures' dark pixels are not explained."""
+
+    def fit(functions: NDArray[np.int32], _: MultiscaleBasis | None) -> MultiscaleBasis | None:
+        basis = MultiscaleBasis(shape, functions)
+        return basis if len(basis.first) <= _MOST_PAIRS else None
+
+    def cells_to_refine(basis: MultiscaleBasis, scale: int) -> NDArray[np.bool_]:
+        if not pictures.shine():
+            return np.zeros(cells(shape, scale), np.bool_)
+        problem = CoreProblem.from_data(patches_of(basis), data)
+        cores = problem.solve(prior_deviations(basis, data), _COARSE)
+        probes = pictures.probes
+        light = bounced(basis, basis.pairs, cores, pictures.floodlit[0], probes.lit)
+        return _unexplained_cells(shape, scale, pictures, probes.radiance[:, 0] - light)
+
+    return coarse_to_fine(shape, fit, cells_to_refine)
+
+
+def _unexplained_cells(
+    shape: tuple[int, ...], scale: int, pictures: Pictures, errors: Float
+) -> NDArray[np.bool_]:
+    """Find the cells of a scale where errors (P, N) of dark pixels exceed noise and 0.5 % of F."""
+    probes = pictures.probes
+    dark = pictures.known & ~probes.lit
+    variance = np.where(dark, probes.variance[:, 0], 0)
+    noise = variance.sum(axis=0, dtype=np.float64)
+    squares = np.where(dark, errors * errors, 0).sum(axis=0, dtype=np.float64)
+    chance = np.square(variance, dtype=np.float64).sum(axis=0)
+    allowed = (_REFINED_AT * pictures.floodlit[0].astype(np.float64)) ** 2 * dark.sum(axis=0)
+    return beyond_noise(*RayDomain(shape).squares(scale), squares, noise, chance, allowed)
+
+
+@dataclass(frozen=True)
+class ChannelData:
+    """Weighted data from the pictures of one channel, for any basis.
+
+    Attributes
+    ----------
+    factor : ndarray of float32, shape (N,)
+        F, the floodlit image, in radiance.
+    lit : ndarray of bool, shape (P, N)
+        The patterns of all pictures except the floodlit one.
+    weight, weighted : ndarray of float32, shape (P, N)
+        w, and w times the data y.
+    indirect : float
+        Indirect light under full light, as a fraction of the floodlit image: twice the mean of dark
+        pixels, since patterns light half of the pixels.
+    floodlit : float
+        Mean of the floodlit image, in radiance.
+    """
+
+    factor: Float
+    lit: NDArray[np.bool_]
+    weight: Float
+    weighted: Float
+    indirect: float
+    floodlit: float
+
+    @property
+    def core_scale(self) -> float:
+        """Typical size of a core times its prior area, in inverse radiance."""
+        return self.indirect / max(self.floodlit, float(np.finfo(np.float32).tiny))
+
+
+def channel_data(pictures: Pictures) -> ChannelData:
+    """Compute the weighted data of one channel's pictures, the first of them floodlit."""
+    factor, known, probes = pictures.floodlit[0], pictures.known, pictures.probes
+    floodlit_variance = np.where(known, pictures.variance[0, 0], 0)  # else 0 times infinity
+    model_variance, squared_factor = np.square(_MODEL_ERROR * factor), np.square(factor)
+    weight, weighted = (np.empty(probes.lit.shape, np.float32) for _ in range(2))
+    # picture by picture, to save memory
+    for index, (lit, variance, radiance) in enumerate(
+        zip(probes.lit, probes.variance[:, 0], probes.radiance[:, 0], strict=True)
+    ):
+        total = variance + lit * floodlit_variance + model_variance
+        certainty = np.divide(1, total, where=total > 0, out=np.zeros_like(total))
+        weight[index] = certainty * squared_factor
+        weighted[index] = certainty * factor * (radiance - lit * factor)
+    floodlit = float(factor.mean(dtype=np.float64))
+    dark_light = probes.radiance[:, 0].T * ~probes.lit.T
+    dark_pixels = max(float(np.count_nonzero(~probes.lit[:, known])), 1.0)
+    indirect = 2 * float(dark_light.sum(dtype=np.float64)) / dark_pixels
+    share = max(indirect, 0.0) / floodlit if floodlit else 0.0
+    return ChannelData(factor, probes.lit, weight, weighted, share, floodlit)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Square patches of pixels over which the functions of a basis hardly vary.
+
+    Attributes
+    ----------
+    basis : MultiscaleBasis
+    membership : csr_array of float32, shape (patches, N)
+        1 where a pixel belongs to a patch. A patch's side is a quarter of its finest function's
+        scale, between 1 and 8 pixels.
+    values : csr_array of float32, shape (patches, n)
+        Mean of each function over each patch.
+    transposed_values : csr_array of float32, shape (n, patches)
+    """
+
+    basis: MultiscaleBasis
+    membership: csr_array[np.float32]
+    values: csr_array[np.float32]
+    transposed_values: csr_array[np.float32]
+
+
+def patches_of(basis: MultiscaleBasis) -> Patches:
+    """Divide the ray domain of a basis into patches."""
+    from scipy.sparse import csr_array, diags_array
+
+    weights = basis.weights
+    finest = np.minimum.reduceat(basis.scales[weights.indices], weights.indptr[:-1])
+    side = np.clip(finest // 4, 1, 8)
+    stack = views, height, width = RayDomain(basis.shape).stack_shape
+    rays = np.arange(len(finest))
+    view, row, column = np.unravel_index(rays, stack)
+    key = ((side * views + view) * height + row // side) * width + column // side
+    _, patch = np.unique(key, return_inverse=True)
+    ones, shape = np.ones(len(rays), np.float32), (int(patch.max()) + 1, len(rays))
+    membership = csr_array((ones, (patch, rays)), shape=shape)
+    share = np.float32(1) / np.diff(membership.indptr).astype(np.float32)
+    means = (diags_array(share) @ (membership @ weights)).tocsr()
+    values: csr_array[np.float32] = means.astype(np.float32)
+    return Patches(basis, membership, values, values.T.tocsr())
+
+
+@dataclass(frozen=True)
+class CoreProblem:
+    """The least-squares problem of one channel's cores, patch by patch.
+
+    Attributes
+    ----------
+    patches : Patches
+    light : ndarray of float32, shape (n, P + 1)
+        L, the light of each pattern and of full light on each function, in radiance.
+    dark_weight, lit_weight : ndarray of float32, shape (patches, P)
+        Summed weights w of a patch's dark and of its lit pixels.
+    weighted : ndarray of float32, shape (patches, P + 1)
+        Summed data w y for the light of each pattern, and for full light: minus those of the lit
+        pixels.
+    """
+
+    patches: Patches
+    light: Float
+    dark_weight: Float
+    lit_weight: Float
+    weighted: Float
+
+    @classmethod
+    def from_data(cls, patches: Patches, data: ChannelData) -> CoreProblem:
+        """Sum the data of pixels over patches, picture by picture."""
+        count, membership = len(data.lit), patches.membership
+        light = np.empty((len(patches.basis), count + 1), np.float32)
+        dark_weight, lit_weight, dark_data, lit_data = (
+            np.empty((membership.shape[0], count), np.float32) for _ in range(4)
+        )
+        for index, lit in enumerate(data.lit):
+            light[:, index] = patches.basis.sums @ (lit * data.factor)
+            weight, weighted = data.weight[index], data.weighted[index]
+            dark_weight[:, index] = membership @ (weight * ~lit)
+            lit_weight[:, index] = membership @ (weight * lit)
+            dark_data[:, index] = membership @ (weighted * ~lit)
+            lit_data[:, index] = membership @ (weighted * lit)
+        light[:, count] = patches.basis.sums @ data.factor
+        full = -lit_data.sum(axis=1, keepdims=True)
+        weighted = np.concatenate([dark_data + lit_data, full], axis=1)
+        return cls(patches, light, dark_weight, lit_weight, weighted)
+
+    def solve(
+        self, deviations: Float, accuracy: tuple[float, int], start: Float | None = None
+    ) -> Float:
+        """Compute the cores (pairs,) by conjugate gradients.
+
+        Parameters
+        ----------
+        deviations : ndarray of float32, shape (pairs,)
+            sigma; unknowns are cores divided by them, for a well-conditioned problem.
+        accuracy : tuple of float and int
+            Relative residual at which to stop, and largest number of iterations.
+        start : ndarray of float32, shape (pairs,), optional
+            First estimate of the cores.
+        """
+
+        def matrix(unknowns: Float) -> Float:
+            result = self._adjoint(self._weighted_light(deviations * unknowns))
+            result *= deviations
+            result += unknowns
+            return result
+
+        goal = deviations * self._adjoint(self.weighted)
+        conditioner = np.float32(1) / (1 + self._diagonal() * np.square(deviations))
+        if start is not None:
+            start = np.divide(start, deviations, out=np.zeros_like(goal), where=deviations > 0)
+        unknowns = conjugate_gradients(matrix, goal, conditioner.__mul__, start, *accuracy)
+        step()
+        return deviations * unknowns
+
+    def _weighted_light(self, cores: Float) -> Float:
+        """Compute the gradient of the data term by a, for given cores, (patches, P + 1)."""
+        from rfpipe.transport.pair_kernels import couple
+
+        basis = self.patches.basis
+        received = np.zeros_like(self.light)
+        couple(basis.first, basis.second, cores, self.light, received)
+        light = self.patches.values @ received
+        lit_part = self.lit_weight * (light[:, :-1] - light[:, -1:])
+        light[:, :-1] *= self.dark_weight
+        light[:, :-1] += lit_part
+        light[:, -1] = -lit_part.sum(axis=1)
+        return light
+
+    def _adjoint(self, light: Float) -> Float:
+        """Apply the adjoint of cores -> B S L to light of the patches, (pairs,)."""
+        from rfpipe.transport.pair_kernels import correlate
+
+        basis = self.patches.basis
+        cores = np.empty(len(basis.first), np.float32)
+        received = self.patches.transposed_values @ light
+        correlate(basis.first, basis.second, received, self.light, cores)
+        return cores
+
+    def _diagonal(self) -> Float:
+        """Approximate the diagonal of the normal equations' matrix, (pairs,)."""
+        basis, values = self.patches.basis, self.patches.transposed_values
+        certainty = (self.dark_weight + self.lit_weight).mean(axis=1)
+        weight = values.multiply(values) @ certainty
+        power = np.square(self.light).sum(axis=1)
+        forward = weight[basis.first] * power[basis.second]
+        backward = weight[basis.second] * power[basis.first]
+        diagonal: Float = forward + np.where(basis.first == basis.second, 0, backward)
+        return diagonal
+
+
+def prior_deviations(basis: MultiscaleBasis, data: ChannelData) -> Float:
+    """Compute the deviations of cores that are assumed before any fit, (pairs,)."""
+    tiny = float(np.finfo(np.float32).tiny)
+    deviations = data.indirect / (max(data.floodlit, tiny) * prior_areas(basis))
+    return deviations.astype(np.float32)
+
+
+def _core_groups(basis: MultiscaleBasis) -> NDArray[np.int64]:
+    """Number the groups of cores that share a deviation: two scales at about the same distance."""
+    first, second = basis.scales[basis.first], basis.scales[basis.second]
+    distance_bin = (2 * basis.distances() / np.maximum(first, second)).astype(np.int64)
+    # scales are below 2^20 pixels
+    key = distance_bin << 40 | first.astype(np.int64) << 20 | second
+    return np.unique(key, return_inverse=True)[1]

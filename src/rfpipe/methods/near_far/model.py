@@ -1,0 +1,178 @@
+"""The near/far model: direct light, and indirect light that varies smoothly.
+
+    T = diag(d) + F B S B^T F
+
+F, the floodlit image, carries the texture of the surfaces on both sides; between them indirect
+light is smooth, the smoother the farther it travels. B are quadratic B-splines of many scales, S
+has one number for each pair of functions within reach of each other (`MultiscaleBasis`). T is
+symmetric: camera and projector of a coaxial rig share their rays. The floodlit image ``F = T 1``
+fixes the direct light: ``d = F - F B S B^T F 1``.
+
+======  ====================  ============  ========================================================
+symbol  name in the code      shape         meaning and unit
+======  ====================  ============  ========================================================
+``T``   `near_far_transport`  (N, N)        light transport of a channel, radiance
+``d``   `direct`              (C, N)        direct light, radiance
+``F``   `floodlit`            (C, N)        floodlit image, radiance
+``B``   `basis`               (N, n)        values of n functions on N rays, no unit
+``S``   `cores`               (C, pairs)    exchange between two functions, inverse radiance
+======  ====================  ============  ========================================================
+
+The separation of direct from indirect light by patterns that light half of the pixels follows S. K.
+Nayar et al., *Fast separation of direct and global components of a scene using high frequency
+illumination*, SIGGRAPH 2006.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.base import Float
+from rfpipe.methods.images import Pictures, relight_white
+from rfpipe.transport.base import Transport
+from rfpipe.transport.low_rank import LowRankTransport
+from rfpipe.transport.multiscale import MultiscaleBasis, MultiscaleTransport, bounced
+from rfpipe.transport.sum import SumTransport
+
+
+@dataclass(frozen=True)
+class SmoothModel:
+    """Smooth indirect light, ``B S B^T`` of each channel.
+
+    Attributes
+    ----------
+    shape : sequence of int
+        The ray domain.
+    functions : ndarray of int32, shape (n, 4)
+        The functions B, see `MultiscaleBasis`.
+    cores : ndarray of float32, shape (C, pairs)
+        S, in inverse radiance.
+    """
+
+    shape: Sequence[int]
+    functions: NDArray[np.int32]
+    cores: Float
+
+    @cached_property
+    def basis(self) -> MultiscaleBasis:
+        """The functions B and their pairs."""
+        return MultiscaleBasis(tuple(self.shape), self.functions)
+
+
+@dataclass(frozen=True)
+class LightRange:
+    """Distance and direction from which each pixel's indirect light comes under full light.
+
+    Attributes
+    ----------
+    distance : ndarray of float32, shape (*shape)
+        Root mean square distance in pixels: at least half a pixel, at most the image's diagonal,
+        which pixels without indirect light have too.
+    nearness : ndarray of float32, shape (*shape)
+        Indirect light as a share of the floodlit image, 0 to 1, over the distance.
+    down, across : ndarray of float32, shape (*shape)
+        Mean direction to lower rows and later columns, not normalized; 0 without indirect light.
+    """
+
+    distance: Float
+    nearness: Float
+    down: Float
+    across: Float
+
+
+def light_range(shape: tuple[int, ...], model: SmoothModel, floodlit: Float) -> LightRange:
+    """Compute from where each pixel receives indirect light under full light.
+
+    The model relights the images 1, row, column and row^2 + column^2 of the sender; their ratios
+    are the moments of the senders' positions, weighted by their light.
+    """
+    height, width = RayDomain(shape).image_shape
+    row, column = (np.broadcast_to(axis, shape).ravel() for axis in np.ogrid[:height, :width])
+    square = row**2 + column**2
+    moments = np.stack([np.ones_like(row), row, column, square]).astype(np.float32)
+    basis = model.basis
+    images = [
+        bounced(basis, basis.pairs, cores, factor, moments)
+        for cores, factor in zip(model.cores, floodlit, strict=True)
+    ]
+    # float64: sums of large squares cancel
+    light, down, across, squares = np.stack(images, axis=1).sum(axis=1, dtype=np.float64)
+    total = light * square + squares - 2 * (row * down + column * across)
+    diagonal = float(height**2 + width**2)
+    is_lit = light > 0
+    variance = np.divide(total, light, out=np.full(len(row), diagonal), where=is_lit)
+    distance = np.sqrt(np.clip(variance, 0.25, diagonal))
+    white = floodlit.sum(axis=0, dtype=np.float64)
+    share = np.divide(light, white, out=np.zeros_like(light), where=white > 0)
+    fields = (
+        distance,
+        np.clip(share, 0, 1) / distance,
+        np.where(is_lit, down - row * light, 0),
+        np.where(is_lit, across - column * light, 0),
+    )
+    return LightRange(*(image.astype(np.float32).reshape(shape) for image in fields))
+
+
+def near_far_transport(
+    shape: tuple[int, ...],
+    rows: list[dict[str, Any]],
+    model: SmoothModel | None,
+    pictures: Pictures,
+    more_parts: Sequence[Transport] = (),
+) -> SumTransport:
+    """Assemble direct, near-range and far-range light, and more parts, as a sum.
+
+    Direct light is the floodlit image minus all parts of indirect light, so that the sum of each
+    row of T is the energy that was measured. It is 0 where a pixel is unknown.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain.
+    rows : list of dict
+        The transport's table of levels.
+    model : SmoothModel, optional
+        Without one, all light that `more_parts` lack is direct.
+    pictures : Pictures
+        The floodlit picture comes first.
+    more_parts : sequence of Transport
+        Further parts of indirect light.
+    """
+    parts = [*(() if model is None else _smooth_parts(shape, model, pictures)), *more_parts]
+    floodlit = pictures.floodlit
+    direct = floodlit.copy()
+    for part in parts:
+        direct -= relight_white(part, pictures.lit[:1])[0]
+    channels, rays = floodlit.shape
+    arrays = {
+        "diagonal": (direct * pictures.known).astype(np.float32),
+        "left": np.zeros((channels, 0, rays), np.float32),
+        "strengths": np.zeros((channels, 0), np.float32),
+    }
+    return SumTransport([LowRankTransport(shape, shape, channels, [], arrays), *parts], rows)
+
+
+def _smooth_parts(
+    shape: tuple[int, ...], model: SmoothModel, pictures: Pictures
+) -> Iterator[Transport]:
+    """Yield near-range light and far-range light, each unless it is 0."""
+    basis = model.basis
+    near = basis.is_near(*basis.pairs)
+    for in_range in (near, ~near):
+        pairs: NDArray[np.bool_] = in_range & model.cores.any(axis=0)
+        if not pairs.any():
+            continue
+        arrays = {
+            "factor": pictures.floodlit,
+            "functions": basis.functions,
+            "pairs": np.stack([basis.first[pairs], basis.second[pairs]]),
+            "cores": np.ascontiguousarray(model.cores[:, pairs]),
+        }
+        yield MultiscaleTransport(shape, shape, pictures.channels, [], arrays)

@@ -1,0 +1,60 @@
+"""Random patterns of near/far acquisition.
+
+White noise holds too little of the large shapes that far-range light depends on, smooth noise too
+little of the small ones. Noise with equal power in every octave of size lies between.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.near_far.model import LightRange
+from rfpipe.provenance import generator
+from rfpipe.relighting import brightest, octave_noise
+
+SEED = 2006
+"""Seed of the patterns; those of the residual's rounds share it, with other keys."""
+
+
+def probe_patterns(
+    shape: tuple[int, ...], key: int, count: int, light_range: LightRange | None = None
+) -> NDArray[np.bool_]:
+    """Draw patterns of octave noise that light half of the rays.
+
+    Where the range of indirect light is known, bands of about equal range are lit together, and
+    every fourth pattern is a strip along a crease: random detail determines little of the light of
+    long, thin shapes.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain.
+    key : int
+        Number of the round: each has other patterns. A pattern depends on `key` and its index.
+    count : int
+    light_range : LightRange, optional
+
+    Returns
+    -------
+    ndarray of bool, shape (count, *shape)
+    """
+    patterns = np.zeros((count, *shape), np.bool_)
+    for index in range(count):
+        random = generator(SEED, key, index)
+        field = octave_noise(shape, random)
+        if light_range is None:
+            patterns[index] = field > np.median(field)
+            continue
+        # a band and its dark neighbour together cover two to ten octaves of range
+        octaves = 1 / random.uniform(1 / 10.0, 1 / 2.0)
+        phase = random.uniform(0, 1)
+        angle = random.uniform(0, 2 * np.pi)
+        side = np.cos(angle) * light_range.across + np.sin(angle) * light_range.down > 0
+        bands = np.log2(light_range.distance) / octaves + phase + side / 2
+        field += 1.5 * np.cos(2 * np.pi * bands)
+        patterns[index] = field > np.median(field)
+        if index % 4 == 0:
+            area = np.exp(random.uniform(np.log(0.01), np.log(0.3)))
+            patterns[index] = brightest(light_range.nearness, area) & side
+    return patterns
