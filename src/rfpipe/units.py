@@ -1,4 +1,4 @@
-"""Dtypes, units and limits of counts, and the keys of brackets that aren't a level's patterns."""
+"""Dtypes, units and limits of counts; keys of brackets other than those of a level's patterns."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 NumberFormat = Literal["float32", "uint16", "uint8"]
-"""How a stored transport keeps its numbers: as they are, or rounded to 16 or 8 bits."""
+"""Type of the numbers in a stored transport: float32, or rounded to 16 or 8 bits."""
 
 RADIANCE = np.float32
 """Dtype of stored radiance, and of its variance (radiance squared)."""
@@ -21,33 +21,36 @@ COUNT_UNIT = "count"
 """One step of the camera's analogue-to-digital converter."""
 
 SATURATION_FRACTION = 0.98
-"""Fraction of full scale from which on a count is saturated, where nothing else is set."""
+"""Fraction of full scale from which on a count is saturated, unless a setting says otherwise."""
 
-SYMMETRY_FRAMES = 6  # four say the same within 20 %, eight within 10 %
-"""Random patterns that tell whether a rig is coaxial."""
+SYMMETRY_FRAMES = 6  # results of 4 patterns differ by up to 20 %, of 8 patterns by up to 10 %
+"""Number of random patterns of the symmetry test."""
+
+# A bracket's key is (level, index) for a pattern of a level, and (one of the following numbers,
+# index) for any other picture; a check picture has (CHECK_PICTURE_KEY, level, index).
 
 BLACK_LEVEL_KEY = 1_000_000
-"""First part of the keys of all-off brackets, where patterns have their level: (this, i)."""
+"""First part of the keys of all-off reference brackets."""
 
 FLOODLIT_KEY = 1_000_001
-"""The same of the all-on brackets that an acquisition begins with."""
+"""First part of the keys of all-on reference brackets, taken when an acquisition begins."""
 
 WARM_UP_KEY = 1_000_003
-"""The same of those that are shown while the lamp warms up, and not kept."""
+"""First part of the keys of pictures taken while the lamp warms up, which are not stored."""
 
 SYMMETRY_KEY = 1_000_004
-"""The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
+"""First part of the keys of the random patterns of the symmetry test."""
 
 VERIFICATION_KEY = 1_000_005
-"""The same of pictures that no method saw, taken to verify a transport: (this, i)."""
+"""First part of the keys of held-out pictures, taken to verify a transport."""
 
 CHECK_PICTURE_KEY = 1_000_006
-"""The same of check pictures, by which changes of rig and light are noticed: (this, level, i)."""
+"""First part of the keys of check pictures: a random pattern, repeated to detect changes."""
 
 SEQUENCE_KEY = 1_000_007
-"""The same of what a sequence shows beside its patterns: (this, ...)."""
+"""First part of the keys of a hardware sequence's reference pictures."""
 
-_PICTURES = {
+_KINDS = {
     BLACK_LEVEL_KEY: "all-off reference picture",
     FLOODLIT_KEY: "all-on reference picture",
     WARM_UP_KEY: "warm-up picture",
@@ -59,11 +62,11 @@ _PICTURES = {
 
 
 def picture_name(key: Sequence[int]) -> str:
-    """Name of the picture with a key, for messages: of what kind it is, and its number from 0.
+    """Describe the picture with a key in messages: its kind, and its number from 0.
 
     A pattern of a level is ``pattern (level, index)``.
     """
-    kind, *rest = (int(part) for part in key)
-    if kind not in _PICTURES:
-        return f"pattern {(kind, *rest)}"
-    return f"{_PICTURES[kind]} {rest[-1] if rest else 0}"
+    first, *indices = (int(part) for part in key)
+    if first not in _KINDS:
+        return f"pattern {(first, *indices)}"
+    return f"{_KINDS[first]} {indices[-1] if indices else 0}"

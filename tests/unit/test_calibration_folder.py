@@ -216,8 +216,8 @@ def test_the_report_is_one_page(calibrated: Any) -> None:
     assert [*STEPS] == sorted(STEPS, key=lambda name: text.index(f'id="{name}"'))
     assert "<b>Verdicts.</b> </caption>" not in text
     steady = folder.read("steadiness")
-    assert steady.facts["lit_looks"] == len(steady["gain"]) < steady.facts["looks"]
-    assert f"{steady.facts['lit_looks']} looks" in steady.verdict.text
+    assert steady.facts["lit_pictures"] == len(steady["gain"]) < steady.facts["pictures"]
+    assert f"{steady.facts['lit_pictures']} check pictures" in steady.verdict.text
     figure = _steadiness(steady)
     (legend,) = figure.legends
     assert len(legend.get_texts()) == steady["judged"].sum()

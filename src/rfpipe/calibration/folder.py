@@ -20,7 +20,7 @@ from rfpipe.calibration.mosaic import mosaic_facts
 from rfpipe.calibration.rays import measure_rays
 from rfpipe.calibration.responses import measure_light, measure_linearity, measure_transfer
 from rfpipe.calibration.sight import measure_sight, sight_pictures
-from rfpipe.calibration.steady import measure_steadiness, witnessed
+from rfpipe.calibration.steadiness import measure_steadiness, with_check_pictures
 from rfpipe.calibration.symmetry import measure_rig
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig, RigConfig
@@ -410,7 +410,7 @@ def _measured(step: Step, bench: Bench) -> Findings:
             return Findings(Verdict("failed", f"Could not be measured: {error}."))
 
     try:
-        found = witnessed(bench, measure)
+        found = with_check_pictures(bench, measure)
     except DeviceError as failure:
         raise failure.args[0] from None
     return replace(found, verdict=found.verdict._replace(text=mend + found.verdict.text))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.bench import Bench, driving
-from rfpipe.calibration.steady import probe, with_faults
+from rfpipe.calibration.steadiness import probe, with_faults
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import CaptureError
 from rfpipe.provenance import generator

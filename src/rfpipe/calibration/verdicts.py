@@ -79,7 +79,7 @@ latency poor short_seconds > 0: A picture is seen {delay_ms:.0f} ms after it was
     projector's driver waits for {settle_seconds:g} s: frames are taken of the picture before. Set
     projector.options.settle_seconds to {proposed_settle_seconds:g}, or let a `show` of your own
     wait as long, and calibrate again.
-steadiness good: Gain, lamp and room are steady: {lit_looks} looks at a pattern and its
+steadiness good: Gain, lamp and room are steady: {lit_pictures} check pictures of a pattern and its
     complement agree within {range:.2%}.
 steadiness unknown is_seen < 1: The projector's pattern is not seen; the step scene says why.
 scene good: The projector lights {lit_share:.0%} of the picture; white would reach

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.check_pictures import thinned
 from rfpipe.rigs.diagnosis import black_change
 from rfpipe.rigs.faults import (
     CAPTURE,
@@ -39,7 +40,6 @@ from rfpipe.rigs.faults import (
 )
 from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
 from rfpipe.rigs.late import is_of_previous, is_out_of_order
-from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 

@@ -1,24 +1,25 @@
-"""Faults that looks at a rig show, by the quantities of `rfpipe.rigs.looks`.
+"""Diagnosis of a rig's faults from check pictures; see `rfpipe.rigs.check_pictures`.
 
-With the references R_B, R_P and R_Q of black, a pattern and its complement, each look F gives
+With the references R_B, R_P and R_Q of black, a pattern and its complement, a check picture F is
 
     F = R_B + x_P (R_P - R_B) + x_Q (R_Q - R_B) + a
 
 ======== ======== ===================================================================
-symbol   shape    fault that changes it
+symbol   shape    faults that change it
 ======== ======== ===================================================================
 R_B      (E, n)   room
-g        (E,)     gain, flicker, drift; g is x_P - x_Q of a look at P
+g        (E,)     gain, flicker, drift; g is x_P - x_Q of a picture of P
 r        (E,)     motion; r is the residual of the equation
 ======== ======== ===================================================================
 
-- Gain and lamp multiply: g changes. Light of the room adds: to `a` as haze, and to x_P and x_Q
-  alike where the scene reflects it, since ``P + Q`` is a white picture. It does not change g, but
-  it changes the looks at black.
-- The gain of a bracket is common to its exposures. Flicker is not: see `rfpipe.rigs.flicker`.
-- A lamp drifts slowly: adjacent looks agree, distant ones do not.
+- Gain and lamp multiply the light and change g. Light of the room is added: to `a` as haze, and to
+  x_P and x_Q equally where the scene reflects it, since ``P + Q`` is a white picture. It does not
+  change g; it changes the pictures of black.
+- A change of gain is common to all exposures of a bracket; flicker is not, see
+  `rfpipe.rigs.flicker`.
+- A lamp drifts slowly: adjacent pictures agree, distant ones do not.
 - Motion changes the picture's shape: r rises.
-- Late frames agree with the reference of the look before.
+- Late frames agree with the reference of the previous picture.
 """
 
 from __future__ import annotations
@@ -29,6 +30,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.rigs.check_pictures import (
+    BLACK,
+    CheckPicture,
+    LightSeries,
+    References,
+    common_gain,
+    fit_picture,
+    known_exposures,
+    measured_light,
+)
 from rfpipe.rigs.faults import (
     SIGNIFICANCE,
     Fault,
@@ -40,52 +51,50 @@ from rfpipe.rigs.faults import (
 )
 from rfpipe.rigs.flicker import flicker_of, gain_or_flicker
 from rfpipe.rigs.late import is_of_previous
-from rfpipe.rigs.looks import (
-    BLACK,
-    Look,
-    References,
-    Series,
-    common_gain,
-    fit_of,
-    gains_of,
-    known_exposures,
-)
 
 Double = NDArray[np.float64]
 
 
-def faults_of(looks: Sequence[Look], references: References, limits: Limits) -> list[Fault]:
-    """Return the faults that looks show, in the order of mending.
-
-    Looks without light, such as those under a lens cap, show none.
+def diagnose(
+    pictures: Sequence[CheckPicture], references: References, limits: Limits
+) -> list[Fault]:
+    """Find the faults that check pictures show, the one to mend first first.
 
     Parameters
     ----------
-    looks : sequence of Look
-        In the order of taking.
+    pictures : sequence of CheckPicture
+        In the order of capture.
     references : References
     limits : Limits
+
+    Returns
+    -------
+    list of Fault
+        Empty where the pictures have no light, as under a lens cap.
     """
-    if not references.has_light or _are_dark(looks, references):
+    if not references.has_light or _are_dark(pictures, references):
         return []
-    late = _late(looks, references)
+    late = _late(pictures, references)
     if late is not None:
         return [late]
-    faults = [room_change(looks, references, limits.room), motion(looks, references, limits.moved)]
-    if faults[1] is None:  # gains of another picture mean nothing
-        gains = gains_of(looks, references)
+    faults = [
+        room_change(pictures, references, limits.room),
+        motion(pictures, references, limits.moved),
+    ]
+    if faults[1] is None:  # after motion, gains are meaningless
+        gains = measured_light(pictures, references)
         faults.append(light_fault(gains, references.exposures, limits.light, references.unit))
     return [fault for fault in faults if fault is not None]
 
 
 def light_fault(
-    series: Series, exposures: Sequence[float], limit: float, unit: str = "s"
+    series: LightSeries, exposures: Sequence[float], limit: float, unit: str = "s"
 ) -> Fault | None:
-    """Return the fault of the light that multiplies: gain, flicker or drift; None for none.
+    """Find a fault that multiplies the light: gain, flicker or drift; None without one.
 
     Parameters
     ----------
-    series : Series
+    series : LightSeries
         Gains relative to a reference; NaN where an exposure is unknown.
     exposures : sequence of E floats
         Seconds.
@@ -113,36 +122,38 @@ def light_fault(
     return fault
 
 
-def _are_dark(looks: Sequence[Look], references: References) -> bool:
-    """Test whether all lit looks are black."""
+def _are_dark(pictures: Sequence[CheckPicture], references: References) -> bool:
+    """Test whether all pictures of lit patterns are black."""
     black = references.frames[BLACK]
     return all(
-        is_of_previous(look.frames[:1], black, references.frames[look.picture])
-        for look in looks
-        if look.picture != BLACK
+        is_of_previous(picture.frames[:1], black, references.frames[picture.kind])
+        for picture in pictures
+        if picture.kind != BLACK
     )
 
 
-def _late(looks: Sequence[Look], references: References) -> Fault | None:
-    """Return the fault of frames that agree with the reference of the look before."""
-    judged, late = 0, 0
-    for before, look in pairwise(looks):
-        if before.series == look.series and before.picture != look.picture:
-            judged += 1
+def _late(pictures: Sequence[CheckPicture], references: References) -> Fault | None:
+    """Find frames that agree with the reference of the previous picture."""
+    compared, late = 0, 0
+    for previous, picture in pairwise(pictures):
+        if previous.series == picture.series and previous.kind != picture.kind:
+            compared += 1
             late += is_of_previous(
-                look.frames, references.frames[before.picture], references.frames[look.picture]
+                picture.frames, references.frames[previous.kind], references.frames[picture.kind]
             )
-    return late_fault(late / judged) if late else None
+    return late_fault(late / compared) if late else None
 
 
-def room_change(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
-    """Return the fault of black pictures that differ.
+def room_change(
+    pictures: Sequence[CheckPicture], references: References, limit: float
+) -> Fault | None:
+    """Find a change of the room's light from the black pictures.
 
-    `limit` is relative to the white picture.
+    `limit` is relative to the white picture's light.
     """
-    dark = [look for look in looks if look.picture == BLACK]
-    seconds = [references.seconds, *(look.seconds for look in dark)]
-    frames = np.array([references.frames[BLACK], *(look.frames for look in dark)])
+    dark = [picture for picture in pictures if picture.kind == BLACK]
+    seconds = [references.seconds, *(picture.seconds for picture in dark)]
+    frames = np.array([references.frames[BLACK], *(picture.frames for picture in dark)])
     change, *ends = black_change(frames, references.exposures, references.saturated)
     size = change / references.white_rate
     if change == 0 or size < limit:
@@ -154,10 +165,10 @@ def room_change(looks: Sequence[Look], references: References, limit: float) -> 
 def black_change(
     frames: Double, exposures: Sequence[float], saturated: float
 ) -> tuple[float, int, int]:
-    """Return the largest change between black brackets (K, E, n), and the two brackets.
+    """Find the largest change between black brackets (K, E, n), and the indices of the two.
 
-    The change is in counts a second of the longest exposure in which most pixels are below
-    `saturated`, and 0 unless it is significant.
+    The change is in counts per second, measured in the longest exposure in which at least half of
+    the pixels are below `saturated`; it is 0 unless it is significant.
     """
     for index in range(len(exposures))[::-1]:
         counts = frames[:, index]
@@ -165,24 +176,26 @@ def black_change(
         if usable.mean() < 0.5:
             continue
         rates = counts[:, usable].mean(axis=1) / exposures[index]
-        least, most = int(rates.argmin()), int(rates.argmax())
-        change = (counts[most] - counts[least])[usable]
+        smallest, largest = int(rates.argmin()), int(rates.argmax())
+        change = (counts[largest] - counts[smallest])[usable]
         is_noise = change.mean() < SIGNIFICANCE * change.std() / np.sqrt(change.size)
-        return 0.0 if is_noise else float(rates[most] - rates[least]), least, most
+        return 0.0 if is_noise else float(rates[largest] - rates[smallest]), smallest, largest
     return 0.0, 0, 0
 
 
-def motion(looks: Sequence[Look], references: References, limit: float) -> Fault | None:
-    """Return the fault of a picture whose shape differs from its reference by more than a limit."""
+def motion(pictures: Sequence[CheckPicture], references: References, limit: float) -> Fault | None:
+    """Find a picture whose shape differs from its reference by more than `limit`."""
     best = int(np.argmin(references.noise))
-    lit = [look for look in looks if look.picture != BLACK]
-    residual = max((fit_of(look, references).residual[best] for look in lit), default=np.nan)
+    lit = [picture for picture in pictures if picture.kind != BLACK]
+    residual = max(
+        (fit_picture(picture, references).residual[best] for picture in lit), default=np.nan
+    )
     is_moved = residual > limit + 3 * references.noise[best]
     return moved_fault(float(residual)) if is_moved else None
 
 
-def _is_slow(series: Series, common: Double, error: Double, limit: float) -> bool:
-    """Test whether adjacent looks (K,) agree, or differ by no more than a steady drift."""
+def _is_slow(series: LightSeries, common: Double, error: Double, limit: float) -> bool:
+    """Test whether adjacent pictures (K,) differ by no more than noise and a steady drift."""
     adjacent = np.diff(series.series) == 0
     if not adjacent.any():
         return False

@@ -17,8 +17,8 @@ from rfpipe.pictures import Header, check_mosaic, picture_files, read_header, re
 from rfpipe.pictures.order import are_late, correlation, misplaced
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
+from rfpipe.rigs.check_pictures import thinned
 from rfpipe.rigs.faults import late_fault, moved_fault
-from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.offline import OfflineRig, Sheet
 from rfpipe.rigs.offline_light import light_faults
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION, picture_name

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.check_pictures import thinned
 from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, SIGNIFICANCE, WHOLE_PERIODS, late_fault
 from rfpipe.rigs.late import is_out_of_order
-from rfpipe.rigs.looks import thinned
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
 

@@ -1,4 +1,4 @@
-"""What looks at a rig show, on synthetic frames: each fault, and none where there is none."""
+"""Diagnosis of a rig's faults from check pictures, on synthetic frames."""
 
 from __future__ import annotations
 
@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.diagnosis import faults_of
+from rfpipe.rigs.check_pictures import (
+    BLACK,
+    COMPLEMENT,
+    PATTERN,
+    CheckPicture,
+    References,
+    fit_picture,
+    thinned,
+)
+from rfpipe.rigs.diagnosis import diagnose
 from rfpipe.rigs.faults import CALIBRATION, Fault, is_whole_period, whole_periods
-from rfpipe.rigs.looks import BLACK, COMPLEMENT, PATTERN, Look, References, fit_of, thinned
 
 CAMERA = CameraModel(exposures=(1 / 64, 1 / 8, 1 / 4))
 SHAPE = (40, 40)
@@ -19,20 +27,20 @@ SERIES = (BLACK, BLACK, PATTERN, PATTERN, COMPLEMENT, COMPLEMENT) * 2
 WITNESS = (PATTERN, BLACK, COMPLEMENT, PATTERN)
 
 Gain = Callable[[int, np.random.Generator, np.ndarray], np.ndarray | float]
-"""``gain(number of the look, random, exposures)``, (E,)."""
+"""``gain(number of the picture, random, exposures)``, (E,)."""
 
 
-def scene(picture: int, seed: int) -> np.ndarray:
+def scene(kind: int, seed: int) -> np.ndarray:
     """Radiance of a textured scene under fields of light, with indirect light."""
     random = np.random.default_rng(seed)
     albedo = random.uniform(0.2, 1, SHAPE)
     fields = random.integers(0, 2, (8, 8)).repeat(5, axis=0).repeat(5, axis=1)
-    lit = [np.zeros(SHAPE), fields, 1 - fields][picture]
+    lit = [np.zeros(SHAPE), fields, 1 - fields][kind]
     return albedo * (0.5 * lit + 0.02 * lit.mean())
 
 
-def looks(
-    pictures: tuple[int, ...] = SERIES,
+def check_pictures(
+    kinds: tuple[int, ...] = SERIES,
     camera: CameraModel = CAMERA,
     *,
     first: int = 0,
@@ -42,13 +50,13 @@ def looks(
     move: Callable[[int], int] = lambda _: 0,
     late: bool = False,
     series: int = 0,
-) -> list[Look]:
-    """Looks at a rig; faults are functions of the number of the look, from `first` on."""
-    taken, exposures = [], np.array(camera.exposures)
+) -> list[CheckPicture]:
+    """Take check pictures; faults are functions of the picture's number, from `first` on."""
+    pictures, exposures = [], np.array(camera.exposures)
     random = np.random.default_rng([seed, first])
-    for number, picture in enumerate(pictures, first):
-        shown = pictures[max(number - first - 1, 0)] if late else picture
-        radiance = np.roll(scene(shown, seed), move(number), axis=1) + room(number)
+    for number, kind in enumerate(kinds, first):
+        displayed = kinds[max(number - first - 1, 0)] if late else kind
+        radiance = np.roll(scene(displayed, seed), move(number), axis=1) + room(number)
         factor = np.broadcast_to(gain(number, random, exposures), exposures.shape)
         frames = np.concatenate(
             [
@@ -58,8 +66,8 @@ def looks(
                 for index, (seconds, of_frame) in enumerate(zip(exposures, factor, strict=True))
             ]
         )
-        taken.append(Look(picture, series, float(number), thinned(frames)))
-    return taken
+        pictures.append(CheckPicture(kind, series, float(number), thinned(frames)))
+    return pictures
 
 
 def jitter(number: int, random: np.random.Generator, exposures: np.ndarray) -> float:
@@ -79,8 +87,8 @@ def drift(number: int, random: np.random.Generator, exposures: np.ndarray) -> fl
     return 1 - 0.003 * number
 
 
-def found(taken: list[Look], camera: CameraModel = CAMERA) -> list[Fault]:
-    return faults_of(taken, References.of(taken, camera), CALIBRATION)
+def diagnose_series(pictures: list[CheckPicture], camera: CameraModel = CAMERA) -> list[Fault]:
+    return diagnose(pictures, References.of(pictures, camera), CALIBRATION)
 
 
 FAULTS: dict[str, tuple[dict, str, str]] = {
@@ -96,8 +104,8 @@ FAULTS: dict[str, tuple[dict, str, str]] = {
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_named_with_its_remedy(name: str, seed: int) -> None:
-    how, kind, remedy = FAULTS[name]
-    first = found(looks(seed=seed, **how))[0]
+    faults, kind, remedy = FAULTS[name]
+    first = diagnose_series(check_pictures(seed=seed, **faults))[0]
     assert first.kind == kind
     assert remedy in first.text
 
@@ -115,49 +123,53 @@ def test_a_fault_is_named_with_its_remedy(name: str, seed: int) -> None:
     ids=["default", "one exposure", "dim", "8 bits", "gamma"],
 )
 def test_a_steady_rig_has_no_fault(camera: CameraModel, seed: int) -> None:
-    assert found(looks(camera=camera, seed=seed), camera) == []
+    assert diagnose_series(check_pictures(camera=camera, seed=seed), camera) == []
 
 
 @pytest.mark.parametrize(("pixels", "is_moved"), [(0, False), (1, True), (3, True)])
 def test_motion_between_two_series(pixels: int, is_moved: bool) -> None:
-    references = References.of(looks(), CAMERA)
-    later = looks(WITNESS, first=20, series=1, move=lambda _: pixels)
-    kinds = [fault.kind for fault in faults_of(later, references, CALIBRATION)]
+    references = References.of(check_pictures(), CAMERA)
+    later = check_pictures(WITNESS, first=20, series=1, move=lambda _: pixels)
+    kinds = [fault.kind for fault in diagnose(later, references, CALIBRATION)]
     assert kinds == ["moved"] * is_moved
 
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_after_a_clean_series_is_named(name: str, seed: int) -> None:
-    how, kind, _ = FAULTS[name]
-    references = References.of(looks(seed=seed), CAMERA)
-    before = looks(WITNESS, first=20, series=1, seed=seed)
-    after = looks(WITNESS, first=40, series=2, seed=seed, **how)
-    assert faults_of([*before, *after], references, CALIBRATION)[0].kind == kind
+    faults, kind, _ = FAULTS[name]
+    references = References.of(check_pictures(seed=seed), CAMERA)
+    before = check_pictures(WITNESS, first=20, series=1, seed=seed)
+    after = check_pictures(WITNESS, first=40, series=2, seed=seed, **faults)
+    assert diagnose([*before, *after], references, CALIBRATION)[0].kind == kind
 
 
-def test_looks_without_light_show_no_fault() -> None:
-    references = References.of(looks(), CAMERA)
-    capped = looks(WITNESS, first=20, gain=lambda *_: 0.0)
-    assert faults_of(capped, references, CALIBRATION) == []
-    dark = looks(gain=lambda *_: 0.0)
+def test_pictures_without_light_show_no_fault() -> None:
+    references = References.of(check_pictures(), CAMERA)
+    capped = check_pictures(WITNESS, first=20, gain=lambda *_: 0.0)
+    assert diagnose(capped, references, CALIBRATION) == []
+    dark = check_pictures(gain=lambda *_: 0.0)
     assert not References.of(dark, CAMERA).has_light
-    assert found(dark) == []
+    assert diagnose_series(dark) == []
 
 
-def test_one_exposure_says_both_causes_unless_it_has_whole_periods() -> None:
+def test_one_exposure_names_both_causes_unless_it_has_whole_periods() -> None:
     short = replace(CAMERA, exposures=(1 / 64,))
-    fault = found(looks(camera=short, gain=flicker), short)[0]
+    fault = diagnose_series(check_pictures(camera=short, gain=flicker), short)[0]
     assert "automatic gain" in fault.text
     assert "whole periods" in fault.text
-    whole = replace(CAMERA, exposures=(0.05,))
-    assert found(looks(camera=whole, gain=jitter), whole)[0].kind == "gain"
+    averaging = replace(CAMERA, exposures=(0.05,))
+    assert (
+        diagnose_series(check_pictures(camera=averaging, gain=jitter), averaging)[0].kind == "gain"
+    )
 
 
 def test_room_light_does_not_change_the_gain() -> None:
-    taken = looks(room=lambda number: 0.004 * number)
-    references = References.of(taken, CAMERA)
-    gains = np.array([fit_of(look, references).gain for look in taken if look.picture != BLACK])
+    pictures = check_pictures(room=lambda number: 0.004 * number)
+    references = References.of(pictures, CAMERA)
+    gains = np.array(
+        [fit_picture(picture, references).gain for picture in pictures if picture.kind != BLACK]
+    )
     assert np.abs(gains[:, 0] - 1).max() < 0.02
 
 
@@ -167,7 +179,7 @@ def test_the_proposed_exposures_end_the_flicker() -> None:
         assert exposures == sorted(set(exposures))
         np.testing.assert_allclose(np.array(exposures) * hertz % 1, 0, atol=1e-9)
     proposed = replace(CAMERA, exposures=tuple(whole_periods(CAMERA.exposures, 100)))
-    assert found(looks(camera=proposed, gain=flicker), proposed) == []
+    assert diagnose_series(check_pictures(camera=proposed, gain=flicker), proposed) == []
     assert [is_whole_period(seconds) for seconds in (0.05, 0.1, 0.01, 1 / 64)] == [
         True,
         True,
