@@ -17,15 +17,15 @@ same bytes.
 import os
 from pathlib import Path
 
-from rfpipe.jobs.ends import (
+from rfpipe.jobs.snakemake import (
     explain_reruns,
     list_changed_parameters_alone,
     notify,
     say_failed_jobs,
-    write_run,
 )
 from rfpipe.jobs.outcome import FailedJobs, clear_failures, write_failures
-from rfpipe.jobs.running import hold
+from rfpipe.jobs.snakemake_lock import hold
+from rfpipe.storage.run_record import write_run_record
 from snakemake.logging import logger
 from snakemake.utils import min_version
 
@@ -90,7 +90,7 @@ onstart:
     clear_failures(Path("results"))
     if workflow.non_local_exec:
         say_failed_jobs(logger)
-    write_run(
+    write_run_record(
         Path("results"),
         Path(workflow.main_snakefile),
         workflow.overwrite_configfiles,

@@ -25,7 +25,7 @@ import psutil
 
 from rfpipe.jobs.workers import Resources
 from rfpipe.stages import merge
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import FrameStore, read_manifest
 
 OUTPUT = Path("results/bench")

@@ -23,7 +23,7 @@ _RECORDED_PACKAGES = ("numba", "numpy", "rustworkx", "scipy", "zarr")
 # Of rfpipe: what shows results, serves them or runs jobs, and shapes none.
 _SHAPES_NOTHING = (
     "calibration/", "cli/", "devices/", "export/", "fitting/", "publishing/", "report/", "server/",
-    "stages/evaluate.py", "jobs/", "stages/check", "testing/", "viewer/",
+    "jobs/", "stages/evaluate.py", "storage/checking.py", "testing/", "viewer/",
 )  # fmt: skip
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from rfpipe.config import Config
 from rfpipe.jobs.workers import Resources
 from rfpipe.stages import acquisition, captures
-from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock
 
 __all__ = ["acquire_item"]

@@ -37,7 +37,7 @@ def relit(
     for level, (count, _) in enumerate(levels):
         at = folder / f"L{level:02}"
         at.mkdir(parents=True)
-        reference = {} if level else {"reference": {"digest": "it", "shape": [10, 1]}}
+        reference = {} if level else {"reference_brackets": {"digest": "it", "shape": [10, 1]}}
         write_manifest(at / "capture.json", {"patterns": count, **reference})
         (at / "refine.benchmark.tsv").write_text("s\th:m:s\n5.0\t0:00:05\n")
         (at / "capture.benchmark.tsv").write_text("s\th:m:s\n99.0\t0:01:39\n")

@@ -12,8 +12,9 @@ from types import SimpleNamespace
 import pytest
 from snakemake.api import Workflow  # first, else snakemake.workflow imports itself
 
-from rfpipe.jobs import ends
-from rfpipe.jobs.ends import explain_reruns, notify, run_again, write_run
+from rfpipe.jobs import snakemake as snakemake_jobs
+from rfpipe.jobs.snakemake import explain_reruns, notify
+from rfpipe.storage.run_record import rerun_command, write_run_record
 
 
 @pytest.mark.parametrize(
@@ -28,7 +29,7 @@ from rfpipe.jobs.ends import explain_reruns, notify, run_again, write_run
 def test_a_command_that_fails_changes_nothing(
     command: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ends, "_PATIENCE_SECONDS", 0.5)
+    monkeypatch.setattr(snakemake_jobs, "_PATIENCE_SECONDS", 0.5)
     notify(command, "done", "log")
     assert f"notify: {command!r} failed" in capfd.readouterr().err
 
@@ -44,10 +45,10 @@ def test_a_copied_run_runs_again_with_its_own_settings(tmp_path: Path) -> None:
     run, copy = tmp_path / "run", tmp_path / "a copy"
     (run / "results").mkdir(parents=True)
     files = [run / "mine.yaml", run / "more" / "mine.yaml", tmp_path / "lab.yaml"]
-    write_run(run / "results", tmp_path / "Snakefile", files, {"seed": 3})
+    write_run_record(run / "results", tmp_path / "Snakefile", files, {"seed": 3})
     shutil.copytree(run, copy)
     for folder in (run, copy):
-        command = shlex.split(run_again(folder / "results"))
+        command = shlex.split(rerun_command(folder / "results"))
         assert command[1:] == [
             "run", "--directory", f"{folder}", "--snakefile", f"{tmp_path}/Snakefile",
             "--configfile", f"{folder}/mine.yaml", f"{folder}/more/mine.yaml",
@@ -58,7 +59,7 @@ def test_a_copied_run_runs_again_with_its_own_settings(tmp_path: Path) -> None:
 def test_outputs_of_unchanged_parameters_are_not_listed() -> None:
     from snakemake.persistence import NO_PARAMS_CHANGE, ParamsChange
 
-    ends.list_changed_parameters_alone()
+    snakemake_jobs.list_changed_parameters_alone()
     same = ParamsChange(files={"a.json"})
     changed = ParamsChange(only_new={"2"}, only_old={"1"}, files={"b.json"})
     assert list(NO_PARAMS_CHANGE | same) == []

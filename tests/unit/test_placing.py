@@ -13,7 +13,7 @@ from rfpipe.config import load_config
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.stages import captures
 from rfpipe.stages.captures import place
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 
 WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE'] + chr(10))"
 

@@ -27,8 +27,8 @@ from rfpipe.report.inputs import load_inputs
 from rfpipe.report.text import number, percent, size
 from rfpipe.scenes import RELIGHTING_PATTERNS
 from rfpipe.stages import evaluate, relight
-from rfpipe.stages.folder import write_bundle
 from rfpipe.stages.verification import compare
+from rfpipe.storage.files import write_bundle
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport.arrays import DenseTransport
 

@@ -276,7 +276,8 @@ def test_alarms_and_their_rows_are_red(tmp_path: Path) -> None:
 def test_pictures_on_the_rig_are_counted_by_level(tmp_path: Path) -> None:
     store = {"digest": "it", "shape": [72, 4, 8, 10, 3]}
     for level, facts in enumerate([
-        {"patterns": 1, "reference": store, "symmetry": {**store, "shape": [6, 4, 8, 10, 3]},
+        {"patterns": 1, "reference_brackets": store,
+         "symmetry": {**store, "shape": [6, 4, 8, 10, 3]},
          "rig": {"digest": "no", "shape": [9]}, "sensor": {"digest": "arrays"}, "shape": [1]},
         {"patterns": 12, "check_pictures": {**store, "shape": [3, 4, 8, 10, 3]}},
     ]):  # fmt: skip

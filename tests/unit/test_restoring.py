@@ -7,8 +7,8 @@ import pytest
 
 from rfpipe.errors import DamagedStageError
 from rfpipe.methods import get_method
-from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.stages.plan import Plan
+from rfpipe.storage.files import AcquisitionFolder, write_bundle
 from rfpipe.store import ArrayBundle
 from rfpipe.testing.methods import MethodRun, run_method
 

@@ -14,12 +14,12 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import captures
 from rfpipe.stages.capture import frame_settings
-from rfpipe.stages.folder import STAGES
-from rfpipe.stages.retake import find_retakes
+from rfpipe.storage.files import STAGES
+from rfpipe.storage.retake import find_retakes
 from rfpipe.store import write_manifest
 
 LEVELS = ("L00", "L01", "L02", "verification")
-STORES = {"L00": ("capture", "reference", "check_pictures"), "verification": ("capture",)}
+STORES = {"L00": ("capture", "reference_brackets", "check_pictures"), "verification": ("capture",)}
 
 
 @pytest.fixture

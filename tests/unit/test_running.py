@@ -14,13 +14,13 @@ import pytest
 from tests.rigs.known_matrix import run as run_command
 
 from rfpipe.errors import LockedError
-from rfpipe.jobs.running import free_if_dead, unrecorded
+from rfpipe.jobs.snakemake_lock import free_if_dead, unrecorded
 from rfpipe.store import write_manifest
 
 RUN = """
 import sys, time
 from pathlib import Path
-from rfpipe.jobs.running import hold
+from rfpipe.jobs.snakemake_lock import hold
 folder = Path(sys.argv[1])
 locks = folder / ".snakemake" / "locks"
 locks.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ from rfpipe.rigs.base import Key, capture_batch, check_patterns, sequence_patter
 from rfpipe.rigs.sequences import Sequencer
 from rfpipe.stages import capture
 from rfpipe.stages.capture import brackets_of
-from rfpipe.stages.folder import AcquisitionFolder, write_bundle
+from rfpipe.storage.files import AcquisitionFolder, write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
 from rfpipe.units import BLACK_LEVEL_KEY, SEQUENCE_KEY

@@ -25,8 +25,8 @@ from rfpipe.stages import (
     refine,
     schedule,
 )
-from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock
 from rfpipe.transport import open_transport
 

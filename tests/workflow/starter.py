@@ -38,9 +38,9 @@ _OF_SNAKEMAKE = (
     "rfpipe.methods.dual",
     "rfpipe.methods.symmetric.method",
     "rfpipe.scenes.rooms",
-    "rfpipe.jobs.ends",
+    "rfpipe.storage.run_record",
     "rfpipe.stages.plan",
-    "rfpipe.jobs.ends",
+    "rfpipe.jobs.snakemake",
 )
 _OF_JOBS = (
     "colour",

@@ -23,9 +23,9 @@ from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.folder import write_bundle
+from rfpipe.storage.files import write_bundle
 from rfpipe.jobs.workers import Resources
 
 shape, count = (40, 50), int(sys.argv[2])

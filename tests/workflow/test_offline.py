@@ -30,8 +30,8 @@ from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.stages import captures, verification
-from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import read_manifest, write_manifest
 
 SHAPE = (4, 5)
@@ -242,7 +242,7 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
 def test_pictures_are_refused_before_any_is_kept(level_0: Path, spoil: Any, message: str) -> None:
     spoil(level_0 / "pictures")
     assert re.search(message, command("import", level_0, fails=True))
-    assert not list(level_0.parents[1].glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+    assert not list(level_0.parents[1].glob("r/desk/symmetric/L00/reference_brackets.zarr/c.*"))
 
 
 def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path) -> None:
@@ -251,7 +251,7 @@ def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path)
     kept = level_0.parents[1] / "r" / "desk" / "symmetric" / "L00"
     exchange()
     assert "IMG_12.tif shows the pattern of IMG_14.tif" in command("import", level_0, fails=True)
-    assert not list(kept.glob("reference.zarr/c.*"))
+    assert not list(kept.glob("reference_brackets.zarr/c.*"))
     assert "None of these pictures" in command("import", level_0, "--anyway", fails=True)
     assert not kept.exists()
     exchange()
@@ -295,8 +295,8 @@ def test_a_copied_run_imports_into_its_own_results(level_0: Path, is_renamed: bo
     other = root.with_name(f"{root.name}_other")
     shutil.move(root, other) if is_renamed else shutil.copytree(root, other)
     assert "brackets imported" in command("import", other / level_0.relative_to(root))
-    assert list(other.glob("r/desk/symmetric/L00/reference.zarr/c.*"))
-    assert not list(root.glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+    assert list(other.glob("r/desk/symmetric/L00/reference_brackets.zarr/c.*"))
+    assert not list(root.glob("r/desk/symmetric/L00/reference_brackets.zarr/c.*"))
     assert str(root) + "/" not in (sheets(other / "p")[-1] / "patterns.json").read_text()
 
 
@@ -314,7 +314,7 @@ def test_a_sheet_apart_from_its_run_is_refused(level_0: Path, lacking: str, mess
     results = moved if lacking == "r" else root / "r"
     command("patterns", settings, "-o", root / "p", "--results", results)
     assert "brackets imported" in command("import", level_0)
-    assert list(results.glob("desk/symmetric/L00/reference.zarr/c.*"))
+    assert list(results.glob("desk/symmetric/L00/reference_brackets.zarr/c.*"))
 
 
 def test_a_sheet_with_absolute_paths_is_refused(level_0: Path) -> None:

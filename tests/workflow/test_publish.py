@@ -19,7 +19,7 @@ from rfpipe.publishing.metadata import Citation
 from rfpipe.publishing.publication import publish
 from rfpipe.publishing.run import find_run
 from rfpipe.references.reference_images import read_floodlit
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 
 _VALIDATE_CRATE = """
 import sys, json, responses

@@ -24,10 +24,10 @@ from tests.workflow.stagewise import (
 from rfpipe.errors import IntegrityError, StaleStoreError, StoreError
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import merge
-from rfpipe.stages.retake import Retake
+from rfpipe.storage.retake import Retake
 from rfpipe.store import FrameStore, drop, read_manifest
 
-RAW = ("L00/reference.zarr", "L00/capture.zarr", "L01/capture.zarr")
+RAW = ("L00/reference_brackets.zarr", "L00/capture.zarr", "L01/capture.zarr")
 
 
 @pytest.fixture
@@ -110,9 +110,9 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
     assert chunks(acquisition.folder.path) == []
 
 
-@pytest.mark.parametrize("lost", ["merge", "sums", "merged_reference"])
+@pytest.mark.parametrize("lost", ["merge", "sums", "reference_images"])
 def test_damaged_merged_images_need_the_raw_exposures(acquisition: Acquisition, lost: str) -> None:
-    level = 0 if lost == "merged_reference" else 1
+    level = 0 if lost == "reference_images" else 1
     damage(acquisition.folder.store(level, lost))
     acquisition.folder.manifest(level, "merge").unlink()  # as who finds it says
     with pytest.raises(StaleStoreError, match=r"damaged.*To capture all levels again"):

@@ -8,7 +8,7 @@ import pytest
 from tests.workflow.harness import CONFIG, STAGES, Workflow
 
 from rfpipe import open_transport
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 
 
 def test_every_stage_of_every_level_leaves_a_manifest(undisturbed: Workflow) -> None:

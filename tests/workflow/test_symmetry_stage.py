@@ -31,8 +31,8 @@ from rfpipe.provenance import generator
 from rfpipe.references import symmetry
 from rfpipe.references.symmetry import Asymmetry
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import FrameStore, read_manifest
 
 FRAMES = 6

@@ -21,10 +21,10 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, verification
-from rfpipe.stages.checking import check
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.retake import find_retakes
+from rfpipe.storage.checking import check
+from rfpipe.storage.files import VERIFICATION, AcquisitionFolder
+from rfpipe.storage.retake import find_retakes
 from rfpipe.store import read_manifest
 from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
 

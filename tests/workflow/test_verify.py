@@ -18,9 +18,9 @@ from tests.workflow.stagewise import acquire as acquire_matrix
 from rfpipe.calibration.folder import CalibrationFolder, MadeFor
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import IntegrityError
-from rfpipe.stages.checking import check
-from rfpipe.stages.folder import STAGES
-from rfpipe.stages.mending import command_for
+from rfpipe.storage.checking import check
+from rfpipe.storage.files import STAGES
+from rfpipe.storage.repairs import command_for
 from rfpipe.store import read_manifest, write_arrays, write_manifest
 
 
@@ -80,11 +80,11 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
         run / "L02/capture.zarr/zarr.json", "fingerprint"
     ),
     "capture: line of the journal lost": a_line_less,
-    "reference: chunk truncated": lambda run: damage(run / "L00/reference.zarr"),
+    "reference: chunk truncated": lambda run: damage(run / "L00/reference_brackets.zarr"),
     "schedule: store missing": lambda run: shutil.rmtree(run / "L02/schedule.zarr"),
     "merge: chunk truncated": lambda run: damage(run / "L01/merge.zarr"),
     "sums: chunk truncated": lambda run: damage(run / "L02/sums.zarr"),
-    "floodlit image: chunk truncated": lambda run: damage(run / "L00/merged_reference.zarr"),
+    "floodlit image: chunk truncated": lambda run: damage(run / "L00/reference_images.zarr"),
     "normalize: manifest missing": lambda run: (run / "L02/normalize.json").unlink(),
     "normalize: attributes altered": lambda run: flip(
         run / "L02/normalize.zarr/zarr.json", "per_channel", "per_chanmel"

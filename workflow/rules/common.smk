@@ -7,8 +7,8 @@ import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.errors import ConfigError
 from rfpipe.provenance import code_digest
-from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.jobs.ends import check_no_braces
+from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.jobs.snakemake import check_no_braces
 from rfpipe.jobs.workers import machine_memory_mb
 from rfpipe.stages.plan import MANNER, code_of, manner_of, plan_of, rig_of, stages_of
 

@@ -1,6 +1,6 @@
 # The levels of an acquisition: how many have patterns to show turns out on the way.
 
-from rfpipe.stages.folder import STAGES_LOG
+from rfpipe.storage.files import STAGES_LOG
 from rfpipe.store import read_manifest
 
 

@@ -124,7 +124,7 @@ def _take_back(acquisition: OfflineAcquisition, sheet: Sheet) -> None:
 
 def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
     """Say what is to be done next."""
-    from rfpipe.stages.folder import name_of
+    from rfpipe.storage.files import name_of
 
     if sheet is None:
         home, settings = str(folder.absolute().parents[2]), str(config.absolute())

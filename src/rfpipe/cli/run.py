@@ -70,7 +70,7 @@ def run(context: typer.Context) -> None:
     rfpipe's own.
     """
     from rfpipe.cli.targets import check_forced_rules, check_no_settings_file
-    from rfpipe.jobs.ends import program
+    from rfpipe.storage.run_record import program
 
     options = _Options.of(context.args)
     if options.help_all:
@@ -145,7 +145,7 @@ def _own_snakefile() -> Path:
 def _checked(options: _Options) -> Config | None:
     """Check folders and settings; return these where they are of one file."""
     from rfpipe.config import load_config, read_yaml
-    from rfpipe.jobs.ends import check_no_braces
+    from rfpipe.jobs.snakemake import check_no_braces
 
     check_no_braces("the run's folder", options.folder.absolute())
     if not options.is_named:
@@ -160,7 +160,7 @@ def _checked(options: _Options) -> Config | None:
 
 def _free(options: _Options) -> None:
     """Free the folder where its last run was killed; raise LockedError where a run works in it."""
-    from rfpipe.jobs.running import free_if_dead
+    from rfpipe.jobs.snakemake_lock import free_if_dead
 
     unlocks = "--unlock" in options.passed_on
     command = shlex.join(["rfpipe", "run", *options.passed_on, "--unlock"])
@@ -172,7 +172,7 @@ def _retaken(options: _Options, settings: Config | None) -> bool:
     """Set aside the pictures to take again; return True for a rehearsal, with --dry-run."""
     from rfpipe.errors import InputError
     from rfpipe.stages.captures import check_retakes
-    from rfpipe.stages.retake import find_retakes
+    from rfpipe.storage.retake import find_retakes
 
     acquisitions = None if settings is None else settings.acquisitions
     if settings is not None and settings.capture.rig == "offline":
@@ -199,7 +199,7 @@ def _retaken(options: _Options, settings: Config | None) -> bool:
 
 def _put_back(options: _Options, settings: Config | None) -> bool:
     """Put pictures back that were set aside; return True for a rehearsal, with --dry-run."""
-    from rfpipe.stages.retake import find_retakes
+    from rfpipe.storage.retake import find_retakes
 
     acquisitions = None if settings is None else settings.acquisitions
     results = options.folder / "results"
@@ -215,7 +215,7 @@ def _put_back(options: _Options, settings: Config | None) -> bool:
 
 def _warn_unrecorded(options: _Options) -> None:
     """Warn of results that were copied without Snakemake's records of their settings."""
-    from rfpipe.jobs.running import unrecorded
+    from rfpipe.jobs.snakemake_lock import unrecorded
 
     names = [] if {"--forceall", "-F"} & set(options.passed_on) else unrecorded(options.folder)
     if names:
@@ -232,13 +232,13 @@ def _warn_unrecorded(options: _Options) -> None:
 def _say_outcome(folder: Path, ended: int) -> None:
     """Print the report's path, the failures, and the acquisitions above their target error."""
     from rfpipe.config.model import TARGET_MARGIN
-    from rfpipe.jobs.ends import acquisitions_of
     from rfpipe.jobs.outcome import failure_line, missed_targets, read_failures
+    from rfpipe.storage.run_record import recorded_acquisitions
 
     results = folder / "results"
     if (folder / _REPORT).is_file() and not ended:
         typer.echo(f"report: {os.path.normpath(folder / _REPORT)}")
-    missed = missed_targets(results, acquisitions_of(results), TARGET_MARGIN)
+    missed = missed_targets(results, recorded_acquisitions(results), TARGET_MARGIN)
     failures = [
         failure
         for failure in (read_failures(results) if ended else [])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rfpipe.stages.checking import Checked
+    from rfpipe.storage.checking import Checked
 
 
 def verify(
@@ -41,8 +41,8 @@ def verify(
     from tqdm import tqdm
 
     from rfpipe.report.page import check_page
-    from rfpipe.stages.checking import check
-    from rfpipe.stages.mending import command_for
+    from rfpipe.storage.checking import check
+    from rfpipe.storage.repairs import command_for
 
     with tqdm(unit="B", unit_scale=True, leave=False, disable=None) as bar:
         checked = check(folder, bar.update)

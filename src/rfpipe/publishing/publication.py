@@ -27,8 +27,7 @@ from rfpipe.publishing.run import (
     settings_of,
 )
 from rfpipe.publishing.writing import Source, Writer, size_of, writing
-from rfpipe.references.reference_images import REFERENCES
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import REFERENCE_IMAGES, AcquisitionFolder
 from rfpipe.store.places import CHECKSUMS
 from rfpipe.transport.storage import STORE_NAME
 from rfpipe.version import __version__
@@ -142,8 +141,8 @@ def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
 def _floodlit(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of an acquisition's picture under all light."""
     folder = AcquisitionFolder(acquisition.folder)
-    if folder.store(0, REFERENCES).exists():
-        floodlit = folder.read(0, "merge", REFERENCES)[0]["floodlit"]
+    if folder.store(0, REFERENCE_IMAGES).exists():
+        floodlit = folder.read(0, "merge", REFERENCE_IMAGES)[0]["floodlit"]
         where = f"pictures/{acquisition.scene}/{acquisition.method}"
         for suffix in ("exr", "png"):
             yield f"{where}/floodlit.{suffix}", encoded(floodlit, suffix)

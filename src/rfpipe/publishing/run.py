@@ -16,7 +16,7 @@ import yaml
 from rfpipe.config import load_config
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.publishing.writing import Source
-from rfpipe.stages.folder import BY_PRODUCTS
+from rfpipe.storage.files import BY_PRODUCTS
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.packed import packed_in
 from rfpipe.store.places import METADATA

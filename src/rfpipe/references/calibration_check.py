@@ -18,7 +18,7 @@ from rfpipe.references.placement import placement_of
 from rfpipe.references.reference_images import Merger
 from rfpipe.references.symmetry import no_longer_coaxial, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
-from rfpipe.stages.folder import LAMP, AcquisitionFolder
+from rfpipe.storage.files import LAMP, AcquisitionFolder
 
 _log = logging.getLogger(__name__)
 

@@ -12,10 +12,10 @@ from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import Merger
-from rfpipe.stages.folder import AcquisitionFolder
-
-CHECK_PICTURES = "check_pictures"
-"""The repeated random pattern of a level: its store and its key in manifests."""
+from rfpipe.storage.files import (
+    CHECK_PICTURES,
+    AcquisitionFolder,
+)
 
 Double = NDArray[np.float64]
 

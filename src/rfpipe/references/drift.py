@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.references.check_pictures import CHECK_PICTURES, check_positions, first_check_picture
+from rfpipe.references.check_pictures import check_positions, first_check_picture
 from rfpipe.references.comparison import change
 from rfpipe.references.reference_images import Merger
 from rfpipe.references.steadiness import smooth_changes
@@ -25,7 +25,7 @@ from rfpipe.rigs.faults import (
     SIGNIFICANCE,
     room_fault,
 )
-from rfpipe.stages.folder import AcquisitionFolder, name_of
+from rfpipe.storage.files import CHECK_PICTURES, AcquisitionFolder, name_of
 
 Double = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import Merger
 from rfpipe.references.steadiness import smooth_changes
 from rfpipe.rigs.faults import SIGNIFICANCE
-from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, AcquisitionFolder
+from rfpipe.storage.files import LAMP, REFERENCE_BRACKETS, SYMMETRY, AcquisitionFolder
 
 Double = NDArray[np.float64]
 
@@ -69,12 +69,12 @@ class _Light(NamedTuple):
 def measure_lamp(folder: AcquisitionFolder, merger: Merger, *, level_0_is_white: bool) -> Lamp:
     """Compare the brightness of the first brackets; log a change."""
     captured = folder.read_manifest(0, "capture")
-    off, on = (captured[REFERENCE][name] for name in ("black_frames", "floodlit_frames"))
+    off, on = (captured[REFERENCE_BRACKETS][name] for name in ("black_frames", "floodlit_frames"))
     count = captured.get(SYMMETRY, {}).get("symmetry_frames", 0)
     channels = merger.floodlit.shape[-1]
     steady = np.ones(channels), np.ones((count, channels))
     last = range(off + max(0, on - _LAST), off + on)
-    with folder.frames(0, "capture", REFERENCE) as frames:
+    with folder.frames(0, "capture", REFERENCE_BRACKETS) as frames:
         whites = [_light(merger.merge(frames.read(index, index + 1), index)) for index in last]
     now = _level_0(folder, merger) if level_0_is_white else None
     series = np.stack([one.total for one in (*whites, *([now] if now else []))])

@@ -24,11 +24,12 @@ from rfpipe.photometry.defects import (
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
 from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, Kind, kind_of
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.storage.files import (
+    REFERENCE_BRACKETS,
+    REFERENCE_IMAGES,
+    AcquisitionFolder,
+)
 from rfpipe.units import RADIANCE
-
-REFERENCES = "merged_reference"
-"""Black level, defects and floodlit image: their store, and their key in level 0's merge."""
 
 Frames = NDArray[Any]
 Double = NDArray[np.float64]
@@ -245,7 +246,7 @@ def _check_saturation(share: float, sensor: Sensor, kind: Kind) -> None:
 def learn_references(sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool) -> Merger:
     """Learn black level, defects and floodlit image from the reference brackets."""
     off, on = _reference_counts(folder).values()
-    with folder.frames(0, "capture", REFERENCE) as frames:
+    with folder.frames(0, "capture", REFERENCE_BRACKETS) as frames:
         brackets = (frames.read(index, index + 1) for index in range(off + on))
         black = islice(brackets, off)
         kind = kind_of(folder.read_manifest(0, "capture")["rig"])
@@ -253,7 +254,7 @@ def learn_references(sensor: Sensor, folder: AcquisitionFolder, mask_defects: bo
 
 
 def _reference_counts(folder: AcquisitionFolder) -> dict[str, int]:
-    captured = folder.read_manifest(0, "capture")[REFERENCE]
+    captured = folder.read_manifest(0, "capture")[REFERENCE_BRACKETS]
     return {name: captured[name] for name in ("black_frames", "floodlit_frames")}
 
 
@@ -264,12 +265,12 @@ def write_references(folder: AcquisitionFolder, merger: Merger) -> dict[str, Any
     if merger.defects is not None:
         arrays["defects"] = merger.defects.mask
         counted |= {"hot": merger.defects.hot, "dead": merger.defects.dead}
-    return {**folder.write_part(0, REFERENCES, arrays, counted=counted), **counted}
+    return {**folder.write_part(0, REFERENCE_IMAGES, arrays, counted=counted), **counted}
 
 
 def read_merger(sensor: Sensor, folder: AcquisitionFolder) -> Merger:
     """Read what level 0 learnt."""
-    arrays, attributes = folder.read(0, "merge", REFERENCES)
+    arrays, attributes = folder.read(0, "merge", REFERENCE_IMAGES)
     counted = attributes["counted"]
     defective = "defects" in arrays
     defects = DefectMap(arrays["defects"], counted["hot"], counted["dead"]) if defective else None
@@ -279,5 +280,5 @@ def read_merger(sensor: Sensor, folder: AcquisitionFolder) -> Merger:
 
 def read_floodlit(folder: AcquisitionFolder) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Read the floodlit image that level 0 measured, and its variance: (*camera_shape, C)."""
-    arrays, _ = folder.read(0, "merge", REFERENCES)
+    arrays, _ = folder.read(0, "merge", REFERENCE_IMAGES)
     return arrays["floodlit"], arrays["floodlit_variance"]

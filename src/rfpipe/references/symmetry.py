@@ -22,7 +22,7 @@ from rfpipe.calibration.symmetry import (
 from rfpipe.errors import CaptureError
 from rfpipe.references.placement import placement_of
 from rfpipe.references.reference_images import Merger
-from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
+from rfpipe.storage.files import SYMMETRY, AcquisitionFolder
 
 if TYPE_CHECKING:
     from rfpipe.methods import Method, Options

@@ -18,7 +18,7 @@ from rfpipe.report.inputs import seconds_spent
 from rfpipe.report.page import rendered
 from rfpipe.report.targets import ending_of, missed_targets
 from rfpipe.report.text import ray_size
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock, manifest_or_empty
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import last_estimate

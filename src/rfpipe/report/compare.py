@@ -21,7 +21,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.report.inputs import read_json, seconds_spent
 from rfpipe.report.text import percent
 from rfpipe.stages.evaluate import errors_by_level, pictures_by_level
-from rfpipe.stages.verification import MANIFEST as VERIFIED
+from rfpipe.storage.files import VERIFICATION_MANIFEST
 from rfpipe.store import open_arrays
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[
     if "level_errors" in facts:
         errors = errors_by_level(facts)
     else:
-        error = read_json(folder / VERIFIED).get("mean_error")
+        error = read_json(folder / VERIFICATION_MANIFEST).get("mean_error")
         last = max((row["level"] for row in facts["levels"]), default=0)
         errors = [] if error is None else [(last, facts["patterns"], error)]
     pictures = pictures_by_level(folder)

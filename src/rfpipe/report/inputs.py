@@ -18,7 +18,7 @@ from rfpipe.report.drawing import Panel
 from rfpipe.report.page import Column
 from rfpipe.report.text import words
 from rfpipe.stages.evaluate import pictures_by_level
-from rfpipe.stages.verification import MANIFEST as VERIFIED
+from rfpipe.storage.files import VERIFICATION_MANIFEST
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
 if TYPE_CHECKING:
@@ -257,7 +257,9 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         if images is None:
             continue
         acquired = read_json(folder / "transport.json")
-        verified = _opened(folder / VERIFIED) if config.verification_pictures else ({}, None)
+        verified = (
+            _opened(folder / VERIFICATION_MANIFEST) if config.verification_pictures else ({}, None)
+        )
         runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired, *verified))
     return Inputs(config, runs, pd.read_csv(errors), pd.read_csv(speed_error), results)
 

@@ -25,10 +25,10 @@ from rfpipe.rigs.base import is_simulated
 from rfpipe.stages import capture
 from rfpipe.stages.acquisition import run_levels
 from rfpipe.stages.assemble import assembled
-from rfpipe.stages.folder import AcquisitionFolder, Arrays, Facts
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
 from rfpipe.stages.verification import Verification, capture_and_merge, compared, schedule_of
+from rfpipe.storage.files import AcquisitionFolder, Arrays, Facts
 from rfpipe.transport import Transport
 from rfpipe.units import RADIANCE
 

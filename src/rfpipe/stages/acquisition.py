@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from rfpipe.errors import DamagedStageError
 from rfpipe.jobs.job import start
 from rfpipe.jobs.workers import Resources
-from rfpipe.stages.folder import STAGES, AcquisitionFolder, clear
+from rfpipe.storage.files import STAGES, AcquisitionFolder, clear
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.references.reference_images import REFERENCES, read_floodlit
-from rfpipe.stages.folder import AcquisitionFolder, standing
+from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.normalize import masked_rays
 from rfpipe.stages.plan import Plan
+from rfpipe.storage.files import REFERENCE_IMAGES, AcquisitionFolder, standing
 from rfpipe.store import write_manifest
 from rfpipe.transport import Transport, save_transport
 from rfpipe.transport.filling import fill_from_transpose
@@ -36,7 +36,7 @@ def run(
     levels = folder.levels_above(None)
     made_of = {
         "refine": [[level, folder.read_manifest(level, "refine")["digest"]] for level in levels],
-        "references": folder.read_manifest(0, "merge")[REFERENCES]["digest"],
+        "references": folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
     }
     manifest = folder.path / "transport.json"
     made_from = fingerprint(

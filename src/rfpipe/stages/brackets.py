@@ -20,7 +20,7 @@ from rfpipe.jobs.job import Progress
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import FrameStore, StoreLock, restore_header
 from rfpipe.text import counted
 

@@ -26,11 +26,18 @@ from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated, sequence_patterns
 from rfpipe.rigs.faults import CAPTURE
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.forecast import check_disk, disk_bytes
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.watch import watching_level
 from rfpipe.steps import counted_by
+from rfpipe.storage.files import (
+    REFERENCE_BRACKETS,
+    SENSOR,
+    SYMMETRY,
+    VERIFICATION,
+    AcquisitionFolder,
+    name_of,
+)
 from rfpipe.store import bytes_on_disk
 from rfpipe.text import counted
 from rfpipe.units import (
@@ -42,9 +49,6 @@ from rfpipe.units import (
     SYMMETRY_KEY,
     WARM_UP_KEY,
 )
-
-SENSOR = "sensor"
-"""A resampled sensor's arrays, beside the frames of level 0: their store and manifest's key."""
 
 _SECONDS_BETWEEN_BRACKETS = 30.0  # of white, while the lamp warms up
 
@@ -119,7 +123,7 @@ def run(
         for name, part in before.items():
             counts = {name: it for name, it in part.shown.items() if name != "rig"}
             beside[name] = {**part.capture(batch, progress=progress), **counts}
-            if name == REFERENCE and watching["mode"] != "off":
+            if name == REFERENCE_BRACKETS and watching["mode"] != "off":
                 _check_references(folder, rig.sensor, part.shown, watching["mode"])
     looks = max(watching["check_interval"], in_sequences) if watching["check_interval"] else 0
     with watching_level(of_level, level, watching["mode"], looks) as watch:
@@ -168,7 +172,9 @@ def brackets_of(
     if level == 0:
         patterns = partial(reference_patterns, shape, off)
         shown: dict[str, Any] = {"black_frames": off, "floodlit_frames": on}
-        before[REFERENCE] = brackets(REFERENCE, "reference brackets", off + on, patterns, shown)
+        before[REFERENCE_BRACKETS] = brackets(
+            REFERENCE_BRACKETS, "reference brackets", off + on, patterns, shown
+        )
     if level == 0 and symmetry_frames:
         patterns = partial(symmetry_patterns, shape, symmetry_frames)
         shown, name = {"symmetry_frames": symmetry_frames}, "brackets of random patterns"
@@ -265,7 +271,7 @@ def _check_references(
     camera, off = camera_of(sensor), shown["black_frames"]
     if camera is None:
         return
-    with folder.open_frames(0, REFERENCE) as frames:
+    with folder.open_frames(0, REFERENCE_BRACKETS) as frames:
         count = frames.shape[0]
         samples = np.stack([sample(frames.read(n, n + 1)[0], count) for n in range(count)])
     for fault in faults_of_references(samples[:off], samples[off:], camera):

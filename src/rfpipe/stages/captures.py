@@ -18,9 +18,9 @@ from rfpipe.rigs.calibrated import warn_of
 from rfpipe.rigs.messages import read_token
 from rfpipe.stages import capture
 from rfpipe.stages.brackets import differing
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
 from rfpipe.stages.plan import rig_of
-from rfpipe.stages.retake import Retake, is_whole
+from rfpipe.storage.files import REFERENCE_BRACKETS, AcquisitionFolder, name_of
+from rfpipe.storage.retake import Retake, is_whole
 from rfpipe.store import FrameStore
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def _begun_with(folder: AcquisitionFolder) -> dict[str, Any] | None:
     Also None where they can't be read: their own stage reports the damage.
     """
     try:
-        with FrameStore.open(folder.store(0, REFERENCE)) as frames:
+        with FrameStore.open(folder.store(0, REFERENCE_BRACKETS)) as frames:
             return dict(frames.attributes["rig"]) if frames.done.any() else None
     except (StoreError, KeyError):
         return None

@@ -16,11 +16,9 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.references import symmetry
-from rfpipe.references.check_pictures import CHECK_PICTURES
 from rfpipe.references.drift import measure_looks
 from rfpipe.references.initial_brightness import measure_lamp, with_brightness
 from rfpipe.references.reference_images import (
-    REFERENCES,
     LevelSum,
     Merger,
     chunk_patterns,
@@ -32,13 +30,20 @@ from rfpipe.references.reference_images import (
 from rfpipe.references.steadiness import camera_of
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.folder import LAMP, REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.storage.files import (
+    CHECK_PICTURES,
+    LAMP,
+    REFERENCE_BRACKETS,
+    REFERENCE_IMAGES,
+    SUMS,
+    SYMMETRY,
+    VERIFICATION,
+    AcquisitionFolder,
+    name_of,
+)
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE_UNIT
-
-SUMS = "sums"
-"""Sum of the level's images and of their variance: their store and manifest's key."""
 
 _log = logging.getLogger(__name__)
 
@@ -96,7 +101,7 @@ def run(
             "mask_defects": mask_defects,
         },
         "captured": captured["digest"],
-        "references": references[REFERENCE if level == 0 else REFERENCES]["digest"],
+        "references": references[REFERENCE_BRACKETS if level == 0 else REFERENCE_IMAGES]["digest"],
         **({SYMMETRY: captured[SYMMETRY]["digest"]} if SYMMETRY in captured else {}),
     }
     if CHECK_PICTURES in captured:
@@ -143,7 +148,7 @@ def _learn(
         lamp = measure_lamp(folder, merger, level_0_is_white=is_white)
         merger, randoms = with_brightness(merger, lamp.whites), lamp.randoms
         facts |= lamp.facts()
-    facts[REFERENCES] = write_references(folder, merger)
+    facts[REFERENCE_IMAGES] = write_references(folder, merger)
     return merger, facts | symmetry.measured(folder, merger, randoms)
 
 
@@ -251,7 +256,7 @@ def _kept(
         sums.read_all()
         facts: dict[str, Any] = {**sums.attributes["facts"], SUMS: sums.entry()}
         if level == 0:
-            open_arrays(folder.store(0, REFERENCES)).read_all()
+            open_arrays(folder.store(0, REFERENCE_IMAGES)).read_all()
         images = FrameStore.open(folder.store(level, "merge"))
         why = "" if images.complete and not images.damaged() else "the merged images are damaged"
     except LockedError:
@@ -287,8 +292,8 @@ def drop_raw(folder: AcquisitionFolder) -> None:
 
 def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
     """Remove the frames that were merged: last of all, so that it may be cut off anywhere."""
-    kept = ["merge", SUMS, *([REFERENCES] if level == 0 else [])]
-    raw = ["capture", *([REFERENCE, SYMMETRY] if level == 0 else [])]
+    kept = ["merge", SUMS, *([REFERENCE_IMAGES] if level == 0 else [])]
+    raw = ["capture", *([REFERENCE_BRACKETS, SYMMETRY] if level == 0 else [])]
     for part in kept:
         to_disk(folder.store(level, part))
     stores = [folder.store(level, part) for part in raw]

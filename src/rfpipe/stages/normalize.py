@@ -15,11 +15,11 @@ from rfpipe.methods.base import Method
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
 from rfpipe.provenance import fingerprint
-from rfpipe.references.reference_images import REFERENCES, LevelSum, read_floodlit
-from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.merge import SUMS, read_level_sum
+from rfpipe.references.reference_images import LevelSum, read_floodlit
+from rfpipe.stages.merge import read_level_sum
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.storage.files import REFERENCE_IMAGES, SUMS, AcquisitionFolder
 from rfpipe.transport import Transport
 
 Float = NDArray[np.float32]
@@ -100,7 +100,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     planned = folder.read_manifest(level, "schedule")
     made_of = {
         "merge": folder.read_manifest(level, "merge")[SUMS]["digest"],
-        "references": folder.read_manifest(0, "merge")[REFERENCES]["digest"],
+        "references": folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
         "schedule": [planned["shown"], planned["complete"]],
         "mode": mode,
         "noise_significance": plan.options.noise_significance,

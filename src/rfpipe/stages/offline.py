@@ -20,9 +20,9 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, relative_to_sheet, write_sheet
 from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, folder_of
 from rfpipe.stages.plan import Plan, in_manner, manner_of, plan_of, stages_of
 from rfpipe.stages.verification import capture_options, schedule_of, schedule_pictures
+from rfpipe.storage.files import VERIFICATION, AcquisitionFolder, folder_of
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:

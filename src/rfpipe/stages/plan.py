@@ -14,7 +14,7 @@ from rfpipe.plugins import METHODS, SCENES, is_of_rfpipe, sources_of
 from rfpipe.provenance import code_digest, source_digest
 from rfpipe.references.symmetry import read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:

@@ -15,11 +15,11 @@ from rfpipe.methods.base import LevelImages
 from rfpipe.methods.images import ImagesAs
 from rfpipe.provenance import fingerprint
 from rfpipe.references.reference_images import read_floodlit
-from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.steps import counted_by
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.text import counted, percent
 from rfpipe.transport.base import last_estimate
 from rfpipe.units import RADIANCE_UNIT

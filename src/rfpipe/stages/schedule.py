@@ -8,8 +8,8 @@ from typing import Any
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
+from rfpipe.storage.files import AcquisitionFolder
 
 _log = logging.getLogger(__name__)
 

@@ -20,13 +20,20 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
 from rfpipe.references.calibration_check import alarm
-from rfpipe.references.check_pictures import CHECK_PICTURES
 from rfpipe.references.drift import alarms_of
-from rfpipe.references.reference_images import REFERENCES, read_floodlit
+from rfpipe.references.reference_images import read_floodlit
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
 from rfpipe.stages import merge
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, write_bundle
 from rfpipe.stages.schedule import read_schedule, write_schedule
+from rfpipe.storage.files import (
+    CHECK_PICTURES,
+    REFERENCE_IMAGES,
+    VERIFICATION,
+    VERIFICATION_MANIFEST,
+    AcquisitionFolder,
+    name_of,
+    write_bundle,
+)
 from rfpipe.store import read_manifest
 from rfpipe.text import counted, percent
 from rfpipe.transport import Transport, open_transport
@@ -35,9 +42,6 @@ from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
     import pandas as pd
-
-MANIFEST = "verification.json"
-"""The result of a verification, beside the transport that it is about."""
 
 _SEED = 15  # of the pictures
 _MOST_SATURATED = 0.01  # share of samples
@@ -285,7 +289,7 @@ def _above(name: str, facts: Mapping[str, Any], bound: float) -> str:
 def schedule_pictures(folder: AcquisitionFolder, pictures: int) -> None:
     """Write the patterns once: a transport made anew doesn't ask for other pictures."""
     folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
-    references = folder.read_manifest(0, "merge")[REFERENCES]["digest"]
+    references = folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"]
     schedule = schedule_of(read_schedule(folder, 0).shape, pictures)
     made_from = fingerprint([references, schedule.digest()])
     if not folder.standing(VERIFICATION, "schedule", made_from):
@@ -328,7 +332,7 @@ def _compare(folder: AcquisitionFolder, code: str, watching: Mapping[str, Any]) 
     facts |= _outcome(result, acquired["options"].get("target_error"), facts)
     if facts["standing"] == "missed":
         _log.warning("%s: the target is MISSED: %s", folder.path, facts["reason"])
-    write_bundle(folder.path / MANIFEST, made_from, arrays, facts)
+    write_bundle(folder.path / VERIFICATION_MANIFEST, made_from, arrays, facts)
 
 
 def _outcome(

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.check_pictures import (
-    CHECK_PICTURES,
     check_pattern,
     check_picture_count,
     first_check_picture,
@@ -30,7 +29,7 @@ from rfpipe.references.reference_images import Merger, read_merger
 from rfpipe.references.steadiness import Samples, camera_of, motion_of, sample, scatter_of
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, moved_fault, room_fault
 from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.folder import name_of
+from rfpipe.storage.files import CHECK_PICTURES, name_of
 from rfpipe.store import FrameStore, restore_header
 from rfpipe.units import CHECK_PICTURE_KEY
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from rfpipe.calibration.folder import STEPS
-from rfpipe.jobs.ends import RUN, run_again
 from rfpipe.rigs.calibrated import FACTS
-from rfpipe.stages.folder import FILES, VERIFICATION_FOLDER, with_followers
-from rfpipe.stages.verification import MANIFEST as VERIFICATION_MANIFEST
+from rfpipe.storage.files import FILES, VERIFICATION_FOLDER, VERIFICATION_MANIFEST, with_followers
+from rfpipe.storage.run_record import RUN_RECORD, rerun_command
 from rfpipe.store.places import Place
 
 RECORDING = "matrix.json"
@@ -129,14 +128,14 @@ def command_for(finding: Finding) -> str:
         output = str(path.parents[1] if step else path.parent)
         again = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", output])
     else:
-        again = run_again(_results_of(path))
+        again = rerun_command(_results_of(path))
     gone = shlex.join(map(str, finding.mend.remove))
     return f"rm -rf {gone} && {again}" if gone else again
 
 
 def _results_of(path: Path) -> Path:
-    """Return the results to which a damaged file belongs: the folder that has `RUN`."""
+    """Return the results to which a damaged file belongs: the folder that has `RUN_RECORD`."""
     for folder in path.parents:
-        if (folder / RUN).is_file() or any(map(is_acquisition, folder.glob("*/*/"))):
+        if (folder / RUN_RECORD).is_file() or any(map(is_acquisition, folder.glob("*/*/"))):
             return folder
     return path.parent

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rfpipe.errors import InputError
-from rfpipe.stages.folder import (
-    REFERENCE,
+from rfpipe.storage.files import (
+    REFERENCE_BRACKETS,
     STAGES,
     SYMMETRY,
     VERIFICATION,
@@ -18,10 +18,10 @@ from rfpipe.stages.folder import (
 )
 from rfpipe.store import StoreLock, is_dropped
 
-_CAPTURED = ("capture", REFERENCE, SYMMETRY, "sensor", "check_pictures")
+_CAPTURED = ("capture", REFERENCE_BRACKETS, SYMMETRY, "sensor", "check_pictures")
 """Stores of a level's capture."""
 
-_MERGED = ("merge", "sums", "merged_reference")
+_MERGED = ("merge", "sums", "reference_images")
 """Stores of its merge, which alone hold the light where raw exposures were dropped."""
 
 _NEAREST = 4  # names in a message
@@ -164,7 +164,7 @@ def _captured(results: Path) -> Iterator[tuple[str, Retake]]:
     """Yield the name and level of each capture: begun, complete, or set aside."""
     stores = (
         path
-        for stem in ("capture", REFERENCE)
+        for stem in ("capture", REFERENCE_BRACKETS)
         for path in (
             *results.glob(f"*/*/*/{stem}.zarr"),
             *results.glob(f"*/*/*/{stem}.before_*.zarr"),

@@ -35,20 +35,35 @@ from rfpipe.store.places import Place
 from rfpipe.transport.arrays import LazyArrays
 from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
 
-REFERENCE = "reference"
-"""The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
+REFERENCE_BRACKETS = "reference_brackets"
+"""Store and manifest key of the all-off and all-on brackets, captured with level 0."""
+
+REFERENCE_IMAGES = "reference_images"
+"""Store and key in level 0's merge manifest of black level, defects and floodlit image."""
 
 SYMMETRY = "symmetry"
-"""Brackets of random patterns, taken with level 0, and what they tell in the merge's manifest."""
+"""Store of the random patterns' brackets, captured with level 0; key of the symmetry test."""
+
+CHECK_PICTURES = "check_pictures"
+"""Store and manifest key of a level's check pictures, see `rfpipe.references.check_pictures`."""
+
+SENSOR = "sensor"
+"""Store and manifest key of a resampled sensor's arrays, beside the frames of level 0."""
+
+SUMS = "sums"
+"""Store and manifest key of the sum of a level's images and of their variance."""
 
 LAMP = "lamp"
-"""Brightness of the lamp before the first look, in the manifest of level 0's merge."""
+"""Key in level 0's merge manifest: brightness of the lamp before the first check picture."""
 
 VERIFICATION = VERIFICATION_KEY
 """In the place of a level's number: the pictures that verify the transport, taken after it."""
 
 VERIFICATION_FOLDER = "verification"
-"""Name of their folder, among those of the levels."""
+"""Folder of the verification pictures, beside those of the levels."""
+
+VERIFICATION_MANIFEST = "verification.json"
+"""Result of a verification, beside the transport."""
 
 STAGES_LOG = "stages.log"
 """Beside the transport: the stages of a whole acquisition, of which Snakemake keeps no records.
@@ -59,7 +74,7 @@ Where it is newer than level 0's schedule, Snakemake does all stages again; no l
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 """Of a level, in their order."""
 
-BY_PRODUCTS = (".log", ".benchmark.tsv", ".asked", ".tmp")
+BY_PRODUCTS = (".log", ".benchmark.tsv", ".tmp")
 """Ends of the names of files beside results that tell of their making alone."""
 
 FILES = "files.json"

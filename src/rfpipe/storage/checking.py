@@ -12,13 +12,18 @@ from typing import Any
 from urllib.parse import unquote
 
 from rfpipe.errors import InputError, RfpipeError, StoreError
-from rfpipe.jobs.ends import RUN
-from rfpipe.references.check_pictures import CHECK_PICTURES
-from rfpipe.references.reference_images import REFERENCES
-from rfpipe.stages.capture import SENSOR
-from rfpipe.stages.folder import BY_PRODUCTS, REFERENCE, STAGES, SYMMETRY
-from rfpipe.stages.mending import RESTORE, Finding, Mend, is_acquisition, mend_of, part_of
-from rfpipe.stages.merge import SUMS
+from rfpipe.storage.files import (
+    BY_PRODUCTS,
+    CHECK_PICTURES,
+    REFERENCE_BRACKETS,
+    REFERENCE_IMAGES,
+    SENSOR,
+    STAGES,
+    SUMS,
+    SYMMETRY,
+)
+from rfpipe.storage.repairs import RESTORE, Finding, Mend, is_acquisition, mend_of, part_of
+from rfpipe.storage.run_record import RUN_RECORD
 from rfpipe.store import (
     FrameStore,
     StoreLock,
@@ -34,9 +39,9 @@ from rfpipe.transport.storage import ZIP_NAME, transports_in
 
 _TAGS = "tagmanifest-sha256.txt"
 # Stores of a level that the manifest of another name is about.
-_OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, CHECK_PICTURES, SENSOR), "capture") | dict.fromkeys(
-    (SUMS, REFERENCES), "merge"
-)
+_OWNERS = dict.fromkeys(
+    (REFERENCE_BRACKETS, SYMMETRY, CHECK_PICTURES, SENSOR), "capture"
+) | dict.fromkeys((SUMS, REFERENCE_IMAGES), "merge")
 _STAGES_OF: dict[str, tuple[str, ...]] = {
     "acquisition": ("transport", "relight", "verification"),
     "level": STAGES,
@@ -220,7 +225,7 @@ def _is_manifest(path: Path) -> bool:
     """Test whether a file is a manifest, which may be damaged."""
     if path.suffix != ".json":
         return False
-    is_about = path.name == RUN or path.with_suffix(".zarr").exists()
+    is_about = path.name == RUN_RECORD or path.with_suffix(".zarr").exists()
     is_of_stage = path.stem in _STAGES_OF.get(part_of(path), ())
     return is_about or is_of_stage or b'"checksum"' in path.read_bytes()
 

@@ -5,27 +5,14 @@ from __future__ import annotations
 import logging
 import os
 import shlex
-import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
-from rfpipe.errors import InputError, StoreError
-from rfpipe.store import read_manifest, write_manifest
-
-RUN = "run.json"
-"""Lies in ``results``: how the run was started."""
+from rfpipe.errors import InputError
 
 _PATIENCE_SECONDS = 60
-_SNAKEFILE, _CONFIGFILE = "--snakefile", "--configfile"
-
-
-def program(name: str) -> str:
-    """Return the path of a program that is installed beside this Python, or its name."""
-    beside = Path(sys.executable).with_name(name)
-    return str(beside) if beside.exists() else shutil.which(name) or name
 
 
 def check_no_braces(name: str, path: str | Path) -> None:
@@ -38,59 +25,6 @@ def check_no_braces(name: str, path: str | Path) -> None:
             f"{name} is {path}; Snakemake takes braces in a path for wildcards. Use a folder "
             "without braces in its name and in those above it"
         )
-
-
-def write_run(
-    results: Path,
-    snakefile: Path,
-    configfiles: Iterable[Path],
-    overrides: dict[str, Any],
-    acquisitions: Iterable[tuple[str, str]] = (),
-) -> None:
-    """Write how a run was started: its files, the settings of the command line, its acquisitions.
-
-    Files in the run's folder have paths relative to it, so that the run can be copied or renamed.
-    """
-    home = results.resolve().parent
-    options = [_SNAKEFILE, _relative_to(home, snakefile)]
-    for name, values in (
-        (_CONFIGFILE, [_relative_to(home, path) for path in configfiles]),
-        ("--config", [f"{name}={value}" for name, value in overrides.items()]),
-    ):
-        options += [name, *values] if values else []
-    named = [list(acquisition) for acquisition in acquisitions]
-    write_manifest(results / RUN, {"options": options, "acquisitions": named})
-
-
-def acquisitions_of(results: Path) -> list[tuple[str, str]]:
-    """Return scene and method of each acquisition of a run; none where that isn't known."""
-    try:
-        named = read_manifest(results / RUN)["acquisitions"]
-    except (StoreError, KeyError):
-        return []
-    return [(scene, method) for scene, method in named]
-
-
-def run_again(results: Path) -> str:
-    """Return the shell command that runs a run again."""
-    home = results.resolve().parent
-    try:
-        stored = read_manifest(results / RUN)["options"]
-    except (StoreError, KeyError):
-        stored = ["--configfile", "SETTINGS_OF_THAT_RUN"]
-        return shlex.join([program("rfpipe"), "run", "--directory", str(home), *stored])
-    options, name = list[str](), ""
-    for option in stored:
-        name = option if option.startswith("--") else name
-        is_path = name in (_SNAKEFILE, _CONFIGFILE) and option != name
-        options.append(str(home / option) if is_path else option)
-    return shlex.join([program("rfpipe"), "run", "--directory", str(home), *options])
-
-
-def _relative_to(home: Path, path: Path) -> str:
-    """Path relative to a folder, for a file in it, or else the absolute path."""
-    path = path.resolve()
-    return path.relative_to(home).as_posix() if path.is_relative_to(home) else str(path)
 
 
 def notify(command: str | None, status: Literal["done", "failed"], log: str) -> None:
