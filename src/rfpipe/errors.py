@@ -1,52 +1,99 @@
-"""The errors that rfpipe raises on purpose.
+"""Errors that rfpipe raises on purpose; any other exception that leaves the library is a bug.
 
-Every message names the file or setting, its value, what was expected and what to do. Anything
-else that escapes the library is a bug.
+An error has four fields: what is wrong, the value, the place (a file, a setting, a pattern), and
+the remedy. Callers that need to distinguish errors test their class or fields, never the message.
 """
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-# what a URL has between its slashes and its host: a user's name, and a password behind it; a Path
-# that was made of a URL has one slash
-_USER = re.compile(r"(:/+)[^/\s'\"]*@")
+_USER_OF_URL = re.compile(r"(:/+)[^/\s'\"]*@")
+"""User name and password of a URL; a Path made from a URL has a single slash before them."""
 
 
 def installing(extra: str) -> str:
-    """Return how to install an extra of rfpipe, for the end of a message.
+    """Return the remedy for a missing extra of rfpipe.
 
-    From a clone, as long as no package index has it: there, another program is called rfpipe.
+    It names a clone because on the package index "rfpipe" is another program.
     """
     return f"run pip install '.[{extra}]' in your clone of rfpipe"
 
 
 class RfpipeError(Exception):
-    """Base of every error that rfpipe raises on purpose; its message shows no password of a URL.
+    """Base class of the errors that rfpipe raises on purpose.
+
+    The message reads ``what: value (place); remedy``, without the fields that aren't given. User
+    names and passwords in URLs are removed from it.
 
     Parameters
     ----------
-    *args
-        The message.
-    advice : str
-        Remedy, the end of the message; a sentence of its own where it begins with a capital letter.
+    what : object
+        Description of what is wrong, without a full stop. A message that already names value and
+        place needs no other field.
+    value : object, optional
+        The offending value; a string is shown in quotes.
+    place : object, optional
+        File, setting, pattern or device that is affected.
+    remedy : str
+        What the user can do. A remedy that begins with a capital letter becomes a sentence of its
+        own; any other follows a semicolon.
 
     Attributes
     ----------
-    fault : str
-        The message without the advice.
+    what, remedy : str
+        The parameters, without user names and passwords.
+    value, place : object
+        The parameters, strings without user names and passwords; None where not given.
+
+    Examples
+    --------
+    >>> str(RfpipeError("unknown method", value="symetric", place="config.yaml", remedy="fix it"))
+    "unknown method: 'symetric' (config.yaml); fix it"
     """
 
-    def __init__(self, *args: object, advice: str = "") -> None:
-        shown = [_USER.sub(r"\1", a) if isinstance(a, str) else a for a in args]
-        self.fault = str(shown[0]) if shown else ""
-        if advice:
-            shown[:1] = [f"{self.fault}{'. ' if advice[0].isupper() else '; '}{advice}"]
-        super().__init__(*shown)
+    def __init__(
+        self, what: object = "", *, value: object = None, place: object = None, remedy: str = ""
+    ) -> None:
+        self.what = _without_user(what)
+        self.value = _without_user(value) if isinstance(value, str) else value
+        self.place = _without_user(place) if isinstance(place, str) else place
+        self.remedy = _without_user(remedy)
+        super().__init__(str(self))
+
+    @property
+    def problem(self) -> str:
+        """The message without the remedy."""
+        text = self.what
+        if self.value is not None:
+            value = repr(self.value) if isinstance(self.value, str) else self.value
+            text = f"{text}: {value}"
+        if self.place is not None:
+            text = f"{text} ({self.place})"
+        return _without_user(text)
+
+    def __str__(self) -> str:
+        if not self.remedy:
+            return self.problem
+        return f"{self.problem}{'. ' if self.remedy[0].isupper() else '; '}{self.remedy}"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the class with all fields, for errors raised in worker processes."""
+        return _restore, (type(self), self.args, self.__dict__)
+
+
+def _without_user(text: object) -> str:
+    return _USER_OF_URL.sub(r"\1", str(text))
+
+
+def _restore(kind: type[RfpipeError], args: tuple[Any, ...], fields: dict[str, Any]) -> RfpipeError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(fields)
+    return error
 
 
 class ConfigError(RfpipeError):
@@ -58,19 +105,19 @@ class InputError(RfpipeError, ValueError):
 
 
 class CaptureError(RfpipeError):
-    """A rig failed, or what it returned can't be a picture of the pattern shown."""
+    """A rig failed, or the picture it returned can't belong to the displayed pattern."""
 
 
-class PicturesNeeded(CaptureError):  # noqa: N818 - no failure: somebody is to take them
-    """A rig whose pictures are taken elsewhere waits for those of some patterns."""
+class PicturesNeeded(CaptureError):  # noqa: N818 - a request, not a failure
+    """An offline rig waits for pictures that have not been taken yet."""
 
 
 class VerificationError(RfpipeError):
-    """A transport is further from the pictures taken to verify it than was accepted."""
+    """The error of a transport in its verification pictures exceeds the accepted error."""
 
 
 class ClusterError(RfpipeError):
-    """The cluster that was to do the work doesn't answer, isn't fit for it, or lost it."""
+    """The cluster doesn't answer, is unsuitable for the job, or lost it."""
 
 
 class StoreError(RfpipeError):
@@ -78,33 +125,43 @@ class StoreError(RfpipeError):
 
 
 class UnreachableError(StoreError):
-    """A server doesn't answer, fails or breaks off: nothing is known of what it has."""
+    """A server doesn't answer or its answer breaks off, so the state of its files is unknown."""
 
 
 class IntegrityError(StoreError):
     """Stored bytes differ from the digest that was recorded when they were written."""
 
 
-class DamagedStageError(IntegrityError):
-    """What a stage left is damaged or missing; it is made anew where its manifest is missing.
+class IncompleteError(StoreError):
+    """A store of frames is not finished; its capture was interrupted."""
 
-    Attributes
+
+class DamagedStageError(IntegrityError):
+    """The store of a stage is damaged or missing; the stage has to run again.
+
+    Parameters
     ----------
+    what, value, place, remedy
+        As for `RfpipeError`.
     manifest : Path
-        The stage's.
+        Manifest of the stage; the stage runs again once it is removed.
     """
 
-    def __init__(self, message: str, manifest: Path) -> None:
-        super().__init__(message)
+    def __init__(
+        self,
+        what: object,
+        *,
+        manifest: Path,
+        value: object = None,
+        place: object = None,
+        remedy: str = "",
+    ) -> None:
+        super().__init__(what, value=value, place=place, remedy=remedy)
         self.manifest = manifest
-
-    def __reduce__(self) -> tuple[type[DamagedStageError], tuple[str, Path]]:
-        """Let another process have it."""
-        return type(self), (str(self), self.manifest)
 
 
 class StaleStoreError(StoreError):
-    """A store was made with another configuration than the one in force."""
+    """A store was made with another configuration than the current one."""
 
 
 class LockedError(StoreError):

@@ -69,7 +69,7 @@ class Failure(NamedTuple):
     """Cause of a failed write, and the remedy."""
 
     reason: str
-    advice: str
+    remedy: str
 
 
 def suffix_of(path: Path, allowed: tuple[str, ...], command: str = "") -> str:
@@ -146,8 +146,8 @@ def storage_errors(
     try:
         yield
     except OSError as error:
-        reason, advice = _failure(path, error, needed_bytes, resumes=resumes)
-        raise StoreError(f"{path}: {action} failed: {reason}", advice=advice) from error
+        reason, remedy = _failure(path, error, needed_bytes, resumes=resumes)
+        raise StoreError(f"{action} failed: {reason}", place=path, remedy=remedy) from error
 
 
 def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> Failure:
@@ -155,9 +155,9 @@ def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> 
     reason = error.strerror or str(error)
     if is_full(error):
         needed = f"{needed_bytes:,} bytes needed, " if needed_bytes else ""
-        goes_on = ": it goes on where it stopped" if resumes else ""
+        resumption = ": it continues where it stopped" if resumes else ""
         disk = f"{free_bytes(path.parent):,} bytes free on the disk at {mount_point(path)}"
-        remedy = f"{needed}{disk}; make room and run again{goes_on}"
+        remedy = f"{needed}{disk}; make room and run again{resumption}"
         return Failure(reason, remedy)
     if error.errno in _FORBIDDEN:
         return Failure(

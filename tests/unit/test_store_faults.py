@@ -163,10 +163,12 @@ def test_a_full_disk_loses_nothing_that_is_captured(tmp_path: Path) -> None:
     command = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
     errors = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     frames_error, bundle_error = errors.splitlines()
-    assert f"{tmp_path / 's'}: writing the items from 2 on failed" in frames_error
+    assert frames_error.startswith("writing the items from 2 on failed: File too large")
+    assert f"({tmp_path / 's'})" in frames_error
     assert "80,000 bytes needed" in frames_error
     assert "make room and run again" in frames_error
-    assert f"{tmp_path / 'bundle'}: writing arrays failed" in bundle_error
+    assert bundle_error.startswith("writing arrays failed")
+    assert f"({tmp_path / 'bundle'})" in bundle_error
     assert open_arrays(tmp_path / "bundle").shape("a") == (5,)
     frames = np.random.default_rng(0).integers(0, 65536, (4, 200, 200)).astype("u2")
     with FrameStore.create(tmp_path / "s", frames.shape, "u2", "abc", {}) as store:
@@ -236,5 +238,5 @@ def test_a_forbidden_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
         lambda: FrameStore.create(tmp_path / "s", (2, 3), "u2", "abc", {}),
         lambda: write_arrays(tmp_path / "s", {}, {}),
     ):
-        with pytest.raises(StoreError, match="Permission denied; expected a place that this"):
+        with pytest.raises(StoreError, match=r"Permission denied .* expected a place that this"):
             attempt()

@@ -86,7 +86,7 @@ def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> 
         store.write(4, frames[4:6])
     assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames, items_per_chunk=2)
     assert contents(path)["journal.jsonl"] == contents(tmp_path / "plain")["journal.jsonl"]
-    with pytest.raises(StaleStoreError, match="fingerprint abc instead of old"):
+    with pytest.raises(StaleStoreError, match="fingerprint is abc instead of old"):
         ItemWriter(path, "old")
     with pytest.raises(StoreError, match="isn't open for writing"):
         FrameStore.open(path).enter(0, ["0" * 32])
@@ -101,7 +101,7 @@ def test_a_shard_is_added_to_chunk_by_chunk_and_there_once_it_is_whole(tmp_path:
             assert not list(path.glob("c.*"))
             digests += add(frames[6:])
         store.enter(4, digests)
-        with pytest.raises(InputError, match="a block of"), writer.adding(0) as add:
+        with pytest.raises(InputError, match="block of uint16"), writer.adding(0) as add:
             add(frames[:2, :1])
         assert [file.name for file in path.glob("*c.*")] == ["c.1.0.0.0.0"]
         assert store.missing() == [(0, 4)]
@@ -161,9 +161,9 @@ def test_a_reader_sees_what_is_captured_while_another_writes(tmp_path: Path) -> 
         reader = FrameStore.open(tmp_path / "s")
         np.testing.assert_array_equal(reader.read(0, 3), frames[:3])
         assert not reader.complete
-        with pytest.raises(StoreError, match=r"item 3 isn't captured yet \(3 of 7 are\)"):
+        with pytest.raises(StoreError, match="item 3 isn't captured yet; 3 of 7 are"):
             reader.read(2, 5)
-        with pytest.raises(StoreError, match="3 of 7 items captured"):
+        with pytest.raises(StoreError, match="3 of 7 items are captured"):
             reader.digest()
         with pytest.raises(StoreError, match="isn't open for writing"):
             reader.write(3, frames[3:4])
@@ -300,9 +300,9 @@ def test_a_stale_store_is_refused_until_discarded(
 @pytest.mark.parametrize(
     ("start", "block", "named"),
     [
-        (0, np.zeros((2, 4), np.float32), "a block of float32"),
-        (6, np.zeros((4, 4), COUNTS), "items 6 to 10 asked for"),
-        (0, np.zeros((1, 4), COUNTS), "aren't whole files of 2"),
+        (0, np.zeros((2, 4), np.float32), "block of float32"),
+        (6, np.zeros((4, 4), COUNTS), "no such range of items: '6 to 10'"),
+        (0, np.zeros((1, 4), COUNTS), "items 0 to 1 don't fill files of 2"),
     ],
 )
 def test_blocks_that_do_not_fit_are_refused(
@@ -326,14 +326,16 @@ def test_threads_share_a_store(tmp_path: Path) -> None:
 
 def test_what_is_no_store_is_named_and_left_alone(tmp_path: Path) -> None:
     for opening in (FrameStore.open, lambda path: ItemWriter(path, "abc")):
-        with pytest.raises(StoreError, match=r"absent: no store of frames here; run the stage"):
+        with pytest.raises(StoreError, match="no store of frames") as caught:
             opening(tmp_path / "absent")
+        assert caught.value.place == tmp_path / "absent"
+        assert caught.value.remedy == "run the stage that writes it"
     zarr.create_array(tmp_path / "foreign", shape=(2, 2), dtype="u2", attributes={"kind": "x"})
-    with pytest.raises(StoreError, match="a store of 'x'; expected one of 'frames'"):
+    with pytest.raises(StoreError, match="store of another kind than 'frames': 'x'"):
         FrameStore.open(tmp_path / "foreign")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "holiday.jpg").write_bytes(b"jpg")
-    with pytest.raises(InputError, match="stands here but is no store"):
+    with pytest.raises(InputError, match="other than a store exists here"):
         create(tmp_path / "photos")
     assert (tmp_path / "photos" / "holiday.jpg").exists()
     (tmp_path / "empty folder").mkdir()
@@ -345,6 +347,7 @@ def test_damaged_metadata_are_named(tmp_path: Path, content: bytes) -> None:
     filled(tmp_path / "s", counts())
     (tmp_path / "s" / "zarr.json").write_bytes(content)
     for opening in (FrameStore.open, create):
-        with pytest.raises(IntegrityError, match=r"zarr\.json: damaged metadata"):
+        with pytest.raises(IntegrityError, match="damaged metadata") as caught:
             opening(tmp_path / "s")
+        assert caught.value.place == tmp_path / "s" / "zarr.json"
     FrameStore.discard(tmp_path / "s")  # and not locked

@@ -63,7 +63,7 @@ def test_what_is_made_of_the_raw_exposures_is_the_same_without_them(
     raw = FrameStore.open(acquisition.folder.path / RAW[2])
     assert raw.dropped
     assert raw.complete
-    with pytest.raises(StoreError, match="4 items were dropped once they had been used"):
+    with pytest.raises(StoreError, match="4 items were dropped after they had been used"):
         raw.read(0, 1)
 
 
@@ -198,7 +198,7 @@ def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
         store.write(0, frames[:1])
         with pytest.raises(StoreError, match="is writing this store"):
             drop(path)
-    with pytest.raises(StoreError, match="isn't complete"):
+    with pytest.raises(StoreError, match="only the items of a complete store"):
         drop(path)
     with FrameStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
         store.write(1, frames[1:])
@@ -212,7 +212,7 @@ def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
         with pytest.raises(StoreError, match="captured already"):
             store.write(0, frames[:1])
     (path / "journal.jsonl").write_text("")
-    with pytest.raises(IntegrityError, match=r"damaged, and the items .* were dropped"):
+    with pytest.raises(IntegrityError, match="damaged journal of a store whose items were dropped"):
         FrameStore.open(path)
 
 

@@ -57,7 +57,7 @@ def run(
             if error.manifest in cleared or not clear(error):
                 raise
             cleared.add(error.manifest)
-            _log.warning("%s: made anew. %s", error.manifest, str(error).partition(". To do")[0])
+            _log.warning("%s: made anew. %s", error.manifest, error.problem)
         else:
             return
 
@@ -160,7 +160,9 @@ def stage_job(snakemake: Any) -> Iterator[StageJob]:
             if not clear(error):
                 raise
             raise DamagedStageError(
-                f"{str(error).partition('. To do so')[0]}. {error.manifest} is removed: the next "
-                "run makes it anew",
-                error.manifest,
+                error.what,
+                value=error.value,
+                place=error.place,
+                remedy=f"{error.manifest} was removed: run again, and the stage repeats its work",
+                manifest=error.manifest,
             ) from error

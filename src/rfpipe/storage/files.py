@@ -204,8 +204,9 @@ class AcquisitionFolder:
                 _check_digest(bundle.path, bundle.digest, stated)
             elif bundle.attributes.get("facts") != expected:
                 raise IntegrityError(
-                    f"{bundle.path}: holds other patterns than {manifest.name} says. Run the "
-                    "stage that writes it again"
+                    f"patterns differ from those of {manifest.name}",
+                    place=bundle.path,
+                    remedy="Run the stage that writes it again",
                 )
         read = advice_on_damage(manifest)(bundle.read)
         return LazyArrays(bundle.names, read), bundle.attributes
@@ -316,8 +317,14 @@ def advice_on_damage(manifest: Path) -> Iterator[None]:
     try:
         yield
     except StoreError as error:
-        text = f"{error}. To do so, remove {manifest} and run again"
-        raise DamagedStageError(text, manifest) from error
+        remedy = f"{error.remedy}. To do so, remove {manifest} and run again"
+        raise DamagedStageError(
+            error.what,
+            value=error.value,
+            place=error.place,
+            remedy=remedy.removeprefix(". "),
+            manifest=manifest,
+        ) from error
 
 
 def clear(error: DamagedStageError) -> bool:
@@ -350,6 +357,7 @@ def with_followers(manifest: Path) -> list[Path]:
 def _check_digest(path: Path | Place, found: str, expected: dict[str, Any]) -> None:
     if found != expected["digest"]:
         raise IntegrityError(
-            f"{path}: has the digest {found}; its manifest says {expected['digest']}. Run the "
-            "stage that writes it again"
+            f"digest is {found}; its manifest states {expected['digest']}",
+            place=path,
+            remedy="Run the stage that writes it again",
         )

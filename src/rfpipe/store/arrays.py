@@ -70,7 +70,7 @@ class ArrayBundle:
             is_whole = False
         if not is_whole:
             raise IntegrityError(
-                f"{path}: its attributes don't match their digest", advice=_advice(path)
+                "attributes don't match their digest", place=path, remedy=_remedy(path)
             )
         self.names: tuple[str, ...] = tuple(sorted(self._entries))
 
@@ -157,16 +157,19 @@ class ArrayBundle:
     def _entry(self, name: str) -> dict[str, Any]:
         if name not in self.names:
             raise InputError(
-                f"{self.path}: no array {name!r}; expected one of {', '.join(self.names)}"
+                "no array of this name",
+                value=name,
+                place=self.path,
+                remedy=f"expected one of {', '.join(self.names)}",
             )
         return self._entries[self._prefix + name]
 
     def _damage(self, name: str, entry: dict[str, Any]) -> IntegrityError:
         name = self._prefix + name
         return IntegrityError(
-            f"{self.path / name}: array {name!r} is missing, truncated or altered; expected the "
-            f"digest {entry['digest']}",
-            advice=_advice(self.path),
+            f"array {name!r} is missing, truncated or altered: its digest isn't {entry['digest']}",
+            place=self.path / name,
+            remedy=_remedy(self.path),
         )
 
 
@@ -220,8 +223,10 @@ def write_arrays(
     for name, array in contiguous.items():
         if not _NAME.fullmatch(name) or name == METADATA or array.dtype.kind not in "buif":
             raise InputError(
-                f"{path}: array {name!r} of {array.dtype}; expected booleans, integers or floats, "
-                "and a name of letters, digits, '_', '.' and '-'"
+                f"array {name!r} of {array.dtype} can't be stored",
+                place=path,
+                remedy="expected booleans, integers or floats, and a name of letters, digits, '_', "
+                "'.' and '-'",
             )
     entries = {name: _array_entry(array) for name, array in contiguous.items()}
     digest = _bundle_digest(entries, attributes, path)
@@ -253,9 +258,9 @@ def open_arrays(path: Path | Place) -> ArrayBundle:
     return ArrayBundle(path)
 
 
-def _advice(path: Path | Place) -> str:
+def _remedy(path: Path | Place) -> str:
     if not isinstance(path, Path):
-        return f"Fetch {path} anew (open it again, if it was replaced meanwhile)"
+        return f"Fetch {path} again; if it was replaced meanwhile, open it again"
     return f"Remove {path} and its manifest, and run the stage that writes it again"
 
 
@@ -306,7 +311,9 @@ def _refuse_foreign(path: Path) -> None:
         return
     except StoreError as error:
         raise InputError(
-            f"{path}: stands here but is no bundle of arrays; move it away or choose another place"
+            "a file or folder other than a bundle of arrays exists here",
+            place=path,
+            remedy="move it away or choose another place",
         ) from error
 
 

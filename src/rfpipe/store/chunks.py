@@ -68,27 +68,27 @@ def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
     with storage_errors(path, "reading"):
         content = content_of(path / METADATA)
     if content is None:
-        advice = "run the stage that writes it" if isinstance(path, Path) else "check the address"
-        raise StoreError(f"{path}: no store of {kind} here", advice=advice)
+        remedy = "run the stage that writes it" if isinstance(path, Path) else "check the address"
+        raise StoreError(f"there is no store of {kind}", place=path, remedy=remedy)
     try:
         attributes = json.loads(content)["attributes"]
         stored = attributes["kind"]
     except (ValueError, KeyError, TypeError) as error:
         raise damaged_metadata(path, error) from error
     if stored != kind:
-        raise StoreError(f"{path}: a store of {stored!r}; expected one of {kind!r}")
+        raise StoreError(f"store of another kind than {kind!r}", value=stored, place=path)
     return dict(attributes)
 
 
 def damaged_metadata(path: Path | Place, error: Exception) -> IntegrityError:
-    """Return the error that names a store's damaged metadata and says what to do."""
-    advice = (
+    """Build the error for a store whose metadata can't be read."""
+    remedy = (
         f"restore this file, or remove {path} and run the stage that writes it again"
         if isinstance(path, Path)
-        else "check that the address gives this file and no page for people, or fetch it anew"
+        else "check that the address leads to this file, not to a web page, and fetch it again"
     )
     return IntegrityError(
-        f"{path / METADATA}: damaged metadata ({type(error).__name__}: {error})", advice=advice
+        f"damaged metadata: {type(error).__name__}: {error}", place=path / METADATA, remedy=remedy
     )
 
 

@@ -48,7 +48,11 @@ def canonical_json(value: Any, where: str, *, indent: int | None = None) -> byte
     try:
         text = json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, separators=parting)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {error}; pass plain data with finite numbers") from error
+        raise InputError(
+            f"data can't be stored as JSON: {error}",
+            place=where,
+            remedy="pass plain data with finite numbers",
+        ) from error
     return text.encode()
 
 

@@ -11,7 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from rfpipe.errors import InputError, IntegrityError, StaleStoreError, StoreError
+from rfpipe.errors import (
+    IncompleteError,
+    InputError,
+    IntegrityError,
+    StaleStoreError,
+    StoreError,
+)
 from rfpipe.store.chunks import damaged_metadata, read_attributes
 from rfpipe.store.files import (
     canonical_json,
@@ -80,8 +86,9 @@ class FrameStore:
         self.dropped = (path / _DROPPED).exists()
         if self.dropped and not self.complete:
             raise IntegrityError(
-                f"{path / _JOURNAL}: damaged, and the items that it is about were dropped",
-                advice=f"remove {path} and run the stage that writes it again",
+                "damaged journal of a store whose items were dropped",
+                place=path / _JOURNAL,
+                remedy=f"remove {path} and run the stage that writes it again",
             )
         self._journal: JournalWriter | None = None
         self._lock = StoreLock(path)
@@ -215,8 +222,9 @@ class FrameStore:
         taken = next((item for item in range(start, stop) if item in self._digests), None)
         if taken is not None:
             raise StoreError(
-                f"{self.path}: item {taken} is captured already; write the runs that missing() "
-                "gives, or discard the store to start anew"
+                f"item {taken} is captured already",
+                place=self.path,
+                remedy="write the runs that missing() returns, or discard the store to start over",
             )
         self.enter(start, self._array.write_items(start, block))
 
@@ -242,22 +250,26 @@ class FrameStore:
         self._check_range(start, stop)
         absent = next((item for item in range(start, stop) if item not in self._digests), None)
         if absent is not None:
-            raise StoreError(
-                f"{self.path}: item {absent} isn't captured yet ({len(self._digests)} of "
-                f"{self.shape[0]} are); run the stage that writes it to the end"
+            raise IncompleteError(
+                f"item {absent} isn't captured yet; {len(self._digests)} of {self.shape[0]} are",
+                place=self.path,
+                remedy="run the stage that writes it to the end",
             )
         if self.dropped and start < stop:
             raise StoreError(
-                f"{self.path}: its {self.shape[0]} items were dropped once they had been used; "
-                "remove it and run the stage that writes it again"
+                f"its {self.shape[0]} items were dropped after they had been used",
+                place=self.path,
+                remedy="remove it and run the stage that writes it again",
             )
         block = self._array.read_items(start, stop, self._digests)
         if block is None:
             item = next(iter(self._array.damaged(start, stop, self._digests)), start)
             raise IntegrityError(
-                f"{self._array.file(item)}: item {item} is missing, truncated or altered; expected "
-                f"the digest {self._digests[item]} of {_JOURNAL}. Run the stage that "
-                f"writes {self.path} again: it checks every item and makes the damaged ones anew"
+                f"item {item} is missing, truncated or altered; its digest in {_JOURNAL} is "
+                f"{self._digests[item]}",
+                place=self._array.file(item),
+                remedy=f"Run the stage that writes {self.path} again: it checks every item and "
+                "replaces the damaged ones",
             )
         return block
 
@@ -272,9 +284,10 @@ class FrameStore:
     def digest(self) -> str:
         """Digest of all items in their order; StoreError when one isn't captured yet."""
         if not self.complete:
-            raise StoreError(
-                f"{self.path}: {len(self._digests)} of {self.shape[0]} items captured; a digest "
-                "needs them all"
+            raise IncompleteError(
+                f"{len(self._digests)} of {self.shape[0]} items are captured",
+                place=self.path,
+                remedy="capture all items: the digest of a store covers all of them",
             )
         header = canonical_json([self.dtype.str, list(self.shape)], str(self.path))
         items = "".join(self._digests[item] for item in range(self.shape[0]))
@@ -307,14 +320,18 @@ class FrameStore:
 
     def _open_journal(self) -> JournalWriter:
         if self._journal is None:
-            raise StoreError(f"{self.path}: isn't open for writing; use FrameStore.create")
+            raise StoreError(
+                "store isn't open for writing", place=self.path, remedy="use FrameStore.create"
+            )
         return self._journal
 
     def _check_range(self, start: int, stop: int) -> None:
         if not 0 <= start <= stop <= self.shape[0]:
             raise InputError(
-                f"{self.path}: items {start} to {stop} asked for; expected a range within 0 to "
-                f"{self.shape[0]}"
+                "no such range of items",
+                value=f"{start} to {stop}",
+                place=self.path,
+                remedy=f"expected a range within 0 to {self.shape[0]}",
             )
 
     def _refuse_other(self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str) -> None:
@@ -322,9 +339,10 @@ class FrameStore:
         expected = {"fingerprint": fingerprint, "shape": tuple(shape), "dtype": dtype}
         if made != expected:
             raise StaleStoreError(
-                f"{self.path}: made with another configuration ({made} instead of {expected}), "
-                f"{len(self._digests)} items captured; restore the settings that it was made "
-                "with, or discard it to start anew"
+                f"store was made with another configuration, {made} instead of {expected}; "
+                f"{len(self._digests)} items are captured",
+                place=self.path,
+                remedy="restore the settings with which it was made, or discard it to start over",
             )
 
     def _repair(self) -> None:
@@ -365,7 +383,11 @@ def drop(path: Path) -> int:
     with StoreLock(path):
         store = FrameStore.open(path)
         if not store.complete:
-            raise StoreError(f"{path}: isn't complete; only a complete store can be dropped")
+            raise IncompleteError(
+                "only the items of a complete store can be dropped",
+                place=path,
+                remedy="run the stage that writes it to the end",
+            )
         if not store.dropped:
             write_manifest(path / _DROPPED, {"digest": store.digest(), "shape": list(store.shape)})
         freed = 0

@@ -33,8 +33,9 @@ class ItemArray(ChunkedArray):
         stop, step = start + len(block), self.items_per_file
         if start % step or (stop % step and stop != self.shape[0]):
             raise InputError(
-                f"{self.path}: items {start} to {stop} aren't whole files of {step}; write the "
-                "runs that missing() gives"
+                f"items {start} to {stop} don't fill files of {step} items",
+                place=self.path,
+                remedy="write the runs that missing() returns",
             )
         digests: list[str] = []
         self._check(block)
@@ -112,8 +113,9 @@ class ItemArray(ChunkedArray):
     def _check(self, block: NDArray[Any]) -> None:
         if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
             raise InputError(
-                f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
-                f"(items, {', '.join(map(str, self.shape[1:]))})"
+                f"block of {block.dtype} {block.shape} doesn't match the store",
+                place=self.path,
+                remedy=f"expected {self.dtype} (items, {', '.join(map(str, self.shape[1:]))})",
             )
 
 
@@ -135,8 +137,10 @@ class ItemWriter(ItemArray):
         stored = read_attributes(path, KIND).get("fingerprint")
         if stored != fingerprint:
             raise StaleStoreError(
-                f"{path}: made with another configuration (fingerprint {stored} instead of "
-                f"{fingerprint}); run the stage that writes it again"
+                "store was made with another configuration: its fingerprint is "
+                f"{stored} instead of {fingerprint}",
+                place=path,
+                remedy="run the stage that writes it again",
             )
         super().__init__(path)
 
@@ -158,8 +162,9 @@ def make_item_array(
 
     if path.is_file() or any(path.glob("*")):
         raise InputError(
-            f"{path}: stands here but is no store (it has no {METADATA}); move it away or choose "
-            "another place"
+            f"a file or folder other than a store exists here: it has no {METADATA}",
+            place=path,
+            remedy="move it away or choose another place",
         )
     new = hidden_sibling(path, "new")
     remove_tree(new)

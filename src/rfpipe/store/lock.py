@@ -77,8 +77,9 @@ class StoreLock:
                     patience = _LEASE_SECONDS if is_elsewhere else _GLANCE_SECONDS
                     if time.monotonic() > begun + patience:
                         raise LockedError(
-                            f"{self._path}: process {holder} is writing this store; wait until it "
-                            "ends, or end it, then run again"
+                            f"process {holder} is writing this store",
+                            place=self._path,
+                            remedy="wait until it ends, or end it, then run again",
                         ) from None
                     time.sleep(_POLL_SECONDS)
                     continue

@@ -27,7 +27,7 @@ def write_manifest(path: Path, data: dict[str, Any]) -> None:
         When the disk is full or the folder isn't writable.
     """
     if _CHECKSUM in data:
-        raise InputError(f'{path}: the key "{_CHECKSUM}" is the manifest\'s own; use another')
+        raise InputError("reserved key", value=_CHECKSUM, place=path, remedy="use another key")
     checksum = digest_of(canonical_json(data, str(path)))
     content = canonical_json({**data, _CHECKSUM: checksum}, str(path), indent=2)
     write_atomically(path, content + b"\n")
@@ -46,7 +46,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     with storage_errors(path, "reading"):
         content = content_of(path)
     if content is None:
-        raise StoreError(f"{path}: no such manifest", advice="run the stage that writes it")
+        raise StoreError("no such manifest", place=path, remedy="run the stage that writes it")
     try:
         data: dict[str, Any] = json.loads(content)
         checksum = data.pop(_CHECKSUM, None)
@@ -55,8 +55,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
         is_whole = False
     if not is_whole:
         raise IntegrityError(
-            f"{path}: damaged or altered manifest (its checksum doesn't match)",
-            advice="remove it and run the stage that writes it again",
+            "damaged or altered manifest: its checksum doesn't match",
+            place=path,
+            remedy="remove it and run the stage that writes it again",
         )
     return data
 
