@@ -57,7 +57,7 @@ def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
         for name, value in (("GainRaw", 0), ("OffsetY", 8), ("OffsetX", 16)):
             assert nodes.number(name) == value
         asked = "arv_device_get_string_feature_value", nodes.device, b"TriggerMode"
-        assert aravis_library.tried(*asked) == b"On"
+        assert aravis_library.checked_call(*asked) == b"On"
         camera.expose()
     assert times == [1000, 10_000, 100_000]
 

@@ -57,7 +57,7 @@ class TestBenchProjector(ProjectorContract):
         return rig.projector
 
     def read_back(self, projector):  # type: ignore[no-untyped-def]
-        return projector.scenery.codes.astype(np.float32) / 255
+        return projector.bench_scene.codes.astype(np.float32) / 255
 
 
 def test_a_bracket_is_the_simulation_within_its_noise() -> None:

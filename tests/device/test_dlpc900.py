@@ -73,7 +73,7 @@ def test_what_cannot_be_shown_is_explained() -> None:
         grey[1, 2, 3] = 0.5
         with pytest.raises(InputError, match=r"picture 1 is 0.5 at projector pixel \(2, 3\)"):
             shown.load(grey)
-        with pytest.raises(InputError, match="holds up to 236 pictures"):
+        with pytest.raises(InputError, match="holds at most 236 pictures"):
             shown.load(np.zeros((237, *SHAPE), np.float32))
         shown.load(np.zeros((2, *SHAPE), np.float32))
         with pytest.raises(CaptureError, match="not for 5e-05 s"):
@@ -81,7 +81,7 @@ def test_what_cannot_be_shown_is_explained() -> None:
         for fault, message in (
             ({"status": 1 | 1 << 6}, r"reports an error \(hardware status 0x41\)"),
             ({"status": 1, "refused": {0x1A24}}, "refuses command 0x1a24"),
-            ({"refused": set(), "is_silent": True}, "no answer to command"),
+            ({"refused": set(), "is_silent": True}, "no response to command"),
             ({"is_gone": True}, "USB device is lost"),
         ):
             vars(emulator).update(fault)

@@ -112,7 +112,7 @@ def test_a_picture_of_another_exposure_is_taken_again(
         )
         assert (camera.expose() == COUNTS).all()
         assert camera.statistics["failed"] == 1
-    assert "says that it was exposed for 0.05 s" in caplog.text
+    assert "metadata record an exposure of 0.05 s" in caplog.text
 
 
 def test_a_lost_camera_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

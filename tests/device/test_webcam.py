@@ -112,7 +112,7 @@ def test_a_warning_says_what_stays_on(tmp_path: Path, caplog: pytest.LogCaptureF
         assert camera.adapts[:3] == (
             "automatic exposure", "automatic white balance", "autofocus",
         )  # fmt: skip
-    assert "is no measuring camera: 8 bits" in caplog.text
+    assert "webcams process their 8-bit frames" in caplog.text
     assert "its exposure time is its own affair" in caplog.text
 
 
@@ -137,7 +137,7 @@ def test_exposures_that_the_camera_rounds_are_said(
     monkeypatch.setattr(VirtualUvc, "step", 100)
     with UvcCamera(replace(SENSOR, exposures=(0.012, 0.05))) as camera:
         assert camera.sensor.exposures == (0.01, 0.05)
-    assert "takes 0.01 s for an exposure of 0.012 s" in caplog.text
+    assert "uses 0.01 s for an exposure of 0.012 s" in caplog.text
     with pytest.raises(InputError, match=r"as it takes sensor\.exposures"):
         UvcCamera(replace(SENSOR, exposures=(0.01, 0.012)))
 
@@ -154,7 +154,7 @@ def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:
     ("changes", "kind", "expected"),
     [
         ({"device": "/nowhere/%04d.png"}, CaptureError, r"can't be opened.*group video"),
-        ({"shape": (48, 64)}, CaptureError, r"24 x 30 pixels where camera\.options\.shape asks"),
+        ({"shape": (48, 64)}, CaptureError, r"24 x 30 pixels; camera\.options\.shape is 48 x 64"),
         ({"sensor": replace(SENSOR, exposures=(0.01, 0.1))}, InputError, "one time, not 2"),
         ({"sensor": CameraModel()}, InputError, "8 bits and no mosaic"),
     ],

@@ -87,7 +87,7 @@ def test_a_lost_display_is_an_error_until_it_comes_back(caplog: pytest.LogCaptur
     assert not projector.undisturbed()
     for _ in range(2):
         with pytest.raises(
-            CaptureError, match=rf"display {OWN_NAME}: .*no display answers.*DISPLAY"
+            CaptureError, match=rf"display {OWN_NAME}: .*no display is available.*DISPLAY"
         ):
             projector.show(white(projector))
     with XServer((40, 50), OWN_NAME) as server:
@@ -129,7 +129,7 @@ def test_it_tells_when_its_picture_was_hidden(
 
 def test_without_a_display_it_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(CaptureError, match=r"display unset: no display answers.*DISPLAY"):
+    with pytest.raises(CaptureError, match=r"display unset: no display is available.*DISPLAY"):
         WindowProjector()
 
 

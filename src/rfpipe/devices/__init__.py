@@ -1,1 +1,1 @@
-"""Devices beside a Basler camera and a window, as extras: found by entry points of rfpipe."""
+"""Drivers of projectors and cameras, and the optical bench in software."""

@@ -1,7 +1,7 @@
 """GenICam cameras of all makers (GigE Vision, USB3 Vision), through the library Aravis.
 
-Tested on Aravis' fake camera, in the process and by GigE Vision over the loopback. Never tried on
-a camera of metal: look at the first frames with care.
+Tested with Aravis' fake camera, in the process and by GigE Vision over the loopback interface, but
+not with a physical camera: check the first frames carefully.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from rfpipe.devices.aravis_library import (
     AravisError,
     AravisNodes,
     call,
-    connected,
+    checked_call,
     counts_of,
+    list_cameras,
     load_aravis,
     release,
-    tried,
 )
-from rfpipe.devices.genicam import GenicamCamera, RefusedError, chosen
+from rfpipe.devices.genicam import GenicamCamera, RefusedError, select_camera
 from rfpipe.photometry.camera import CameraModel
 
 Counts = NDArray[np.uint16]
 
 
 class AravisCamera(GenicamCamera):
-    """A GenICam camera of any maker; never tried on a camera of metal.
+    """A GenICam camera of any maker; not tested with a physical camera.
 
-    Options as `GenicamOptions` has them. CaptureError where Aravis is missing, no camera answers,
-    or it refuses a setting: says which.
+    `GenicamOptions` lists the options. CaptureError where Aravis is missing, no camera responds,
+    or it refuses a setting, which the message names.
     """
 
     kind = "aravis"
@@ -52,14 +52,14 @@ class AravisCamera(GenicamCamera):
         return AravisNodes(self._handle)
 
     def _trigger(self) -> None:
-        self._expect()  # one at a time: what comes without being asked for finds no buffer
+        self._add_buffer()  # one at a time: an unexpected frame finds no buffer
         self.nodes.execute("TriggerSoftware")
 
-    def _expect(self) -> None:
-        """Make room for one more frame: the library has none of its own."""
+    def _add_buffer(self) -> None:
+        """Add a buffer for one more frame; the library allocates none itself."""
         call("arv_stream_push_buffer", self._stream, call("arv_buffer_new_allocate", self._payload))
 
-    def _next(self, seconds: float) -> tuple[Counts | None, str]:
+    def _next_frame(self, seconds: float) -> tuple[Counts | None, str]:
         buffer = call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * seconds))
         if not buffer:
             return None, ""
@@ -72,23 +72,22 @@ class AravisCamera(GenicamCamera):
             release(buffer)
 
     def _connect(self) -> None:
-        cameras = connected()
-        identity, self._serial, self._model = cameras[
-            chosen((serial for _, serial, _ in cameras), self._serial)
-        ]
-        self._handle = tried("arv_open_device", identity)
+        cameras = list_cameras()
+        index = select_camera((serial for _, serial, _ in cameras), self._serial)
+        identity, self._serial, self._model = cameras[index]
+        self._handle = checked_call("arv_open_device", identity)
 
     def _set_up(self) -> tuple[int, int]:
         shape = super()._set_up()
         self._payload = shape[0] * shape[1] * (1 if self.sensor.bits == 8 else 2)
-        # what a camera adds to the picture has room, too
+        # a camera may append metadata to the pixels
         self._payload = max(self._payload, int(self.nodes.number("PayloadSize") or 0))
         return shape
 
     def _start(self, room: int = 0) -> None:
-        self._stream = tried("arv_device_create_stream", self._handle, None, None)
+        self._stream = checked_call("arv_device_create_stream", self._handle, None, None)
         for _ in range(room):
-            self._expect()
+            self._add_buffer()
         self.nodes.execute("AcquisitionStart")
 
     def _stop(self) -> None:

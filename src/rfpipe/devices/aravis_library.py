@@ -1,8 +1,7 @@
-"""Aravis, the library of GenICam cameras, as far as a driver needs it.
+"""Calls of the C library Aravis (0.8) for GenICam cameras, through ctypes.
 
-Its Python binding comes with the system's own Python alone: PyGObject has no wheels, and to build
-it takes a compiler and headers of the right age. So the C library is called as it stands, by the
-names and types of its headers (0.8).
+The Python binding, PyGObject, has no wheels, and building it takes a compiler and matching
+headers.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ _SIGNATURES: dict[tuple[Any, tuple[Any, ...]], tuple[str, ...]] = {
         "buffer_get_image_height",
     ),
 }  # fmt: skip
-"""Names of functions, ``arv_`` left out, by what they return and take."""
+"""Functions by the types of their result and arguments; names without ``arv_``."""
 
 for _kind, _value in (("integer", c_int64), ("float", c_double)):
     _bounds = *_FEATURE, _POINTER(_value), _POINTER(_value), _ERROR
@@ -70,7 +69,7 @@ for _kind, _value in (("integer", c_int64), ("float", c_double)):
 
 
 class AravisError(Exception):
-    """What Aravis says of a failure."""
+    """An error that Aravis reports."""
 
 
 class _GError(ctypes.Structure):
@@ -100,11 +99,11 @@ def load_aravis() -> tuple[ctypes.CDLL, ctypes.CDLL]:
 
 
 def call(name: str, *arguments: Any) -> Any:
-    """Call a function that doesn't fail."""
+    """Call a function that reports no errors."""
     return getattr(load_aravis()[0], name)(*arguments)
 
 
-def tried(name: str, *arguments: Any) -> Any:
+def checked_call(name: str, *arguments: Any) -> Any:
     """Call a function whose last argument is a GError; raise it as AravisError."""
     aravis, gobject = load_aravis()
     error = c_void_p()
@@ -116,36 +115,36 @@ def tried(name: str, *arguments: Any) -> Any:
     return result
 
 
-def release(held: int | None) -> None:
-    """Give an object back."""
-    if held:
-        load_aravis()[1].g_object_unref(held)
+def release(address: int | None) -> None:
+    """Release a GObject by its address; nothing for None."""
+    if address:
+        load_aravis()[1].g_object_unref(address)
 
 
-def connected() -> list[tuple[bytes, str, str]]:
-    """Return id, serial number and model of the cameras that answer now."""
+def list_cameras() -> list[tuple[bytes, str, str]]:
+    """Return id, serial number and model of each connected camera."""
     call("arv_update_device_list")
     return [
         (
             call("arv_get_device_id", index),
             _text(call("arv_get_device_serial_nbr", index)),
-            " ".join(_text(call(f"arv_get_device_{what}", index)) for what in ("vendor", "model")),
+            " ".join(_text(call(f"arv_get_device_{name}", index)) for name in ("vendor", "model")),
         )
         for index in range(call("arv_get_n_devices"))
     ]
 
 
 def counts_of(buffer: int, bits: int, payload: int) -> NDArray[np.uint16]:
-    """Return a copy of the frame (H, W) of an ArvBuffer, by its address.
+    """Return a copy of the frame (H, W) in an ArvBuffer, given its address.
 
-    Counts have 8 bits, or more, which stand in 16; AravisError where they are more than `payload`
-    bytes.
+    Counts of more than 8 bits are stored in 16 bits. AravisError where the frame has more than
+    `payload` bytes.
     """
     height, width = (call(f"arv_buffer_get_image_{name}", buffer) for name in ("height", "width"))
     dtype = np.dtype(np.uint8 if bits == 8 else "<u2")
     size = height * width * dtype.itemsize
     if size > payload:
-        raise AravisError(f"a frame of {height} x {width} pixels came, more than was asked for")
+        raise AravisError(f"a frame of {height} x {width} pixels exceeds the region")
     data = call("arv_buffer_get_data", buffer, None)
     flat = np.frombuffer(ctypes.string_at(data, size), dtype)
     return flat.reshape(height, width).astype(np.uint16)
@@ -153,7 +152,7 @@ def counts_of(buffer: int, bits: int, payload: int) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class AravisNodes:
-    """The settings of an open ArvDevice, by its address; `Nodes` of `GenicamCamera`."""
+    """Settings of an open ArvDevice, given its address; implements `Nodes`."""
 
     device: int
 
@@ -162,31 +161,37 @@ class AravisNodes:
         if kind not in ("float", "integer"):
             return None
         try:
-            result = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
+            result = checked_call(
+                f"arv_device_get_{kind}_feature_value", self.device, name.encode()
+            )
         except AravisError:
             return None
         return float(result)
 
     def is_writable(self, name: str) -> bool:
         node = call("arv_device_get_feature", self.device, name.encode())
-        if not node or not tried("arv_device_is_feature_available", self.device, name.encode()):
+        if not node or not checked_call(
+            "arv_device_is_feature_available", self.device, name.encode()
+        ):
             return False
         mode = call("arv_gc_feature_node_get_actual_access_mode", node)
         is_writable = mode in (1, 2)  # WO and RW
-        return is_writable and not tried("arv_gc_feature_node_is_locked", node)
+        return is_writable and not checked_call("arv_gc_feature_node_is_locked", node)
 
     def write(self, name: str, value: Value) -> Value:
         kind = self._kind(name)
         try:
             if kind is None:
                 raise AravisError("the camera has no such setting")
-            if kind in ("float", "integer"):  # Aravis hands on whatever it is given
+            if kind in ("float", "integer"):  # Aravis doesn't check bounds
                 least, largest = self.bounds(name)
                 if not least <= float(value) <= largest:
                     raise AravisError("out of range")
             plain = value.encode() if isinstance(value, str) else value
-            tried(f"arv_device_set_{kind}_feature_value", self.device, name.encode(), plain)
-            actual = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
+            checked_call(f"arv_device_set_{kind}_feature_value", self.device, name.encode(), plain)
+            actual = checked_call(
+                f"arv_device_get_{kind}_feature_value", self.device, name.encode()
+            )
         except (AravisError, ctypes.ArgumentError) as error:
             raise RefusedError(str(error)) from error
         if kind == "string":
@@ -194,7 +199,7 @@ class AravisNodes:
         return bool(actual) if kind == "boolean" else actual
 
     def execute(self, name: str) -> None:
-        tried("arv_device_execute_command", self.device, name.encode())
+        checked_call("arv_device_execute_command", self.device, name.encode())
 
     def bounds(self, name: str) -> tuple[float, float]:
         kind = self._kind(name)
@@ -202,7 +207,7 @@ class AravisNodes:
             raise RefusedError(f"the camera has no number {name}")
         number = c_double if kind == "float" else c_int64
         least, largest = number(), number()
-        tried(
+        checked_call(
             f"arv_device_get_{kind}_feature_bounds",
             self.device, name.encode(), byref(least), byref(largest),
         )  # fmt: skip
@@ -210,7 +215,7 @@ class AravisNodes:
 
     def choices(self, name: str) -> tuple[str, ...]:
         count = c_uint()
-        names = tried(
+        names = checked_call(
             "arv_device_dup_available_enumeration_feature_values_as_strings",
             self.device, name.encode(), byref(count),
         )  # fmt: skip
@@ -222,17 +227,17 @@ class AravisNodes:
         return values
 
     def _kind(self, name: str) -> str | None:
-        """Return the kind of a setting, by which functions are named, or None for no setting."""
+        """Return the kind of a setting, as in function names; None if it doesn't exist."""
         node = call("arv_device_get_feature", self.device, name.encode())
         if not node:
             return None
         is_a = load_aravis()[1].g_type_check_instance_is_a
-        # an enumeration answers to integers, too
-        for kind, of in (
+        # an enumeration also has the type of integers
+        for kind, type_name in (
             ("string", "enumeration"), ("boolean", "boolean"), ("float", "float"),
             ("string", "string"),
         ):  # fmt: skip
-            if is_a(node, call(f"arv_gc_{of}_get_type")):
+            if is_a(node, call(f"arv_gc_{type_name}_get_type")):
                 return kind
         return "integer"
 

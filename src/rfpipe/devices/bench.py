@@ -1,8 +1,8 @@
-"""The optical bench in software: a scene between the projector's window and a real camera driver.
+"""An optical bench in software: a simulated scene between a projector driver and a camera driver.
 
-What the projector shows is drawn into an array in place of a display. At each trigger of the camera
-it is sent through a scene to the camera's picture, exposed with the camera's noise, and handed to
-the driver's virtual camera as its next picture.
+The projector draws into an array instead of a display. At each trigger of the camera, the light
+transport of the scene gives the radiance at the camera's pixels, the camera model adds noise, and
+the virtual camera of the driver's library delivers the counts as its next frame.
 """
 
 from __future__ import annotations
@@ -54,28 +54,28 @@ Codes = NDArray[np.uint8]
 Counts = NDArray[np.uint16]
 
 SAMPLES = 8
-"""Points a side at which each camera pixel looks into the scene."""
+"""Samples per camera pixel along each axis."""
 
 
 class OpticalPath:
-    """A scene between a projector and a camera that each see its rays under a homography.
+    """Light from projector pixels through a scene to camera pixels.
 
-    A ray is the light between a projector's patch of pixels and the camera's patch, both at the
-    same point of the scene. Inter-reflection comes from the mean light of each ray's projector
-    pixels. Where `direct` is known, direct light keeps the projector's own resolution: a point of
-    the scene that the camera sees is lit by the one projector pixel that aims at it.
+    Homographies map the scene's rays to patches of projector pixels and of camera pixels.
+    Inter-reflection is computed from the mean light of each ray's projector pixels. With `direct`,
+    direct light has the projector's full resolution: each camera sample is lit by the single
+    projector pixel that illuminates its point of the scene.
 
     Parameters
     ----------
     scene : PatternOperator
         Light transport from a ray domain of N rays, `shape`, to itself.
     projector_corners, camera_corners : sequence of Quadrilateral
-        Of each view's rays on the projector and on the camera, of `projector_shape` and
+        Corners of each view's rays on the projector and on the camera, of `projector_shape` and
         `camera_shape` pixels.
     direct : ndarray, shape (N, C), optional
-        Radiance of each ray that the light of its own projector pixels alone gives.
+        Radiance of each ray due to direct light from its projector pixels.
     ambient : float
-        Radiance of other light in every camera pixel.
+        Radiance of ambient light in every camera pixel.
     """
 
     def __init__(
@@ -105,38 +105,37 @@ class OpticalPath:
                 f"projector pixel; {projector_shape} pixels are too few, or the corners lie outside"
             )
         self._direct = None if direct is None else np.asarray(direct, np.float32)
-        self._seen = self._sampling()
+        self._sampling = self._sampling_matrix()
 
     def radiance(self, light: NDArray[Any]) -> Float:
-        """Return what the camera sees, float32 (*camera_shape, C).
+        """Compute the radiance at the camera, float32 (*camera_shape, C).
 
-        `light`, of the projector's shape, is that of each projector pixel, 1 at most.
+        `light`, shape `projector_shape`, is the light of each projector pixel, at most 1.
         """
-        of_pixels = np.asarray(light, np.float32).ravel()[self._lit]
+        pixel_light = np.asarray(light, np.float32).ravel()[self._lit]
         rays = self._rays[self._lit]
-        of_rays = np.bincount(rays, of_pixels, prod(self.shape)) / self._pixels
-        image = self._scene.apply(of_rays[None].astype(np.float32))[0]
+        ray_light = np.bincount(rays, pixel_light, prod(self.shape)) / self._pixels
+        image = self._scene.apply(ray_light[None].astype(np.float32))[0]
         points = np.zeros((self._rays.size, self.channels), np.float32)
         points[self._lit] = image[rays]
         if self._direct is not None:
-            beyond_mean = of_pixels - of_rays[rays].astype(np.float32)
-            points[self._lit] += self._direct[rays] * beyond_mean[:, None]
-        picture: Float = self._seen @ points
+            deviation = pixel_light - ray_light[rays].astype(np.float32)
+            points[self._lit] += self._direct[rays] * deviation[:, None]
+        picture: Float = self._sampling @ points
         return picture.reshape(*self.camera_shape, self.channels) + self._ambient
 
     def projector_points(self, camera_points: ArrayLike) -> Double:
-        """Return where the projector aims at what the camera sees at points (..., 2).
+        """Map camera points (..., 2) to the projector points that illuminate the same scene points.
 
-        Both are (x, y) from the picture's corner, as in `Quadrilateral`; NaN where the camera sees
-        no ray.
+        Both are (x, y) from the picture's corner, as in `Quadrilateral`; NaN outside all rays.
         """
         points = np.asarray(camera_points, np.float64)
-        aimed = np.full(points.shape, np.nan)
+        mapped = np.full(points.shape, np.nan)
         for to_camera, to_projector in zip(self._to_camera, self._to_projector, strict=True):
             place = apply_homography(np.linalg.inv(to_camera), points)
             inside = lie_within(place, RayDomain(self.shape).image_shape)
-            aimed[inside] = apply_homography(to_projector, place[inside])
-        return aimed
+            mapped[inside] = apply_homography(to_projector, place[inside])
+        return mapped
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes the picture."""
@@ -150,8 +149,8 @@ class OpticalPath:
             "ambient": float(self._ambient),
         }
 
-    def _sampling(self) -> csr_array[Any]:
-        """Return the mean of the projector pixels' points that each camera pixel looks at."""
+    def _sampling_matrix(self) -> csr_array[Any]:
+        """Sparse matrix that averages the radiance at projector pixels for each camera pixel."""
         from scipy.sparse import csr_array, vstack
 
         height, width = self.camera_shape
@@ -171,27 +170,27 @@ class OpticalPath:
         return csr_array(vstack(rows, "csr"))
 
 
-class Scenery:
-    """A bench's display, the scene before it, and the true numbers of the camera that looks.
+class BenchScene:
+    """The display of a bench, the scene lit by it, and the true properties of the camera.
 
-    As a display it is drawn by `rfpipe.devices.window.WindowProjector`.
+    As a display, it takes the place of the window of `rfpipe.devices.window.WindowProjector`.
 
     Parameters
     ----------
     light_of_code : ndarray of float32, shape (256,)
         The projector's true response.
     camera : CameraModel
-        Its noise, bits and mosaic; the exposures are those that the driver sets.
+        Noise, bits and mosaic; the driver sets the exposures.
     delay_seconds : float
-        From a picture's drawing to its light.
+        Time from drawing a picture until its light appears.
     knock : (int, int, int), optional
-        Exposures before a knock against the projector, and the pixels down and to the right that
-        its picture lies from then on.
+        Number of exposures before the projector is moved, and the shift of its picture from then
+        on, in pixels down and to the right.
 
     Attributes
     ----------
     codes : ndarray of uint8, shape path.projector_shape
-        The picture that was drawn last.
+        The last drawn picture.
     """
 
     def __init__(
@@ -210,43 +209,43 @@ class Scenery:
         self._delay, self._knock = delay_seconds, knock
         self._drawn: deque[tuple[float, Codes]] = deque(maxlen=16)
         self._number = 0
-        self._seen: tuple[Codes, Float] | None = None
+        self._last_radiance: tuple[Codes, Float] | None = None
 
     def draw(self, codes: Codes) -> None:
-        """Draw a picture; its light may come late."""
+        """Draw a picture; its light appears after the delay."""
         self.codes = codes
         self._drawn.append((time.monotonic(), codes))
 
     def is_undisturbed(self) -> bool:
-        """Nothing else is drawn on this display."""
+        """Return True: no other program draws on this display."""
         return True
 
     def close(self) -> None:
-        """Leave the display as it is."""
+        """Do nothing; the display needs no release."""
 
     def frame(self, exposure: float) -> Counts:
-        """Return the counts (Hc, Wc[, 3]) of the next frame, each with noise of its own."""
+        """Expose the next frame: counts (Hc, Wc[, 3]) with independent noise."""
         self._number += 1
         codes = self._lit()
-        if self._seen is None or not np.array_equal(codes, self._seen[0]):
-            self._seen = codes, self._radiance(codes)
+        if self._last_radiance is None or not np.array_equal(codes, self._last_radiance[0]):
+            self._last_radiance = codes, self._radiance(codes)
         camera = replace(self.camera, exposures=(exposure,))
-        counts: Counts = camera.expose(self._seen[1], self._seed, (self._number,))[0]
+        counts: Counts = camera.expose(self._last_radiance[1], self._seed, (self._number,))[0]
         return counts[..., 0] if counts.shape[2:] == (1,) else counts
 
     def _radiance(self, codes: Codes) -> Float:
-        """Return what the camera sees under codes (H, W), or (H, W, 3) of red, green and blue."""
+        """Compute the radiance at the camera under codes (H, W), or (H, W, 3) in RGB."""
         light = self._light[codes]
         if codes.ndim == 2:
             return self.path.radiance(light)
-        each = [self.path.radiance(light[..., colour]) for colour in range(3)]
+        images = [self.path.radiance(light[..., colour]) for colour in range(3)]
         channels = range(self.path.channels)
-        return np.stack([each[channel][..., channel] for channel in channels], axis=-1)
+        return np.stack([images[channel][..., channel] for channel in channels], axis=-1)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""
         numbers = self.camera.describe()
-        del numbers["exposures"]  # the sensor's are taken
+        del numbers["exposures"]  # set by the driver
         return {
             "scene": self.path.describe(),
             "camera": numbers,
@@ -256,10 +255,10 @@ class Scenery:
         }
 
     def _lit(self) -> Codes:
-        """Return the codes that are lit now: those drawn, late or moved by a knock."""
+        """Return the codes that are lit now, after the delay and the shift of a knock."""
         drawn, lit_since = tuple(self._drawn), time.monotonic() - self._delay
-        late = (codes for when, codes in drawn[::-1] if when <= lit_since)
-        codes = next(late, drawn[0][1] if drawn else self.codes)
+        lit = (codes for drawn_at, codes in drawn[::-1] if drawn_at <= lit_since)
+        codes = next(lit, drawn[0][1] if drawn else self.codes)
         if self._knock is None or self._number <= self._knock[0]:
             return codes
         from scipy.ndimage import shift
@@ -269,31 +268,31 @@ class Scenery:
 
 
 class BenchProjector(WindowProjector):
-    """The projector whose pictures are drawn before a scenery, which the bench's camera looks at.
+    """The window projector, drawing into a `BenchScene`.
 
-    `trigger` triggers that camera in sequences, where that is to be by the projector; else None.
+    In sequences it calls `trigger` of the bench's camera; None: it has no sequences.
     """
 
-    def __init__(self, scenery: Scenery, **settings: Any) -> None:
-        self.scenery = scenery
+    def __init__(self, bench_scene: BenchScene, **settings: Any) -> None:
+        self.bench_scene = bench_scene
         super().__init__(**settings)
         self.trigger: Callable[[], None] | None = None
         self._loaded: list[Float] = []
 
-    def _open(self) -> Scenery:
-        return self.scenery
+    def _open(self) -> BenchScene:
+        return self.bench_scene
 
     @property
     def sequence_pictures(self) -> int:
-        """The most pictures of a sequence, as many as a common one's; 0 without a trigger."""
+        """Maximum number of pictures in a sequence, typical of a device; 0 without a trigger."""
         return 400 if self.trigger is not None else 0
 
     def load(self, pictures: Iterable[Float]) -> None:
-        """Take the pictures of a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
+        """Load the pictures of a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
         self._loaded = [check_picture(picture, self.shape) for picture in pictures]
 
     def play(self, order: Sequence[int], seconds: float) -> None:  # noqa: ARG002
-        """Show a sequence as fast as the bench can, whose time isn't that of the exposures."""
+        """Show a sequence; exposures are simulated, so `seconds` is ignored."""
         assert self.trigger is not None
         for place in order:
             self.show_now(self._loaded[place])
@@ -301,26 +300,25 @@ class BenchProjector(WindowProjector):
 
 
 class PylonBenchCamera(PylonCamera):
-    """The driver's emulated camera on the bench in software, its pictures read from files.
+    """Pylon's emulated camera on the bench, which reads its pictures from files.
 
-    The exposures of `sensor` are set, its noise is not used; what says which camera it is, and the
-    frames' shape, is the bench's.
+    Exposures are those of `sensor`; noise, serial number and frame shape are the bench's.
     """
 
     kind = "bench"
 
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
-        os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
-        self._scenery = scenery
+    def __init__(self, bench_scene: BenchScene, sensor: CameraModel, **options: Any) -> None:
+        os.environ.setdefault("PYLON_CAMEMU", "1")  # read when pylon is loaded
+        self._scenery = bench_scene
         folder = mkdtemp(prefix="rfpipe-bench-")
         self._remove = finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self._folder = Path(folder)
         pictures = self._folder / "pictures"
         pictures.mkdir()
-        self._put(np.zeros(scenery.path.camera_shape, np.uint16), scenery.camera.bits)
+        self._put(np.zeros(bench_scene.path.camera_shape, np.uint16), bench_scene.camera.bits)
         overrides = {
-            "serial": "0815-0000",  # of the driver's first emulated camera
-            "shape": scenery.path.camera_shape,
+            "serial": "0815-0000",  # pylon's first emulated camera
+            "shape": bench_scene.path.camera_shape,
             "nodes": {
                 "TestImageSelector": "Off", "ImageFilename": str(pictures), "ImageFileMode": "On",
             },
@@ -343,7 +341,7 @@ class PylonBenchCamera(PylonCamera):
         self._remove()
 
     def trigger(self) -> None:
-        """Take a frame while armed, as the projector's signal would have it."""
+        """Take a frame while armed, as the signal of a projector would."""
         if self._armed is not None and self._is_ready(self._options.timeout_seconds):
             self._before_trigger(self._armed[0])
             self._trigger()
@@ -352,27 +350,29 @@ class PylonBenchCamera(PylonCamera):
         self._put(self._scenery.frame(exposure), self._scenery.camera.bits)
 
     def _put(self, counts: Counts, bits: int) -> None:
-        """Lay counts before the emulated camera: twice, as it reads a single file only once."""
+        """Write the camera's next picture to two files, since it reads a single file only once."""
         import cv2
 
         path, link = self._folder / "next.png", self._folder / "link.png"
         full_range = counts << np.uint16(16 - bits)
         if not cv2.imwrite(str(path), full_range, [cv2.IMWRITE_PNG_COMPRESSION, 0]):
-            raise CaptureError(f"{path}: can't be written; is the disk of {path.parent} full?")
+            raise CaptureError(
+                f"{path}: can't be written; check that the disk of {path.parent} isn't full"
+            )
         os.link(path, link)
         link.replace(self._folder / "pictures" / "a.png")
         path.replace(self._folder / "pictures" / "b.png")
 
 
 def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
-    """Return the projector and the camera of a rig's bench; CaptureError without its library."""
+    """Return the projector and the camera of a rig's bench; CaptureError without pylon."""
     bench = config.bench
     assert bench is not None
     true = sensor_from_config(bench.camera or config.sensor)
     assert isinstance(true, CameraModel)
     codes = np.linspace(0, 1, 256) ** bench.projector_gamma
     light = bench.projector_black + (1 - bench.projector_black) * codes
-    scenery = Scenery(
+    bench_scene = BenchScene(
         optical_path(bench),
         light.astype(np.float32),
         true,
@@ -381,15 +381,15 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
         bench.knock,
     )
     response = calibration_of(config).projector_response
-    projector = BenchProjector(scenery, response=response, **dict(config.projector.options))
-    camera = PylonBenchCamera(scenery, sensor_of(config), **dict(config.camera.options))
+    projector = BenchProjector(bench_scene, response=response, **dict(config.projector.options))
+    camera = PylonBenchCamera(bench_scene, sensor_of(config), **dict(config.camera.options))
     if camera.can_be_triggered:
         projector.trigger = camera.trigger
     return projector, camera
 
 
 def optical_path(bench: BenchConfig) -> OpticalPath:
-    """Return the light's way on a bench."""
+    """Build the optical path of a bench."""
     scene = scene_from_config(bench.scene)
     shape = scene.projector_shape
     views = bench.scene.view_grid
@@ -406,14 +406,14 @@ def optical_path(bench: BenchConfig) -> OpticalPath:
 
 
 def _direct_light(config: SceneSettings) -> Float:
-    """Return the radiance (N, C) of each ray by its own direct light alone."""
+    """Radiance (N, C) of each ray due to direct light, of one bounce."""
     if "bounces" not in type(config).model_fields:
         raise ConfigError(
-            f"bench.scene is of kind {config.kind}, which doesn't tell direct light by an option "
-            "bounces; take plane, wedge or another"
+            f"bench.scene is of kind {config.kind}, which has no option bounces to compute direct "
+            "light; use plane, wedge or another kind with it"
         )
     scene = scene_from_config(config.model_copy(update={"bounces": 1}))
     domain = RayDomain(scene.projector_shape)
     light = np.repeat(np.eye(domain.views, dtype=np.float32), domain.rays_per_image, axis=1)
     images = np.asarray(scene.apply(light))
-    return np.asarray(images[light == 1])  # view by view, as the rays are ordered
+    return np.asarray(images[light == 1])  # in the order of the rays, view by view

@@ -1,4 +1,4 @@
-"""What every camera that takes its brackets frame by frame does alike: retries, a lost device."""
+"""Base class of cameras that take a bracket frame by frame: retries and reconnection."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 class FrameOptions(Settings):
-    """What cameras have in common."""
+    """Options shared by the drivers of cameras."""
 
     without_effect_on_frames: ClassVar[frozenset[str]] = frozenset({"timeout_seconds"})
 
@@ -40,16 +40,15 @@ class FrameOptions(Settings):
         2.0,
         gt=0,
         le=600,
-        description="Seconds until a frame counts as lost, beyond its exposure time; above 0, at "
-        "most 600.",
+        description="Seconds after its exposure until a frame counts as lost, above 0 to 600.",
     )
 
 
 class BracketCamera(Closing, ABC):
-    """A camera that exposes a bracket frame by frame; a driver adds how one frame is taken.
+    """A camera that exposes a bracket frame by frame; a driver implements a single frame.
 
-    A frame that fails or doesn't come in time is taken again; a camera that is lost is looked for,
-    set up and asked again. What arrives late is dropped, never taken for the next exposure.
+    A frame that fails or times out is taken again. A camera that is disconnected is opened and set
+    up again. A frame that arrives late is dropped and never mistaken for the next exposure.
 
     Attributes
     ----------
@@ -58,16 +57,16 @@ class BracketCamera(Closing, ABC):
     kind : str
         The driver's name in descriptions.
     attempts, reconnect_seconds : int, float
-        Times that a frame is taken, and the wait before a lost camera is looked for.
+        Attempts to take a frame, and the wait before a lost camera is opened again.
     channels : int
-        Of a frame: 1 of a grey camera and under a mosaic, or 3.
+        Colour channels of a frame: 1 for a grey camera or one with a colour mosaic, else 3.
     statistics : dict of str to int
-        ``frames`` taken; ``failed``: frames that came damaged; ``timed_out``: that didn't come;
-        ``reconnected``: times that the camera was lost and found.
+        ``frames`` taken, ``failed`` (damaged) and ``timed_out`` (missing) frames, and how often the
+        camera was ``reconnected``.
     advice : str
-        What to look at when frames keep failing.
+        Remedy in the message when frames keep failing.
     faults : tuple of exception types
-        What the driver's library raises where the camera is lost.
+        Exceptions of the driver's library when the camera is lost.
     """
 
     Options: ClassVar[type[Settings]]
@@ -104,48 +103,49 @@ class BracketCamera(Closing, ABC):
         """Give the camera back; closing twice is no error."""
         with self._lock:
             self._closed = True
-            self._drop()
+            self._disconnect()
 
     @abstractmethod
     def _open(self) -> tuple[int, int]:
-        """Find the camera, set it up and start it; return the frames' shape, or CaptureError."""
+        """Find, set up and start the camera; return the frames' shape, or raise CaptureError."""
 
     @abstractmethod
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        """Take one frame; return it, or None and the problem: ``""`` where none came in time."""
+        """Take one frame; return it, or None and the problem: ``""`` for a timeout."""
 
     @abstractmethod
     def _release(self, handle: Any) -> None:
-        """Let go of the device, whatever state it is in."""
+        """Close the device, whatever its state."""
 
     def _restart(self) -> None:
-        """Start afresh, so that a frame that comes late is not taken for the next one."""
-        self._drop()
+        """Reset the camera, so that a late frame isn't mistaken for the next one."""
+        self._disconnect()
 
     def _is_lost(self) -> bool:
-        """Tell whether there is no camera at hand."""
+        """Test whether the camera is disconnected."""
         return self._handle is None
 
-    def _drop(self) -> None:
+    def _disconnect(self) -> None:
+        """Close the device, if it is open."""
         handle, self._handle = self._handle, None
         if handle is not None:
             self._release(handle)
 
-    def _said(self, error: Exception) -> str:
-        """Return the text of the library's error."""
+    def _error_text(self, error: Exception) -> str:
+        """Return the message of an error of the library."""
         return str(error).strip().rstrip(".")
 
     def _before_trigger(self, exposure: float) -> None:
-        """Is called before each trigger; a real camera needs nothing more."""
+        """Prepare a trigger; called before each, for virtual cameras."""
 
     def _check_open(self) -> None:
-        """Find a lost camera again, or raise CaptureError."""
+        """Reconnect a lost camera, or raise CaptureError."""
         if self._closed:
-            raise CaptureError("the camera is closed; open it anew")
+            raise CaptureError("the camera is closed; open it again")
         for attempt in range(self.attempts):
             if not self._is_lost():
                 return
-            self._drop()
+            self._disconnect()
             time.sleep(self.reconnect_seconds)
             try:
                 shape = self._open()
@@ -155,45 +155,51 @@ class BracketCamera(Closing, ABC):
                 continue
             if shape != self.shape:
                 raise CaptureError(
-                    f"{self._name}: has {shape} pixels since it came back, {self.shape} before"
+                    f"{self._name}: has {shape} pixels after reconnecting, {self.shape} before"
                 )
             self.statistics["reconnected"] += 1
-            _log.warning("%s is back", self._name)
+            _log.warning("%s is reconnected", self._name)
             return
         raise CaptureError(
-            f"{self._name} was lost and not found again in {self.attempts} attempts; the last: "
-            f"{problem}. Check its power, cable and network, and that no other program took it"
+            f"{self._name} was lost and not reconnected in {self.attempts} attempts; last problem: "
+            f"{problem}. Check its power, cable and network, and that no other program uses it"
         )
 
     def _exposure(self, exposure: float) -> Counts:
-        """Take one frame, again where it fails."""
+        """Take one frame, in up to `attempts` attempts."""
         for attempt in range(self.attempts):
             self._check_open()
-            try:
-                frame, problem = self._frame(exposure)
-                if frame is not None:
-                    if frame.shape[:2] == self.shape:
-                        self.statistics["frames"] += 1
-                        return frame
-                    problem = f"the frame has {frame.shape[:2]} pixels, expected {self.shape}"
-                self.statistics["failed" if problem else "timed_out"] += 1
-                problem = problem or "no frame came in time"
-                self._restart()
-            except self.faults as error:
-                problem = self._said(error)
-                self._drop()
+            frame, problem = self._attempt(exposure)
+            if frame is not None:
+                self.statistics["frames"] += 1
+                return frame
             _log.warning(
                 "%s, exposure %g s, attempt %d of %d: %s",
                 self._name, exposure, attempt + 1, self.attempts, problem,
             )  # fmt: skip
         raise CaptureError(
             f"{self._name}: no good frame of {exposure:g} s in {self.attempts} attempts; "
-            f"the last: {problem}. {self.advice}, or raise camera.options.timeout_seconds"
+            f"last problem: {problem}. {self.advice}, or raise camera.options.timeout_seconds"
         )
+
+    def _attempt(self, exposure: float) -> tuple[Counts | None, str]:
+        """Take one frame once; return it, or None and the problem after resetting the camera."""
+        try:
+            frame, problem = self._frame(exposure)
+            if frame is not None and frame.shape[:2] == self.shape:
+                return frame, ""
+            if frame is not None:
+                problem = f"the frame has {frame.shape[:2]} pixels, expected {self.shape}"
+            self.statistics["failed" if problem else "timed_out"] += 1
+            self._restart()
+        except self.faults as error:
+            self._disconnect()
+            return None, self._error_text(error)
+        return None, problem or "no frame came in time"
 
 
 def load_library(module: str, extra: str) -> Any:
-    """Import a driver's library, or raise CaptureError that names the extra of rfpipe with it."""
+    """Import a driver's library, or raise CaptureError that names the extra to install."""
     try:
         return import_module(module)
     except ImportError as error:

@@ -1,8 +1,8 @@
-"""Projectors with TI's DLPC900 controller: LightCrafter 6500 and its kin, over USB.
+"""Projectors with TI's DLPC900 controller, such as the LightCrafter 6500, over USB.
 
-Bytes are those of its programmer's guide (DLPU018J), numbers little-endian. A message over USB (a
-HID device) is a header of flags, sequence byte and payload length, then command and data, cut into
-packets of 64 bytes.
+The protocol follows the programmer's guide (DLPU018J); numbers are little-endian. A message to the
+USB HID device has a header (flags, sequence byte, payload length), the command and its data, and is
+split into packets of 64 bytes.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ Device = Literal["DLP6500", "DLP670S"]
 VENDOR, PRODUCT = 0x0451, 0xC900
 
 SHAPES: dict[str, tuple[int, int]] = {"DLP6500": (1080, 1920), "DLP670S": (1600, 2716)}
-"""Height and width of the mirrors of devices with a single controller."""
+"""Rows and columns of mirrors of the devices with a single controller."""
 
-MOST_PICTURES = 236
-"""Loaded at a time: their order, with the words of a sequence, must fit into a message."""
+MAX_PICTURES = 236
+"""Pictures loaded at a time: their order and the markers of a sequence must fit into a message."""
 
-STANDING_MICROSECONDS = 100_000
-"""Of a picture that is shown until the next one, again and again."""
+REPEAT_MICROSECONDS = 100_000
+"""Display time of a picture that is repeated until the next one."""
 
 GREY_BITS = 8
-"""Of a picture that isn't part of a sequence."""
+"""Bits of a picture outside a sequence."""
 
-LEAST_MICROSECONDS, MOST_MICROSECONDS = 105, 2**24 - 1
+MIN_MICROSECONDS, MAX_MICROSECONDS = 105, 2**24 - 1
 
 ANSWER_MILLISECONDS = 2000
 
 PACKET = 64
-"""Bytes of a packet."""
+"""Size of a USB packet in bytes."""
 
-MOST_DATA = 504
-"""Bytes of an image that a message holds: 512 less header, command and the bytes' number."""
+MAX_DATA_BYTES = 504
+"""Bytes of image data in a message: 512 without header, command and byte count."""
 
 BITS_AN_IMAGE = 24
-"""Binary pictures that are loaded as one image."""
+"""Binary pictures in one loaded image."""
 
 _READ, _REPLY, _FAILED = 0x80, 0x40, 0x20
 _WHITE = 0b111
@@ -63,11 +63,11 @@ _ENHANCED_RLE = 2
 _STOP, _START = b"\0", b"\2"
 _ON_THE_FLY = b"\3"
 _ERRORS = 0b11001110
-"""Bits of the hardware's status; the lowest says that it is initialised."""
+"""Error bits of the hardware status; its lowest bit means "initialised"."""
 
 
 class Command(IntEnum):
-    """Commands of the controller."""
+    """Commands of the controller [DLPU018J]."""
 
     HARDWARE_STATUS = 0x1A0A
     DISPLAY_MODE = 0x1A1B
@@ -83,32 +83,32 @@ class Dlpc900Options(Settings):
     """A projector with TI's DLPC900 controller."""
 
     device: Device = Field(
-        "DLP6500", description="Its mirrors: DLP6500 (1080 x 1920) or DLP670S (1600 x 2716)."
+        "DLP6500", description="Mirror array: DLP6500 (1080 x 1920) or DLP670S (1600 x 2716)."
     )
     serial: str | None = Field(
         None, min_length=1, description="Serial number of its USB device, or null for the only one."
     )
     settle_seconds: float = Field(
-        0.05, ge=0, le=60, description="Wait after a picture was loaded and started, 0 to 60 s."
+        0.05, ge=0, le=60, description="Wait after loading and starting a picture, 0 to 60 s."
     )
 
 
 class Dlpc900Projector(Closing):
-    """A projector of pictures of 8 bits, and of sequences of binary ones that trigger the camera.
+    """A projector of 8-bit pictures, and of sequences of binary pictures that trigger the camera.
 
-    Pictures are loaded into the controller's memory ("pattern on-the-fly"). Its first trigger
-    output frames each picture of a sequence: wire it to the input that the camera's settings name.
-    Written from the maker's guide DLPU018J and tried on an emulator of it only: never on metal.
+    Pictures are loaded into the controller's memory ("pattern on-the-fly"). The first trigger
+    output is active during each picture of a sequence: connect it to the input that the camera's
+    settings name. Tested with an emulator written from the guide DLPU018J, not with hardware.
 
-    Options as `Dlpc900Options` has them. `transport` stands in the place of the USB device, with
-    ``write``, ``read`` and ``close`` of hidapi's `device`. CaptureError where no device answers.
+    `Dlpc900Options` lists the options. `transport` replaces the USB device in tests, with
+    ``write``, ``read`` and ``close`` of hidapi's `device`. CaptureError where no device responds.
     """
 
     Options = Dlpc900Options
 
-    sequence_pictures = MOST_PICTURES
+    sequence_pictures = MAX_PICTURES
     sequence_levels = 2
-    """Weights that a picture of a sequence may have: 0 and 1."""
+    """Number of grey levels of a picture in a sequence: 0 and 1."""
 
     def __init__(
         self,
@@ -125,8 +125,8 @@ class Dlpc900Projector(Closing):
         self._lock = threading.Lock()
         self._transport: Any = transport or open_usb(serial)
         try:
-            self._tell(Command.DISPLAY_START, _STOP)
-            self._tell(Command.DISPLAY_MODE, _ON_THE_FLY)
+            self._send(Command.DISPLAY_START, _STOP)
+            self._send(Command.DISPLAY_MODE, _ON_THE_FLY)
         except BaseException:
             self.close()
             raise
@@ -137,21 +137,21 @@ class Dlpc900Projector(Closing):
         time.sleep(self.settle_seconds)
 
     def show_now(self, picture: Float) -> None:
-        """Show a picture, and return when it was started; see `rfpipe.rigs.devices.Projector`."""
+        """Show a picture without waiting for it; see `rfpipe.rigs.devices.Projector`."""
         picture = check_picture(picture, self.shape)
         is_binary = bool(((picture == 0) | (picture == 1)).all())
         with self._lock:
             if is_binary:
                 self._load([picture == 1])
-            else:  # its mirrors are on for a time in proportion to the code
+            else:  # mirrors are on for a time proportional to the code
                 codes = np.rint(255 * picture).astype(np.uint8)
                 self._load([codes >> bit & 1 == 1 for bit in range(GREY_BITS)], GREY_BITS)
-            self._tell(Command.DISPLAY_START, _START)
+            self._send(Command.DISPLAY_START, _START)
 
     def load(self, pictures: Iterable[Float]) -> None:
-        """Take the pictures of a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
+        """Load the pictures of a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
         lit = (
-            _binary(check_picture(picture, self.shape), index)
+            _as_bits(check_picture(picture, self.shape), index)
             for index, picture in enumerate(pictures)
         )
         with self._lock:
@@ -160,27 +160,27 @@ class Dlpc900Projector(Closing):
     def play(self, order: Sequence[int], seconds: float) -> None:
         """Show a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
         microseconds = int(np.ceil(1e6 * seconds))
-        if not LEAST_MICROSECONDS <= microseconds <= MOST_MICROSECONDS:
+        if not MIN_MICROSECONDS <= microseconds <= MAX_MICROSECONDS:
             raise CaptureError(
-                f"projector: shows a picture of a sequence for {LEAST_MICROSECONDS} us to "
-                f"{MOST_MICROSECONDS / 1e6:.1f} s, not for {seconds:g} s"
+                f"projector: shows a picture of a sequence for {MIN_MICROSECONDS} us to "
+                f"{MAX_MICROSECONDS / 1e6:.1f} s, not for {seconds:g} s"
             )
         with self._lock:
-            self._tell(Command.DISPLAY_START, _STOP)
+            self._send(Command.DISPLAY_START, _STOP)
             self._define(microseconds)
             order_of = pack("<HI", len(order), len(order)) + pack(f"<{len(order)}H", *order)
-            self._tell(Command.LUT_ORDER, order_of)
-            self._tell(Command.DISPLAY_START, _START)
+            self._send(Command.LUT_ORDER, order_of)
+            self._send(Command.DISPLAY_START, _START)
             time.sleep(len(order) * microseconds / 1e6 + self.settle_seconds)
             self._check_status()
-            self._tell(Command.DISPLAY_START, _STOP)
+            self._send(Command.DISPLAY_START, _STOP)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes the light."""
         return {"kind": "dlpc900", "device": self._device, "shape": list(self.shape)}
 
     def close(self) -> None:
-        """Stop showing, and give the device back; closing twice is no error."""
+        """Stop the display and close the device; closing twice is no error."""
         with self._lock:
             transport, self._transport = self._transport, None
         if transport is not None:
@@ -190,41 +190,43 @@ class Dlpc900Projector(Closing):
             transport.close()
 
     def _load(self, lit: Iterable[NDArray[np.bool_]], bits: int = 1) -> None:
-        """Load bits of pictures: their definitions first, then images, the last one first."""
-        images, count, rest = [], 0, iter(lit)
-        while pictures := list(islice(rest, BITS_AN_IMAGE)):  # few at a time are in memory
+        """Load bit planes: the definitions first, then the images in reverse order."""
+        images, count, planes = [], 0, iter(lit)
+        while pictures := list(islice(planes, BITS_AN_IMAGE)):  # limits memory
             images.append(encoded_image(np.stack(pictures)))
             count += len(pictures)
-            if count > MOST_PICTURES:
-                raise InputError(f"the projector holds up to {MOST_PICTURES} pictures, not more")
-        self._tell(Command.DISPLAY_START, _STOP)
+            if count > MAX_PICTURES:
+                raise InputError(
+                    f"the projector holds at most {MAX_PICTURES} pictures; more were given"
+                )
+        self._send(Command.DISPLAY_START, _STOP)
         self._loaded = count // bits
-        self._define(STANDING_MICROSECONDS, bits)
+        self._define(REPEAT_MICROSECONDS, bits)
         for index, image in reversed(list(enumerate(images))):
-            self._tell(Command.IMAGE_BEGIN, pack("<HI", index, len(image)))
-            for first in range(0, len(image), MOST_DATA):
-                part = image[first : first + MOST_DATA]
-                self._tell(Command.IMAGE_DATA, pack("<H", len(part)) + part)
+            self._send(Command.IMAGE_BEGIN, pack("<HI", index, len(image)))
+            for first in range(0, len(image), MAX_DATA_BYTES):
+                part = image[first : first + MAX_DATA_BYTES]
+                self._send(Command.IMAGE_DATA, pack("<H", len(part)) + part)
 
     def _define(self, microseconds: int, bits: int = 1) -> None:
-        """Define every loaded picture as a pattern, shown for so long, again and again."""
+        """Define every loaded picture as a pattern, repeated with this display time."""
         for index in range(self._loaded):
             entry = lut_entry(index, microseconds, index * bits, bits)
-            self._tell(Command.LUT_DEFINE, entry)
-        self._tell(Command.LUT_CONFIGURE, pack("<HI", self._loaded, 0))
+            self._send(Command.LUT_DEFINE, entry)
+        self._send(Command.LUT_CONFIGURE, pack("<HI", self._loaded, 0))
 
     def _check_status(self) -> None:
-        status = self._tell(Command.HARDWARE_STATUS, b"", read=True)[0]
+        status = self._send(Command.HARDWARE_STATUS, b"", read=True)[0]
         if status & 1 == 0 or status & _ERRORS:
             raise CaptureError(
                 f"projector: reports an error (hardware status {status:#04x}). Show sequences more "
                 "slowly, or switch it off and on"
             )
 
-    def _tell(self, command: int, data: bytes, *, read: bool = False) -> bytes:
-        """Send a message; return its answer's data."""
+    def _send(self, command: int, data: bytes, *, read: bool = False) -> bytes:
+        """Send a message; return the data of the response."""
         if self._transport is None:
-            raise CaptureError("the projector is closed; open it anew")
+            raise CaptureError("the projector is closed; open it again")
         self._number = (self._number + 1) % 256
         try:
             for packet in message(command, data, self._number, read=read):
@@ -236,7 +238,7 @@ class Dlpc900Projector(Closing):
             ) from error
         if not answer:
             raise CaptureError(
-                f"projector: no answer to command {command:#06x} within "
+                f"projector: no response to command {command:#06x} within "
                 f"{ANSWER_MILLISECONDS / 1000:g} s. Check its cable and power"
             )
         return answer_of(answer, command, self._number)
@@ -249,56 +251,59 @@ def open_usb(serial: str | None) -> Any:
         device.open(VENDOR, PRODUCT, serial)
     except OSError as error:
         raise CaptureError(
-            f"projector: no DLPC900 answers on USB ({error}). Check cable and power, that this "
-            "user may open the device (a udev rule for 0451:c900), and that no other program has it"
+            f"projector: no DLPC900 responds on USB ({error}). Check cable and power, that this "
+            "user may open the device (a udev rule for 0451:c900), and that no other program "
+            "uses it"
         ) from error
     return device
 
 
-def _binary(picture: Float, index: int) -> NDArray[np.bool_]:
-    """Return a picture as bits, or raise InputError."""
+def _as_bits(picture: Float, index: int) -> NDArray[np.bool_]:
+    """Convert a picture of zeros and ones to bits, or raise InputError."""
     lit = picture == 1
     grey = ~lit & (picture != 0)
     if grey.any():
-        where = tuple(int(i) for i in np.argwhere(grey)[0])
+        pixel = tuple(int(i) for i in np.argwhere(grey)[0])
         raise InputError(
-            f"picture {index} is {picture[where]:g} at projector pixel {where}; this "
-            "projector's sequences are of zeros and ones"
+            f"picture {index} is {picture[pixel]:g} at projector pixel {pixel}; sequences of this "
+            "projector have the values 0 and 1 only"
         )
     return np.asarray(lit)
 
 
 def message(command: int, data: bytes, number: int, *, read: bool = False) -> list[bytes]:
-    """Return the packets of a message, each of `PACKET` bytes."""
+    """Build the packets of a message, each of `PACKET` bytes."""
     flags = _REPLY | (_READ if read else 0)
-    whole = pack("<BBHH", flags, number, len(data) + 2, command) + data
-    padded = whole + bytes(-len(whole) % PACKET)
+    content = pack("<BBHH", flags, number, len(data) + 2, command) + data
+    padded = content + bytes(-len(content) % PACKET)
     return [padded[first : first + PACKET] for first in range(0, len(padded), PACKET)]
 
 
 def answer_of(packet: bytes, command: int, number: int) -> bytes:
-    """Return the data of an answer; CaptureError where it is none to this message, or a refusal."""
+    """Return the data of the response to a message; CaptureError for a refusal."""
     if len(packet) < 4:
-        raise CaptureError(f"projector: {len(packet)} bytes answer command {command:#06x}")
+        raise CaptureError(
+            f"projector: responds with {len(packet)} bytes to command {command:#06x}"
+        )
     flags, answered, length = unpack("<BBH", packet[:4])
     if flags & _FAILED:
         raise CaptureError(
-            f"projector: refuses command {command:#06x}. Is its firmware that of a DLPC900, 3.0 or "
-            "later, and no other program using it?"
+            f"projector: refuses command {command:#06x}. Check that its firmware is that of a "
+            "DLPC900, 3.0 or later, and that no other program uses it"
         )
     if answered != number:
-        raise CaptureError(f"projector: answers message {answered} where {number} was sent")
+        raise CaptureError(f"projector: responds to message {answered} instead of {number}")
     return packet[4 : 4 + length]
 
 
 def lut_entry(index: int, microseconds: int, place: int, bits: int = 1) -> bytes:
-    """Return the definition of a pattern in white light, shown for so long.
+    """Build the definition of a pattern in white light, with this display time.
 
-    Of its 1 to 8 `bits`, in one image, the lowest has this place among the loaded binary pictures;
-    a trigger output frames it.
+    `place` is the index, among the loaded binary pictures, of the lowest of its 1 to 8 `bits`,
+    which are in the same image. A trigger output is active while it is shown.
     """
     image, bit = divmod(place, BITS_AN_IMAGE)
-    flags = 1 | (bits - 1) << 1 | _WHITE << 4  # cleared afterwards; runs on untriggered
+    flags = 1 | (bits - 1) << 1 | _WHITE << 4  # dark afterwards; continues without a trigger
     return (
         pack("<H", index)
         + microseconds.to_bytes(3, "little")
@@ -310,7 +315,7 @@ def lut_entry(index: int, microseconds: int, place: int, bits: int = 1) -> bytes
 
 
 def encoded_image(pictures: NDArray[np.bool_]) -> bytes:
-    """Return up to `BITS_AN_IMAGE` binary pictures (n, H, W) as one compressed image."""
+    """Compress up to `BITS_AN_IMAGE` binary pictures (n, H, W) as one image."""
     _, height, width = pictures.shape
     values = np.zeros((height, width), np.uint32)
     for bit, picture in enumerate(pictures):
@@ -336,7 +341,7 @@ def _encoded_rows(values: NDArray[np.uint32], pixels: NDArray[np.uint8]) -> Iter
             continue
         ends = np.append(np.flatnonzero(np.diff(line)) + 1, width)
         starts = np.insert(ends[:-1], 0, 0)
-        if (ends - starts < 2).any():  # a single pixel is no run: the whole row as it stands
+        if (ends - starts < 2).any():  # runs have at least 2 pixels: else uncompressed
             yield bytes([0]) + _length(width) + pixels[row].tobytes()
             continue
         for start, end in zip(starts, ends, strict=True):
@@ -344,5 +349,5 @@ def _encoded_rows(values: NDArray[np.uint32], pixels: NDArray[np.uint8]) -> Iter
 
 
 def _length(count: int) -> bytes:
-    """Return a number of pixels, in one byte or two."""
+    """Encode a number of pixels in one or two bytes."""
     return bytes([count]) if count < 128 else bytes([count & 0x7F | 0x80, count >> 7])

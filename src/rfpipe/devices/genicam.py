@@ -1,11 +1,11 @@
-"""Cameras of the GenICam standard: their settings, and triggers, through whatever library."""
+"""Cameras of the GenICam standard: settings and triggers, independent of the library used."""
 
 from __future__ import annotations
 
 import logging
 import math
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import Any, Protocol, TypeAlias
 
@@ -19,7 +19,7 @@ from rfpipe.photometry.camera import CameraModel
 
 Counts = NDArray[np.uint16]
 Value: TypeAlias = bool | int | float | str
-"""Of a camera's setting."""
+"""Value of a camera's setting."""
 
 FIXED: dict[str, Value] = {
     "GainAuto": "Off",
@@ -36,10 +36,10 @@ FIXED: dict[str, Value] = {
     "AcquisitionFrameRateEnable": False,
     "AcquisitionMode": "Continuous",
 }
-"""What must not adapt or bend counts, made where a camera has it."""
+"""Settings against adaptive and nonlinear processing, written where a camera has them."""
 
 _FRAME_RATES = "ResultingFrameRate", "ResultingFrameRateAbs", "AcquisitionResultingFrameRate"
-"""Names that makers give the frames a second that the camera takes as it is set up."""
+"""Makers' names of the frame rate, in hertz, that the current settings allow."""
 
 _log = logging.getLogger(__name__)
 
@@ -62,22 +62,22 @@ class GenicamOptions(FrameOptions):
         None,
         min_length=1,
         description="Input at which a projector with sequences triggers the camera, as its manual "
-        "names it, such as Line1; null where there is no such projector.",
+        "names it, such as Line1; null without such a projector.",
     )
 
 
 class RefusedError(CaptureError):
-    """A camera doesn't take a setting: as it can't, or as it is gone."""
+    """A camera refuses a setting, or is disconnected."""
 
 
 class Nodes(Protocol):
-    """A camera's settings by name, as a library of GenICam reaches them."""
+    """A camera's settings by name, through one library for GenICam cameras."""
 
     def is_writable(self, name: str) -> bool:
-        """Tell whether the camera has the setting, and takes values for it now."""
+        """Test whether the camera has the setting and it can be written now."""
 
     def write(self, name: str, value: Value) -> Value:
-        """Give a setting a value, and return what the camera took; RefusedError says why not."""
+        """Write a setting and return the value that the camera reports, or raise RefusedError."""
 
     def execute(self, name: str) -> None:
         """Run a command of the camera."""
@@ -89,14 +89,14 @@ class Nodes(Protocol):
         """Return the values of an enumeration."""
 
     def number(self, name: str) -> float | None:
-        """Return a number; None where the camera doesn't tell it."""
+        """Return the value of a number; None where the camera doesn't provide it."""
 
 
 class GenicamCamera(BracketCamera):
-    """A camera that takes brackets by software trigger, and sequences by a projector's.
+    """A GenICam camera: brackets by software trigger, sequences by a projector's trigger.
 
-    All automatic functions are off and the gain is fixed; the sensor's bits and mosaic choose the
-    pixel format, or raise InputError where there is none. Options as `GenicamOptions` has them.
+    All automatic functions are off and the gain is fixed. The sensor's bits and mosaic determine
+    the pixel format; InputError where no format has these bits. `GenicamOptions` lists the options.
     """
 
     Options = GenicamOptions
@@ -119,26 +119,26 @@ class GenicamCamera(BracketCamera):
 
     @abstractmethod
     def _connect(self) -> None:
-        """Find and open the camera; note its serial number and model."""
+        """Find and open the camera; set `_handle`, `_serial` and `_model`."""
 
     @abstractmethod
     def _start(self, room: int = 0) -> None:
-        """Start taking a frame at each trigger, with room for so many that nobody fetches yet."""
+        """Start taking a frame at each trigger, with buffers for `room` frames."""
 
     @abstractmethod
     def _stop(self) -> None:
-        """Stop taking frames, and drop those that are on their way."""
+        """Stop taking frames, and drop frames in transfer."""
 
     @abstractmethod
     def _trigger(self) -> None:
         """Trigger a frame."""
 
     @abstractmethod
-    def _next(self, seconds: float) -> tuple[Counts | None, str]:
-        """Return the next frame, or None and what is wrong: ``""`` where none came in time."""
+    def _next_frame(self, seconds: float) -> tuple[Counts | None, str]:
+        """Return the next frame, or None and the problem: ``""`` for a timeout."""
 
     def _is_ready(self, seconds: float) -> bool:  # noqa: ARG002
-        """Wait until the camera takes a trigger; tell whether it does so within `seconds`."""
+        """Wait until the camera is ready for a trigger; False after `seconds`."""
         return True
 
     def describe(self) -> dict[str, Any]:
@@ -154,21 +154,21 @@ class GenicamCamera(BracketCamera):
 
     @property
     def can_be_triggered(self) -> bool:
-        """Whether a projector triggers it; see `rfpipe.rigs.devices.SequenceCamera`."""
+        """True if a projector triggers the camera; see `rfpipe.rigs.devices.SequenceCamera`."""
         return self._options.sequence_line is not None
 
     def seconds_between(self, exposure: float) -> float:
-        """Return the least time between two triggers; as `SequenceCamera` has it."""
+        """Return the shortest time between two triggers in seconds; see `SequenceCamera`."""
         rate = next(filter(None, map(self.nodes.number, _FRAME_RATES)), None)
         if rate is None and self.nodes.number("AcquisitionFrameRate") is not None:
             rate = self.nodes.bounds("AcquisitionFrameRate")[1]  # as size and format allow it
-        # makers without a bound say a huge number; a trigger a twentieth too early is missed
+        # a huge rate means no bound; 5 % margin, since a trigger that comes too early is missed
         return 1.05 * (max(exposure, 1 / rate) if rate and rate > 0 else exposure)
 
     def arm(self, exposure: float, count: int) -> None:
-        """Wait for triggers by the projector; as `SequenceCamera` has it.
+        """Wait for triggers by the projector; see `SequenceCamera`.
 
-        CaptureError where the camera is lost, or refuses the line.
+        CaptureError where the camera is lost, or refuses the input `sequence_line`.
         """
         with self._lock:
             self._check_open()
@@ -177,37 +177,48 @@ class GenicamCamera(BracketCamera):
                 self._set_exposure(exposure)
                 self._set_trigger(str(self._options.sequence_line))
                 self._start(count)
-            except CaptureError:  # it is there, and refuses
-                self._by_software()
+            except CaptureError:  # connected, but refuses a setting
+                self._use_software_trigger()
                 raise
             except self.faults as error:
-                self._drop()
-                raise CaptureError(f"{self._name}: {self._said(error)}") from error
+                self._disconnect()
+                raise CaptureError(f"{self._name}: {self._error_text(error)}") from error
             self._armed = exposure, count
 
     def collect(self) -> Counts:
-        """Return the frames since `arm`; as `SequenceCamera` has it."""
+        """Return the frames since `arm`; see `SequenceCamera`."""
         with self._lock:
             if self._armed is None:
                 raise CaptureError(f"{self._name}: isn't armed")
             (exposure, count), self._armed = self._armed, None
             item = self.sensor.frame_shape(self.shape, self.channels)[1:]
-            frames, taken, failed = np.empty((count, *item), np.uint16), 0, 0
-            with suppress(*self.faults):  # of a lost camera what is missing is played again
-                while taken + failed < count and not self._is_lost():
-                    frame, problem = self._next(exposure + self._options.timeout_seconds)
-                    if frame is None and not problem:
-                        break
-                    if frame is None or frame.shape != self.shape:
-                        failed += 1
-                    else:
-                        frames[taken] = frame.reshape(item)
-                        taken += 1
-            self.statistics["frames"] += taken
-            self.statistics["failed"] += failed
-            self.statistics["timed_out"] += count - taken - failed
-            self._by_software()
-        return frames[:taken]
+            frames, n_good, n_failed = np.empty((count, *item), np.uint16), 0, 0
+            for frame in self._triggered_frames(exposure, count):
+                if frame is None or frame.shape != self.shape:
+                    n_failed += 1
+                else:
+                    frames[n_good] = frame.reshape(item)
+                    n_good += 1
+            self.statistics["frames"] += n_good
+            self.statistics["failed"] += n_failed
+            self.statistics["timed_out"] += count - n_good - n_failed
+            self._use_software_trigger()
+        return frames[:n_good]
+
+    def _triggered_frames(self, exposure: float, count: int) -> Iterator[Counts | None]:
+        """Yield up to `count` frames, None for a damaged one, until one is missing.
+
+        A camera that is lost ends them; the sequencer then plays missing patterns again.
+        """
+        seconds = exposure + self._options.timeout_seconds
+        with suppress(*self.faults):
+            for _ in range(count):
+                if self._is_lost():
+                    return
+                frame, problem = self._next_frame(seconds)
+                if frame is None and not problem:
+                    return
+                yield frame
 
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
         seconds = exposure + self._options.timeout_seconds
@@ -216,7 +227,7 @@ class GenicamCamera(BracketCamera):
             return None, "not ready for a trigger in time"
         self._before_trigger(exposure)
         self._trigger()
-        return self._next(seconds)
+        return self._next_frame(seconds)
 
     def _open(self) -> tuple[int, int]:
         try:
@@ -225,13 +236,13 @@ class GenicamCamera(BracketCamera):
             shape = self._set_up()
             self._start()
         except CaptureError:
-            self._drop()
+            self._disconnect()
             raise
         except self.faults as error:
-            self._drop()
+            self._disconnect()
             raise CaptureError(
-                f"camera {self._serial}: can't be opened: {self._said(error)}. Close other "
-                "programs that hold it, and check its power and cable"
+                f"camera {self._serial}: can't be opened: {self._error_text(error)}. Close other "
+                "programs that use it, and check its power and cable"
             ) from error
         _log.info("%s (%s): %s, %d x %d", self._name, self._model, self._pixel_format, *shape)
         return shape
@@ -240,24 +251,24 @@ class GenicamCamera(BracketCamera):
         self._stop()
         self._start()
 
-    def _by_software(self) -> None:
-        """Go back to triggers by this program; a camera that can't is looked for at the next."""
+    def _use_software_trigger(self) -> None:
+        """Switch to software triggers; a camera that fails is reconnected at the next frame."""
         if self._is_lost():
             return
-        wrong: tuple[type[Exception], ...] = (CaptureError, *self.faults)
+        failures: tuple[type[Exception], ...] = (CaptureError, *self.faults)
         try:
             self._stop()
             self._set_trigger("Software")
             self._start()
-        except wrong as error:
-            self._drop()
-            _log.warning("%s: %s", self._name, self._said(error))
+        except failures as error:
+            self._disconnect()
+            _log.warning("%s: %s", self._name, self._error_text(error))
 
     def _set_up(self) -> tuple[int, int]:
-        """Make all settings but the exposure time; return the frames' height and width."""
+        """Write all settings except the exposure time; return the frames' height and width."""
         nodes, options = self.nodes, self._options
         if nodes.is_writable("UserSetLoad"):
-            self._set("UserSetSelector", "Default")  # not what the last program left
+            self._set("UserSetSelector", "Default")  # undo the settings of other programs
             nodes.execute("UserSetLoad")
         for name, value in FIXED.items():
             if nodes.is_writable(name):
@@ -268,7 +279,7 @@ class GenicamCamera(BracketCamera):
             self._set("TriggerSelector", selector)
             self._set("TriggerMode", "On" if selector == "FrameStart" else "Off")
         self._set("TriggerSelector", "FrameStart")
-        self._set("TriggerMode", "On")  # where a camera has one for all selectors
+        self._set("TriggerMode", "On")  # for cameras with one mode for all selectors
         self._set_trigger("Software")
         if nodes.is_writable("Gain"):
             self._set("Gain", float(options.gain_db))
@@ -284,11 +295,11 @@ class GenicamCamera(BracketCamera):
         return shape
 
     def _set_region(self) -> tuple[int, int]:
-        """Choose the part of the sensor; return its height and width."""
+        """Set the region of the sensor; return its height and width."""
         offsets = dict(zip(("OffsetY", "OffsetX"), self._options.offset, strict=True))
         for name in offsets:
             if self.nodes.is_writable(name):
-                self._set(name, 0)  # or the extents are limited by the last offset
+                self._set(name, 0)  # the current offset limits the extents
         largest = tuple(int(self.nodes.bounds(name)[1]) for name in ("Height", "Width"))
         height, width = self._options.shape or largest
         for name, value in (("Height", height), ("Width", width), *offsets.items()):
@@ -297,8 +308,8 @@ class GenicamCamera(BracketCamera):
         return height, width
 
     def _set_exposure(self, exposure: float) -> None:
-        """Set the exposure time in seconds, and make sure that the camera took it."""
-        # cameras before SFNC 2 have the other name
+        """Set the exposure time in seconds, and verify it."""
+        # cameras before SFNC 2 have ExposureTimeAbs
         name = "ExposureTime" if self.nodes.is_writable("ExposureTime") else "ExposureTimeAbs"
         nominal = 1e6 * exposure
         least, largest = self.nodes.bounds(name)
@@ -308,10 +319,10 @@ class GenicamCamera(BracketCamera):
                 f"{largest / 1e6:g} s; change sensor.exposures"
             )
         actual = float(self._write(name, nominal))
-        if abs(actual - nominal) > 1e-3 * nominal:  # the merge trusts the nominal times
+        if abs(actual - nominal) > 1e-3 * nominal:  # the merge uses the nominal times
             raise CaptureError(
                 f"camera: rounds an exposure of {exposure:g} s to {actual / 1e6:g} s; set "
-                "sensor.exposures to what it can do"
+                "sensor.exposures to a time that it supports"
             )
 
     def _set_trigger(self, source: str) -> None:
@@ -321,36 +332,39 @@ class GenicamCamera(BracketCamera):
             self._set("TriggerActivation", "RisingEdge")
 
     def _set(self, name: str, value: Value) -> None:
-        """Make one setting, and compare the camera's value: numbers may be rounded by 2 %."""
+        """Write one setting, and verify it: the camera may round numbers by 2 %."""
         actual = self._write(name, value)
         is_near = isinstance(value, float) and math.isclose(
             float(actual), value, rel_tol=0.02, abs_tol=1e-6
         )
         if not is_near and actual != value:
-            raise CaptureError(f"camera: takes {name} = {actual} where {value} was asked for")
+            raise CaptureError(f"camera: sets {name} to {actual} instead of {value}")
 
     def _write(self, name: str, value: Value) -> Value:
-        """Make one setting, and return what the camera took; else say which values it takes."""
-        nodes, takes = self.nodes, ""
+        """Write one setting and return the camera's value; an error lists the valid values."""
+        nodes, valid = self.nodes, ""
         try:
             return nodes.write(name, value)
         except RefusedError as error:
             with suppress(Exception):
-                takes = f". It takes {' to '.join(f'{bound:g}' for bound in nodes.bounds(name))}"
+                valid = f". Valid: {' to '.join(f'{bound:g}' for bound in nodes.bounds(name))}"
             with suppress(Exception):
-                takes = f". It takes {', '.join(nodes.choices(name))}"
-            raise RefusedError(f"camera: refuses {name} = {value}: {error}{takes}") from error
+                valid = f". Valid: {', '.join(nodes.choices(name))}"
+            raise RefusedError(f"camera: refuses {name} = {value}: {error}{valid}") from error
 
 
-def chosen(connected: Iterable[str], serial: str | None) -> int:
-    """Return the index of a camera by the serial numbers of those that answer, or CaptureError."""
-    serials = list(connected)
+def select_camera(serial_numbers: Iterable[str], serial: str | None) -> int:
+    """Return the index of the camera to use among the connected ones, or raise CaptureError.
+
+    Without `serial`, exactly one camera must be connected.
+    """
+    serials = list(serial_numbers)
     if serial is not None and serial in serials:
         return serials.index(serial)
     if serial is None and len(serials) == 1:
         return 0
     name = "any camera" if serial is None else f"camera {serial}"
     raise CaptureError(
-        f"{name}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
+        f"{name}: {len(serials)} cameras respond{': ' if serials else ''}{', '.join(serials)}. "
         "Check power, cable and network, and name the camera by camera.options.serial"
     )

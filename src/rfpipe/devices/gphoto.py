@@ -1,7 +1,7 @@
 """Photo cameras of Canon, Nikon, Sony and others, through libgphoto2: raw files, in manual mode.
 
-Tested on libgphoto2's virtual camera with raw files made for the test. Never tried on a camera of
-metal: what Canon, Nikon and Sony call their settings stands here as libgphoto2's source has it.
+Tested with libgphoto2's virtual camera and synthetic raw files, but not with a physical camera: the
+names of Canon's, Nikon's and Sony's settings are those in libgphoto2's source.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rfpipe.devices.bracket import BracketCamera, FrameOptions
 from rfpipe.devices.gphoto_library import (
     Photo,
     ShutterTime,
-    connected,
+    list_cameras,
     load_gphoto2,
     nearest_times,
     shutter_times,
@@ -31,15 +31,15 @@ from rfpipe.pictures.raw import Raw, read_raw
 Counts = NDArray[np.uint16]
 
 RAW_FORMATS = ("RAW", "NEF (Raw)", "Raw", "NEF", "RAW (14bit)", "cRAW")
-"""What makers call raw files alone, the best first."""
+"""Makers' names of raw files without a JPEG, best first."""
 
 FIXED = {
     "isoauto": "Off", "autoiso": "Off", "longexpnr": "Off", "autofocus": "Off",
 }  # fmt: skip
-"""Settings against adaption and dark-frame subtraction, made where a camera has them."""
+"""Settings against adaptation and dark-frame subtraction, made where a camera has them."""
 
 MANUAL = ("expprogram", "autoexposuremode", "autoexposuremodedial")
-"""Settings that say the mode; of a dial, so they can only be read."""
+"""Settings that report the mode dial; read-only."""
 
 _log = logging.getLogger(__name__)
 
@@ -61,11 +61,11 @@ class PhotoOptions(FrameOptions):
     )
     nominal_times: bool = Field(
         False,
-        description="Whether exposures last as long as they are named, 1/60 s, and not the power "
-        "of two that shutters are timed for, 1/64 s: true or false.",
+        description="true: exposures last as long as their names say, such as 1/60 s; false: they "
+        "last a power of two, 1/64 s, as most shutters are timed.",
     )
     keep_pictures: bool = Field(
-        False, description="Whether the pictures stay on the camera's card, too: true or false."
+        False, description="true: pictures also stay on the camera's card; false: they are deleted."
     )
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict,
@@ -84,14 +84,13 @@ class PhotoOptions(FrameOptions):
 
 
 class PhotoCamera(BracketCamera):
-    """A Canon, Nikon or Sony camera that takes raw brackets; never tried on a camera of metal.
+    """A Canon, Nikon or Sony camera that takes raw brackets; not tested with a physical camera.
 
-    The first picture says size, colour mosaic, black level and white level, which take the place of
-    the sensor's; exposure times are the nearest that the camera has. Options as `PhotoOptions` has
-    them.
+    Size, colour mosaic, black level and white level come from the first picture and replace the
+    sensor's. Exposure times are the nearest ones of the camera. `PhotoOptions` lists the options.
 
-    CaptureError where gphoto2 or rawpy is missing, no camera answers, or it refuses a setting;
-    InputError where two exposures have one nearest time.
+    CaptureError where gphoto2 or rawpy is missing, no camera responds, or it refuses a setting;
+    InputError where two exposures have the same nearest time.
     """
 
     kind = "gphoto2"
@@ -104,7 +103,7 @@ class PhotoCamera(BracketCamera):
         self.faults = (load_gphoto2().GPhoto2Error,)
         self._model = ""
         self._times: dict[float, ShutterTime] = {}
-        self._shown = ""
+        self._shutter = ""
         self.shape = self._open()
 
     def describe(self) -> dict[str, Any]:
@@ -122,90 +121,90 @@ class PhotoCamera(BracketCamera):
 
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
         self._before_trigger(exposure)
-        data = self._taken(self._times[exposure])
+        data = self._take_picture(self._times[exposure])
         if data is None:
             return None, ""
         try:
             raw = read_raw(data, "the picture")
         except InputError as error:
             return None, str(error)
-        named = raw.exposure_s  # the file's may be the rounded time of the name
-        if named is not None and abs(named / exposure - 1) > 0.25:
-            return None, f"the picture says that it was exposed for {named:.3g} s"
+        recorded = raw.exposure_s  # may be rounded, as in the name of the exposure time
+        if recorded is not None and abs(recorded / exposure - 1) > 0.25:
+            return None, f"the picture's metadata record an exposure of {recorded:.3g} s"
         return np.minimum(self._part(raw), np.uint16(self.sensor.white_level)), ""
 
-    def _taken(self, shutter: ShutterTime) -> bytes | None:
+    def _take_picture(self, shutter: ShutterTime) -> bytes | None:
         """Release the shutter and return the file."""
         photo: Photo = self._handle
-        if self._shown != shutter.name:
+        if self._shutter != shutter.name:
             photo.set("shutterspeed", shutter.name)
-            self._shown = shutter.name
+            self._shutter = shutter.name
         photo.release()
         patience = shutter.seconds + self._options.timeout_seconds
         return photo.picture(patience, keep=self._options.keep_pictures)
 
     def _part(self, raw: Raw) -> Counts:
-        """Return the part of the sensor that was asked for; of the whole, an even one."""
+        """Crop to the configured region, or to an even number of rows and columns."""
         (top, left), (height, width) = self._options.offset, raw.counts.shape
         height, width = self._options.shape or ((height - top) // 2 * 2, (width - left) // 2 * 2)
         return raw.counts[top : top + height, left : left + width]
 
     def _open(self) -> tuple[int, int]:
-        """Find the camera, set it up, and take the sensor's numbers from a first picture."""
+        """Connect, set up, and read the sensor's properties from a first picture."""
         self._connect()
         try:
             times = shutter_times(
                 self._handle.choices("shutterspeed"), nominal=self._options.nominal_times
             )
-            raw = self._first(nearest_times(self.sensor.exposures, times)[0])
+            raw = self._first_picture(nearest_times(self.sensor.exposures, times)[0])
             if not self._times:
-                self._learn(raw, times)
+                self._adopt_sensor(raw, times)
         except BaseException:
-            self._drop()
+            self._disconnect()
             raise
         height, width = self._part(raw).shape
         return height, width
 
     def _connect(self) -> None:
-        """Open the camera and make its settings."""
-        model, port = self._found()
-        self._name, self._model, self._shown = f"camera {model}", model, ""
+        """Open the camera and write its settings."""
+        model, port = self._find()
+        self._name, self._model, self._shutter = f"camera {model}", model, ""
         try:
             self._handle = Photo(model, port)
             self._set_up()
         except load_gphoto2().GPhoto2Error as error:
-            self._drop()
+            self._disconnect()
             raise CaptureError(
-                f"{self._name}: can't be opened: {self._said(error)}. Close other programs that "
-                "hold it (a desktop's file manager does: gio mount -s gphoto2), and check that it "
-                "is awake"
+                f"{self._name}: can't be opened: {self._error_text(error)}. Close other programs "
+                "that use it (a desktop's file manager does: gio mount -s gphoto2), and check that "
+                "it is awake"
             ) from error
         except CaptureError:
-            self._drop()
+            self._disconnect()
             raise
 
-    def _found(self) -> tuple[str, str]:
-        """Return model and port of the camera."""
-        answering, part = connected(), (self._options.model or "").lower()
-        meant = [entry for entry in answering if part in entry[0].lower()]
-        if len(meant) == 1:
-            return meant[0]
-        names = ", ".join(f"{model} at {port}" for model, port in answering)
+    def _find(self) -> tuple[str, str]:
+        """Return model and port of the camera to use, or raise CaptureError."""
+        cameras, part = list_cameras(), (self._options.model or "").lower()
+        matching = [camera for camera in cameras if part in camera[0].lower()]
+        if len(matching) == 1:
+            return matching[0]
+        names = ", ".join(f"{model} at {port}" for model, port in cameras)
         raise CaptureError(
-            f"{self._options.model or 'any camera'}: {len(answering)} photo cameras answer"
+            f"{self._options.model or 'any camera'}: {len(cameras)} photo cameras respond"
             f"{': ' if names else ''}{names}. Check power, cable and that the camera is awake, and "
             "name the camera by camera.options.model"
         )
 
     def _set_up(self) -> None:
-        """Make the settings, and switch off all that adapts."""
+        """Write the settings, and switch off all automatic functions."""
         photo, options = self._handle, self._options
         for name in MANUAL:
             mode = photo.get(name)
             if mode is not None and not str(mode).upper().startswith("M"):
                 raise CaptureError(
                     f"{self._name}: its mode is {mode}; turn the dial to M (manual), or exposure "
-                    "times would not hold"
+                    "times are not fixed"
                 )
         for name, off in FIXED.items():
             if off in photo.choices(name):
@@ -218,15 +217,17 @@ class PhotoCamera(BracketCamera):
                 photo.set(name, raw)
         for name, setting in options.settings.items():
             if not photo.set(name, setting):
-                raise CaptureError(f"{self._name}: has no setting {name} that can be made")
+                raise CaptureError(f"{self._name}: has no setting {name} that can be written")
 
-    def _first(self, shutter: ShutterTime) -> Raw:
-        """Take a picture and return it."""
+    def _first_picture(self, shutter: ShutterTime) -> Raw:
+        """Take and read the first picture."""
         self._before_trigger(shutter.seconds)
         try:
-            data = self._taken(shutter)
+            data = self._take_picture(shutter)
         except load_gphoto2().GPhoto2Error as error:
-            raise CaptureError(f"{self._name}: takes no picture: {self._said(error)}") from error
+            raise CaptureError(
+                f"{self._name}: takes no picture: {self._error_text(error)}"
+            ) from error
         if data is None:
             raise CaptureError(f"{self._name}: took no picture. {self.advice}")
         try:
@@ -237,15 +238,15 @@ class PhotoCamera(BracketCamera):
                 "camera.options.settings"
             ) from error
 
-    def _learn(self, raw: Raw, times: list[ShutterTime]) -> None:
-        """Take over the sensor's numbers from the first picture, and exposure times."""
+    def _adopt_sensor(self, raw: Raw, times: list[ShutterTime]) -> None:
+        """Replace the sensor's properties by those of the first picture and the camera's times."""
         if raw.bayer is None:
             raise CaptureError(
-                f"{self._name}: its raw files have no colour mosaic of 2 x 2 (RGGB and its like); "
-                "only such are taken apart here"
+                f"{self._name}: its raw files have no colour mosaic of 2 x 2 pixels, such as RGGB; "
+                "no other is supported"
             )
-        chosen = nearest_times(self.sensor.exposures, times)
-        for exposure, time_ in zip(self.sensor.exposures, chosen, strict=True):
+        selected = nearest_times(self.sensor.exposures, times)
+        for exposure, time_ in zip(self.sensor.exposures, selected, strict=True):
             level = logging.INFO if abs(time_.seconds / exposure - 1) < 0.05 else logging.WARNING
             _log.log(
                 level, "%s: takes %s (%g s) for an exposure of %g s",
@@ -254,13 +255,13 @@ class PhotoCamera(BracketCamera):
         bits = raw.white.bit_length()
         self.sensor = replace(
             self.sensor,
-            exposures=tuple(time_.seconds for time_ in chosen),
+            exposures=tuple(time_.seconds for time_ in selected),
             bits=bits,
             bayer=raw.bayer,
             black_level_counts=round(raw.black),
             white_level_counts=None if raw.white == 2**bits - 1 else raw.white,
         )
-        self._times = {time_.seconds: time_ for time_ in chosen}
+        self._times = {time_.seconds: time_ for time_ in selected}
 
     def _release(self, handle: Photo) -> None:
         handle.close()

@@ -1,4 +1,4 @@
-"""A photo camera behind libgphoto2: its settings, exposure times and pictures."""
+"""Settings, exposure times and pictures of a photo camera through libgphoto2."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ def load_gphoto2() -> Any:
     return load_library("gphoto2", "gphoto2")
 
 
-def connected() -> list[tuple[str, str]]:
-    """Return model and port of each camera that answers."""
+def list_cameras() -> list[tuple[str, str]]:
+    """Return model and port of each connected camera."""
     cameras = load_gphoto2().Camera.autodetect()
     return [(cameras.get_name(index), cameras.get_value(index)) for index in range(cameras.count())]
 
 
 class Photo:
-    """An open camera, by model and port as `connected` names them.
+    """An open camera, given model and port as in `list_cameras`.
 
-    gphoto2.GPhoto2Error where it can't be opened, and by methods where the camera fails.
+    Constructor and methods raise gphoto2.GPhoto2Error where the camera fails.
     """
 
     def __init__(self, model: str, port: str) -> None:
@@ -44,12 +44,12 @@ class Photo:
         self._camera.init()
 
     def get(self, name: str) -> Setting | None:
-        """Return a setting, None where the camera has none of this name."""
+        """Return the value of a setting; None where the camera has no such setting."""
         widget = self._widget(name)
         return None if widget is None else widget.get_value()
 
     def choices(self, name: str) -> list[str]:
-        """Return the values of a setting, none where the camera has no such one or takes any."""
+        """List the valid values of a setting; empty if it doesn't exist or isn't a choice."""
         widget = self._widget(name)
         if widget is None or widget.get_type() not in (
             self._gp.GP_WIDGET_RADIO, self._gp.GP_WIDGET_MENU,
@@ -58,7 +58,7 @@ class Photo:
         return [widget.get_choice(index) for index in range(widget.count_choices())]
 
     def set(self, name: str, value: Setting) -> bool:
-        """Make a setting; False where the camera has none of this name, or it is fixed.
+        """Write a setting; False where it doesn't exist or is read-only.
 
         CaptureError where the camera refuses the value.
         """
@@ -78,25 +78,29 @@ class Photo:
         return True
 
     def release(self) -> None:
-        """Press the shutter and don't wait."""
+        """Release the shutter, and return at once."""
         self._camera.trigger_capture()
 
     def picture(self, seconds: float, *, keep: bool) -> bytes | None:
-        """Return the file of the picture just taken, None where none comes in so many seconds."""
-        gp, end = self._gp, time.monotonic() + seconds
-        while (rest := end - time.monotonic()) > 0:
-            kind, data = self._camera.wait_for_event(max(1, round(1000 * rest)))
-            if kind == gp.GP_EVENT_FILE_ADDED:
-                file = self._camera.file_get(data.folder, data.name, gp.GP_FILE_TYPE_NORMAL)
-                content = bytes(file.get_data_and_size())  # a copy: the memory is the file's
-                if not keep:
-                    with suppress(gp.GPhoto2Error):  # gone already, from a camera's own memory
-                        self._camera.file_delete(data.folder, data.name)
-                return content
+        """Wait for the file of the last picture; None if it doesn't arrive within `seconds`."""
+        end = time.monotonic() + seconds
+        while (remaining := end - time.monotonic()) > 0:
+            kind, data = self._camera.wait_for_event(max(1, round(1000 * remaining)))
+            if kind == self._gp.GP_EVENT_FILE_ADDED:
+                return self._download(data.folder, data.name, keep=keep)
         return None
 
+    def _download(self, folder: str, name: str, *, keep: bool) -> bytes:
+        """Return the content of a file on the camera, which is deleted unless `keep`."""
+        file = self._camera.file_get(folder, name, self._gp.GP_FILE_TYPE_NORMAL)
+        content = bytes(file.get_data_and_size())  # a copy, as `file` owns the memory
+        if not keep:
+            with suppress(self._gp.GPhoto2Error):  # already removed from internal memory
+                self._camera.file_delete(folder, name)
+        return content
+
     def close(self) -> None:
-        """Let go of the camera, whatever state it is in."""
+        """Close the camera, whatever its state."""
         with suppress(self._gp.GPhoto2Error):
             self._camera.exit()
 
@@ -113,24 +117,23 @@ _TIME = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))?\s*(?:s|sec|\")?", re.I
 
 
 class ShutterTime(NamedTuple):
-    """An exposure time: the camera's name of it, such as 1/60, and its length, such as 1/64 s."""
+    """An exposure time: the camera's name, such as 1/60, and the duration, such as 1/64 s."""
 
     name: str
     seconds: float
 
 
 def shutter_times(names: Iterable[str], *, nominal: bool = False) -> list[ShutterTime]:
-    """Return a camera's exposure times, ascending; Bulb, Auto and the like are left out.
+    """Return a camera's exposure times in ascending order, without Bulb, Auto and the like.
 
-    Photo cameras time their shutters in halves or thirds of a stop from one second, whole powers
-    of two among them, and round only the names: 1/60 is 1/64 s, 30 is 32 s. `nominal` takes the
-    names at their word.
+    Photo cameras time their shutters in halves or thirds of a stop relative to one second, and
+    round the names: 1/60 lasts 1/64 s, 30 lasts 32 s. With `nominal`, durations are as named.
     """
-    named = {name: _seconds(name) for name in names}
-    times = {name: seconds for name, seconds in named.items() if seconds}
+    parsed = {name: _seconds(name) for name in names}
+    times = {name: seconds for name, seconds in parsed.items() if seconds}
     if not nominal:
         stops = {name: math.log2(seconds) for name, seconds in times.items()}
-        # as named, a time of a camera set to thirds misses one by less than 0.13 stops
+        # rounded names of thirds of a stop deviate by less than 0.13 stops
         thirds = all(abs(stop - round(3 * stop) / 3) < 0.13 for stop in stops.values())
         parts = 3 if thirds else 2
         times = {name: 2.0 ** (round(parts * stop) / parts) for name, stop in stops.items()}
@@ -138,26 +141,26 @@ def shutter_times(names: Iterable[str], *, nominal: bool = False) -> list[Shutte
 
 
 def nearest_times(exposures: Sequence[float], times: Sequence[ShutterTime]) -> list[ShutterTime]:
-    """Return the camera's time nearest to each exposure, by their ratio.
+    """Return the camera's time nearest to each exposure, by ratio.
 
-    InputError where the camera has none, or one is nearest to two exposures.
+    InputError where the camera has no times, or a time is nearest to two exposures.
     """
     if not times:
         raise InputError(
             "the camera lists no exposure times; turn its mode dial to M (manual), and set the "
             "lens to manual focus"
         )
-    chosen = [
+    selected = [
         min(times, key=lambda time: abs(math.log(time.seconds / exposure)))
         for exposure in exposures
     ]
-    for first, second in pairwise(chosen):
+    for first, second in pairwise(selected):
         if first.seconds >= second.seconds:
             raise InputError(
                 f"sensor.exposures has two times for which the camera's nearest is {first.name}; "
                 f"it has {', '.join(time.name for time in times)}"
             )
-    return chosen
+    return selected
 
 
 def _seconds(name: str) -> float | None:

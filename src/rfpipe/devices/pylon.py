@@ -1,4 +1,4 @@
-"""Basler cameras, through their driver pylon."""
+"""Basler cameras, through their library pylon."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.devices.bracket import load_library
-from rfpipe.devices.genicam import GenicamCamera, RefusedError, Value, chosen
+from rfpipe.devices.genicam import GenicamCamera, RefusedError, Value, select_camera
 from rfpipe.photometry.camera import CameraModel
 
 Counts = NDArray[np.uint16]
 
 BUFFERS = 10
-"""Frames that pylon has room for, where no sequence needs more."""
+"""Frame buffers outside sequences."""
 
 
 class PylonCamera(GenicamCamera):
-    """A Basler camera that takes brackets by software trigger, and sequences by a projector's.
+    """A Basler camera: brackets by software trigger, sequences by a projector's trigger.
 
-    Options as `GenicamOptions` has them. CaptureError where pypylon is missing, no camera answers,
-    or it refuses a setting: says which.
+    `GenicamOptions` lists the options. CaptureError where pypylon is missing, no camera responds,
+    or it refuses a setting, which the message names.
     """
 
     kind = "pylon"
@@ -45,8 +45,8 @@ class PylonCamera(GenicamCamera):
     def _is_lost(self) -> bool:
         return self._handle is None or bool(self._handle.IsCameraDeviceRemoved())
 
-    def _said(self, error: Exception) -> str:
-        return _said(error)
+    def _error_text(self, error: Exception) -> str:
+        return _error_text(error)
 
     def _is_ready(self, seconds: float) -> bool:
         patience, ending = round(1000 * seconds), self._pylon.TimeoutHandling_Return
@@ -55,7 +55,7 @@ class PylonCamera(GenicamCamera):
     def _trigger(self) -> None:
         self._handle.ExecuteSoftwareTrigger()
 
-    def _next(self, seconds: float) -> tuple[Counts | None, str]:
+    def _next_frame(self, seconds: float) -> tuple[Counts | None, str]:
         patience, ending = round(1000 * seconds), self._pylon.TimeoutHandling_Return
         with self._handle.RetrieveResult(patience, ending) as result:
             if not result.IsValid():
@@ -66,8 +66,9 @@ class PylonCamera(GenicamCamera):
 
     def _connect(self) -> None:
         factory = self._pylon.TlFactory.GetInstance()
-        connected = list(factory.EnumerateDevices())
-        info = connected[chosen((one.GetSerialNumber() for one in connected), self._serial)]
+        devices = list(factory.EnumerateDevices())
+        serials = [device.GetSerialNumber() for device in devices]
+        info = devices[select_camera(serials, self._serial)]
         self._serial = info.GetSerialNumber()
         self._handle = self._pylon.InstantCamera(factory.CreateDevice(info))
         self._handle.Open()
@@ -88,7 +89,7 @@ class PylonCamera(GenicamCamera):
 
 @dataclass(frozen=True)
 class PylonNodes:
-    """The settings of an open `pypylon.pylon.InstantCamera`; `Nodes` of `GenicamCamera`."""
+    """Settings of an open `pypylon.pylon.InstantCamera`; implements `Nodes`."""
 
     camera: Any
 
@@ -101,7 +102,7 @@ class PylonNodes:
             node.Value = value
             actual: Value = node.Value
         except (_load_pylon()[1].GenericException, TypeError) as error:
-            raise RefusedError(_said(error)) from error
+            raise RefusedError(_error_text(error)) from error
         return actual
 
     def execute(self, name: str) -> None:
@@ -121,13 +122,13 @@ class PylonNodes:
 
 
 def _load_pylon() -> tuple[Any, Any]:
-    """Return the driver's modules ``pylon`` and ``genicam``, or raise CaptureError."""
+    """Return the modules ``pylon`` and ``genicam`` of pypylon, or raise CaptureError."""
     with warnings.catch_warnings():
-        # its wrapper's types warn, and end the process where a warning is an error
+        # the types of its wrapper warn, which would raise where warnings are errors
         warnings.simplefilter("ignore", DeprecationWarning)
         return load_library("pypylon.pylon", "rig"), load_library("pypylon.genicam", "rig")
 
 
-def _said(error: Exception) -> str:
-    """Return an error of the driver without the names of its source files."""
+def _error_text(error: Exception) -> str:
+    """Return an error message of pylon without the names of its source files."""
     return re.split(r" : \w+ thrown", str(error))[0].strip().rstrip(".")

@@ -1,9 +1,9 @@
-"""Webcams and whatever else OpenCV's VideoCapture opens: V4L2, GStreamer, files, streams.
+"""Webcams and other sources that OpenCV's VideoCapture opens: V4L2, GStreamer, files, streams.
 
-The worst of cameras for measuring: 8 bits, through a processing of their own. What a camera lets
-one switch off is switched off, and what is left is said; a calibration's linearity step proves
-whether it can be undone. Tested on image sequences that OpenCV opens as a device, and on a UVC
-camera's controls in software. Never tried on a camera of metal, nor on a device of V4L2.
+Webcams are poor measuring cameras: 8 bits, after processing in the camera. Processing that can be
+switched off is switched off, and the remainder is logged; the calibration's linearity step tests
+whether it can be inverted. Tested with image sequences that OpenCV opens as a device, and with the
+controls of a UVC camera in software, but not with a physical camera or a V4L2 device.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rfpipe.rigs.devices import PictureExtent
 Counts = NDArray[np.uint16]
 
 V4L2_TICKS = 1e4
-"""Of an exposure time, a second: V4L2 counts 100 microseconds."""
+"""Units of exposure time per second: V4L2 counts 100 microseconds."""
 
 _log = logging.getLogger(__name__)
 
@@ -39,35 +39,35 @@ class WebcamOptions(Settings):
     device: int | Text = Field(
         0,
         description="Number of the device, such as 0 for /dev/video0; or a path, an address or a "
-        "GStreamer pipeline, whatever OpenCV's VideoCapture opens.",
+        "GStreamer pipeline: anything that OpenCV's VideoCapture opens.",
     )
     backend: Literal["any", "v4l2", "gstreamer", "ffmpeg", "images"] = Field(
-        "any", description="What OpenCV opens it with: any, v4l2, gstreamer, ffmpeg or images."
+        "any", description="OpenCV's backend: any, v4l2, gstreamer, ffmpeg or images."
     )
     channels: Literal[1, 3] = Field(
-        3, description="3: colour, as the camera made it; 1: its green alone."
+        3, description="3: the colours that the camera computes; 1: only its green channel."
     )
     shape: tuple[PictureExtent, PictureExtent] | None = Field(
-        None, description="Height and width of the frames in pixels, or null for the camera's own."
+        None,
+        description="Height and width of the frames in pixels, or null for the camera's default.",
     )
     skip_frames: int = Field(
         4,
         ge=0,
         le=100,
-        description="Frames dropped before each one that counts, as they were on their way while "
-        "picture or exposure time changed, 0 to 100.",
+        description="Frames dropped before each used frame, 0 to 100: they may have been exposed "
+        "before the picture or the exposure time changed.",
     )
 
 
 class Webcam(BracketCamera):
-    """A webcam that takes brackets where it lets one set its exposure time.
+    """A webcam; takes brackets if its exposure time can be set, else single frames.
 
-    Without that, it takes one exposure, whose time is the camera's own affair. Never tried on a
-    camera of metal. Options as `WebcamOptions` has them; `adapts` names what bends or adapts counts
-    and could not be switched off.
+    Not tested with a physical camera. `WebcamOptions` lists the options. `adapts` names the
+    adaptive or nonlinear processing that could not be switched off.
 
-    CaptureError where OpenCV is missing, or the device doesn't open or give a frame; InputError
-    where the sensor has other than 8 bits or a mosaic, or exposures that the camera can't be told.
+    CaptureError where OpenCV is missing, or the device doesn't open or deliver a frame; InputError
+    where the sensor has a mosaic or not 8 bits, or where exposure times can't be set.
     """
 
     kind = "webcam"
@@ -85,11 +85,11 @@ class Webcam(BracketCamera):
         self._cv2 = load_library("cv2", "webcam")
         self.faults = (self._cv2.error,)
         self.adapts: tuple[str, ...] = ()
-        self._set_to: float | None = None
+        self._current_exposure: float | None = None
         self._has_times = False
         self._name = f"webcam {self._options.device}"
         self.shape = self._open()
-        self._take_over_times()
+        self._adopt_exposure_times()
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
@@ -102,7 +102,7 @@ class Webcam(BracketCamera):
         }
 
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        if self._has_times and self._set_to != exposure:
+        if self._has_times and self._current_exposure != exposure:
             self._set_exposure(exposure)
         self._before_trigger(exposure)
         for _ in range(self._options.skip_frames):
@@ -113,9 +113,9 @@ class Webcam(BracketCamera):
         return self._counts(frame), ""
 
     def _counts(self, frame: NDArray[Any]) -> Counts:
-        """Return OpenCV's blue, green and red as counts (H, W[, 3]), red first."""
+        """Convert OpenCV's BGR frame to RGB counts (H, W[, 3])."""
         if frame.dtype != np.uint8:
-            raise CaptureError(f"{self._name}: gives {frame.dtype}; expected frames of 8 bits")
+            raise CaptureError(f"{self._name}: gives frames of {frame.dtype}; expected uint8")
         grey = frame.ndim == 2
         if self.channels == 1:
             return (frame if grey else frame[..., 1]).astype(np.uint16)
@@ -124,17 +124,17 @@ class Webcam(BracketCamera):
         return frame[..., 2::-1].astype(np.uint16)
 
     def _opened(self) -> Any:
-        """Return OpenCV's capture of the device."""
+        """Open the device with OpenCV."""
         backend = getattr(self._cv2, f"CAP_{self._options.backend.upper()}")
         return self._cv2.VideoCapture(self._options.device, backend)
 
     def _open(self) -> tuple[int, int]:
-        """Open the device, switch off all that adapts, and take a first frame."""
-        self._handle, self._set_to = self._opened(), None
+        """Open the device, switch off automatic functions, and take a first frame."""
+        self._handle, self._current_exposure = self._opened(), None
         if not self._handle.isOpened():
-            self._drop()
+            self._disconnect()
             raise CaptureError(
-                f"{self._name}: can't be opened. Check that it is there (v4l2-ctl --list-devices), "
+                f"{self._name}: can't be opened. Check that it exists (v4l2-ctl --list-devices), "
                 "that no other program uses it, that you may read it (group video), and "
                 "camera.options.device and camera.options.backend"
             )
@@ -142,30 +142,30 @@ class Webcam(BracketCamera):
             self._set_up()
             arrived, frame = self._handle.read()
             if not arrived or frame is None:
-                raise CaptureError(f"{self._name}: opens, but gives no frame. {self.advice}")
+                raise CaptureError(f"{self._name}: opens, but delivers no frame. {self.advice}")
             height, width = self._counts(frame).shape[:2]
         except BaseException:
-            self._drop()
+            self._disconnect()
             raise
         size = self._options.shape
         if size is not None and (height, width) != tuple(size):
-            self._drop()
+            self._disconnect()
             raise CaptureError(
-                f"{self._name}: gives frames of {height} x {width} pixels where "
-                f"camera.options.shape asks for {size[0]} x {size[1]}; set it to a size that the "
-                "camera has"
+                f"{self._name}: delivers frames of {height} x {width} pixels; "
+                f"camera.options.shape is {size[0]} x {size[1]}: set it to a size that the camera "
+                "supports"
             )
         return height, width
 
     def _set_up(self) -> None:
-        """Make all settings but the exposure time, and warn of those that failed."""
+        """Write all settings except the exposure time, and warn of those that failed."""
         options, adapts = self._options, []
         self._set("FOURCC", self._cv2.VideoWriter_fourcc(*"YUYV"))  # not compressed
         if options.shape is not None:
             self._set("FRAME_HEIGHT", options.shape[0])
             self._set("FRAME_WIDTH", options.shape[1])
         is_v4l2 = self._handle.getBackendName() == "V4L2"
-        for name, what, off in (
+        for name, function, off in (
             ("AUTO_EXPOSURE", "automatic exposure", 1 if is_v4l2 else 0.25),
             ("AUTO_WB", "automatic white balance", 0),
             ("AUTOFOCUS", "autofocus", 0),
@@ -174,34 +174,34 @@ class Webcam(BracketCamera):
             ("GAMMA", "gamma", 100),
         ):
             if not self._set(name, off):
-                adapts.append(what)
-        stream = _letters(int(self._handle.get(self._cv2.CAP_PROP_FOURCC)))
+                adapts.append(function)
+        stream = _fourcc_text(int(self._handle.get(self._cv2.CAP_PROP_FOURCC)))
         if stream in ("MJPG", "JPEG", "H264", "HEVC"):
             adapts.append(f"compression ({stream})")
         self.adapts = tuple(adapts)
         text = ", ".join(self.adapts)
         _log.warning(
-            "%s: is no measuring camera: 8 bits, made by a processing of its own%s. Calibrate it: "
-            "the linearity step proves whether what is left can be undone",
-            self._name, f"; it may still have {text}, which could not be switched off" * bool(text),
+            "%s: webcams process their 8-bit frames%s. Calibrate it: the linearity step tests "
+            "whether the processing can be inverted",
+            self._name, f"; these functions could not be switched off: {text}" * bool(text),
         )  # fmt: skip
 
     def _set(self, name: str, value: float) -> bool:
-        """Make a setting; tell whether the camera took it."""
+        """Write a setting; False if the camera doesn't accept it."""
         prop = getattr(self._cv2, f"CAP_PROP_{name}")
         return bool(self._handle.set(prop, value)) and self._handle.get(prop) == value
 
     def _set_exposure(self, exposure: float) -> float | None:
-        """Set the exposure time in seconds; return the camera's, or None if it has none to set."""
-        self._set_to = exposure
+        """Set the exposure time in seconds; return the camera's time, None if it can't be set."""
+        self._current_exposure = exposure
         if self._handle.getBackendName() != "V4L2":
             return None
         prop = self._cv2.CAP_PROP_EXPOSURE
         success = self._handle.set(prop, max(1, round(exposure * V4L2_TICKS)))
         return float(self._handle.get(prop)) / V4L2_TICKS if success else None
 
-    def _take_over_times(self) -> None:
-        """Replace the sensor's exposure times by those that the camera takes."""
+    def _adopt_exposure_times(self) -> None:
+        """Replace the sensor's exposure times by the camera's rounded times."""
         nominal = self.sensor.exposures
         actual = [self._set_exposure(exposure) for exposure in nominal]
         times = [time for time in actual if time]
@@ -209,25 +209,25 @@ class Webcam(BracketCamera):
             if len(nominal) > 1:
                 self.close()
                 raise InputError(
-                    f"{self._name}: doesn't let one set its exposure time; give sensor.exposures "
-                    f"one time, not {len(nominal)}"
+                    f"{self._name}: its exposure time can't be set; give sensor.exposures one "
+                    f"time, not {len(nominal)}"
                 )
-            _log.warning("%s: its exposure time is its own affair", self._name)
+            _log.warning("%s: its exposure time can't be set and is unknown", self._name)
             return
         for exposure, time in zip(nominal, times, strict=True):
             if abs(time / exposure - 1) > 0.01:
-                _log.warning("%s: takes %g s for an exposure of %g s", self._name, time, exposure)
-        self._has_times, self._set_to = True, None
+                _log.warning("%s: uses %g s for an exposure of %g s", self._name, time, exposure)
+        self._has_times, self._current_exposure = True, None
         try:
             self.sensor = replace(self.sensor, exposures=tuple(times))
-        except InputError as error:  # of two times it can't tell apart
+        except InputError as error:  # two times round to the same one
             self.close()
-            raise InputError(f"{self._name}: as it takes sensor.exposures, {error}") from error
+            raise InputError(f"{self._name}: after rounding sensor.exposures: {error}") from error
 
     def _release(self, handle: Any) -> None:
         handle.release()
 
 
-def _letters(fourcc: int) -> str:
-    """Return the four letters of a stream's format."""
+def _fourcc_text(fourcc: int) -> str:
+    """Return the four characters of a stream's format."""
     return "".join(chr((fourcc >> shift) & 0x7F) for shift in (0, 8, 16, 24)).upper()

@@ -1,4 +1,4 @@
-"""The projector: a full-screen window, pixel-exact, linear in the pattern."""
+"""A projector as a full-screen window: pixel-exact, light linear in the pattern."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ Float = NDArray[np.float32]
 Codes = NDArray[np.uint8]
 
 ANSWER_SECONDS = 20.0
-"""Time within which a window opens and a picture is drawn, or the display counts as dead."""
+"""Timeout for opening a window and for drawing a picture."""
 
 _log = logging.getLogger(__name__)
 
 
 class WindowOptions(Settings):
-    """The projector: a full-screen window on a display."""
+    """A projector as a full-screen window on a display."""
 
     display: str | None = Field(
         None,
         pattern=r"^\S*:\d+(\.\d+)?$",
-        description="X display, such as :0, or null for that of the environment's DISPLAY.",
+        description="X display, such as :0, or null for the environment's DISPLAY.",
     )
     screen: int = Field(
         0, ge=0, le=63, description="Number of the monitor on that display, 0 to 63."
@@ -65,13 +65,13 @@ class WindowOptions(Settings):
         0.1,
         ge=0,
         le=60,
-        description="Wait after a picture was drawn, until the projector shows it, in seconds, 0 "
-        "to 60: two or three frames of the display plus the projector's own delay.",
+        description="Wait between drawing a picture and its appearance, 0 to 60 s: two or three "
+        "frames of the display plus the delay of the projector.",
     )
 
 
 class _LostWindowError(CaptureError):
-    """The window, or its display, is gone."""
+    """The window or its display is lost."""
 
     def __init__(self, display: str | None, reason: str) -> None:
         super().__init__(
@@ -82,13 +82,13 @@ class _LostWindowError(CaptureError):
 
 
 class WindowProjector(Closing):
-    """A projector as a monitor: a borderless window with one pixel for each of its pixels.
+    """A projector connected as a monitor: a borderless window, one pixel per projector pixel.
 
-    The window lives in a process of its own (`rfpipe.devices.window_process`), so `show` may be
-    called from any thread, and the loss of the display is an error instead of the process' end.
-    A window that is lost is opened again at the next picture. `show` returns `settle_seconds` after
-    the display's server has confirmed that it drew the picture (on X11 by XSync). When the light
-    leaves the lens is known to the projector alone: calibration's step *latency* measures it.
+    A separate process (`rfpipe.devices.window_process`) owns the window, so `show` may be called
+    from any thread, and losing the display raises an error instead of ending this process. A lost
+    window is opened again for the next picture. `show` returns `settle_seconds` after the display
+    server has confirmed that it drew the picture (on X11 by XSync); the calibration step *latency*
+    measures when its light appears.
 
     Parameters
     ----------
@@ -96,17 +96,17 @@ class WindowProjector(Closing):
     response : ndarray, shape (256,), optional
         Light measured at each code, see `code_table`.
     options
-        As `WindowOptions` has them, by name, the same where they aren't given.
+        By name, with defaults, as in `WindowOptions`.
 
-    `statistics` counts pictures ``shown``, times that the window was ``reopened``, and pictures of
-    which `undisturbed` told that they were ``disturbed``.
+    `statistics` counts pictures ``shown``, how often the window was ``reopened``, and pictures that
+    `undisturbed` found ``disturbed``.
 
     Raises
     ------
     CaptureError
-        When the window can't be opened: says what to set.
+        When the window can't be opened; names the settings to check.
     InputError
-        When the response is none.
+        When the response isn't valid.
     """
 
     Options = WindowOptions
@@ -118,11 +118,11 @@ class WindowProjector(Closing):
         response: NDArray[Any] | None = None,
         **options: Any,
     ) -> None:
-        chosen = WindowOptions(**options)
+        selected = WindowOptions(**options)
         self._codes = code_table(response)
         self._display = display
-        self._settings = chosen.model_dump(include={"screen", "offset", "shape"}, mode="json")
-        self.settle_seconds = chosen.settle_seconds
+        self._settings = selected.model_dump(include={"screen", "offset", "shape"}, mode="json")
+        self.settle_seconds = selected.settle_seconds
         self._lock = threading.Lock()
         self._is_closed = False
         self.statistics = {"shown": 0, "reopened": 0, "disturbed": 0}
@@ -135,7 +135,7 @@ class WindowProjector(Closing):
         time.sleep(self.settle_seconds)
 
     def show_now(self, picture: Float) -> None:
-        """Show a picture, and return when it is drawn; see `rfpipe.rigs.devices.Projector`."""
+        """Show a picture without waiting for its light; see `rfpipe.rigs.devices.Projector`."""
         self._show(check_picture(picture, self.shape))
 
     def show_colour(self, picture: Float) -> None:
@@ -150,16 +150,16 @@ class WindowProjector(Closing):
             self.statistics["shown"] += 1
 
     def undisturbed(self) -> bool:
-        """Whether the last picture stood until now; see `rfpipe.rigs.devices.Projector`."""
+        """True if the last picture is still displayed; see `rfpipe.rigs.devices.Projector`."""
         with self._lock:
             try:
-                stood = self._window is not None and bool(self._window.is_undisturbed())
+                is_undisturbed = self._window is not None and bool(self._window.is_undisturbed())
             except _LostWindowError as error:
                 _log.warning("%s", error)
-                self._drop()
-                stood = False
-            self.statistics["disturbed"] += not stood
-        return stood
+                self._disconnect()
+                is_undisturbed = False
+            self.statistics["disturbed"] += not is_undisturbed
+        return is_undisturbed
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes the light."""
@@ -174,36 +174,36 @@ class WindowProjector(Closing):
         """Close the window; closing twice is no error."""
         with self._lock:
             self._is_closed = True
-            self._drop()
+            self._disconnect()
 
     def _open(self) -> Any:
-        """Return a new window."""
+        """Open a new window."""
         return _WindowProcess(self._display, self._settings)
 
     def _draw(self, codes: Codes) -> None:
-        """Draw a picture, in a window opened again where it is lost."""
+        """Draw a picture, after opening a lost window again."""
         if self._is_closed:
-            raise CaptureError("the projector's window is closed; open it anew")
+            raise CaptureError("the projector's window is closed; open it again")
         if self._window is not None:
             try:
                 self._window.draw(codes)
                 return
             except _LostWindowError as error:
                 _log.warning("%s. Opening the window again", error)
-                self._drop()
+                self._disconnect()
         self._window = self._open()
         if self._window.shape != self.shape:
             shape = self._window.shape
-            self._drop()
+            self._disconnect()
             raise _LostWindowError(
                 self._display,
-                f"the projector's monitor has {shape} pixels now, {self.shape} before; set its "
-                "resolution back",
+                f"the projector's monitor has {shape} pixels now, {self.shape} before; restore its "
+                "resolution",
             )
         self._window.draw(codes)
         self.statistics["reopened"] += 1
 
-    def _drop(self) -> None:
+    def _disconnect(self) -> None:
         window, self._window = self._window, None
         if window is not None:
             window.close()
@@ -218,29 +218,29 @@ class _WindowProcess:
             environment["DISPLAY"] = display
         self._display = environment.get("DISPLAY")
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115
-        self._connection, theirs = multiprocessing.Pipe()
+        self._connection, child_end = multiprocessing.Pipe()
         program = Path(__file__).with_name("window_process.py")
         self._process = subprocess.Popen(
-            # -P: modules beside the program are no top-level ones
-            [sys.executable, "-P", str(program), str(theirs.fileno()), json.dumps(settings)],
-            pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=self._errors,
+            # -P: the program's folder isn't added to sys.path
+            [sys.executable, "-P", str(program), str(child_end.fileno()), json.dumps(settings)],
+            pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, stdout=self._errors,
             stderr=self._errors, env=environment,
-            process_group=0,  # Ctrl-C is ours; then the connection ends
+            process_group=0,  # Ctrl-C reaches only this process, which closes the connection
         )  # fmt: skip
-        theirs.close()
+        child_end.close()
         try:
-            self.shape: tuple[int, int] = self._asked(None)
+            self.shape: tuple[int, int] = self._request(None)
         except BaseException:
             self.close()
             raise
 
     def draw(self, codes: Codes) -> None:
         """Send a picture, and wait until it is drawn."""
-        self._asked(codes.tobytes())
+        self._request(codes.tobytes())
 
     def is_undisturbed(self) -> bool:
-        """Ask whether the last picture stood where it was drawn, and nothing hid it."""
-        return bool(self._asked(b""))
+        """Test whether the last picture was in place and visible all the time."""
+        return bool(self._request(b""))
 
     def close(self) -> None:
         """End the process, which closes the window."""
@@ -252,25 +252,25 @@ class _WindowProcess:
             self._process.wait()
         self._errors.close()
 
-    def _asked(self, message: bytes | None) -> Any:
-        """Send a message, if there is one, and return the answer."""
+    def _request(self, message: bytes | None) -> Any:
+        """Send a message, unless it is None, and return the reply."""
         try:
             if message is not None:
                 self._connection.send_bytes(message)
             if not self._connection.poll(ANSWER_SECONDS):
-                raise self._failure(f"the display gave no answer within {ANSWER_SECONDS:g} s")
-            answer, problem = self._connection.recv()
+                raise self._failure(f"no reply from the display within {ANSWER_SECONDS:g} s")
+            reply, problem = self._connection.recv()
         except (EOFError, OSError):
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(timeout=1)  # its last words are then said
-            raise self._failure("the projector's window is gone") from None
+                self._process.wait(timeout=1)  # so that its last output is complete
+            raise self._failure("the projector's window is lost") from None
         if problem:
             raise self._failure(problem)
-        return answer
+        return reply
 
-    def _failure(self, what: str) -> _LostWindowError:
-        """Return the error of a problem, with the last lines of the window's process."""
+    def _failure(self, problem: str) -> _LostWindowError:
+        """Return an error with the last lines of output of the window's process."""
         self._errors.seek(0)
-        words = self._errors.read().decode(errors="replace").strip().splitlines()[-2:]
-        detail = f" ({' '.join(' '.join(words).split())})" if words else ""
-        return _LostWindowError(self._display, f"{what}{detail}")
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()[-2:]
+        detail = f" ({' '.join(' '.join(lines).split())})" if lines else ""
+        return _LostWindowError(self._display, f"{problem}{detail}")

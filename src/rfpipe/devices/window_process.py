@@ -1,10 +1,10 @@
-"""The projector's window, in a process of its own: pictures come in, answers go out.
+"""Program that owns the projector's window: it receives pictures and replies when they are drawn.
 
-SDL wants to be called by the main thread alone, and Xlib ends the process when its display goes
-away: neither is fit for a server. Started by `rfpipe.devices.window` as
-``python -P window_process.py CONNECTION SETTINGS``; ends when the connection does. What comes in
-are the bytes of a picture, or none: the question whether the last one still stands. Each answer is
-a pair: the window's shape at first, then a bool; and None, or an error's text at last.
+SDL must be called by the main thread, and Xlib ends the process when its display is lost, so
+neither can run in a server. `rfpipe.devices.window` starts ``python -P window_process.py CONNECTION
+SETTINGS``, which ends with the connection. A message has the bytes of a picture to draw, or is
+empty to request whether the last picture is undisturbed. A reply is a pair: the window's shape at
+first, then a bool; and None or an error message.
 """
 
 import json
@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 EVENT_SECONDS = 0.05
-"""How often the window's events are looked at while no picture comes."""
+"""Interval at which the window's events are handled while no picture arrives."""
 
 DRIVERS = ("x11", "wayland", "windows", "cocoa")
-"""SDL's drivers that show something; without a display it takes one that doesn't."""
+"""SDL's drivers with a visible window; without a display, SDL selects another driver."""
 
 SDL_CENTRED_ON_DISPLAY = 0x2FFF0000
 """SDL_WINDOWPOS_CENTERED_DISPLAY(0)."""
@@ -42,7 +42,7 @@ class Window:
             raise WindowError(f"SDL can't open a display: {error}") from error
         driver = pygame.display.get_driver()
         if driver not in DRIVERS:
-            raise WindowError(f"no display answers (SDL fell back to its driver {driver!r})")
+            raise WindowError(f"no display is available (SDL selected its driver {driver!r})")
         monitors = pygame.display.get_desktop_sizes()
         if screen >= len(monitors):
             raise WindowError(f"there is no monitor {screen}; this display has {len(monitors)}")
@@ -56,10 +56,10 @@ class Window:
                 f"monitor {screen}, {(height, width)}"
             )
         centred = (SDL_CENTRED_ON_DISPLAY | screen,) * 2
-        whole = pygame.Window("rfpipe", (width, height), centred, borderless=True, hidden=True)
-        left, top = whole.position  # a window as large as its monitor lies at its origin
-        whole.destroy()
-        self._place = (left + offset[1], top + offset[0])
+        full = pygame.Window("rfpipe", (width, height), centred, borderless=True, hidden=True)
+        x, y = full.position  # a window as large as the monitor is at the monitor's origin
+        full.destroy()
+        self._place = (x + offset[1], y + offset[0])
         self._size = self.shape[::-1]
         self._window = pygame.Window(
             "rfpipe", self._size, self._place, borderless=True, always_on_top=True
@@ -73,7 +73,7 @@ class Window:
         self.draw(np.zeros(self.shape, np.uint8))
 
     def draw(self, codes: NDArray[np.uint8]) -> None:
-        """Draw a picture, (H, W) or (H, W, 3); return when the display's server has drawn it."""
+        """Draw a picture, (H, W) or (H, W, 3); return when the display server has drawn it."""
         self._check_place()
         height, width = self.shape
         row = self._surface.get_pitch() // 4
@@ -87,7 +87,7 @@ class Window:
         self._flip()
 
     def handle_events(self) -> None:
-        """Answer the window manager, and draw a hidden picture again."""
+        """Handle events of the window manager, and redraw a picture that was hidden."""
         import pygame
 
         exposed = pygame.WINDOWEXPOSED, pygame.WINDOWRESTORED, pygame.WINDOWSHOWN
@@ -96,10 +96,10 @@ class Window:
             self._flip()
 
     def is_undisturbed(self) -> bool:
-        """Whether the last picture stood where it was drawn, and nothing hid it for a while."""
+        """Test whether the last picture was in place and visible all the time."""
         self.handle_events()
         self._check_place()
-        self._flip()  # a server that is gone ends this process here
+        self._flip()  # ends this process if the display server is lost
         return not self._was_hidden
 
     def _check_place(self) -> None:
@@ -117,7 +117,7 @@ class Window:
 
 
 def serve(window: Window, connection: Any) -> None:
-    """Draw the pictures that come in until there are no more."""
+    """Draw received pictures until the connection ends."""
     connection.send((window.shape, None))
     while True:
         if not connection.poll(EVENT_SECONDS):
@@ -133,7 +133,7 @@ def serve(window: Window, connection: Any) -> None:
 
 
 def main() -> None:
-    """Open the window that the settings ask for, and serve it."""
+    """Open the window of the settings, and serve it."""
     connection: Any = Connection(int(sys.argv[1]))
     with suppress(EOFError, OSError):  # the parent is gone
         try:
