@@ -17,7 +17,10 @@ from rfpipe.config import Config, parse_rig_config
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "tests" / "examples"
-DOCUMENTS = ("config/README.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+DOCUMENTS = (
+    "config/README.md",
+    *(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md")),
+)
 BLOCKS = [
     pytest.param(block, id=f"{document}-{index}")
     for document in sorted(DOCUMENTS)

@@ -15,7 +15,7 @@ from rfpipe.cli import app
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 INDEX = DOCS / "what-you-can-do.md"
-PAGES = sorted([*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "config" / "README.md"])
+PAGES = sorted([*DOCS.rglob("*.md"), ROOT / "README.md", ROOT / "config" / "README.md"])
 ROWS = [
     [cell.strip() for cell in row.split("|")[1:-1]]
     for row in re.findall(r"^\| (?!task|command).*\|$", INDEX.read_text("utf-8"), re.M)
