@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
-from rfpipe.errors import InputError, RfpipeError, StoreError
+from rfpipe.errors import InputError, StoreError
 from rfpipe.storage.files import (
     BY_PRODUCTS,
     CHECK_PICTURES,
@@ -152,7 +152,7 @@ def _check_published(place: Path | Place, checked: Checked) -> None:
         if isinstance(store, Place) and store.key.endswith(ZIP_NAME):
             _check_published(locate(store), checked)
             continue
-        for what in _check_arrays(store, checked)[0]:
+        for what in _check_arrays(store, checked).damage:
             checked.wrong(store, what, RESTORE)
 
 
@@ -258,7 +258,7 @@ def _check_manifest(path: Path, checked: Checked) -> None:
         checked.wrong(path, _damage_of(error, path), mend_of(path))
         return
     for store, digest in _stores_of(path, facts):
-        damage, stored = _check_store(store, checked)
+        damage, stored, _ = _check_store(store, checked)
         if digest is not None and stored not in (None, digest):
             damage.append(f"isn't the store of {path.name}: its digest is {stored}, not {digest}")
         is_patterns = store.stem == path.stem and facts.get("stage") == "schedule"
@@ -301,8 +301,9 @@ def _check_alone(path: Path, checked: Checked) -> None:
     """Check a store that no whole manifest names: one kept aside, a recording, a user's own."""
     manifest = path.with_name(f"{_OWNERS.get(path.stem, path.stem)}.json")
     is_recording = part_of(path) == "recording"
-    for what in _check_store(path, checked)[0]:
-        if "not in its journal" in what:  # an interrupted capture
+    state = _check_store(path, checked)
+    for what in state.damage:
+        if state.interrupted:
             checked.notes.append(f"{path}: {what}")
         elif is_recording:
             checked.wrong(path, what, mend_of(path))
@@ -310,8 +311,19 @@ def _check_alone(path: Path, checked: Checked) -> None:
             checked.wrong(path, what, mend_of(manifest, path) if manifest.exists() else RESTORE)
 
 
-def _check_store(path: Path, checked: Checked) -> tuple[list[str], str | None]:
-    """Check a store of frames or of arrays; return the damage, and its digest if it is known."""
+class _StoreState(NamedTuple):
+    """Result of the check of a store: its damage, and its digest where that is known.
+
+    `interrupted` is True for frames whose capture hasn't ended.
+    """
+
+    damage: list[str]
+    digest: str | None
+    interrupted: bool = False
+
+
+def _check_store(path: Path, checked: Checked) -> _StoreState:
+    """Check a store of frames or of arrays."""
     checked.seen.add(path)
     header = content_of(path / METADATA) or b""
     if (path / "journal.jsonl").exists() or re.search(rb'"kind":\s*"frames"', header):
@@ -319,13 +331,13 @@ def _check_store(path: Path, checked: Checked) -> tuple[list[str], str | None]:
     return _check_arrays(path, checked)
 
 
-def _check_arrays(path: Path | Place, checked: Checked) -> tuple[list[str], str | None]:
+def _check_arrays(path: Path | Place, checked: Checked) -> _StoreState:
     checked.stores += 1
     damage: list[str] = []
     try:
         bundle = open_arrays(path)
     except StoreError as error:
-        return [_damage_of(error, path)], None
+        return _StoreState([_damage_of(error, path)], None)
     if isinstance(path, Path):
         named = {path / name for name in (METADATA, *bundle.names)}
         entries = [each for each in path.iterdir() if not each.name.startswith(".")]
@@ -335,33 +347,36 @@ def _check_arrays(path: Path | Place, checked: Checked) -> tuple[list[str], str 
             checked.read(bundle.read(name).nbytes)
         except StoreError as error:
             damage.append(_damage_of(error, path))
-    return damage, bundle.digest
+    return _StoreState(damage, bundle.digest)
 
 
-def _check_frames(path: Path, checked: Checked) -> tuple[list[str], str | None]:
+def _check_frames(path: Path, checked: Checked) -> _StoreState:
     checked.stores += 1
     if not header_is_whole(path):
-        return [f"its header, {METADATA} or its copy header.json, is damaged or missing"], None
+        damage = f"its header, {METADATA} or its copy header.json, is damaged or missing"
+        return _StoreState([damage], None)
     try:
         store = FrameStore.open(path)
         if not store.complete:
             absent = store.shape[0] - int(store.done.sum())
-            return [f"{absent} of {store.shape[0]} items are not in its journal"], None
+            damage = f"{absent} of {store.shape[0]} items are not in its journal"
+            return _StoreState([damage], None, interrupted=True)
         altered = [] if store.dropped else store.damaged()
     except StoreError as error:
-        return [_damage_of(error, path)], None
+        return _StoreState([_damage_of(error, path)], None)
     checked.read(bytes_on_disk(path))
     if not altered:
-        return [], store.digest()
+        return _StoreState([], store.digest())
     files = ", ".join(sorted({file.name for file in store.files_of(altered)})[:_NAMED])
     which = f"{len(altered)} of {store.shape[0]} items are missing, truncated or altered"
-    return [f"{which} ({files})"], store.digest()
+    return _StoreState([f"{which} ({files})"], store.digest())
 
 
-def _damage_of(error: Exception, path: Path | Place) -> str:
-    """Return an error's message without the place and the remedy, which a finding names."""
-    text = error.fault if isinstance(error, RfpipeError) else str(error)
-    return text.removeprefix(f"{path}: ").removeprefix(f"{path}/")
+def _damage_of(error: StoreError, path: Path | Place) -> str:
+    """Describe damage without the store's path and the remedy, which the finding states."""
+    if error.place in (None, path):
+        return error.what
+    return f"{str(error.place).removeprefix(f'{path}/')}: {error.what}"
 
 
 def _check_acquisition(folder: Path, checked: Checked) -> None:
