@@ -38,7 +38,7 @@ def scans() -> Figure:
 
 
 def dual() -> Figure:
-    """Draw the light that one camera pixel receives, as the levels of dual photography resolve it."""
+    """Draw the light that one camera pixel receives, resolved by the levels of dual photography."""
     scene = _wedge(projector={"position": (1.72, 0.0, 0.54), "look_at": (0.0, 0.0, 3.0)})
     transport = _acquired(scene, "dual")
     height, width = transport.camera_shape[:2]
