@@ -1,4 +1,12 @@
-"""Conflict graphs and their colouring (thesis §3.1, §5.1, Lemmas 1 and 2)."""
+"""Conflict graphs of blocks and their colouring (thesis §3.1, §5.1, Lemmas 1 and 2).
+
+Blocks that conflict can't be lit together; the blocks of one colour are one pattern. In symmetric
+photography the conflicts are the edges of ``G^2``, the square of the graph ``G`` of blocks between
+which the light is unknown. In dual photography two blocks conflict where a camera pixel sees both.
+
+Small graphs are written out and coloured by a library. Large ones are coloured from the sparse
+matrix of the pixels that see each block, without listing their conflicts.
+"""
 
 from __future__ import annotations
 
@@ -14,29 +22,29 @@ from rfpipe.provenance import generator
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
 
-__all__ = ["colour_apart", "colour_seen", "conflict_graph", "square"]
+__all__ = ["colour_columns", "colour_square", "conflict_graph", "square"]
 
 Colours = NDArray[np.int32]
 _Edges = tuple[NDArray[np.integer], NDArray[np.integer]]
 
-# Edges go to rustworkx as Python numbers, 100 bytes each: not all of them at a time. It keeps them
-# in 24 bytes each, and takes a second for a million: graphs of more are never written out.
-_ROWS_AT_A_TIME = 1024
+# rustworkx takes edges as Python numbers, 100 bytes for each: they are passed on in batches. It
+# stores an edge in 24 bytes and colours a million in a second; larger graphs are not written out.
+_ROWS_PER_BATCH = 1024
 _MOST_EDGES = 2**22
-# They are coloured again, in other orders, until so many orders in a row save no colour.
-_IN_VAIN = 3
+# Orders in a row without a saved colour, after which the iterated greedy colouring stops.
+_MOST_FAILURES = 3
 
 
 def conflict_graph(
     n_blocks: int, first: NDArray[np.integer], second: NDArray[np.integer]
 ) -> csr_array:
-    """Return the symmetric adjacency of the blocks' conflicts.
+    """Build the symmetric adjacency matrix of the blocks' conflicts.
 
     Parameters
     ----------
     n_blocks : int
     first, second : ndarray of int, shape (E,)
-        The two blocks of each conflict; repeats and self-conflicts are allowed and drop out.
+        The two blocks of each conflict; repeats and conflicts of a block with itself are dropped.
 
     Returns
     -------
@@ -45,31 +53,30 @@ def conflict_graph(
     """
     from scipy.sparse import coo_array
 
-    joined = coo_array(
-        (np.ones(len(first), np.bool_), (first, second)), shape=(n_blocks, n_blocks)
-    ).tocsr()
-    joined.setdiag(False)
-    joined.eliminate_zeros()
-    graph: csr_array = (joined + joined.T).tocsr()
+    edges = np.ones(len(first), np.bool_)
+    upper = coo_array((edges, (first, second)), shape=(n_blocks, n_blocks)).tocsr()
+    upper.setdiag(False)
+    upper.eliminate_zeros()
+    graph: csr_array = (upper + upper.T).tocsr()
     return graph
 
 
 def square(graph: csr_array, rows: slice = slice(None)) -> csr_array:
     """Return the square of a graph: an edge between blocks at most two edges apart [Har01].
 
-    Two blocks that are not joined in the square of the graph of unknown transport can be lit
-    together (Block Scheduling Lemma, thesis §5.1).
+    Two blocks without an edge in the square of the graph of unknown transport can be lit together
+    (Block Scheduling Lemma, thesis §5.1).
 
     Parameters
     ----------
     graph : csr_array of bool, shape (n, n)
     rows : slice
-        Which of its rows to return.
+        Rows of the square to return.
 
     Returns
     -------
     csr_array of bool, shape (rows, n)
-        True where two different blocks are joined.
+        True where two different blocks have an edge.
     """
     squared: csr_array = (graph[rows] + graph[rows] @ graph).tocsr()
     squared.setdiag(False, k=rows.start or 0)
@@ -77,13 +84,13 @@ def square(graph: csr_array, rows: slice = slice(None)) -> csr_array:
     return squared
 
 
-def colour_apart(graph: csr_array) -> Colours:
-    """Colour blocks so that those at most two edges apart differ; see `colour_seen`.
+def colour_square(graph: csr_array) -> Colours:
+    """Colour the square of a graph: blocks at most two edges apart get different colours.
 
     Parameters
     ----------
     graph : csr_array of bool, shape (n, n)
-        Symmetric adjacency without self-loops. Its square is never held as a whole.
+        Symmetric adjacency without self-loops. Its square is never in memory as a whole.
 
     Returns
     -------
@@ -92,21 +99,17 @@ def colour_apart(graph: csr_array) -> Colours:
     """
     from scipy.sparse import eye_array
 
-    # a block's row holds itself and its neighbours, any two of which are at most two edges apart
-    near = (graph + eye_array(graph.shape[0], dtype=graph.dtype, format="csr")).tocsr()
-    return _coloured(near.T, near, lambda rows: square(graph, rows))
+    # a row has the block itself and its neighbours, any two of which are at most two edges apart
+    rows = (graph + eye_array(graph.shape[0], dtype=graph.dtype, format="csr")).tocsr()
+    return _colour(rows.T, rows, lambda batch: square(graph, batch))
 
 
-def colour_seen(sees: csr_array) -> Colours:
-    """Colour blocks so that nobody sees two of one colour.
-
-    Graphs of up to some million edges are coloured by a library's two greedy heuristics, of which
-    the fewer colours count. The edges of larger ones are never written out: that two blocks are
-    joined is read off those who see both.
+def colour_columns(response: csr_array) -> Colours:
+    """Colour the columns of a matrix so that no row has two of one colour.
 
     Parameters
     ----------
-    sees : csr_array, shape (m, n)
+    response : csr_array, shape (m, n)
         Not zero where the row's pixel sees the column's block.
 
     Returns
@@ -114,78 +117,86 @@ def colour_seen(sees: csr_array) -> Colours:
     ndarray of int32, shape (n,)
         Colours 0, 1, ...; deterministic for a given matrix.
     """
-    by_block = sees.T.tocsr().astype(np.int32)
-    both = sees.tocsr().astype(np.int32)
+    by_block = response.T.tocsr().astype(np.int32)
+    by_pixel = response.tocsr().astype(np.int32)
 
-    def joined(rows: slice) -> csr_array:
-        together: csr_array = by_block[rows] @ both
-        together.sort_indices()
-        return together
+    def adjacency(rows: slice) -> csr_array:
+        common_pixels: csr_array = by_block[rows] @ by_pixel
+        common_pixels.sort_indices()
+        return common_pixels
 
-    return _coloured(sees.tocsc(), sees.tocsr(), joined)
+    return _colour(response.tocsc(), response.tocsr(), adjacency)
 
 
-def _coloured(sees: csc_array, by_row: csr_array, joined: Callable[[slice], csr_array]) -> Colours:
-    """Colour the columns; `joined` gives rows of the adjacency, of which the diagonal is left."""
-    n_blocks, budget = sees.shape[1], _MOST_EDGES
+def _colour(
+    columns: csc_array, rows: csr_array, adjacency: Callable[[slice], csr_array]
+) -> Colours:
+    """Colour the columns of a matrix, given by columns and by rows.
+
+    `adjacency` computes rows of the conflict graph, the diagonal of which is ignored.
+    """
+    n_blocks, remaining = columns.shape[1], _MOST_EDGES
     edges = []
-    for some in _edges(n_blocks, joined):
-        budget -= len(some[0])
-        if budget < 0:
-            return _by_rows(sees, by_row)
-        edges.append(some)
-    return _by_heuristics(n_blocks, edges)
+    for batch in _edges(n_blocks, adjacency):
+        remaining -= len(batch[0])
+        if remaining < 0:
+            return _by_iterated_greedy(columns, rows)
+        edges.append(batch)
+    return _by_library(n_blocks, edges)
 
 
-def _edges(n_blocks: int, joined: Callable[[slice], csr_array]) -> Iterator[_Edges]:
-    """Give the edges, each once, some rows of the adjacency at a time."""
-    for start in range(0, n_blocks, _ROWS_AT_A_TIME):
-        edges = joined(slice(start, min(start + _ROWS_AT_A_TIME, n_blocks))).tocoo()
+def _edges(n_blocks: int, adjacency: Callable[[slice], csr_array]) -> Iterator[_Edges]:
+    """Yield the edges of a graph in batches, each edge once."""
+    for start in range(0, n_blocks, _ROWS_PER_BATCH):
+        edges = adjacency(slice(start, min(start + _ROWS_PER_BATCH, n_blocks))).tocoo()
         row, column = edges.row + start, edges.col
-        once = row < column
-        yield row[once], column[once]
+        upper = row < column
+        yield row[upper], column[upper]
 
 
-def _by_heuristics(n_blocks: int, edges: Iterable[_Edges]) -> Colours:
-    """Colour a graph by saturation and by degree; return the fewer colours."""
+def _by_library(n_blocks: int, edges: Iterable[_Edges]) -> Colours:
+    """Colour a graph greedily by saturation and by degree, and return the fewer colours."""
     import rustworkx
 
-    # Each edge comes once: rustworkx needn't search for it (half the time on a large graph).
-    network: rustworkx.PyGraph[None, None] = rustworkx.PyGraph(multigraph=True)
-    network.add_nodes_from([None] * n_blocks)
+    # edges are unique: a multigraph doesn't search for them, half of the time on a large graph
+    graph: rustworkx.PyGraph[None, None] = rustworkx.PyGraph(multigraph=True)
+    graph.add_nodes_from([None] * n_blocks)
     for first, second in edges:
-        network.extend_from_edge_list(list(zip(first.tolist(), second.tolist(), strict=True)))
+        graph.extend_from_edge_list(list(zip(first.tolist(), second.tolist(), strict=True)))
     best = np.zeros(n_blocks, np.int32)
     fewest = n_blocks + 1
     for strategy in (rustworkx.ColoringStrategy.Saturation, rustworkx.ColoringStrategy.Degree):
-        colours = rustworkx.graph_greedy_color(network, strategy=strategy)
+        colours = rustworkx.graph_greedy_color(graph, strategy=strategy)
         colouring = np.fromiter((colours[block] for block in range(n_blocks)), np.int32, n_blocks)
         if colouring.max(initial=-1) + 1 < fewest:
             best, fewest = colouring, int(colouring.max(initial=-1)) + 1
     return best
 
 
-def _by_rows(sees: csc_array, by_row: csr_array) -> Colours:
-    """Colour columns by who sees them, then first fit in one order after the other.
+def _by_iterated_greedy(columns: csc_array, rows: csr_array) -> Colours:
+    """Colour columns by saturation, then by first fit in several orders.
 
-    Taken colour by colour, in whatever order of the colours, blocks never need more of them than
-    before [J. Culberson, Iterated greedy graph coloring, 1992]: the last colours first, then the
-    most frequent, then any order, as long as it helps. A row of k blocks needs k of them.
+    First fit over whole colours, in any order of the colours, never needs more colours than before
+    [J. Culberson, Iterated greedy graph coloring, 1992]. The orders are the last colours first, the
+    most frequent first, and a random one, as long as they save colours. The lower bound is the
+    number of blocks in the longest row.
     """
-    # first fit over the columns of a sparse matrix, for groups of columns of a Jacobian; it has
-    # no public name
+    # the library's first fit over the columns of a sparse matrix, for finite differences of a
+    # Jacobian, has no public name
     from scipy.optimize._numdiff import group_columns
     from scipy.sparse import csc_array
 
-    from rfpipe.colouring_kernels import by_saturation
+    from rfpipe.colouring_kernels import colour_by_saturation
 
-    # which blocks are seen is all that counts: their values take a byte each
-    sees = csc_array((np.ones(sees.nnz, np.int8), sees.indices, sees.indptr), shape=sees.shape)
-    largest = np.diff(by_row.indptr).max()
-    colours = by_saturation(by_row.indptr, by_row.indices, sees.indptr, sees.indices)
-    fewest, in_vain, random = int(colours.max()) + 1, 0, generator(0)
-    for order in cycle(("last", "largest", "any")):
-        if fewest <= largest or in_vain == _IN_VAIN:
+    # the values don't count: a byte each saves memory
+    pattern = csc_array(
+        (np.ones(columns.nnz, np.int8), columns.indices, columns.indptr), shape=columns.shape
+    )
+    bound = np.diff(rows.indptr).max()
+    colours = colour_by_saturation(rows.indptr, rows.indices, pattern.indptr, pattern.indices)
+    fewest, failures, random = int(colours.max()) + 1, 0, generator(0)
+    for order in cycle(("last", "largest", "random")):
+        if fewest <= bound or failures == _MOST_FAILURES:
             break
         if order == "last":
             rank = np.arange(fewest)[::-1]
@@ -193,7 +204,7 @@ def _by_rows(sees: csc_array, by_row: csr_array) -> Colours:
             rank = np.argsort(np.argsort(-np.bincount(colours), kind="stable"))
         else:
             rank = random.permutation(fewest)
-        colours = group_columns(sees, np.argsort(rank[colours], kind="stable"))
+        colours = group_columns(pattern, np.argsort(rank[colours], kind="stable"))
         count = int(colours.max()) + 1
-        fewest, in_vain = count, 0 if count < fewest else in_vain + 1
+        fewest, failures = count, 0 if count < fewest else failures + 1
     return np.asarray(colours, np.int32)

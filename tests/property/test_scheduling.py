@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rfpipe.conflicts import colour_apart, conflict_graph, square
+from rfpipe.conflicts import colour_square, conflict_graph, square
 
 
 @st.composite
@@ -20,7 +20,7 @@ def unknown_pairs(draw: st.DrawFn) -> tuple[int, np.ndarray]:
 
 
 def colours_of_square(n_blocks: int, unknown: np.ndarray) -> np.ndarray:
-    return colour_apart(conflict_graph(n_blocks, *np.nonzero(unknown)))
+    return colour_square(conflict_graph(n_blocks, *np.nonzero(unknown)))
 
 
 @settings(max_examples=200)

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.conflicts import colour_seen
+from rfpipe.conflicts import colour_columns
 from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, Float, LevelImages, Options
 from rfpipe.methods.descent import Descent
 from rfpipe.methods.images import batches
@@ -244,4 +244,4 @@ def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.i
     sees = coo_array(
         (np.ones(len(column), np.bool_), (frontier.pixel, column)), shape=(pixels, len(blocks))
     ).tocsr()
-    return blocks.astype(np.int64), colour_seen(sees)
+    return blocks.astype(np.int64), colour_columns(sees)

@@ -1,7 +1,11 @@
 """Compiled kernels of symmetric photography (thesis §5.1, C.2).
 
-A *piece* ``(k, b)`` is what block ``k`` of the camera received while block ``b`` was lit. Images
-are planar and in tree order: a piece of an image is one run. See `rfpipe.methods.symmetric.nodes`.
+Formulas use the symbols of `rfpipe.methods.symmetric`: ``c_ab`` is piece (a, b), the light that
+block a receives while block b is lit. Images and pieces are planar and in tree order, so that a
+piece is one run of values. Arguments are the named tuples of `nodes` and `pieces`.
+
+A parallel loop of numba takes no nested tuples, and loses what its own body writes to arrays of a
+named tuple. The loops below therefore write to arrays of their own, or by functions that they call.
 """
 
 import numba
@@ -10,12 +14,13 @@ import numpy as np
 from rfpipe.transport.hierarchical.kernels import dot, summed
 
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
-# How much more uncertain than the other a sum is that is known from the other alone.
-_NO_WEIGHT = 1e12
+# Variance of a sum that is known from the pair's other sum alone, over that sum's variance.
+_DEPENDENT_VARIANCE = 1e12
 
 
 @numba.njit(cache=True, fastmath=_FAST)
 def _squared_difference(measured, factor, scale):  # type: ignore[no-untyped-def]
+    """Return ``|measured - scale factor|^2``."""
     total = 0.0
     for k in range(measured.shape[0]):
         difference = measured[k] - factor[k] * scale
@@ -24,58 +29,145 @@ def _squared_difference(measured, factor, scale):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True)
-def _unknown_difference(unknown, first, measured, factor, scale):  # type: ignore[no-untyped-def]
-    """Sum the squared differences of a piece's unknown pixels from a factor.
-
-    `first` is the tree position of its first pixel.
-    """
+def _unknown_difference(unknown, start, measured, factor, scale):  # type: ignore[no-untyped-def]
+    """Return `_squared_difference` of the unknown pixels of a piece that begins at `start`."""
     total = 0.0
-    last = first + measured.shape[0]
-    for k in range(np.searchsorted(unknown, first), np.searchsorted(unknown, last)):
-        at = unknown[k] - first
-        difference = measured[at] - factor[at] * scale
+    end = start + measured.shape[0]
+    for k in range(np.searchsorted(unknown, start), np.searchsorted(unknown, end)):
+        pixel = unknown[k] - start
+        difference = measured[pixel] - factor[pixel] * scale
         total += np.float64(difference * difference)
     return total
 
 
-@numba.njit(cache=True, parallel=True)
-def collect_pieces(starts, pairs, pattern_of_block, first, residuals, spreads, values, variances):  # type: ignore[no-untyped-def]
-    """Copy the pieces of some patterns' images to their pairs.
+# Pieces of images
 
-    `pattern_of_block` is -1 for none, `first` the pattern of the first of the images; residuals and
-    spreads are the images and their variance, float32 (P, C, N).
+
+@numba.njit(cache=True, parallel=True)
+def collect_pieces(starts, pairs, pattern_of_block, batch, values, variances):  # type: ignore[no-untyped-def]
+    """Copy the pieces of a batch of residual images E to their pairs.
+
+    ::
+
+        c_ab = E[pattern of b] over a,    c_ba = E[pattern of a] over b
+
+    Parameters
+    ----------
+    starts : int64 (n_blocks + 1,)
+        First tree position of each block.
+    pairs : Pairs
+    pattern_of_block : int32 (n_blocks,)
+        Pattern that lights each block, -1 for none.
+    batch : ImageBatch
+    values, variances : float32 (C, n_values)
+        Written where a pattern of the batch lights the block.
     """
-    block_a, block_b, offset_a, offset_b = pairs
-    for n in numba.prange(block_a.shape[0]):
-        a, b = block_a[n], block_b[n]
-        for side in range(1 if a == b else 2):
-            block, lit = (a, b) if side == 0 else (b, a)
-            at = offset_a[n] if side == 0 else offset_b[n]
-            pattern = pattern_of_block[lit] - first
-            if pattern < 0 or pattern >= residuals.shape[0]:
-                continue
-            begin, end = starts[block], starts[block + 1]
-            for c in range(values.shape[0]):
-                values[c, at : at + end - begin] = residuals[pattern, c, begin:end]
-                variances[c, at : at + end - begin] = spreads[pattern, c, begin:end]
-
-
-@numba.njit(cache=True, parallel=True)
-def sum_pieces(starts, pairs, values, sums):  # type: ignore[no-untyped-def]
-    """Write the sums of each piece (a, b) and (b, a), float64 (C, 2, n); alike on the diagonal."""
-    block_a, block_b, offset_a, offset_b = pairs
-    for n in numba.prange(block_a.shape[0]):
-        a, b = block_a[n], block_b[n]
-        size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
-        for c in range(values.shape[0]):
-            sums[c, 0, n] = summed(values[c, offset_a[n] : offset_a[n] + size_a])
-            sums[c, 1, n] = summed(values[c, offset_b[n] : offset_b[n] + size_b])
+    for n in numba.prange(len(pairs.block_a)):
+        a, b = pairs.block_a[n], pairs.block_b[n]
+        _copy_piece(starts, a, pattern_of_block[b], batch, pairs.offset_a[n], values, variances)
+        if a != b:
+            _copy_piece(starts, b, pattern_of_block[a], batch, pairs.offset_b[n], values, variances)
 
 
 @numba.njit(cache=True)
-def _guess(piece, unknown):  # type: ignore[no-untyped-def]
-    """Return mean and variance of a piece's known pixels; `unknown` others are zero in it."""
-    known = piece.shape[0] - unknown
+def _copy_piece(starts, block, pattern, batch, offset, values, variances):  # type: ignore[no-untyped-def]
+    """Copy the part of a pattern's image over a block, if the pattern is in the batch."""
+    image = pattern - batch.first
+    if image < 0 or image >= len(batch.residuals):
+        return
+    start, end = starts[block], starts[block + 1]
+    for c in range(len(values)):
+        values[c, offset : offset + end - start] = batch.residuals[image, c, start:end]
+        variances[c, offset : offset + end - start] = batch.variances[image, c, start:end]
+
+
+@numba.njit(cache=True, parallel=True)
+def piece_sums(starts, pairs, values):  # type: ignore[no-untyped-def]
+    """Return ``sum(c_ab)`` and ``sum(c_ba)`` of each pair, float64 (C, 2, n)."""
+    sums = np.empty((len(values), 2, len(pairs.block_a)))
+    for n in numba.prange(len(pairs.block_a)):
+        a, b = pairs.block_a[n], pairs.block_b[n]
+        offset_a, offset_b = pairs.offset_a[n], pairs.offset_b[n]
+        for c in range(len(values)):
+            sums[c, 0, n] = summed(values[c, offset_a : offset_a + starts[a + 1] - starts[a]])
+            sums[c, 1, n] = summed(values[c, offset_b : offset_b + starts[b + 1] - starts[b]])
+    return sums
+
+
+# Pixels that no image shows
+
+
+@numba.njit(cache=True, parallel=True)
+def complete_pieces(starts, pieces):  # type: ignore[no-untyped-def]
+    """Estimate the unknown pixels of pieces from their known pixels and from symmetry.
+
+    A piece's k unknown pixels get one value x, first the mean of its known pixels, whose scatter is
+    its variance v. By symmetry both pieces have the same sum, and weighted least squares divides
+    the difference d of the sums between them; V is the variance of each sum without x::
+
+        d = sum(c_ba) + k_b x_b - sum(c_ab) - k_a x_a,    D = V_a + k_a v_a + V_b + k_b v_b
+        x_a += v_a d / D,    x_b -= v_b d / D
+
+    A piece without known pixels gets the sum of the pair's other piece; on the diagonal, where the
+    two pieces are one, x is the mean. Values are 0 in unknown pixels on entry; values, sums and
+    variances of sums are changed in place.
+    """
+    for n in numba.prange(len(pieces.block_a)):
+        _complete_pair(starts, pieces, n)
+
+
+@numba.njit(cache=True)
+def _complete_pair(starts, pieces, n):  # type: ignore[no-untyped-def]
+    """Estimate the unknown pixels of the two pieces of one pair; see `complete_pieces`."""
+    a, b, unknown = pieces.block_a[n], pieces.block_b[n], pieces.unknown
+    first_a, last_a = np.searchsorted(unknown, starts[a : a + 2])
+    first_b, last_b = np.searchsorted(unknown, starts[b : b + 2])
+    counts = last_a - first_a, last_b - first_b
+    if counts[0] + counts[1] == 0:
+        return
+    sizes = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
+    for c in range(len(pieces.values)):
+        x_a, x_b = _unknown_values(pieces, c, n, sizes, counts)
+        for pixel in unknown[first_a:last_a]:
+            pieces.values[c, pieces.offset_a[n] + pixel - starts[a]] = x_a
+        for pixel in unknown[first_b:last_b]:
+            pieces.values[c, pieces.offset_b[n] + pixel - starts[b]] = x_b
+        pieces.sums[c, 0, n] += counts[0] * x_a
+        pieces.sums[c, 1, n] += counts[1] * x_b
+
+
+@numba.njit(cache=True)
+def _unknown_values(pieces, c, n, sizes, counts):  # type: ignore[no-untyped-def]
+    """Return the value of a pair's unknown pixels in either piece, 0 or more; see above."""
+    values = pieces.values
+    offset_a, offset_b = pieces.offset_a[n], pieces.offset_b[n]
+    x_a, v_a = _known_moments(values[c, offset_a : offset_a + sizes[0]], counts[0])
+    if pieces.block_a[n] == pieces.block_b[n]:
+        return max(x_a, 0.0), max(x_a, 0.0)
+    x_b, v_b = _known_moments(values[c, offset_b : offset_b + sizes[1]], counts[1])
+    sums, noise, variance = pieces.sums[c], pieces.noise_variance[c], pieces.variance[c]
+    difference = sums[1, n] + counts[1] * x_b - sums[0, n] - counts[0] * x_a
+    variance[0, n] += counts[0] * v_a
+    variance[1, n] += counts[1] * v_b
+    total = variance[0, n] + variance[1, n]
+    if sizes[0] == counts[0]:
+        x_a = difference / counts[0]
+        noise[0, n] = noise[1, n]
+        variance[0, n] = _DEPENDENT_VARIANCE * variance[1, n]
+    elif sizes[1] == counts[1]:
+        x_b = -difference / counts[1]
+        noise[1, n] = noise[0, n]
+        variance[1, n] = _DEPENDENT_VARIANCE * variance[0, n]
+    elif total > 0.0:
+        x_a += v_a * difference / total
+        x_b -= v_b * difference / total
+    return max(x_a, 0.0), max(x_b, 0.0)
+
+
+@numba.njit(cache=True)
+def _known_moments(piece, n_unknown):  # type: ignore[no-untyped-def]
+    """Return mean and variance of a piece's known pixels; its unknown pixels are 0."""
+    known = piece.shape[0] - n_unknown
     if known == 0:
         return 0.0, 0.0
     total, squares = 0.0, 0.0
@@ -86,279 +178,314 @@ def _guess(piece, unknown):  # type: ignore[no-untyped-def]
     return mean, max(squares / known - mean * mean, 0.0)
 
 
-@numba.njit(cache=True, parallel=True)
-def complete_pieces(starts, pieces):  # type: ignore[no-untyped-def]
-    """Fill in pixels that no image shows, as far as the pair's other piece knows their light.
-
-    By symmetry both pieces of a pair have one sum. What one lacks is what its unknown pixels
-    have, beside noise: they are taken to be like the other pixels of the piece, and then moved by
-    how uncertain that is in proportion to all that is uncertain. Where a block has no other pixels
-    they have all that its partner sends; on the diagonal, where there is no partner, the mean.
-    Values, sums, spread and doubt change; values are 0 in unknown pixels before.
-    """
-    (block_a, block_b, offset_a, offset_b), values, _, sums, spread, doubt, unknown = pieces
-    for n in numba.prange(block_a.shape[0]):
-        a, b = block_a[n], block_b[n]
-        first_a, last_a = np.searchsorted(unknown, starts[a : a + 2])
-        first_b, last_b = np.searchsorted(unknown, starts[b : b + 2])
-        count_a, count_b = last_a - first_a, last_b - first_b
-        if count_a + count_b == 0:
-            continue
-        size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
-        for c in range(values.shape[0]):
-            piece_a = values[c, offset_a[n] : offset_a[n] + size_a]
-            piece_b = values[c, offset_b[n] : offset_b[n] + size_b]
-            light_a, variance_a = _guess(piece_a, count_a)
-            light_b, variance_b = _guess(piece_b, count_b)
-            if a != b:
-                lacking = sums[c, 1, n] + count_b * light_b - sums[c, 0, n] - count_a * light_a
-                doubt[c, 0, n] += count_a * variance_a
-                doubt[c, 1, n] += count_b * variance_b
-                total = doubt[c, 0, n] + doubt[c, 1, n]
-                if size_a == count_a:
-                    light_a = lacking / count_a
-                    spread[c, 0, n] = spread[c, 1, n]
-                    doubt[c, 0, n] = _NO_WEIGHT * doubt[c, 1, n]
-                elif size_b == count_b:
-                    light_b = -lacking / count_b
-                    spread[c, 1, n] = spread[c, 0, n]
-                    doubt[c, 1, n] = _NO_WEIGHT * doubt[c, 0, n]
-                elif total > 0.0:
-                    light_a += variance_a * lacking / total
-                    light_b -= variance_b * lacking / total
-            light_a, light_b = max(light_a, 0.0), max(light_b, 0.0)
-            for k in range(first_a, last_a):
-                piece_a[unknown[k] - starts[a]] = light_a
-            for k in range(first_b, last_b):
-                piece_b[unknown[k] - starts[b]] = light_a if a == b else light_b
-            sums[c, 0, n] += count_a * light_a
-            sums[c, 1, n] += count_a * light_a if a == b else count_b * light_b
+# Rank test
 
 
 @numba.njit(cache=True)
-def _shares(piece, energy, first_child, last_child, child_starts, shares):  # type: ignore[no-untyped-def]
-    """Write the share of a node's energy in each child block of a side; return their squares."""
-    squares = 0.0
-    for child in range(first_child, last_child):
-        begin = child_starts[child] - child_starts[first_child]
-        end = child_starts[child + 1] - child_starts[first_child]
+def _shares(piece, energy, block, blocks):  # type: ignore[no-untyped-def]
+    """Return the shares ``w_i = sum(piece[i]) / m`` of a block's children, and ``sum_i w_i^2``."""
+    first, last = blocks.first_child[block], blocks.first_child[block + 1]
+    shares, squares = np.empty(last - first), 0.0
+    for child in range(first, last):
+        begin = blocks.child_starts[child] - blocks.child_starts[first]
+        end = blocks.child_starts[child + 1] - blocks.child_starts[first]
         share = summed(piece[begin:end]) / energy if energy > 0.0 else 0.0
-        shares[child - first_child] = share
+        shares[child - first] = share
         squares += share * share
-    return squares
+    return shares, squares
 
 
 @numba.njit(cache=True, parallel=True)
-def rank_test(divided, ssd, noise, squares):  # type: ignore[no-untyped-def]
-    """Predict the pieces of each node's children from its factors, and compare.
+def rank_test(blocks, nodes, first_pair, pieces):  # type: ignore[no-untyped-def]
+    """Compare the pieces of each node's children with their prediction by the node's factors.
 
-    Written are, float64 (C, n), summed squared differences and what noise alone would make of them;
-    and `squares`, (C, 2, n): over the children of b, and over those of a, the sum of the squared
-    shares that they have of the node's energy; 1 where a single child has all of it.
+    For node (a, b) with children (i, j)::
+
+        c_ij ~ w_j c_ab[i],    w_j = sum(c_ba[j]) / m
+        c_ji ~ w_i c_ba[j],    w_i = sum(c_ab[i]) / m
+        ssd   = sum_ij |c_ij - w_j c_ab[i]|^2 + |c_ji - w_i c_ba[j]|^2
+        noise = sum_ij var(c_ij) + var(c_ji) + sum_j w_j^2 var(c_ab) + sum_i w_i^2 var(c_ba)
+
+    The arguments are the parts of `Subdivision`.
+
+    Returns
+    -------
+    ssd, noise : float64 (C, n)
+        Sum of squared differences, and its expectation if noise is the only difference.
+    squares : float64 (C, 2, n)
+        ``sum_j w_j^2`` and ``sum_i w_i^2``: 1 where one child has all the energy.
     """
-    _, children, child_starts = divided.grid
-    (block_a, block_b, offset_a, offset_b), pieces, energy, piece_variance = divided.nodes
-    pair_a, pair_b, pair_offset_a, pair_offset_b = divided.pieces.pairs
-    values, spread, unknown = divided.pieces.values, divided.pieces.spread, divided.pieces.unknown
-    first_pair = divided.first_pair
-    for n in numba.prange(block_a.shape[0]):
-        a, b = block_a[n], block_b[n]
-        start_a, start_b = child_starts[children[a]], child_starts[children[b]]
-        size_a = child_starts[children[a + 1]] - start_a
-        size_b = child_starts[children[b + 1]] - start_b
-        shares_a = np.empty(children[a + 1] - children[a])
-        shares_b = np.empty(children[b + 1] - children[b])
-        for c in range(pieces.shape[0]):
-            e = energy[c, n]
-            factor_a = pieces[c, offset_a[n] : offset_a[n] + size_a]
-            factor_b = pieces[c, offset_b[n] : offset_b[n] + size_b]
-            square_a = _shares(factor_a, e, children[a], children[a + 1], child_starts, shares_a)
-            square_b = _shares(factor_b, e, children[b], children[b + 1], child_starts, shares_b)
-            squares[c, 0, n], squares[c, 1, n] = square_b, square_a
-            total, expected = 0.0, square_b * piece_variance[c, 0, n]
-            if a != b:
-                expected += square_a * piece_variance[c, 1, n]
-            for pair in range(first_pair[n], first_pair[n + 1]):
-                i, j = pair_a[pair], pair_b[pair]
-                begin, end = child_starts[i] - start_a, child_starts[i + 1] - start_a
-                at = pair_offset_a[pair]
-                measured, factor = values[c, at : at + end - begin], factor_a[begin:end]
-                share = np.float32(shares_b[j - children[b]])
-                total += _squared_difference(measured, factor, share)
-                total -= _unknown_difference(unknown, child_starts[i], measured, factor, share)
-                expected += spread[c, 0, pair]
-                if i == j:
-                    continue
-                begin, end = child_starts[j] - start_b, child_starts[j + 1] - start_b
-                at = pair_offset_b[pair]
-                measured, factor = values[c, at : at + end - begin], factor_b[begin:end]
-                share = np.float32(shares_a[i - children[a]])
-                total += _squared_difference(measured, factor, share)
-                total -= _unknown_difference(unknown, child_starts[j], measured, factor, share)
-                expected += spread[c, 1, pair]
-            ssd[c, n] = total
-            noise[c, n] = expected
+    ssd = np.empty(nodes.energy.shape)
+    noise = np.empty(nodes.energy.shape)
+    squares = np.empty(nodes.variance.shape)
+    for n in numba.prange(len(nodes.block_a)):
+        for c in range(len(nodes.factors)):
+            ssd[c, n], noise[c, n], squares[c, 0, n], squares[c, 1, n] = _test_node(
+                blocks, nodes, first_pair, pieces, c, n
+            )
+    return ssd, noise, squares
 
 
 @numba.njit(cache=True)
-def _reconcile_block(size, offsets, values, variances, whole, noise):  # type: ignore[no-untyped-def]
-    """Distribute what the pieces of one block lack to their sum, by their variances."""
-    for k in range(size):
+def _test_node(blocks, nodes, first_pair, pieces, c, n):  # type: ignore[no-untyped-def]
+    """Return ssd, noise and the two sums of squared shares of one node; see `rank_test`."""
+    a, b = nodes.block_a[n], nodes.block_b[n]
+    child_a, child_b = blocks.first_child[a], blocks.first_child[b]
+    start_a, start_b = blocks.starts[a], blocks.starts[b]
+    offset_a, offset_b = nodes.offset_a[n], nodes.offset_b[n]
+    factor_a = nodes.factors[c, offset_a : offset_a + blocks.starts[a + 1] - start_a]
+    factor_b = nodes.factors[c, offset_b : offset_b + blocks.starts[b + 1] - start_b]
+    shares_a, squares_a = _shares(factor_a, nodes.energy[c, n], a, blocks)
+    shares_b, squares_b = _shares(factor_b, nodes.energy[c, n], b, blocks)
+    ssd, noise = 0.0, squares_b * nodes.variance[c, 0, n]
+    if a != b:
+        noise += squares_a * nodes.variance[c, 1, n]
+    for pair in range(first_pair[n], first_pair[n + 1]):
+        i, j = pieces.block_a[pair], pieces.block_b[pair]
+        begin, end = blocks.child_starts[i] - start_a, blocks.child_starts[i + 1] - start_a
+        offset = pieces.offset_a[pair]
+        ssd = _add_difference(
+            ssd, pieces.values[c, offset : offset + end - begin], factor_a[begin:end],
+            np.float32(shares_b[j - child_b]), pieces.unknown, blocks.child_starts[i],
+        )  # fmt: skip
+        noise += pieces.noise_variance[c, 0, pair]
+        if i == j:
+            continue
+        begin, end = blocks.child_starts[j] - start_b, blocks.child_starts[j + 1] - start_b
+        offset = pieces.offset_b[pair]
+        ssd = _add_difference(
+            ssd, pieces.values[c, offset : offset + end - begin], factor_b[begin:end],
+            np.float32(shares_a[i - child_a]), pieces.unknown, blocks.child_starts[j],
+        )  # fmt: skip
+        noise += pieces.noise_variance[c, 1, pair]
+    return ssd, noise, squares_b, squares_a
+
+
+@numba.njit(cache=True)
+def _add_difference(total, measured, factor, share, unknown, start):  # type: ignore[no-untyped-def]
+    """Add ``|measured - share factor|^2`` over the known pixels of a piece to a total."""
+    total += _squared_difference(measured, factor, share)
+    total -= _unknown_difference(unknown, start, measured, factor, share)
+    return total
+
+
+# Children of failed nodes
+
+
+@numba.njit(cache=True, parallel=True)
+def reconcile(blocks, nodes, first_pair, pieces):  # type: ignore[no-untyped-def]
+    """Adjust the children's pieces so that they add up to the pieces of their node.
+
+    The node's piece is an earlier measurement of the sum of its children's pieces. Weighted least
+    squares joins both, at each pixel of child i::
+
+        s_ij = var(c_ij),    S = var(c_ab) / rays of a + sum_j s_ij
+        c_ij += s_ij / S (c_ab[i] - sum_j c_ij),    var(c_ij) = s_ij (1 - s_ij / S)
+
+    Values and variances of the pieces are changed in place. The arguments are the parts of
+    `Subdivision`.
+    """
+    for n in numba.prange(len(nodes.block_a)):
+        _reconcile_side(blocks, nodes, first_pair, pieces, n, 0)
+        if nodes.block_a[n] != nodes.block_b[n]:
+            _reconcile_side(blocks, nodes, first_pair, pieces, n, 1)
+
+
+@numba.njit(cache=True)
+def _reconcile_side(blocks, nodes, first_pair, pieces, n, side):  # type: ignore[no-untyped-def]
+    """Reconcile the pieces over the children of block a (side 0) or b (side 1) of node n."""
+    block = nodes.block_a[n] if side == 0 else nodes.block_b[n]
+    offset = nodes.offset_a[n] if side == 0 else nodes.offset_b[n]
+    start, pixels = blocks.starts[block], blocks.starts[block + 1] - blocks.starts[block]
+    offsets = np.empty(2 * (first_pair[n + 1] - first_pair[n]), np.int64)
+    for child in range(blocks.first_child[block], blocks.first_child[block + 1]):
+        count = _list_pieces(nodes, first_pair, pieces, n, side, child, offsets)
+        begin, end = blocks.child_starts[child] - start, blocks.child_starts[child + 1] - start
+        for c in range(len(pieces.values)):
+            _reconcile_block(
+                pieces.values[c], pieces.variances[c], offsets[:count],
+                nodes.factors[c, offset + begin : offset + end],
+                nodes.variance[c, side, n] / pixels,
+            )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def _list_pieces(nodes, first_pair, pieces, n, side, child, offsets):  # type: ignore[no-untyped-def]
+    """Write the offsets of the pieces over a child of node n's side 0 (a) or 1 (b); count them."""
+    diagonal = nodes.block_a[n] == nodes.block_b[n]
+    count = 0
+    for pair in range(first_pair[n], first_pair[n + 1]):
+        if pieces.block_a[pair] == child and (side == 0 or diagonal):
+            offsets[count] = pieces.offset_a[pair]
+            count += 1
+        elif pieces.block_b[pair] == child and (side == 1 or diagonal):
+            offsets[count] = pieces.offset_b[pair]
+            count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _reconcile_block(values, variances, offsets, target, noise):  # type: ignore[no-untyped-def]
+    """Adjust pieces at `offsets` so that they add up to `target`, whose variance is `noise`."""
+    for k in range(len(target)):
         total, variance = np.float64(0.0), noise
-        for at in offsets:
-            total += values[at + k]
-            variance += variances[at + k]
+        for offset in offsets:
+            total += values[offset + k]
+            variance += variances[offset + k]
         if variance <= 0.0:
             continue
-        lacking = np.float32((whole[k] - total) / variance)
-        for at in offsets:
-            part = variances[at + k]
-            values[at + k] += lacking * part
-            variances[at + k] = part * np.float32(1.0 - part / variance)
+        correction = np.float32((target[k] - total) / variance)
+        for offset in offsets:
+            part = variances[offset + k]
+            values[offset + k] += correction * part
+            variances[offset + k] = part * np.float32(1.0 - part / variance)
 
 
 @numba.njit(cache=True, parallel=True)
-def reconcile(divided):  # type: ignore[no-untyped-def]
-    """Make the children's pieces agree with the node's own, which measured their sum before.
+def pair_energies(pieces, chosen, least, significant):  # type: ignore[no-untyped-def]
+    """Estimate ``m`` of chosen pairs from both sums, and test it against its noise.
 
-    Each pixel's light is then known from all levels' images together. The pieces' values and
-    variances are changed in place.
+    ::
+
+        m = w sum(c_ab) + (1 - w) sum(c_ba),    w = V_b / (V_a + V_b)
+        var(m) = w^2 V_a + (1 - w)^2 V_b
+
+    On the diagonal both sums are the same.
+
+    Parameters
+    ----------
+    pieces : Pieces
+    chosen : int64 (n,)
+        Numbers of pairs.
+    least, significant : float
+        Thresholds of ``m^2 / var(m)``.
+
+    Returns
+    -------
+    energy : float64 (C, n)
+        ``m``; 0 where it is negative or at most `least`.
+    is_significant : bool (C, n)
+        Whether ``m`` exceeds `significant`.
     """
-    _, children, child_starts = divided.grid
-    (block_a, block_b, offset_a, offset_b), pieces, _, piece_variance = divided.nodes
-    pair_a, pair_b, pair_offset_a, pair_offset_b = divided.pieces.pairs
-    values, variances = divided.pieces.values, divided.pieces.variances
-    first_pair = divided.first_pair
-    for n in numba.prange(block_a.shape[0]):
-        a, b = block_a[n], block_b[n]
-        offsets = np.empty(2 * (first_pair[n + 1] - first_pair[n]), np.int64)
-        for side in range(1 if a == b else 2):
-            block, at = (a, offset_a[n]) if side == 0 else (b, offset_b[n])
-            start = child_starts[children[block]]
-            pixels = child_starts[children[block + 1]] - start
-            for child in range(children[block], children[block + 1]):
-                count = 0
-                for pair in range(first_pair[n], first_pair[n + 1]):
-                    if pair_a[pair] == child and (side == 0 or a == b):
-                        offsets[count] = pair_offset_a[pair]
-                        count += 1
-                    elif pair_b[pair] == child and (side == 1 or a == b):
-                        offsets[count] = pair_offset_b[pair]
-                        count += 1
-                begin, end = child_starts[child] - start, child_starts[child + 1] - start
-                for c in range(values.shape[0]):
-                    _reconcile_block(
-                        end - begin, offsets[:count], values[c], variances[c],
-                        pieces[c, at + begin : at + end], piece_variance[c, side, n] / pixels,
-                    )  # fmt: skip
-
-
-@numba.njit(cache=True, parallel=True)
-def weigh_pairs(  # type: ignore[no-untyped-def]
-    pairs, sums, spread, chosen, least, significant, energy, clear
-):
-    """Combine the two sums of chosen pairs by their variances, and tell light from noise.
-
-    On the diagonal both are the same one. `energy`, float64 (C, n), is 0 where the sum is no more
-    than `least` squared standard deviations; it is `clear`, bool (C, n), above `significant` ones.
-    """
-    pair_a, pair_b, _, _ = pairs
-    for n in numba.prange(chosen.shape[0]):
+    shape = len(pieces.values), len(chosen)
+    energy, is_significant = np.empty(shape), np.empty(shape, np.bool_)
+    for n in numba.prange(len(chosen)):
         pair = chosen[n]
-        for c in range(energy.shape[0]):
-            first, second = spread[c, 0, pair], spread[c, 1, pair]
-            share = second / (first + second) if first + second > 0.0 else 0.5
-            if pair_a[pair] == pair_b[pair]:
-                share, second = 1.0, 0.0
-            light = share * sums[c, 0, pair] + (1.0 - share) * sums[c, 1, pair]
-            variance = share * share * first + (1.0 - share) * (1.0 - share) * second
-            square = light * light if light > 0.0 else 0.0
-            energy[c, n] = light if square > least * variance else 0.0
-            clear[c, n] = square > significant * variance
-
-
-@numba.njit(cache=True)
-def _take_piece(source, spread, profile, significance, energy, target):  # type: ignore[no-untyped-def]
-    """Copy a piece with less noise, not negative, scaled to the node's energy.
-
-    The surface under a block is that of the piece above, so that its picture is a good guess at
-    this one's, and less noisy. As much of the difference is kept as exceeds what noise makes of
-    it, over the piece as a whole or, where that is more, at the single pixel.
-    """
-    total, light = summed(source), summed(profile)
-    if total > 0.0 and light > 0.0:
-        scale = np.float32(total / light)
-        different = _squared_difference(source, profile, scale)
-        kept = max(0.0, 1.0 - summed(spread) / different) if different > 0.0 else 0.0
-        for k in range(source.shape[0]):
-            guess = profile[k] * scale
-            difference = source[k] - guess
-            square = difference * difference
-            noise = significance * significance * spread[k]
-            here = max(kept, 1.0 - noise / square) if square > noise else kept
-            target[k] = max(guess + np.float32(here) * difference, np.float32(0))
-    else:
-        for k in range(source.shape[0]):
-            target[k] = max(source[k], np.float32(0))
-    positive = summed(target)
-    scale = np.float32(energy / positive) if positive > 0.0 and energy > 0.0 else np.float32(0)
-    for k in range(source.shape[0]):
-        target[k] *= scale
-
-
-@numba.njit(cache=True)
-def _worst_share(piece, energy, first_child, last_child, child_starts, shares):  # type: ignore[no-untyped-def]
-    """Largest sum of squares by which a split of one unit among the children can miss the shares.
-
-    The piece predicts the share ``w_q`` of child ``q``; whatever the truth is, it splits one
-    unit into non-negative parts, so the worst is all of it in the child of the smallest share.
-    """
-    squares = _shares(piece, energy, first_child, last_child, child_starts, shares)
-    return 1.0 - 2.0 * shares.min() + squares
+        diagonal = pieces.block_a[pair] == pieces.block_b[pair]
+        for c in range(len(pieces.values)):
+            v_a, v_b = pieces.variance[c, 0, pair], pieces.variance[c, 1, pair]
+            w = v_b / (v_a + v_b) if v_a + v_b > 0.0 else 0.5
+            if diagonal:
+                w, v_b = 1.0, 0.0
+            m = w * pieces.sums[c, 0, pair] + (1.0 - w) * pieces.sums[c, 1, pair]
+            variance = w * w * v_a + (1.0 - w) * (1.0 - w) * v_b
+            square = m * m if m > 0.0 else 0.0
+            energy[c, n] = m if square > least * variance else 0.0
+            is_significant[c, n] = square > significant * variance
+    return energy, is_significant
 
 
 @numba.njit(cache=True, parallel=True)
-def take_pieces(  # type: ignore[no-untyped-def]
-    grid, nodes, sources, values, variances, above, profiles, significance, worst, lit
-):
-    """Make factors of nodes' pieces, and bound what the rank test can still find.
+def fill_factors(blocks, nodes, measured, profiles, significance):  # type: ignore[no-untyped-def]
+    """Write the factors of nodes from their measured pieces, and bound their rank test.
 
-    The factors of `nodes` are written, scaled to their energy; 0 gives empty ones. `sources`, (2,
-    n), is where the nodes' pieces begin in `values`, `above`, (2, n), where the pictures of their
-    blocks begin in `profiles`, the factors of the nodes above; -1 for none.
+    The factors are denoised towards the pieces of the nodes above (`_denoise`), not negative, and
+    scaled to the energy m; 0 where m is. A non-negative transport with these factors splits each of
+    them among the children of the other block in some way. The largest ssd that `rank_test` may
+    find is that of all light from the child of the smallest share::
 
-    Written are, float64 (C, n): `worst`, than which no non-negative transport with these pieces can
-    give the next level's rank test a larger sum of squared differences; and `lit`, how many pixels
-    that sum is over in effect, by the participation number ``(sum x)^2 / sum x^2`` of each piece: a
-    glint in a dark block counts as one pixel.
+        bound = |c_ab|^2 (1 - 2 min_j w_j + sum_j w_j^2) + |c_ba|^2 (1 - 2 min_i w_i + sum_i w_i^2)
+
+    Parameters
+    ----------
+    blocks : LevelBlocks
+    nodes : Nodes
+        Their factors are written.
+    measured : MeasuredPieces
+    profiles : Profiles
+    significance : float
+        Standard deviations above which a single pixel's difference is light.
+
+    Returns
+    -------
+    bound : float64 (C, n)
+    pixels : float64 (C, n)
+        Effective number of pixels that the sum is over: the participation number ``m^2 / |c|^2`` of
+        each piece, times the children of the other block. One bright pixel in a dark block counts
+        as one pixel.
     """
-    starts, children, child_starts = grid
-    (block_a, block_b, offset_a, offset_b), pieces, energy, _ = nodes
-    for n in numba.prange(block_a.shape[0]):
-        a, b = block_a[n], block_b[n]
-        shares_a = np.empty(children[a + 1] - children[a])
-        shares_b = np.empty(children[b + 1] - children[b])
-        size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
-        for c in range(pieces.shape[0]):
-            e = energy[c, n]
-            piece_a = pieces[c, offset_a[n] : offset_a[n] + size_a]
-            piece_b = pieces[c, offset_b[n] : offset_b[n] + size_b]
-            for side in range(1 if a == b else 2):
-                target = piece_a if side == 0 else piece_b
-                source, profile, size = sources[side, n], above[side, n], len(target)
-                _take_piece(
-                    values[c, source : source + size], variances[c, source : source + size],
-                    profiles[c, profile : profile + (size if profile >= 0 else 0)], significance,
-                    e, target,
-                )  # fmt: skip
-            square = dot(piece_a, piece_a)
-            worst[c, n] = square * _worst_share(
-                piece_b, e, children[b], children[b + 1], child_starts, shares_b
-            )
-            lit[c, n] = e * e / square * len(shares_b) if square > 0.0 else 0.0
+    starts = blocks.starts
+    bound, pixels = np.empty(nodes.energy.shape), np.empty(nodes.energy.shape)
+    for n in numba.prange(len(nodes.block_a)):
+        a, b = nodes.block_a[n], nodes.block_b[n]
+        offset_a, offset_b = nodes.offset_a[n], nodes.offset_b[n]
+        for c in range(len(nodes.factors)):
+            m = nodes.energy[c, n]
+            factor_a = nodes.factors[c, offset_a : offset_a + starts[a + 1] - starts[a]]
+            factor_b = nodes.factors[c, offset_b : offset_b + starts[b + 1] - starts[b]]
+            _denoise(measured, profiles, c, 0, n, significance, factor_a)
+            _scale(factor_a, m)
             if a != b:
-                square = dot(piece_b, piece_b)
-                worst[c, n] += square * _worst_share(
-                    piece_a, e, children[a], children[a + 1], child_starts, shares_a
-                )
-                lit[c, n] += e * e / square * len(shares_a) if square > 0.0 else 0.0
+                _denoise(measured, profiles, c, 1, n, significance, factor_b)
+                _scale(factor_b, m)
+            bound[c, n], pixels[c, n] = _bound(factor_a, factor_b, m, b, blocks)
+            if a != b:
+                more, more_pixels = _bound(factor_b, factor_a, m, a, blocks)
+                bound[c, n] += more
+                pixels[c, n] += more_pixels
+    return bound, pixels
+
+
+@numba.njit(cache=True)
+def _denoise(measured, profiles, c, side, n, significance, target):  # type: ignore[no-untyped-def]
+    """Write a node's piece (side 0: c_ab, 1: c_ba), denoised towards the piece of the node above.
+
+    The two pieces show the same surface, and the piece p of the node above has less noise::
+
+        g = p sum(c) / sum(p),    d = c - g
+        result = max(g + k d, 0),    k = max(1 - sum(var(c)) / |d|^2, 1 - (t^2 var(c)) / d^2, 0)
+
+    The first term of k is that of the whole piece, the second that of the pixel, with the threshold
+    t of `significance` standard deviations. Without a piece above the result is ``max(c, 0)``.
+    """
+    start, size = measured.offsets[side, n], len(target)
+    piece, variance = measured.values[c, start : start + size], measured.variances[c]
+    first = profiles.offsets[side, n]
+    profile = profiles.factors[c, first : first + (size if first >= 0 else 0)]
+    light, profile_light = summed(piece), summed(profile)
+    if light <= 0.0 or profile_light <= 0.0:
+        for k in range(size):
+            target[k] = max(piece[k], np.float32(0))
+        return
+    scale = np.float32(light / profile_light)
+    squares = _squared_difference(piece, profile, scale)
+    noise = summed(variance[start : start + size])
+    part = max(0.0, 1.0 - noise / squares) if squares > 0.0 else 0.0
+    for k in range(size):
+        guess = profile[k] * scale
+        difference = piece[k] - guess
+        square = difference * difference
+        threshold = significance * significance * variance[start + k]
+        pixel_part = max(part, 1.0 - threshold / square) if square > threshold else part
+        target[k] = max(guess + np.float32(pixel_part) * difference, np.float32(0))
+
+
+@numba.njit(cache=True)
+def _scale(piece, energy):  # type: ignore[no-untyped-def]
+    """Scale a piece so that its sum is the energy; 0 where either of them is."""
+    total = summed(piece)
+    scale = np.float32(energy / total) if total > 0.0 and energy > 0.0 else np.float32(0)
+    for k in range(piece.shape[0]):
+        piece[k] *= scale
+
+
+@numba.njit(cache=True)
+def _bound(factor, partner, energy, block, blocks):  # type: ignore[no-untyped-def]
+    """Bound the ssd of a factor, and count its pixels; the `partner` is over `block`.
+
+    Its term of `fill_factors`: shares of the partner weight the factor in each child of `block`.
+    """
+    square = dot(factor, factor)
+    shares, squares = _shares(partner, energy, block, blocks)
+    pixels = energy * energy / square * len(shares) if square > 0.0 else 0.0
+    return square * (1.0 - 2.0 * shares.min() + squares), pixels

@@ -11,42 +11,33 @@ from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.conflicts import colour_apart, conflict_graph
 from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, Options
 from rfpipe.methods.descent import Descent
 from rfpipe.methods.states import MethodState, grown, joined, kept, level_row
+from rfpipe.methods.symmetric.classification import Candidates, Classification, classify
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
-    Subdivided,
-    affordable,
     as_leaves,
-    child_blocks,
     child_counts,
     child_pairs,
-    collect,
     compared_pixels,
     no_nodes,
     select,
 )
-from rfpipe.methods.symmetric.rank_test import (
-    AGREES,
-    CLOSE,
-    Found,
-    Limits,
-    classify,
-    rank_test,
-)
+from rfpipe.methods.symmetric.pieces import Subdivision, node_batches, residual_pieces
+from rfpipe.methods.symmetric.rank_test import Limits, Outcome, rank_test
+from rfpipe.methods.symmetric.scheduling import schedule_children
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
-# Error of a half-lit picture, in tolerances of its norm, if all nodes of a level are as far off as
-# they may be.
-_TOGETHER = 3.5
+# Error of a picture with half of the rays lit, in tolerances of its norm, if all nodes of a level
+# are at the limit of their rank test.
+_MOST_ERROR = 3.5
 
 
 class SymmetricOptions(Options):
-    """The options of symmetric photography."""
+    """Options of symmetric photography."""
 
     tolerance: Fraction = Field(
         1e-3,
@@ -105,71 +96,57 @@ class Symmetric(Descent[SymmetricState]):
         )
 
     def schedule(self, state: SymmetricState) -> Schedule:
-        """Colour the square of the graph of unknown transport (Lemmas 1 and 2)."""
+        """Return the floodlit pattern, or the patterns of the unknown nodes' children."""
         if state.level == 0:
             return Schedule.floodlit(state.tree.domain.shape)
-        tree, level = state.tree, state.level
-        first, second = child_blocks(tree, level - 1, state.frontier)
-        mask = np.zeros(tree.n_blocks(level), np.bool_)
-        mask[first] = mask[second] = True
-        pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
-        if mask.any():
-            number = np.cumsum(mask, dtype=np.int32) - 1
-            graph = conflict_graph(int(number[-1]) + 1, number[first], number[second])
-            del first, second
-            pattern_of_block[mask] = colour_apart(graph)
-        lit = pattern_of_block[tree.block_of_position(level)] >= 0
-        return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
+        return schedule_children(state.tree, state.level, state.frontier, state.dark)
 
     def refine(
         self, state: SymmetricState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> SymmetricState:
-        """Test the unknown nodes by the level's images; keep them as leaves, or subdivide them."""
+        """Test the unknown nodes on the level's images; they become leaves or are subdivided."""
         if state.level == 0:
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
         if not images.schedule.count:
             return state.after(level_row(level, 0))
         limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
-        leaves, parts, counts, above = zip(
-            *(
-                _refine_nodes(
-                    state, select(tree, level - 1, nodes, run), images, limits, memory_bytes
-                )
-                for run in affordable(tree, level - 1, nodes, memory_bytes)
-            ),
-            strict=True,
-        )
-        before = state.rows[-1]
-        outcome = _total(above)
-        outcome["rank1"] += before["rank1"]
-        row = level_row(level, images.schedule.count, **_total(counts))
-        return replace(state, rows=(*state.rows[:-1], {**before, **outcome})).after(
+        batches = [
+            _refine_nodes(
+                state, select(tree, level - 1, nodes, batch), images, limits, memory_bytes
+            )
+            for batch in node_batches(tree, level - 1, nodes, memory_bytes)
+        ]
+        row = level_row(level, images.schedule.count, **_total([it.child_counts for it in batches]))
+        counts = _total([it.counts for it in batches])
+        previous = state.rows[-1]
+        counts["rank1"] += previous["rank1"]
+        return replace(state, rows=(*state.rows[:-1], {**previous, **counts})).after(
             row,
-            known=(joined(leaves), joined([part.leaves for part in parts])),
-            frontier=joined([part.frontier for part in parts]),
+            known=(
+                joined([batch.leaves for batch in batches]),
+                joined([batch.children.leaves for batch in batches]),
+            ),
+            frontier=joined([batch.children.frontier for batch in batches]),
         )
 
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
         """Make the root node from the floodlit image."""
-        root, channels = np.zeros(1, np.int32), state.channels
-        pieces = collect(state.tree, root, root, (), channels, images, MEMORY_BYTES)
+        root, first = np.zeros(1, np.int32), np.zeros(1, np.int64)
+        pieces = residual_pieces(state.tree, root, root, (), state.channels, images, MEMORY_BYTES)
         significant = pieces.values > state.options.noise_significance * np.sqrt(pieces.variances)
         maximum = float(pieces.values.max(initial=0.0))
         rms = float(np.sqrt(np.mean(np.square(pieces.values, dtype=np.float64))))
-        dark = np.logical_not(significant.any(axis=0))
         state = replace(state, floodlit_maximum=maximum, floodlit_rms=rms)
-        first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
-        limits = _limits(state, tests=1)
-        outcome = classify(state.tree, 0, pieces, first, unsettled, nothing, first, limits)
-        row = level_row(0, 1, nodes=1, **outcome.counts)
+        candidates = Candidates(first, np.zeros(1, np.bool_), no_nodes(state.channels), first)
+        root_node = classify(state.tree, 0, pieces, candidates, _limits(state, tests=1))
         return state.after(
-            row,
-            known=(outcome.leaves,),
-            frontier=outcome.frontier,
+            level_row(0, 1, nodes=1, **root_node.counts),
+            known=(root_node.leaves,),
+            frontier=root_node.frontier,
             floodlit_maximum=maximum,
             floodlit_rms=rms,
-            dark=dark,
+            dark=np.logical_not(significant.any(axis=0)),
         )
 
     def transport(self, state: SymmetricState) -> HierarchicalTransport:
@@ -181,26 +158,46 @@ class Symmetric(Descent[SymmetricState]):
 
 
 def _limits(state: SymmetricState, tests: int) -> Limits:
-    """Return what the tolerance allows in the images of the frontier's children.
+    """Return the thresholds of the rank test of the frontier's nodes.
 
-    A pattern that lights half of a block adds up the errors of two of its four children, so that
-    one node may be off by half of the squared tolerance. The errors of many nodes add up like
-    noise: half of all children lit, their squares sum to half of those of all. Were all nodes at
-    the limit, they would come to `_TOGETHER` tolerances of such a picture's norm.
+    A pattern that lights half of a block adds up the errors of two of its four children, so that a
+    node's mean squared error may be half of the squared tolerance. Errors of many nodes add up like
+    noise: with half of all children lit, their squares sum to half of those of all. If all nodes
+    are at the limit, the error is `_MOST_ERROR` tolerances of the norm of such a picture.
     """
     options, tree, level = state.options, state.tree, state.level
-    of_one = (options.tolerance * state.floodlit_maximum) ** 2 / 2
+    node_limit = (options.tolerance * state.floodlit_maximum) ** 2 / 2
     if not len(state.frontier):
-        return Limits(of_one, options.noise_significance, tests)
+        return Limits(node_limit, options.noise_significance, tests)
     compared = float(compared_pixels(tree, level - 1, state.frontier).sum())
-    of_all = 2 * (_TOGETHER * options.tolerance * state.floodlit_rms) ** 2
-    bound = min(of_one, of_all * tree.domain.size / compared)
-    return Limits(bound, options.noise_significance, tests)
+    total_limit = 2 * (_MOST_ERROR * options.tolerance * state.floodlit_rms) ** 2
+    limit = min(node_limit, total_limit * tree.domain.size / compared)
+    return Limits(limit, options.noise_significance, tests)
 
 
 def _total(parts: Sequence[dict[str, int]]) -> dict[str, int]:
     """Add up counts of the same names."""
     return {name: sum(part[name] for part in parts) for name in parts[0]}
+
+
+@dataclass(frozen=True)
+class _Refined:
+    """Refinement of some nodes of a level.
+
+    Attributes
+    ----------
+    leaves : LeafSet
+        Nodes that are leaves.
+    children : Classification
+        Of the subdivided nodes.
+    counts, child_counts : dict
+        Numbers of nodes and of children by kind, as in the table of levels.
+    """
+
+    leaves: LeafSet
+    children: Classification
+    counts: dict[str, int]
+    child_counts: dict[str, int]
 
 
 def _refine_nodes(
@@ -209,24 +206,21 @@ def _refine_nodes(
     images: LevelImages,
     limits: Limits,
     memory_bytes: int,
-) -> tuple[LeafSet, Found, dict[str, int], dict[str, int]]:
-    """Test nodes of the level above the images'; keep them as leaves or sort their children.
-
-    Returns the nodes' own leaves, what became of their children, and the counts of children and of
-    nodes.
-    """
+) -> _Refined:
+    """Test nodes of the level above the images', and classify the children of failed ones."""
     from rfpipe.methods.symmetric import kernels
 
     tree, level = state.tree, state.level
-    node, first, second = child_pairs(tree, level - 1, nodes)
-    pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
-    first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
-    divided = Subdivided(tree, level - 1, nodes, first_pair, pieces)
-    verdict = rank_test(divided, limits)
-    leaves = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
-    chosen = np.flatnonzero(verdict[node] < CLOSE)
-    above = node[chosen]
-    kernels.reconcile(divided.arrays)
-    outcome = classify(tree, level, pieces, chosen, verdict[above] == AGREES, nodes, above, limits)
+    parent, a, b = child_pairs(tree, level - 1, nodes)
+    pieces = residual_pieces(tree, a, b, state.known, state.channels, images, memory_bytes)
+    subdivision = Subdivision.of(tree, level - 1, nodes, parent, pieces)
+    outcome = rank_test(tree, level - 1, nodes, subdivision, limits)
+    is_leaf = outcome == Outcome.PASSED_CLEARLY
+    leaves = as_leaves(tree, level - 1, select(tree, level - 1, nodes, is_leaf))
+    kernels.reconcile(*subdivision)
+    pair = np.flatnonzero(~is_leaf[parent])
+    is_final = outcome[parent[pair]] == Outcome.PASSED
+    candidates = Candidates(pair, is_final, nodes, parent[pair])
+    children = classify(tree, level, pieces, candidates, limits)
     counts = {"rank1": len(leaves), "subdivided": len(nodes) - len(leaves)}
-    return leaves, outcome, {"nodes": len(chosen), **outcome.counts}, counts
+    return _Refined(leaves, children, counts, {"nodes": len(pair), **children.counts})

@@ -1,0 +1,43 @@
+"""Patterns of a level: blocks whose unknown light can be told apart, by colour (thesis §5.1).
+
+Blocks i and j can be lit together if and only if for every block k the light between i and k or
+that between j and k is known (Lemma 1, Block Scheduling Lemma), so not if there is a k for which
+both are unknown (Lemma 2). Let ``G`` be the graph with an edge between blocks whose light is
+unknown; light of a block onto itself always is. Then blocks at most two edges apart can't be lit
+together. They are the edges of the square ``G^2``, whose colours are the patterns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rfpipe.blocks import BlockTree
+from rfpipe.conflicts import colour_square, conflict_graph
+from rfpipe.methods.symmetric.nodes import Bools, Frontier, child_blocks
+from rfpipe.patterns import Schedule
+
+
+def schedule_children(tree: BlockTree, level: int, nodes: Frontier, dark: Bools) -> Schedule:
+    """Return the patterns of `level`, which measure the children of unknown nodes.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    level : int
+        At least 1.
+    nodes : Frontier
+        Unknown nodes of the level above.
+    dark : ndarray of bool, shape (N,)
+        Rays, in tree order, without light in the floodlit image.
+    """
+    block_a, block_b = child_blocks(tree, level - 1, nodes)
+    scheduled = np.zeros(tree.n_blocks(level), np.bool_)
+    scheduled[block_a] = scheduled[block_b] = True
+    pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
+    if scheduled.any():
+        number = np.cumsum(scheduled, dtype=np.int32) - 1
+        graph = conflict_graph(int(number[-1]) + 1, number[block_a], number[block_b])
+        del block_a, block_b
+        pattern_of_block[scheduled] = colour_square(graph)
+    lit = pattern_of_block[tree.block_of_position(level)] >= 0
+    return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | dark).all()))
