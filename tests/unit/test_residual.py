@@ -1,4 +1,4 @@
-"""What a model leaves, from all pictures: wavelets, the most probable exchange, and its bounds."""
+"""The residual model: wavelets, cells, the most probable exchange, and the fit."""
 
 from __future__ import annotations
 
@@ -8,8 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.rigs.known_matrix import scene_matrices
 
-from rfpipe.methods.residual.model import Canvas, Sender, residual_of, root_of
-from rfpipe.methods.residual.posterior import Posterior
+from rfpipe.methods.residual.fit import fit_residual
+from rfpipe.methods.residual.model import (
+    CameraCells,
+    CellPictures,
+    ProjectorCells,
+    Residual,
+    coaxial_projector,
+    root_factor,
+)
+from rfpipe.methods.residual.posterior import CellData, Posterior, cell_data, initial_prior
 from rfpipe.provenance import generator
 from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.wavelet import Cells, Haar, cell_side
@@ -21,14 +29,16 @@ STACKS = st.tuples(st.integers(1, 3), st.integers(1, 27), st.integers(1, 27))
 
 
 @given(STACKS, st.integers(0, 2**31))
-def test_the_transform_is_orthonormal(stack: tuple[int, int, int], seed: int) -> None:
+def test_the_haar_transform_is_orthonormal(stack: tuple[int, int, int], seed: int) -> None:
     haar, random = Haar(stack), np.random.default_rng(seed)
     images = random.standard_normal((int(np.prod(stack)), 3)).astype(np.float32)
-    found = haar.forward(images)
-    np.testing.assert_allclose(haar.inverse(found), images, atol=2e-6)
-    other = random.standard_normal(found.shape).astype(np.float32)
+    transformed = haar.forward(images)
+    np.testing.assert_allclose(haar.inverse(transformed), images, atol=2e-6)
     # the inverse is the transpose
-    assert np.vdot(found, other) == pytest.approx(np.vdot(images, haar.inverse(other)), abs=2e-3)
+    dual = random.standard_normal(transformed.shape).astype(np.float32)
+    assert np.vdot(transformed, dual) == pytest.approx(
+        np.vdot(images, haar.inverse(dual)), abs=2e-3
+    )
     numbers = np.concatenate([rows for group in haar.groups for rows in group.alike()])
     assert sorted(numbers) == list(range(haar.size))
 
@@ -38,7 +48,9 @@ def test_the_transform_is_orthonormal(stack: tuple[int, int, int], seed: int) ->
     [((48, 48), 4096, 1), ((65, 64), 4096, 2), ((310, 350), 4096, 6), ((9, 8, 8), 100, 3),
      ((9, 8, 8), 5, 8), ((1, 1), 1, 1)],
 )  # fmt: skip
-def test_cells_are_as_small_as_they_may_be(shape: tuple[int, ...], most: int, side: int) -> None:
+def test_cells_are_as_small_as_their_largest_number_allows(
+    shape: tuple[int, ...], most: int, side: int
+) -> None:
     assert cell_side(shape, most) == side
     cells = Cells(shape, side)
     assert cells.count == len(np.unique(cells.of_ray))
@@ -49,119 +61,140 @@ def test_cells_are_as_small_as_they_may_be(shape: tuple[int, ...], most: int, si
     np.testing.assert_array_equal(cells.spread(totals)[1], totals[cells.of_ray, 1])
 
 
-# --- the fit
+# --- the posterior
 
 
-def posterior_of(
-    haar: Haar, matrix: np.ndarray, count: int, deviation: float
-) -> tuple[Posterior, np.ndarray]:
-    """Return the posterior of pictures, and the pictures."""
+def noisy_pictures(haar: Haar, matrix: np.ndarray, count: int, deviation: float) -> CellData:
+    """Return noisy pictures of random patterns of cells, under a matrix of cells."""
     random = generator(0, 7)
     light = (random.random((len(matrix), count)) < 0.4).astype(np.float32)
-    seen = (matrix @ light + deviation * random.standard_normal(light.shape)).astype(np.float32)
-    spread = np.full(light.shape, deviation**2, np.float32)
-    return Posterior(haar, light, seen, spread), seen
+    noise = deviation * random.standard_normal(light.shape)
+    variance = np.full(light.shape, deviation**2, np.float32)
+    return cell_data(haar, light, (matrix @ light + noise).astype(np.float32), variance)
 
 
-def symmetric_matrix(haar: Haar, prior: np.ndarray) -> np.ndarray:
-    """A matrix of cells that is as likely as the prior says."""
+def random_matrix(haar: Haar, prior: np.ndarray) -> np.ndarray:
+    """Draw a symmetric matrix of cells from the prior."""
     core = np.triu(generator(0, 8).standard_normal(prior.shape) * np.sqrt(prior))
     core = core + np.triu(core, 1).T
     return haar.inverse(haar.inverse(core.astype(np.float32)).T.copy()).astype(np.float64)
 
 
-def test_the_solution_is_the_mean_of_the_posterior() -> None:
-    """Against all entries at once, by dense algebra."""
-    haar = Haar((1, 6, 6))
-    prior = posterior_of(haar, np.eye(36), 5, 0.01)[0].guessed()
-    prior /= prior.sum()
-    matrix = symmetric_matrix(haar, prior)
-    posterior, seen = posterior_of(haar, matrix, 5, 0.01)
-    posterior.prepare(prior)
-    posterior.solve(posterior.observed, 300)
-    size, count = haar.size, 5
+def design_matrix(data: CellData) -> np.ndarray:
+    """Return the pictures, in wavelets, of each entry of C on and above the diagonal and of d."""
+    size, count = data.haar.size, data.light.shape[1]
     first, second = np.triu_indices(size)
-    told = np.zeros((size, count, len(first)))
-    light = posterior.light
-    pair = np.arange(len(first))
+    design = np.zeros((size, count, len(first)))
+    pair, off_diagonal = np.arange(len(first)), first != second
     for picture in range(count):
-        told[first, picture, pair] += light[second, picture]
-        off = first != second
-        told[second[off], picture, pair[off]] += light[first[off], picture]
-    seen = haar.forward(seen)
-    # the direct light of each cell is unknown, too
-    cells = np.eye(size, dtype=np.float32)[:, None] * posterior.cells[:, :, None]
-    direct = np.stack([haar.forward(np.ascontiguousarray(cells[..., k])) for k in range(size)], -1)
-    told = np.concatenate([told, direct], axis=2).reshape(size * count, -1)
-    # in units of the prior's deviation; off the diagonal, an entry is there twice
-    variance = np.concatenate([np.where(first == second, 2, 1) * prior[first, second],
-                               np.full(size, posterior._direct)])  # fmt: skip
-    covariance = (told * variance) @ told.T + 0.01**2 * np.eye(size * count)
-    expected = variance * (told.T @ np.linalg.solve(covariance, seen.reshape(-1)))
+        light = data.light[:, picture]
+        design[first, picture, pair] += light[second]
+        design[second[off_diagonal], picture, pair[off_diagonal]] += light[first[off_diagonal]]
+    cells = np.eye(size, dtype=np.float32)[:, None] * data.cell_light[:, :, None]
+    direct = [data.haar.forward(np.ascontiguousarray(cells[..., k])) for k in range(size)]
+    return np.concatenate([design, np.stack(direct, -1)], axis=2).reshape(size * count, -1)
+
+
+def test_the_solution_is_the_mean_of_the_posterior() -> None:
+    """Compared with dense algebra over all entries."""
+    haar, deviation = Haar((1, 6, 6)), 0.01
+    prior = initial_prior(noisy_pictures(haar, np.eye(36), 5, deviation))
+    prior /= prior.sum()
+    data = noisy_pictures(haar, random_matrix(haar, prior), 5, deviation)
+
+    solution = Posterior.of(data, prior).solve(data.observed, 300)
+
+    design = design_matrix(data)
+    first, second = np.triu_indices(haar.size)
+    # an entry on the diagonal is the sum of two halves
+    entry_variance = np.where(first == second, 2, 1) * prior[first, second]
+    variance = np.concatenate([entry_variance, np.full(haar.size, data.direct_variance)])
+    covariance = (design * variance) @ design.T + deviation**2 * np.eye(len(design))
+    pictures = haar.forward(data.observed).reshape(-1)
+    expected = variance * (design.T @ np.linalg.solve(covariance, pictures))
     scale = np.abs(expected).max()
     np.testing.assert_allclose(
-        posterior.core[first, second], expected[: len(first)], atol=2e-3 * scale
+        solution.core[first, second], expected[: len(first)], atol=2e-3 * scale
     )
-    np.testing.assert_allclose(posterior.direct, expected[len(first) :], atol=2e-3 * scale)
+    np.testing.assert_allclose(solution.direct, expected[len(first) :], atol=2e-3 * scale)
 
 
-# --- the estimate
+# --- the fit
 
 
-def pictures_of(matrix: np.ndarray, canvas: Canvas, count: int, known: np.ndarray):
-    """All-on and random pictures of a matrix (C, N, N), exact."""
+def exact_pictures(
+    matrix: np.ndarray, camera: CameraCells, count: int, known: np.ndarray
+) -> CellPictures:
+    """Return exact pictures of a matrix (C, N, N), of white light and of random cells."""
     random = generator(0, 9)
     rays = matrix.shape[1]
-    cells = random.random((count, canvas.cells.count)) < 0.3
-    lit = np.concatenate([np.ones((1, rays), bool), cells[:, canvas.cells.of_ray]])
+    cells = random.random((count, camera.cells.count)) < 0.3
+    lit = np.concatenate([np.ones((1, rays), bool), cells[:, camera.cells.of_ray]])
     images = np.einsum("cij,mj->mci", matrix, lit).astype(np.float32)
     variance = np.where(known, np.float32(1e-10), np.float32(np.inf))
-    return canvas.taken(lit, np.where(known, images, 0), np.broadcast_to(variance, images.shape))
+    return camera.summed(lit, np.where(known, images, 0), np.broadcast_to(variance, images.shape))
 
 
 @pytest.mark.parametrize(
-    ("side", "unknown", "aside"), [(1, 0, False), (1, 20, False), (2, 0, False), (1, 0, True)]
+    ("side", "unknown_pixels", "coaxial"),
+    [(1, 0, True), (1, 20, True), (2, 0, True), (1, 0, False)],
 )
-def test_it_finds_what_a_model_leaves_and_no_darkness_below_nought(
-    side: int, unknown: int, aside: bool
+def test_the_fit_explains_the_light_that_a_model_of_direct_light_lacks(
+    side: int, unknown_pixels: int, coaxial: bool
 ) -> None:
-    """Of a wedge, from a model that knows the direct light alone; in cells, one without texture.
+    """Of a wedge with texture, or without in cells of 2 x 2 pixels.
 
-    From aside, by a camera that hangs upside down.
+    The camera of the other rig is upside down. Its residual is determined half as well, without
+    the symmetry.
     """
     shape, channels = (16, 16), 3
     matrix = scene_matrices("IV" if side == 1 else "II", shape, channels)
     known = np.ones(256, np.bool_)
-    known[generator(0, 4).permutation(256)[:unknown]] = False
+    known[generator(0, 4).permutation(256)[:unknown_pixels]] = False
     direct = np.einsum("cii->ci", matrix)[..., None] * np.eye(256)
-    cells, sender = Cells(shape, side), None
-    if aside:
+    cells = Cells(shape, side)
+    if not coaxial:
         matrix, direct = matrix[:, ::-1], direct[:, ::-1]
+    camera = CameraCells.of(cells, matrix.sum(axis=2).astype(np.float32), known)
+    projector = coaxial_projector(camera)
+    if not coaxial:
         places = np.indices(shape).reshape(2, -1)[:, ::-1].T.astype(np.float32)
-        sender = Sender(cells, root_of(matrix.sum(axis=1).astype(np.float32)), places)
-    floodlit = matrix.sum(axis=2).astype(np.float32)
-    canvas = Canvas(cells, floodlit, known)
+        projector_factor = root_factor(matrix.sum(axis=1).astype(np.float32))
+        projector = ProjectorCells(cells, projector_factor, places)
     model = DenseTransport(shape, shape, channels, [], {"matrix": direct.astype(np.float32)})
-    found = residual_of(canvas, pictures_of(matrix, canvas, 60, known), model, sender)
-    left = found.transport(canvas, shape)
-    patterns = generator(0, 3).random((2, channels, 256)).astype(np.float32)
-    np.testing.assert_allclose(
-        np.vdot(left.forward(patterns, range(channels))[0], patterns[1]),
-        np.vdot(patterns[0], left.adjoint(patterns, range(channels))[1]), rtol=1e-3,
-    )  # fmt: skip
+
+    pictures = exact_pictures(matrix, camera, 60, known)
+    residual = fit_residual(camera, projector, pictures, model).transport(camera, shape)
+
     for channel in range(channels):
-        cell = canvas.cells.of_ray
-        off = (cell[:, None] != cell) & known[:, None] & known
-        if aside:
-            off = off[::-1]
-        truth = np.where(off, matrix[channel], 0)
-        relit = np.where(off, left.channel(channel) @ np.eye(256), 0)
-        lit = generator(0, 5).random((canvas.cells.count, 8)) < 0.5
-        pictures = lit[canvas.cells.of_ray].astype(float)
+        cell = camera.cells.of_ray
+        between_cells = (cell[:, None] != cell) & known[:, None] & known
+        if not coaxial:
+            between_cells = between_cells[::-1]
+        truth = np.where(between_cells, matrix[channel], 0)
+        relit = np.where(between_cells, residual.channel(channel) @ np.eye(256), 0)
+        lit = generator(0, 5).random((camera.cells.count, 8)) < 0.5
+        patterns = lit[camera.cells.of_ray].astype(float)
         relit_cells, true_cells = (
-            canvas.cells.total((each @ pictures).T) for each in (relit, truth)
+            camera.cells.total((light @ patterns).T) for light in (relit, truth)
         )
-        wrong = np.linalg.norm(relit_cells - true_cells) / np.linalg.norm(true_cells)
-        # without symmetry, pictures tell half as much
-        assert wrong < (0.25 if aside else 0.12)
+        error = np.linalg.norm(relit_cells - true_cells) / np.linalg.norm(true_cells)
+        assert error < (0.12 if coaxial else 0.25)
         assert relit.min() > -0.02 * truth.max()
+
+
+@pytest.mark.parametrize("coaxial", [True, False])
+def test_the_adjoint_of_a_residual_is_its_transpose(coaxial: bool) -> None:
+    shape, random = (12, 10), generator(0, 3)
+    light = random.random((2, 120)).astype(np.float32)
+    camera = CameraCells.of(Cells(shape, 1), light, np.ones(120, np.bool_))
+    pairs = np.array([[0, 1, 3], [2, 1, 9]], np.int32)
+    cores = random.standard_normal((2, 3)).astype(np.float32)
+    factor = np.zeros((2, 0), np.float32) if coaxial else root_factor(light[:, ::-1])
+    residual = Residual(pairs, cores, factor).transport(camera, shape)
+    images = random.random((2, 2, 120)).astype(np.float32)
+    np.testing.assert_allclose(
+        np.vdot(residual.forward(images, range(2))[0], images[1]),
+        np.vdot(images[0], residual.adjoint(images, range(2))[1]),
+        rtol=1e-3,
+    )

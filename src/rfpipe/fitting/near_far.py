@@ -10,7 +10,8 @@ from rfpipe.fitting.series import Series
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.near_far.fit import fit_smooth_model
 from rfpipe.methods.near_far.model import near_far_transport
-from rfpipe.methods.residual.model import Canvas, residual_of
+from rfpipe.methods.residual.fit import fit_residual
+from rfpipe.methods.residual.model import CameraCells, coaxial_projector
 from rfpipe.methods.states import joined
 from rfpipe.transport.base import Transport
 
@@ -50,7 +51,8 @@ def solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
     probes = Pictures(lit[~white], series.radiance[~white], series.variance[~white])
     pictures = joined([floodlit, probes], axis=0)
     model = fit_smooth_model(shape, pictures)
-    canvas = Canvas.of(shape, pictures)
-    samples = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
-    residual = residual_of(canvas, samples, near_far_transport(shape, [], model, pictures))
-    return near_far_transport(shape, rows, model, pictures, [residual.transport(canvas, shape)])
+    camera = CameraCells.of_pictures(shape, pictures)
+    samples = camera.summed(pictures.lit, pictures.radiance, pictures.variance)
+    smooth = near_far_transport(shape, [], model, pictures)
+    residual = fit_residual(camera, coaxial_projector(camera), samples, smooth)
+    return near_far_transport(shape, rows, model, pictures, [residual.transport(camera, shape)])

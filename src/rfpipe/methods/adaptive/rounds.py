@@ -37,9 +37,15 @@ from rfpipe.methods.base import (
     get_method,
     options_of,
 )
-from rfpipe.methods.error_estimate import HELD_OUT, Estimate, error_of, held_out_patterns
+from rfpipe.methods.error_estimate import HELD_OUT, Estimate, estimate_error, held_out_patterns
 from rfpipe.methods.images import ImagesAs, Pictures
-from rfpipe.methods.residual.model import Canvas, Sender, cells_of, residual_of
+from rfpipe.methods.residual.fit import fit_residual
+from rfpipe.methods.residual.model import (
+    CameraCells,
+    ProjectorCells,
+    coaxial_projector,
+    residual_cells,
+)
 from rfpipe.methods.residual.patterns import block_patterns
 from rfpipe.methods.states import PackingMethod, joined, level_row, unprefixed
 from rfpipe.patterns import Schedule
@@ -137,15 +143,15 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         """Return the camera pixels without direct light in each held-out picture."""
 
-    def _sender(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Sender | None:
-        """Return the projector, unless the rig is coaxial."""
-        return None
+    def _sender(self, state: AdaptiveState, base: Transport, canvas: CameraCells) -> ProjectorCells:
+        """Return the projector's cells."""
+        return coaxial_projector(canvas)
 
     def _candidates(self, state: AdaptiveState) -> Iterator[tuple[Transport, bool]]:
         """Yield what may be returned, and whether it is the hierarchy: with what it leaves, too."""
         rest = []
         if state.residual is not None:
-            canvas = Canvas.of(state.camera.shape, state.pictures)
+            canvas = CameraCells.of_pictures(state.camera.shape, state.pictures)
             rest = [state.residual.transport(canvas, state.projector.shape)]
         yield self._model(state), False
         if rest and not state.of_hierarchy:
@@ -161,11 +167,11 @@ class Adaptive(PackingMethod[AdaptiveState]):
         estimate, base, of_hierarchy = self._best(state.changed(residual=None))
         if state.estimated(estimate).reached:
             return state
-        canvas, series = Canvas.of(state.camera.shape, state.pictures), state.pictures
-        pictures = [canvas.taken(series.lit, series.radiance, series.variance)]
+        canvas, series = CameraCells.of_pictures(state.camera.shape, state.pictures), state.pictures
+        pictures = [canvas.summed(series.lit, series.radiance, series.variance)]
         pictures += [] if state.others is None else [state.others]
         sender = self._sender(state, base, canvas)
-        residual = residual_of(canvas, joined(pictures, axis=0), base, sender)
+        residual = fit_residual(canvas, sender, joined(pictures, axis=0), base)
         return state.changed(residual=residual, of_hierarchy=of_hierarchy)
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
@@ -217,7 +223,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
             return replace(self.hierarchy.schedule(state.inner), level=level)
         held, count = self._asked(state)
         if due == "residual":
-            patterns = block_patterns(cells_of(shape), level, count)
+            patterns = block_patterns(residual_cells(shape), level, count)
         else:
             patterns = self._patterns(state, count)
         shown = [held_out_patterns(shape)[:held], patterns]
@@ -248,7 +254,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
             held = Pictures.read(images, state.channels, state.camera.size, 0, first)
             after = after.changed(held=held)
         if count > first and due == "residual":
-            canvas = Canvas.of(state.camera.shape, state.pictures)
+            canvas = CameraCells.of_pictures(state.camera.shape, state.pictures)
             after = self._with_residual(after.changed(others=canvas.read(images, first)))
         elif count > first:
             taken = Pictures.read(images, state.channels, state.camera.size, first, count)
@@ -281,7 +287,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def _seen(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Keep a hierarchy's pictures; after the last of its levels, find what it leaves."""
-        canvas = Canvas.of(state.camera.shape, state.pictures)
+        canvas = CameraCells.of_pictures(state.camera.shape, state.pictures)
         state = state.changed(others=canvas.read(images))
         if self.hierarchy.asks(state.inner):
             return state
@@ -313,7 +319,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
             return Estimate(1.0, 1.0, 1.0), *next(self._candidates(state))
         held, floodlit, dark = state.held, state.pictures.floodlit, self._dark(state)
         estimated = [
-            (error_of(transport, held, floodlit, dark), transport, of_hierarchy)
+            (estimate_error(transport, held, floodlit, dark), transport, of_hierarchy)
             for transport, of_hierarchy in self._candidates(state)
         ]
         return min(estimated, key=lambda each: each[0].error)

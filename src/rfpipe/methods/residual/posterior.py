@@ -1,12 +1,47 @@
-"""What cells exchange, given what a model leaves of pictures of them: the most probable, by scales.
+"""The most probable exchange of light between cells, given residual pictures of them.
 
-K is ``W^T C W`` with Haar wavelets W; the entries of C are independent normal deviates, whose
-variances are learned from the pictures.
+The residual pictures y of a channel, summed over cells and divided by the camera's factor f
+(`rfpipe.methods.residual.model`), are linear in the unknowns C and d:
+
+    y = K l + d * l + noise,    K = W^T C W'
+
+l is the light that each pattern sends from the projector's cells. W and W' are Haar transforms of
+the camera's and the projector's cells. The entries of C and d are independent, normally distributed
+variables of mean 0 with the variances V and V_d; the noise has the variances R. With A for the
+linear map from the unknowns to y, their most probable values are
+
+    (C, d) = V A^T lambda,    (A V A^T + R) lambda = y
+
+The system for lambda has one unknown for each cell and picture. It is solved by conjugate
+gradients; the preconditioner inverts the covariance of the pictures for small groups of wavelets.
+V first falls with the squared distance of two places and is then learned from the solution and its
+uncertainty (empirical Bayes). On a coaxial rig K is symmetric; d, the light that a cell returns to
+itself, is an unknown on coaxial rigs only.
+
+==========  =================  ============  ===================================================
+symbol      name in the code   shape         meaning and unit
+==========  =================  ============  ===================================================
+``K``       `matrix`           (M', N')      exchange between M' camera and N' projector cells
+``C``       `core`             (m, n)        exchange between m and n wavelets
+``d``       `direct`           (M',)         light that a cell returns to itself
+``W, W'``   `haar`,            (m, M'),      Haar transforms; orthonormal
+            `sender_haar`      (n, N')
+``l``       `cell_light`       (N', P)       light that P patterns send from each cell
+``W' l``    `light`            (n, P)        the same in wavelets
+``y``       `observed`         (M', P)       residual pictures over f, radiance
+``R``       `variance`         (M', P)       variance of their noise
+``V``       `prior`            (m, n)        prior variances of the entries of C
+``V_d``     `direct_variance`  scalar        prior variance of the entries of d
+``lambda``  `dual`             (M', P)       dual solution
+==========  =================  ============  ===================================================
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,215 +53,318 @@ from rfpipe.transport.wavelet import Group, Haar
 _ROUNDING = float(np.finfo(np.float32).eps)
 _TINY = float(np.finfo(np.float32).tiny)
 
+# Share of the variance of residual pictures that light returned to its own cell may explain.
+_DIRECT_SHARE = 0.02
+# Distance, in cells, at which the prior variance has fallen to half.
+_HALF_DISTANCE = 0.5
+# Least share of the prior variance that remains after a fit, and least prior variance relative to
+# the largest; both keep the system well-conditioned.
+_LEAST_UNCERTAINTY, _LEAST_VARIANCE = 1e-4, 1e-10
+# Residual of conjugate gradients, relative to the pictures.
+_TOLERANCE = 1e-3
 
-class Posterior:
-    """K of one channel given what a model leaves of pictures of cells, over F.
+
+@dataclass(frozen=True)
+class CellData:
+    """Residual pictures of one channel, in cells.
+
+    Attributes
+    ----------
+    haar, sender_haar : Haar
+        Of the camera's and of the projector's cells.
+    places : ndarray of float32, shape (N', 2), optional
+        Row and column, in the camera's cells, of the spot that each projector cell lights. None for
+        coaxial rigs, whose K is symmetric.
+    cell_light : ndarray of float32, shape (N', P)
+    light : ndarray of float32, shape (n, P)
+    known : ndarray of bool, shape (M', P)
+        Cells with a known pixel.
+    observed, variance : ndarray of float32, shape (M', P)
+        0 where a cell is unknown.
+    """
+
+    haar: Haar
+    sender_haar: Haar
+    places: Float | None
+    cell_light: Float
+    light: Float
+    known: NDArray[np.bool_]
+    observed: Float
+    variance: Float
+
+    @property
+    def is_symmetric(self) -> bool:
+        """True on a coaxial rig."""
+        return self.places is None
+
+    @cached_property
+    def noise(self) -> float:
+        """Harmonic mean of the variances of the noise."""
+        certainty = np.divide(1, self.variance, where=self.known, out=np.zeros_like(self.observed))
+        return 1 / max(float(certainty.mean(dtype=np.float64)), _TINY)
+
+    @cached_property
+    def direct_variance(self) -> np.float32:
+        """V_d, the prior variance of the light that a cell returns to itself."""
+        power = max(float(np.square(self.cell_light, dtype=np.float64).mean()), _TINY)
+        return np.float32(_DIRECT_SHARE * self.observed.var(dtype=np.float64) / power)
+
+    @cached_property
+    def place_groups(self) -> list[NDArray[np.int64]]:
+        """Numbers of the camera's wavelets, grouped by place, for the preconditioner."""
+        return [rows for group in self.haar.groups for rows in group.alike()]
+
+    def matrix(self, core: Float) -> Float:
+        """Compute K from C."""
+        half = self.haar.inverse(core)
+        transposed = self.sender_haar.inverse(np.ascontiguousarray(half.T))
+        return transposed if self.is_symmetric else np.ascontiguousarray(transposed.T)
+
+    def residual(self, matrix: Float, direct: Float) -> Float:
+        """Subtract the pictures predicted by K and d from y; 0 where a cell is unknown."""
+        predicted = matrix @ self.cell_light
+        if self.is_symmetric:
+            predicted += direct[:, None] * self.cell_light
+        residual: Float = np.where(self.known, self.observed - predicted, 0)
+        return residual
+
+    def scale_pairs(self) -> Iterator[tuple[Group, Group]]:
+        """Yield each pair of scales of the camera and the projector; once where K is symmetric."""
+        for index, group in enumerate(self.haar.groups):
+            for sender_group in self.sender_haar.groups[index if self.is_symmetric else 0 :]:
+                yield group, sender_group
+
+    def distances(self, group: Group, sender_group: Group) -> Float:
+        """Compute the distances of the places of two scales in cells, across views too."""
+        centres = sender_group.centres()
+        if self.places is not None:
+            _, height, width = self.sender_haar.stack
+            cell = np.minimum(centres.astype(np.int64), (height - 1, width - 1))
+            views, rows, columns = sender_group.grid
+            view = np.repeat(np.arange(views), rows * columns)
+            centres = self.places[(view * height + cell[:, 0]) * width + cell[:, 1]]
+        offset = group.centres()[:, None] - centres
+        distance: Float = np.hypot(offset[..., 0], offset[..., 1])
+        return distance
+
+
+def cell_data(
+    haar: Haar,
+    cell_light: Float,
+    observed: Float,
+    variance: Float,
+    sender: tuple[Haar, Float] | None = None,
+) -> CellData:
+    """Prepare residual pictures.
 
     Parameters
     ----------
     haar : Haar
         Of the camera's cells.
-    light : ndarray of float32, shape (projector cells, P)
-        Sums of the patterns times F.
-    observed, variance : ndarray of float32, shape (cells, P)
-        The variance is infinite where nothing is known.
+    cell_light : ndarray of float32, shape (N', P)
+        Sums over the projector's cells of the patterns times the projector's factor.
+    observed, variance : ndarray of float32, shape (M', P)
+        The variance is infinite where a cell has no known pixel.
     sender : tuple of Haar and ndarray, optional
-        Of the projector's cells, and their `Sender.places`. Without one, K is symmetric.
+        Of the projector's cells, and their places, see `CellData`. None for coaxial rigs.
+    """
+    known = np.isfinite(variance)
+    sender_haar, places = (haar, None) if sender is None else sender
+    cell_light = np.ascontiguousarray(cell_light)
+    return CellData(
+        haar,
+        sender_haar,
+        places,
+        cell_light,
+        sender_haar.forward(cell_light),
+        known,
+        np.where(known, observed, 0),
+        np.where(known, variance, 0),
+    )
+
+
+def initial_prior(data: CellData) -> Float:
+    """Compute V before any fit: it falls with the squared distance of two places.
+
+    Its sum is such that the prior explains the energy of the residual pictures.
+    """
+    changing = data.light - data.light.mean(axis=1, keepdims=True)
+    power = np.square(changing, dtype=np.float64).sum(axis=0).mean() / len(changing)
+    energy = np.square(data.observed, dtype=np.float64).sum(axis=0).mean()
+    prior = np.empty((data.haar.size, data.sender_haar.size), np.float32)
+    for group, sender_group in data.scale_pairs():
+        falloff = 1 + np.square(data.distances(group, sender_group) / _HALF_DISTANCE)
+        pairs = (group.side * sender_group.side) ** 2 / falloff
+        _write_pairs(prior, data, (group, sender_group), pairs.astype(np.float32))
+    total = float(energy / max(power, _TINY))
+    prior *= np.float32(total / prior.sum(dtype=np.float64))
+    return prior
+
+
+def _write_pairs(prior: Float, data: CellData, groups: tuple[Group, Group], pairs: Float) -> None:
+    """Write variances of pairs of places (places, sender's places) to all orientations."""
+    group, sender_group = groups
+    is_diagonal = data.is_symmetric and group is sender_group
+    if is_diagonal:
+        pairs = np.float32(0.5) * (pairs + pairs.T)
+    shape = (group.orientations, group.places, sender_group.orientations, sender_group.places)
+    block = np.broadcast_to(pairs[None, :, None], shape).reshape(
+        group.orientations * group.places, sender_group.orientations * sender_group.places
+    )
+    prior[group.rows, sender_group.rows] = block
+    if data.is_symmetric and not is_diagonal:
+        prior[sender_group.rows, group.rows] = block.T
+
+
+class Solution(NamedTuple):
+    """The most probable C, (m, n), and d, (M',)."""
+
+    core: Float
+    direct: Float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """The linear system of the most probable exchange, for one prior.
+
+    Attributes
+    ----------
+    data : CellData
+    prior : ndarray of float32, shape (m, n)
+        V.
+    variance_scale : numpy.float32
+        Factor of the variances R.
+    roots, inverses : ndarray of float32, shape (place groups, P, P)
+        Inverse Cholesky factors, and inverses, of the covariance of the pictures of each group of
+        wavelets, as if their entries of C were independent of all others.
     """
 
-    def __init__(
-        self,
-        haar: Haar,
-        light: Float,
-        observed: Float,
-        variance: Float,
-        sender: tuple[Haar, Float] | None = None,
-    ) -> None:
-        self.haar, self.cells = haar, np.ascontiguousarray(light)
-        self.symmetric = sender is None
-        self.lamp = haar if sender is None else sender[0]
-        self._places = None if sender is None else sender[1]
-        self._known = np.isfinite(variance)
-        self.observed = np.where(self._known, observed, 0)
-        self._variance = np.where(self._known, variance, 0)
-        certainty = np.divide(
-            1, self._variance, where=self._known, out=np.zeros_like(self.observed)
-        )
-        self._noise = 1 / max(float(certainty.mean(dtype=np.float64)), _TINY)
-        self.light = self.lamp.forward(self.cells)
-        lit = max(float(np.square(self.cells, dtype=np.float64).mean()), _TINY)
-        # variance of what cells send back directly: a part of that of what the model leaves
-        self._direct = np.float32(0.02 * self.observed.var(dtype=np.float64) / lit)
-        self._alike = [rows for group in haar.groups for rows in group.alike()]
+    data: CellData
+    prior: Float
+    variance_scale: np.float32
+    roots: Float
+    inverses: Float
 
-    def left(self, matrix: Float, direct: Float) -> Float:
-        """Return what K, and direct light, leave of the pictures (cells, P); 0 if unknown."""
-        predicted = matrix @ self.cells
-        if self.symmetric:
-            predicted += direct[:, None] * self.cells
-        residual: Float = np.where(self._known, self.observed - predicted, 0)
-        return residual
-
-    def _pairs(self) -> Iterator[tuple[Group, Group]]:
-        """Yield each pair of scales, once where K is symmetric."""
-        for index, one in enumerate(self.haar.groups):
-            for other in self.lamp.groups[index if self.symmetric else 0 :]:
-                yield one, other
-
-    def _distances(self, one: Group, other: Group) -> Float:
-        """Distances of places in cells, whichever views they are in, (places, places)."""
-        centres = other.centres()
-        if self._places is not None:
-            _, height, width = self.lamp.stack
-            cell = np.minimum(centres.astype(np.int64), (height - 1, width - 1))
-            views = np.repeat(np.arange(other.grid[0]), other.grid[1] * other.grid[2])
-            centres = self._places[(views * height + cell[:, 0]) * width + cell[:, 1]]
-        apart = one.centres()[:, None] - centres
-        distance: Float = np.hypot(apart[..., 0], apart[..., 1])
-        return distance
-
-    def _spread(self, variance: Float, one: Group, other: Group, each: Float) -> None:
-        """Write the variances of pairs of places for all orientations."""
-        if one is other:
-            each = np.float32(0.5) * (each + each.T)
-        shape = (one.orientations, one.places, other.orientations, other.places)
-        whole = np.broadcast_to(each[None, :, None], shape).reshape(
-            one.orientations * one.places, other.orientations * other.places
-        )
-        variance[one.rows, other.rows] = whole
-        if self.symmetric and one is not other:
-            variance[other.rows, one.rows] = whole.T
-
-    def guessed(self) -> Float:
-        """Return variances of C before any fit, (size, size): falling with the distance's square.
-
-        The unit of distance is half a cell.
-        """
-        changing = self.light - self.light.mean(axis=1, keepdims=True)
-        unit = np.square(changing, dtype=np.float64).sum(axis=0).mean() / len(changing)
-        energy = np.square(self.observed, dtype=np.float64).sum(axis=0).mean()
-        variance = np.empty((self.haar.size, self.lamp.size), np.float32)
-        for one, other in self._pairs():
-            apart = 1 + np.square(self._distances(one, other) / 0.5)
-            each = (one.side * other.side) ** 2 / apart
-            self._spread(variance, one, other, each.astype(np.float32))
-        total = float(energy / max(unit, _TINY))
-        variance *= np.float32(total / variance.sum(dtype=np.float64))
-        return variance
-
-    def prepare(self, prior: Float, times: int = 1) -> None:
-        """Take a prior (size, size), and pictures whose variances are some times larger."""
-        self.prior, self._times = prior, np.float32(times)
-        self._core = np.zeros_like(prior)
-        count = self.light.shape[1]
-        self._roots = np.empty((len(self._alike), count, count), np.float32)
-        self._inverses = np.empty_like(self._roots)
-        for index, rows in enumerate(self._alike):
-            scaled = self.light * np.sqrt(prior[rows].mean(axis=0))[:, None]
-            # of a matrix and its own transpose, BLAS finds one half
+    @classmethod
+    def of(cls, data: CellData, prior: Float, variance_scale: int = 1) -> Posterior:
+        """Prepare the preconditioner for a prior."""
+        count, groups = data.light.shape[1], data.place_groups
+        roots = np.empty((len(groups), count, count), np.float32)
+        inverses = np.empty_like(roots)
+        for index, rows in enumerate(groups):
+            scaled = data.light * np.sqrt(prior[rows].mean(axis=0))[:, None]
             covariance = (scaled.T @ scaled).astype(np.float64)
-            # float32 sums of much brighter light round more than that
+            # float32 sums of much brighter light have larger rounding errors than the noise
             rounding = _ROUNDING * count * float(covariance.diagonal().max())
-            covariance[np.diag_indices(count)] += times * self._noise + rounding
+            covariance[np.diag_indices(count)] += variance_scale * data.noise + rounding
             root = np.linalg.inv(np.linalg.cholesky(covariance)).astype(np.float32)
-            self._roots[index], self._inverses[index] = root, root.T @ root
+            roots[index], inverses[index] = root, root.T @ root
+        return cls(data, prior, np.float32(variance_scale), roots, inverses)
 
-    def relearned(self) -> Float:
-        """Return the variances of C that its last solution, and its uncertainty, suggest.
+    def solve(self, observed: Float, iterations: int) -> Solution:
+        """Compute the most probable C and d for pictures y (M', P), 0 where a cell is unknown."""
+        data, direct_variance = self.data, self.data.direct_variance
+        core = np.zeros_like(self.prior)  # written by each application of the covariance
 
-        Those of a pair of places are averaged over orientations and with their neighbours', and
-        drawn towards the mean of all pairs of the same two scales at about the same distance.
-        """
-        from scipy.ndimage import uniform_filter
+        def covariance(dual: Float) -> Float:
+            """Apply ``A V A^T + R``; writes the C of `dual`, of a symmetric one the lower half."""
+            received = data.haar.forward(dual)
+            if data.is_symmetric:
+                pictures = data.haar.inverse(self._exchange(received, core))
+                direct = direct_variance * np.einsum("cm,cm->c", dual, data.cell_light)
+                pictures += direct[:, None] * data.cell_light
+            else:
+                np.matmul(received, data.light.T, out=core)
+                np.multiply(core, self.prior, out=core)
+                pictures = data.haar.inverse(core @ data.light)
+            pictures += self.variance_scale * data.variance * dual
+            pictures *= data.known
+            return pictures
 
-        energy = np.empty_like(self.prior)
-        for root, rows in zip(self._roots, self._alike, strict=True):
-            energy[rows] = np.square(root @ self.light.T).sum(axis=0)
-        # rows tell of an entry, and so do columns: either leaves a part of its variance, at least
-        # a ten-thousandth, and certainties add up
-        certainty = 1 / (self.prior * np.maximum(1 - self.prior * energy, np.float32(1e-4)))
-        if self.symmetric:
-            before = 1 / self.prior
-            certainty = np.maximum(certainty + certainty.T - before, before)
-        energy = np.square(self.core) + 1 / certainty
-        variance = np.empty_like(energy)
-        for one, other in self._pairs():
-            part = energy[one.rows, other.rows].reshape(
-                one.orientations, one.places, other.orientations, other.places
-            )
-            pairs = part.mean(axis=(0, 2))
-            grid = (*one.grid, *other.grid)
-            smooth = uniform_filter(pairs.reshape(grid), size=(1, 3, 3, 1, 3, 3), mode="nearest")
-            pairs = (pairs + smooth.reshape(pairs.shape)) / 2
-            distances = self._distances(one, other)
-            half_octave: NDArray[np.int64] = (2 * np.log2(1 + distances)).astype(int)
-            count = np.maximum(np.bincount(half_octave.ravel()), 1)
-            typical = np.bincount(half_octave.ravel(), pairs.ravel()) / count
-            each = one.orientations * other.orientations
-            drawn = (each * pairs + typical[half_octave]) / (each + 1)
-            self._spread(variance, one, other, drawn.astype(np.float32))
-        floor: Float = np.maximum(variance, np.float32(1e-10) * variance.max())
-        return floor
-
-    def solve(self, observed: Float, iterations: int) -> None:
-        """Find what is most probable given what is left of pictures (cells, P), 0 if unknown.
-
-        That is C, `core`, and a diagonal for what cells send back directly, `direct`, by conjugate
-        gradients in the space of the pictures.
-        """
-        self.direct = np.zeros(len(observed), np.float32)
-        self._applied(
-            conjugate_gradients(
-                self._applied,
-                observed,
-                self._preconditioned,
-                None,
-                1e-3,
-                iterations,
-                preconditioned_norm=False,
-            )
+        dual = conjugate_gradients(
+            covariance,
+            observed,
+            self._precondition,
+            None,
+            _TOLERANCE,
+            iterations,
+            preconditioned_norm=False,
         )
-        self.core = self._core
-        if self.symmetric:
-            self.core = self._core + self._core.T
-            self.core[np.diag_indices(len(self.core))] /= 2
+        covariance(dual)
+        if not data.is_symmetric:
+            return Solution(core, np.zeros(len(observed), np.float32))
+        direct = direct_variance * np.einsum("cm,cm->c", dual, data.cell_light)
+        symmetric = core + core.T
+        symmetric[np.diag_indices(len(symmetric))] /= 2
+        return Solution(symmetric, direct)
 
-    def matrix(self) -> Float:
-        """Return K of the last solution, (cells, cells)."""
-        half = self.haar.inverse(self.core)
-        matrix = self.lamp.inverse(np.ascontiguousarray(half.T))
-        return matrix if self.symmetric else np.ascontiguousarray(matrix.T)
+    def _exchange(self, received: Float, core: Float) -> Float:
+        """Compute C times the light, with ``C = V (received light^T + light received^T)``.
 
-    def _applied(self, dual: Float) -> Float:
-        """Apply the covariance of the pictures; the solution that goes with it is left behind."""
-        sent = self.haar.forward(dual)
-        if self.symmetric:
-            pictures = self.haar.inverse(self._exchanged(sent))
-            self.direct = self._direct * np.einsum("cm,cm->c", dual, self.cells)
-            pictures += self.direct[:, None] * self.cells
-        else:
-            np.matmul(sent, self.light.T, out=self._core)
-            self._core *= self.prior
-            pictures = self.haar.inverse(self._core @ self.light)
-        pictures += self._times * self._variance * dual
-        pictures *= self._known
-        return pictures
-
-    def _exchanged(self, sent: Float) -> Float:
-        """Return C times the light, C being the prior times ``sent light^T`` and its transpose.
-
-        Of C one half is found, left of the diagonal, and the other one is never looked at.
+        One half of the symmetric C, with the diagonal, is written to `core`.
         """
         from scipy.linalg.blas import ssymm, ssyr2k
 
-        light, half = self.light.T, self._core.T  # in Fortran's order, as BLAS has it
-        ssyr2k(1, sent.T, light, c=half, trans=1, overwrite_c=1)
-        self._core *= self.prior
+        light, half = self.data.light.T, core.T  # in Fortran's order, for BLAS
+        ssyr2k(1, received.T, light, c=half, trans=1, overwrite_c=1)
+        np.multiply(core, self.prior, out=core)
         exchanged: Float = ssymm(1, half, light, side=1).T
         return exchanged
 
-    def _preconditioned(self, rest: Float) -> Float:
-        coefficients = self.haar.forward(rest)
-        for inverse, rows in zip(self._inverses, self._alike, strict=True):
+    def _precondition(self, pictures: Float) -> Float:
+        coefficients = self.data.haar.forward(pictures)
+        for inverse, rows in zip(self.inverses, self.data.place_groups, strict=True):
             coefficients[rows] = coefficients[rows] @ inverse
-        return self.haar.inverse(coefficients) * self._known
+        return self.data.haar.inverse(coefficients) * self.data.known
+
+
+def learned_prior(posterior: Posterior, core: Float) -> Float:
+    """Estimate V from a solution C and its uncertainty.
+
+    The expected squares of the entries are averaged over the orientations and the neighbours of a
+    pair of places, and drawn towards the mean of all pairs of the same two scales at about the same
+    distance, each half octave of it.
+    """
+    from scipy.ndimage import uniform_filter
+
+    data, energy = posterior.data, np.square(core) + _remaining_variance(posterior)
+    variance = np.empty_like(energy)
+    for group, sender_group in data.scale_pairs():
+        pairs = (
+            energy[group.rows, sender_group.rows]
+            .reshape(
+                group.orientations, group.places, sender_group.orientations, sender_group.places
+            )
+            .mean(axis=(0, 2))
+        )
+        grid = (*group.grid, *sender_group.grid)
+        smooth = uniform_filter(pairs.reshape(grid), size=(1, 3, 3, 1, 3, 3), mode="nearest")
+        pairs = (pairs + smooth.reshape(pairs.shape)) / 2
+        distances = data.distances(group, sender_group)
+        half_octave: NDArray[np.int64] = (2 * np.log2(1 + distances)).astype(int)
+        count = np.maximum(np.bincount(half_octave.ravel()), 1)
+        typical = np.bincount(half_octave.ravel(), pairs.ravel()) / count
+        entries = group.orientations * sender_group.orientations
+        drawn = (entries * pairs + typical[half_octave]) / (entries + 1)
+        _write_pairs(variance, data, (group, sender_group), drawn.astype(np.float32))
+    floor: Float = np.maximum(variance, np.float32(_LEAST_VARIANCE) * variance.max())
+    return floor
+
+
+def _remaining_variance(posterior: Posterior) -> Float:
+    """Approximate the variance of each entry of C that the pictures leave, (m, n).
+
+    Each group of wavelets is taken as independent of the others. On coaxial rigs an entry is
+    measured by its row and by its column; their certainties add up.
+    """
+    data, prior = posterior.data, posterior.prior
+    explained = np.empty_like(prior)
+    for root, rows in zip(posterior.roots, data.place_groups, strict=True):
+        explained[rows] = np.square(root @ data.light.T).sum(axis=0)
+    share = np.maximum(1 - prior * explained, np.float32(_LEAST_UNCERTAINTY))
+    certainty = 1 / (prior * share)
+    if data.is_symmetric:
+        before = 1 / prior
+        certainty = np.maximum(certainty + certainty.T - before, before)
+    remaining: Float = 1 / certainty
+    return remaining

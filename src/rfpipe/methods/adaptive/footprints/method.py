@@ -25,7 +25,7 @@ from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.error_estimate import HELD_OUT, held_out_patterns
 from rfpipe.methods.images import nearest, relight_white
-from rfpipe.methods.residual.model import Canvas, Sender, cells_of, root_of
+from rfpipe.methods.residual.model import CameraCells, ProjectorCells, residual_cells, root_factor
 from rfpipe.methods.states import kept
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
@@ -126,13 +126,13 @@ class Footprints(Adaptive):
         state = state.counted(nodes=nodes, scalar=scalar)
         return self._with_residual(state.changed(model=arrays, found=model.grey, residual=None))
 
-    def _sender(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Sender:
+    def _sender(self, state: AdaptiveState, base: Transport, canvas: CameraCells) -> ProjectorCells:
         """Return the projector's cells, what they send, and where the camera sees them lit."""
         channels, camera = range(state.channels), state.camera
         _, row, column = np.indices(camera.stack_shape).reshape(3, -1)
         light = np.stack([np.ones_like(row), row, column]).astype(np.float32)
         planar = np.repeat(light[:, None], state.channels, axis=1)
-        cells, side = cells_of(state.projector.shape), canvas.cells.side
+        cells, side = residual_cells(state.projector.shape), canvas.cells.side
         lit, *moments = cells.total(
             _model_of(state).direct().adjoint(planar, channels).sum(axis=1)
         ).T.astype(np.float64)
@@ -141,7 +141,7 @@ class Footprints(Adaptive):
         if seen.any() and not seen.all():
             places = places[:, nearest(seen.reshape(cells.stack))]
         white = np.maximum(base.adjoint(planar[:1], channels)[0], 0)
-        return Sender(cells, root_of(white), places.T.astype(np.float32))
+        return ProjectorCells(cells, root_factor(white), places.T.astype(np.float32))
 
     def _model(self, state: AdaptiveState, *more: Transport) -> SumTransport:
         """Return footprints, smooth light between them, and more parts."""

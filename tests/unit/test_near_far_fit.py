@@ -1,4 +1,4 @@
-"""Smooth indirect light by least squares."""
+"""The fit of the near/far model."""
 
 from __future__ import annotations
 
@@ -10,23 +10,21 @@ from rfpipe.methods.near_far.fit import fit_smooth_model
 from rfpipe.methods.near_far.model import near_far_transport
 from rfpipe.methods.near_far.patterns import probe_patterns
 
-SHARE = 0.002
 
-
-# --- the fit
-
-
-def test_channels_are_found_from_what_all_of_them_told_and_dark_ones_stay_dark() -> None:
+def test_fits_each_channel_and_leaves_dark_channels_dark() -> None:
     shape = (24, 24)
     matrix = scene_matrices("IV", shape, 3)
-    lit = np.concatenate([np.ones((1, *shape), bool), probe_patterns(shape, 1, 12)]).reshape(13, -1)
     matrix[2] = 0
+    white = np.ones((1, *shape), bool)
+    lit = np.concatenate([white, probe_patterns(shape, 1, 12)]).reshape(13, -1)
     radiance = np.einsum("mn,crn->mcr", lit, matrix).astype(np.float32)
     pictures = Pictures(lit, radiance, np.full_like(radiance, 1e-8))
+
     model = fit_smooth_model(shape, pictures)
+    transport = near_far_transport(shape, [], model, pictures)
+
     assert not model.cores[2].any()
     pattern = (np.arange(576) % 24 < 8).astype(np.float32)
-    transport = near_far_transport(shape, [], model, pictures)
-    image = transport.forward(np.broadcast_to(pattern, (1, 3, 576)), range(3))[0]
-    for found, expected in zip(image[:2], (matrix @ pattern)[:2], strict=True):
-        assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
+    images = transport.forward(np.broadcast_to(pattern, (1, 3, 576)), range(3))[0]
+    for image, expected in zip(images[:2], (matrix @ pattern)[:2], strict=True):
+        assert np.linalg.norm(image - expected) < 0.02 * np.linalg.norm(expected)
