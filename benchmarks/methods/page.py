@@ -40,7 +40,7 @@ _ABOUT = """# The open benchmark
 
 Every method on every physically based scene and on matt wedges, through one camera, as
 `make benchmark` runs it. `benchmark/acquisitions.csv` has a row an acquisition,
-`benchmark/regret.csv` one each of `auto`; what was run on less than half of the scenes isn't shown.
+`benchmark/regret.csv` a row an acquisition of `auto`; settings of less than half of the scenes are omitted.
 
 - **Light**: the brightest pixel of the floodlit scene has a radiance of 1.9, of 2 that the default
   camera takes; or a sixteenth of that.
@@ -53,7 +53,7 @@ Every method on every physically based scene and on matt wedges, through one cam
 _REGRET = """## Regret
 
 Patterns of `auto` over the fewest with which any other method has a true error as small as the
-target, at its best setting in hindsight; where none has, over those of brute force. Geometric means
+target, at its best setting in hindsight, or over the patterns of brute force. Geometric means
 over seeds, then over scenes. `!`: `auto` missed its target by more than a fifth.
 """
 _INDIRECT = """## Regret by indirect light
