@@ -19,7 +19,7 @@ from rfpipe.fitting.held_out import dependent_groups, dependents, held_out_pictu
 from rfpipe.fitting.least_squares import solve_least_squares
 from rfpipe.fitting.noise import with_estimated_noise
 from rfpipe.fitting.surfaces import surfaces_of
-from rfpipe.methods.adaptive.footprints.candidates import Candidates
+from rfpipe.methods.footprints.candidates import Candidates
 
 PROJECTOR, CAMERA = (30, 50), (40, 48)
 
@@ -191,7 +191,9 @@ def test_surfaces_follow_an_affine_map_among_misplaced_pixels() -> None:
         np.int64
     )
     ones = np.ones(camera.size, np.float32)
-    surfaces = surfaces_of(Candidates(keys, ones, ones), camera, projector)
+    surfaces = surfaces_of(
+        Candidates(camera.size, projector.size, keys, ones, ones), camera, projector
+    )
     distance = np.linalg.norm(surfaces.places - truth, axis=0)[3:-3, 3:-3]
     assert np.median(distance) < 0.25
     assert np.quantile(distance, 0.95) < 0.6

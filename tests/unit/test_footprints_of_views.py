@@ -1,4 +1,4 @@
-"""Footprint acquisition of light fields: each view's footprints on each, one chart for all."""
+"""Footprint acquisition of light fields: footprints on every view, one chart for all views."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def room() -> np.ndarray:
     return matrix / matrix.sum(axis=2).max()
 
 
-def errors(transport: Any, matrix: np.ndarray) -> float:
-    """Mean error of relit pictures: half of all views, noise, a spot in one, one view."""
-    shown = np.zeros((4, *SHAPE))
-    shown[0, :, :, :6] = 1
-    shown[1] = np.random.default_rng(3).random(SHAPE) < 0.5
-    shown[2, 0, 3:7, 4:8] = 1
-    shown[3, 1] = 1
-    return picture_error(transport, matrix, shown)
+def relighting_error(transport: Any, matrix: np.ndarray) -> float:
+    """Mean error of relit pictures: half of every view, noise, a spot in one view, one view."""
+    patterns = np.zeros((4, *SHAPE))
+    patterns[0, :, :, :6] = 1
+    patterns[1] = np.random.default_rng(3).random(SHAPE) < 0.5
+    patterns[2, 0, 3:7, 4:8] = 1
+    patterns[3, 1] = 1
+    return picture_error(transport, matrix, patterns)
 
 
 class OnViews(MethodContract):
-    """The contract where there are views."""
+    """The contract of methods on stacks of views."""
 
     options = {"target_error": 0.001}  # noqa: RUF012
 
@@ -54,21 +54,24 @@ def test_a_state_of_views_is_restored() -> None:
     OnViews().test_a_state_is_restored_from_its_packs()
 
 
-def test_a_light_field_is_good_after_few_patterns() -> None:
+def test_light_field_needs_two_rounds_for_2_percent() -> None:
     matrix, target = room(), 0.015
-    done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=2e-4, target_error=target)
-    assert sum(done.patterns) <= 1 + 6 + in_round(0, VIEWS) + in_round(1, VIEWS)
-    error, told = errors(done.transport, matrix), done.states[-1].estimates[-1].error
+    acquired = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=2e-4, target_error=target)
+    assert sum(acquired.patterns) <= 1 + 6 + in_round(0, VIEWS) + in_round(1, VIEWS)
+    error, estimate = (
+        relighting_error(acquired.transport, matrix),
+        acquired.states[-1].estimates[-1].error,
+    )
     assert error < 1.3 * target
-    assert 1 / 2 < told / error < 2
+    assert 1 / 2 < estimate / error < 2
 
 
 @pytest.mark.slow
-def test_cameras_that_stand_beside_the_projectors() -> None:
-    # two cameras' views of what three projectors light, one turned upside down
+def test_cameras_apart_from_the_projectors() -> None:
+    # two cameras and three projectors; one camera is upside down
     matrix = room().reshape(VIEWS, *IMAGE, -1)[[0, 2], ::-1].reshape(1, 240, 360)
     camera = (2, *IMAGE)
-    done = run_method(Footprints(), matrix, camera, SHAPE, sigma=2e-4, target_error=0.02)
-    found, truth = dense(done.transport)[0], matrix[0]
-    shown = np.random.default_rng(0).random((360, 5)) < 0.4
-    assert relative_rms(found @ shown, truth @ shown) < 0.03
+    acquired = run_method(Footprints(), matrix, camera, SHAPE, sigma=2e-4, target_error=0.02)
+    patterns = np.random.default_rng(0).random((360, 5)) < 0.4
+    actual = dense(acquired.transport)[0] @ patterns
+    assert relative_rms(actual, matrix[0] @ patterns) < 0.03

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.footprints.patterns import view_patterns
+from rfpipe.methods.footprints.patterns import view_patterns
 from rfpipe.methods.near_far.model import LightRange
 from rfpipe.methods.near_far.patterns import probe_patterns
 from rfpipe.methods.residual.model import residual_cells

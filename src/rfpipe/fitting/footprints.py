@@ -1,6 +1,6 @@
 """Footprints with smooth light, fitted to pictures of patterns chosen elsewhere.
 
-As in footprint acquisition the model is ``T = D + f L S R^T g`` (`rfpipe.methods.adaptive`):
+As in footprint acquisition the model is ``T = D + f L S R^T g`` (`rfpipe.methods.footprints`):
 few projector rays light each camera ray directly, and indirect light is smooth.
 """
 
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.series import Float, Series
 from rfpipe.fitting.surfaces import expected_boxes, smoothed, surfaces_of
-from rfpipe.methods.adaptive.footprints.method import transport_arrays
-from rfpipe.methods.adaptive.footprints.model import Effort, find
-from rfpipe.methods.adaptive.footprints.series import Series as FootprintSeries
+from rfpipe.methods.footprints.fit import FitLimits, fit_model
+from rfpipe.methods.footprints.model import ChannelModel, transport_arrays
+from rfpipe.methods.footprints.pictures import ViewPictures
 from rfpipe.transport.footprints import FootprintTransport
 
 # On real Gray code (camera of 120 x 160, 30 pictures), 1.4 million unknowns in the fits of indirect
 # light took 4 times as long as 30,000 and placed footprints no better.
-_EFFORT = Effort(camera_rays=2048, unknowns=30_000)
+_LIMITS = FitLimits(camera_rays=2048, cores=30_000)
 # Fewer patterns don't distinguish footprints.
 LEAST_PICTURES = 6
 # Squares along the projector's longer side under which smooth light is tested, and the part of it
@@ -74,30 +74,34 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
     light = float(np.abs(radiance[0].sum(axis=0)).mean())
     unit = float(2.0 ** np.round(np.log2(light))) if light > 0 else 1.0
 
-    def pictures_of(chosen: slice) -> tuple[FootprintSeries]:
+    def pictures_of(chosen: slice) -> tuple[ViewPictures]:
         observed = radiance[:, chosen].sum(axis=1) / unit
         spread = np.where(series.known, variance[:, chosen].sum(axis=1) / unit**2, np.inf)
-        return (FootprintSeries(lit, _by_pixel(observed), _by_pixel(spread)),)
+        return (ViewPictures(lit, _by_pixel(observed), _by_pixel(spread)),)
 
     count = series.channels
     channels = [pictures_of(slice(index, index + 1)) for index in range(count)] if count > 1 else []
     grey = pictures_of(slice(None))
-    model = find(camera, projector, grey, channels, None, _EFFORT)
-    pictures = [series for (series,) in channels or [grey]]
-    indirect = [exchange.indirect()[0] for _, exchange in model.channels]
-    brightest = int(np.argmax([series.floodlit.sum() for series in pictures]))
+    model = fit_model(camera, projector, grey, channels, limits=_LIMITS)
+    pictures = [view for (view,) in channels or [grey]]
+    indirect = [
+        channel.indirect.in_pictures([view])[0]
+        for channel, view in zip(model.channels, pictures, strict=True)
+    ]
+    brightest = int(np.argmax([view.floodlit.sum() for view in pictures]))
     surfaces = surfaces_of(model.grey, camera, projector)
     boxes = expected_boxes(
-        surfaces, model.channels[brightest][0], projector, pictures[brightest], indirect[brightest]
+        surfaces,
+        model.channels[brightest].footprints,
+        projector,
+        pictures[brightest],
+        indirect[brightest],
     )
     smooth = [
-        (smoothed(series, candidates, light, boxes), exchange)
-        for series, light, (candidates, exchange) in zip(
-            pictures, indirect, model.channels, strict=True
-        )
+        ChannelModel(smoothed(view, channel.footprints, light, boxes), channel.indirect)
+        for view, light, channel in zip(pictures, indirect, model.channels, strict=True)
     ]
-    model = replace(model, channels=tuple(smooth))
-    arrays = transport_arrays(model, camera, projector, unit)
+    arrays = transport_arrays(replace(model, channels=tuple(smooth)), unit)
     transport = FootprintTransport(camera.shape, projector.shape, count, rows, arrays)
     return _without_negative_light(transport, projector)
 

@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.footprints.candidates import Candidates
-from rfpipe.methods.adaptive.footprints.series import Series, distinct
+from rfpipe.methods.footprints.candidates import Candidates, unique_keys
+from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.weights import non_negative_weights
 
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -116,13 +117,13 @@ class Boxes:
 
 
 def smoothed(
-    series: Series, footprints: Candidates, indirect: NDArray[np.float32], boxes: Boxes
+    pictures: ViewPictures, footprints: Candidates, indirect: NDArray[np.float32], boxes: Boxes
 ) -> Candidates:
     """Estimate the weights of footprints again, about the expected ones.
 
     Parameters
     ----------
-    series : Series
+    pictures : ViewPictures
         Pictures of one channel, or of the channels' sum.
     footprints : Candidates
         Footprints before.
@@ -131,32 +132,38 @@ def smoothed(
     boxes : Boxes
         Of `expected_boxes`. A pixel without any keeps its footprint, up to what pictures say.
     """
-    rays, pixels = len(series.lit), len(series.observed)
-    direct = np.bincount(footprints.pixels(rays), footprints.weights, pixels)
-    together = distinct(np.concatenate([footprints.keys, boxes.keys]))
-    expected, weights = np.zeros((2, len(together)), np.float32)
-    expected[np.searchsorted(together, boxes.keys)] = boxes.share * direct[boxes.keys // rays]
-    weights[np.searchsorted(together, footprints.keys)] = footprints.weights
-    pixel = together // rays
+    rays, pixels = footprints.projector_size, footprints.camera_size
+    direct = np.bincount(footprints.camera_pixels, footprints.weights, pixels)
+    keys = unique_keys(np.concatenate([footprints.keys, boxes.keys]))
+    expected, weights = np.zeros((2, len(keys)), np.float32)
+    expected[np.searchsorted(keys, boxes.keys)] = boxes.share * direct[boxes.keys // rays]
+    weights[np.searchsorted(keys, footprints.keys)] = footprints.weights
+    pixel = keys // rays
     is_smooth = np.bincount(boxes.keys // rays, minlength=pixels)[pixel] > 0
     deviation = np.where(expected > 0, _EXPECTED, _OTHER) * direct[pixel]
     deviation = np.where(is_smooth, deviation, np.maximum(weights, 0.03 * direct[pixel]))
-    candidates = Candidates(together, np.square(deviation).astype(np.float32), weights)
-    residual = (series.observed - indirect).astype(np.float32)
+    variance = np.square(deviation).astype(np.float32)
+    candidates = Candidates(pixels, rays, keys, variance, weights)
+    residual = (pictures.radiance - indirect).astype(np.float32)
     start = replace(candidates, weights=expected)
-    wrong = _misfit(series, residual - start.matrix(pixels, rays) @ series.lit)
-    return candidates.weighed(
-        series.floodlit, series.lit, series.certainty(wrong), residual, expected
+    wrong = _misfit(pictures, residual - start.matrix() @ pictures.patterns)
+    return non_negative_weights(
+        candidates,
+        pictures.floodlit,
+        pictures.patterns,
+        residual,
+        pictures.inverse_variance(wrong),
+        expected,
     )
 
 
-def _misfit(series: Series, residual: NDArray[np.float32]) -> float:
+def _misfit(pictures: ViewPictures, residual: NDArray[np.float32]) -> float:
     """Return the residual of pictures beyond their noise, relative to the floodlit image."""
-    lit = series.shining
+    lit = pictures.lit_pixels
     if not lit.any():
         return _LEAST_MISFIT
-    power = np.square(residual[lit], dtype=np.float64).mean() - series.variance[lit].mean()
-    light = np.square(series.floodlit[lit], dtype=np.float64).mean()
+    power = np.square(residual[lit], dtype=np.float64).mean() - pictures.variance[lit].mean()
+    light = np.square(pictures.floodlit[lit], dtype=np.float64).mean()
     return max(float(np.sqrt(max(power, 0) / light)), _LEAST_MISFIT)
 
 
@@ -244,30 +251,26 @@ def expected_boxes(
     surfaces: Surfaces,
     footprints: Candidates,
     projector: RayDomain,
-    series: Series,
+    pictures: ViewPictures,
     indirect: NDArray[np.float32],
 ) -> Boxes:
     """Return the footprints that smooth surfaces have, with the blur that fits pictures best."""
-    residual = (series.observed - indirect).astype(np.float32)
+    residual = (pictures.radiance - indirect).astype(np.float32)
     choices = [_boxes(surfaces, footprints, projector, blur) for blur in _BLURS]
-    direct = np.bincount(
-        footprints.pixels(projector.size), footprints.weights, surfaces.smooth.size
-    )
+    direct = np.bincount(footprints.camera_pixels, footprints.weights, surfaces.smooth.size)
     misfits = []
     for boxes in choices:
         pixel = boxes.keys // projector.size
         weights = (boxes.share * direct[pixel]).astype(np.float32)
-        matrix = Candidates(boxes.keys, weights, weights).matrix(len(direct), projector.size)
-        misfits.append(_misfit(series, residual - matrix @ series.lit))
+        part = Candidates(len(direct), projector.size, boxes.keys, weights, weights)
+        misfits.append(_misfit(pictures, residual - part.matrix() @ pictures.patterns))
     return choices[int(np.argmin(misfits))]
 
 
 def _boxes(surfaces: Surfaces, footprints: Candidates, projector: RayDomain, blur: float) -> Boxes:
     """Return the footprints that smooth surfaces have, of pixels with footprints."""
     height, width = projector.image_shape
-    direct = np.bincount(
-        footprints.pixels(projector.size), footprints.weights, surfaces.smooth.size
-    )
+    direct = np.bincount(footprints.camera_pixels, footprints.weights, surfaces.smooth.size)
     pixel = np.flatnonzero(surfaces.smooth.ravel() & (direct > 0))
     places = surfaces.places.reshape(2, -1)[:, pixel]
     extent = np.abs(surfaces.slopes).sum(axis=1).reshape(2, -1)[:, pixel]

@@ -85,3 +85,52 @@ def correlate(first: Functions, second: Functions, seen: Float, light: Float, ou
             for column in range(light.shape[1]):
                 total += seen[a, column] * light[b, column] + seen[b, column] * light[a, column]
         out[pair] = total
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def couple_asymmetric(
+    first: Functions,
+    second: Functions,
+    symmetric: Float,
+    antisymmetric: Float,
+    light: Float,
+    out: Float,
+) -> None:
+    """Add ``S light`` to `out`, both (functions, columns), for S that is not symmetric.
+
+    ``S_ab = symmetric + antisymmetric`` and ``S_ba = symmetric - antisymmetric`` for each pair
+    (a, b), with one value of each kind a pair.
+    """
+    for pair in range(len(first)):
+        a, b = first[pair], second[pair]
+        core = symmetric[pair] + antisymmetric[pair]
+        mirrored = symmetric[pair] - antisymmetric[pair]
+        for column in range(light.shape[1]):
+            out[a, column] += core * light[b, column]
+        if a != b:
+            for column in range(light.shape[1]):
+                out[b, column] += mirrored * light[a, column]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def correlate_asymmetric(
+    first: Functions,
+    second: Functions,
+    received: Float,
+    light: Float,
+    symmetric: Float,
+    antisymmetric: Float,
+) -> None:
+    """Write the adjoint of `couple_asymmetric` with respect to the cores.
+
+    For each pair (a, b): ``r_a l_b + r_b l_a``, and ``r_a l_b - r_b l_a``, summed over columns of
+    `received` and `light`, (functions, columns).
+    """
+    for pair in range(len(first)):
+        a, b = first[pair], second[pair]
+        core, mirrored = np.float32(0), np.float32(0)
+        for column in range(light.shape[1]):
+            core += received[a, column] * light[b, column]
+            mirrored += received[b, column] * light[a, column]
+        symmetric[pair] = core if a == b else core + mirrored
+        antisymmetric[pair] = 0 if a == b else core - mirrored

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import ASIDE
-from rfpipe.methods.adaptive.footprints.candidates import Candidates
-from rfpipe.methods.adaptive.footprints.model import Model, find
-from rfpipe.methods.adaptive.footprints.patterns import view_patterns
-from rfpipe.methods.adaptive.footprints.series import series_of, unit_of
 from rfpipe.methods.adaptive.rounds import Adaptive
 from rfpipe.methods.adaptive.state import AdaptiveState
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.error_estimate import HELD_OUT, held_out_patterns
+from rfpipe.methods.footprints.candidates import Candidates
+from rfpipe.methods.footprints.fit import fit_model
+from rfpipe.methods.footprints.model import transport_arrays
+from rfpipe.methods.footprints.patterns import view_patterns
+from rfpipe.methods.footprints.pictures import radiance_unit, split_pictures
 from rfpipe.methods.images import nearest, relight_white
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, residual_cells, root_factor
 from rfpipe.methods.states import kept
@@ -112,16 +113,16 @@ class Footprints(Adaptive):
         """Fit the model, and find what it leaves."""
         assert isinstance(state, FootprintState)
         pictures, views = state.pictures, state.projector.views
-        unit, channels = unit_of(pictures), state.channels
-        grey = series_of(pictures.grey() if channels > 1 else pictures, unit, views)
+        unit, channels = radiance_unit(pictures), state.channels
+        grey = split_pictures(pictures.grey() if channels > 1 else pictures, unit, views)
         indices = range(channels if channels > 1 else 0)
-        parts = (series_of(pictures.channel(index), unit, views) for index in indices)
+        parts = (split_pictures(pictures.channel(index), unit, views) for index in indices)
         # two solutions a scale, twice where nothing is known; then one or two of each channel
         scales = round(log2(coarsest_scale(state.projector.image_shape)))
         solutions = (2 if state.found is None else 1) * (3 + 2 * scales)
         with steps("footprints", solutions + (1 + len(indices)) * min(views, 2)):
-            model = find(state.camera, state.projector, grey, parts, state.found)
-        arrays = transport_arrays(model, state.camera, state.projector, unit)
+            model = fit_model(state.camera, state.projector, grey, parts, state.found)
+        arrays = transport_arrays(model, unit)
         nodes, scalar = len(arrays["cores_columns"]), len(arrays["footprints_columns"])
         state = state.counted(nodes=nodes, scalar=scalar)
         return self._with_residual(state.changed(model=arrays, found=model.grey, residual=None))
@@ -174,21 +175,3 @@ def _model_of(state: AdaptiveState) -> FootprintTransport:
         }
     shapes = state.camera.shape, state.projector.shape
     return FootprintTransport(*shapes, state.channels, [], arrays)
-
-
-def transport_arrays(
-    model: Model, camera: RayDomain, projector: RayDomain, unit: float
-) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a `FootprintTransport`; `unit` is the radiance of 1 in the model."""
-    exchanges = [exchange for _, exchange in model.channels]
-    functions = exchanges[0].functions
-    direct = [candidates.matrix(camera.size, projector.size) for candidates, _ in model.channels]
-    cores = [functions.cores(each.unknowns) for each in exchanges]
-    return {
-        **sparse_arrays("footprints", direct[0], [each.data * np.float32(unit) for each in direct]),
-        **sparse_arrays("left", functions.left),
-        **sparse_arrays("right", functions.right),
-        **sparse_arrays("cores", cores[0], [each.data for each in cores]),
-        "camera_factor": np.stack([each.camera * np.float32(unit) for each in exchanges]),
-        "projector_factor": np.stack([each.projector for each in exchanges]),
-    }

@@ -1,0 +1,157 @@
+"""Candidate footprints: the sparse matrix D of direct light, and its columns by projector view.
+
+======  ==============  =======  ===================================================================
+symbol  code            shape    meaning, unit
+======  ==============  =======  ===================================================================
+``D``   `matrix`        (M, N)   radiance of camera pixel i when projector pixel j alone is on
+-       `keys`          (K,)     ``i N + j``, the places of the K candidate entries of D
+-       `weights`       (K,)     their values, radiance
+-       `variance`      (K,)     their prior variances, radiance squared
+======  ==============  =======  ===================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import Index
+from rfpipe.methods.base import Float
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Projector pixels that may light each camera pixel directly, with their weights.
+
+    Attributes
+    ----------
+    camera_size, projector_size : int
+        M and N: the number of camera pixels, and of projector pixels, of one view or of all views.
+    keys : ndarray of int64, shape (K,)
+        ``i N + j`` if projector pixel j is a candidate of camera pixel i; distinct, ascending.
+    variance : ndarray of float32, shape (K,)
+        Prior variance of each weight, radiance squared.
+    weights : ndarray of float32, shape (K,)
+        Radiance of i when j alone is on, at least 0.
+    """
+
+    camera_size: int
+    projector_size: int
+    keys: Index
+    variance: Float
+    weights: Float
+
+    @property
+    def camera_pixels(self) -> Index:
+        """Number i of each candidate's camera pixel, (K,)."""
+        return self.keys // self.projector_size
+
+    @property
+    def projector_pixels(self) -> NDArray[np.int32]:
+        """Number j of each candidate's projector pixel, (K,)."""
+        return (self.keys % self.projector_size).astype(np.int32)
+
+    @property
+    def starts(self) -> Index:
+        """Index of each camera pixel's first candidate, and K at the end, (M + 1,)."""
+        return np.searchsorted(self.keys, np.arange(self.camera_size + 1) * self.projector_size)
+
+    def matrix(self, values: NDArray[Any] | None = None) -> csr_array[Any]:
+        """Return the weights, or other values (K,), as a sparse matrix (M, N)."""
+        from scipy.sparse import csr_array
+
+        values = self.weights if values is None else values
+        starts = self.starts.astype(np.int32)
+        shape = (self.camera_size, self.projector_size)
+        return csr_array((values, self.projector_pixels, starts), shape=shape)
+
+    def with_variance(
+        self, floodlit: Float, weight_fraction: float, floodlit_fraction: float
+    ) -> Candidates:
+        """Set the prior variance to ``(weight_fraction D)^2 + (floodlit_fraction F)^2``.
+
+        `floodlit` is F, (M,).
+        """
+        variance = np.square(weight_fraction * self.weights)
+        variance += np.square(floodlit_fraction * floodlit[self.camera_pixels])
+        return replace(self, variance=variance.astype(np.float32))
+
+    def above(self, fraction: float, floodlit: Float, exempt: Index | None = None) -> Candidates:
+        """Select weights above a fraction of the floodlit image (M,), and all of `exempt` pixels.
+
+        `exempt` are numbers of camera pixels.
+        """
+        pixels = self.camera_pixels
+        mask = self.weights > fraction * floodlit[pixels]
+        if exempt is not None:
+            is_exempt = np.zeros(self.camera_size, np.bool_)
+            is_exempt[exempt] = True
+            mask |= is_exempt[pixels]
+        return self._masked(mask)
+
+    def at(self, camera_pixels: Index | None) -> Candidates:
+        """Select camera pixels by their numbers, ascending; None selects all."""
+        if camera_pixels is None:
+            return self
+        position = np.full(self.camera_size, -1)
+        position[camera_pixels] = np.arange(len(camera_pixels))
+        mask = position[self.camera_pixels] >= 0
+        part = self._masked(mask)
+        keys = position[part.camera_pixels] * self.projector_size + part.keys % self.projector_size
+        return replace(part, camera_size=len(camera_pixels), keys=keys)
+
+    def _masked(self, mask: NDArray[np.bool_]) -> Candidates:
+        return replace(
+            self, keys=self.keys[mask], variance=self.variance[mask], weights=self.weights[mask]
+        )
+
+
+def unique_keys(keys: Index) -> Index:
+    """Return the distinct keys, ascending; faster than `numpy.unique` on sorted runs."""
+    ordered = np.sort(keys, kind="stable")  # merges the runs
+    is_first = np.ones(len(ordered), np.bool_)
+    np.not_equal(ordered[1:], ordered[:-1], out=is_first[1:])
+    return ordered[is_first]
+
+
+def join_views(parts: Sequence[Candidates]) -> Candidates:
+    """Join the candidates on each projector view, of N pixels, to those on all views."""
+    views = len(parts)
+    if views == 1:
+        return parts[0]
+    size = parts[0].projector_size
+    keys = np.concatenate(
+        [
+            part.keys + (part.camera_pixels * (views - 1) + view) * size
+            for view, part in enumerate(parts)
+        ]
+    )
+    order = np.argsort(keys, kind="stable")
+    variance = np.concatenate([part.variance for part in parts])[order]
+    weights = np.concatenate([part.weights for part in parts])[order]
+    return Candidates(parts[0].camera_size, views * size, keys[order], variance, weights)
+
+
+def split_views(candidates: Candidates, views: int) -> list[Candidates]:
+    """Split candidates on all projector views by view, the inverse of `join_views`."""
+    return [on_view(candidates, view, views) for view in range(views)]
+
+
+def on_view(candidates: Candidates, view: int, views: int) -> Candidates:
+    """Return the candidates on one of the projector's views, numbered from 0."""
+    if views == 1:
+        return candidates
+    size = candidates.projector_size // views
+    mask = candidates.keys % candidates.projector_size // size == view
+    keys = candidates.keys[mask]
+    keys -= (keys // candidates.projector_size * (views - 1) + view) * size
+    return Candidates(
+        candidates.camera_size, size, keys, candidates.variance[mask], candidates.weights[mask]
+    )

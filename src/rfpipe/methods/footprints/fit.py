@@ -1,0 +1,361 @@
+"""Fit of the footprint model: direct light D and indirect light S in turn.
+
+Neither part of ``T = D + f L S R^T g`` is known at first. Each is fitted to what the other leaves
+of the pictures:
+
+1. *First footprints* by a matched filter that suppresses indirect light (`geometry`). They need
+   not be good: they place the projector's pixels in the camera's image, which R and g need.
+2. *Indirect light* from coarse to fine functions, with the weights of D marginalised (`indirect`).
+3. *Footprints again*, from the pictures less indirect light (`geometry`, `weights`).
+4. Steps 2 and 3 once more, if no earlier footprints were given.
+5. Both once more, for the channels' sum and then for each channel, with the same candidates and
+   functions.
+
+With several projector views each camera pixel has footprints on every view, and each pattern lights
+one view. If cameras and projectors share their rays, ``D = D^T`` (`reciprocity`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import Index, RayDomain
+from rfpipe.methods.base import Float
+from rfpipe.methods.footprints.candidates import Candidates, join_views, on_view, split_views
+from rfpipe.methods.footprints.charts import Chart, chart_from_view
+from rfpipe.methods.footprints.functions import (
+    IndirectBasis,
+    camera_factor,
+    camera_to_projector,
+    identity_map,
+    projector_factor,
+)
+from rfpipe.methods.footprints.geometry import first_candidates, refined_candidates
+from rfpipe.methods.footprints.indirect import (
+    BEST,
+    GOOD,
+    ROUGH,
+    Accuracy,
+    FitData,
+    IndirectLight,
+    fit_cores,
+    fit_data,
+    fit_gains,
+    misfit,
+)
+from rfpipe.methods.footprints.matching import BoxTemplates, box_templates
+from rfpipe.methods.footprints.model import ChannelModel, FootprintModel
+from rfpipe.methods.footprints.pictures import ViewPictures, floodlit_by_all
+from rfpipe.methods.footprints.reciprocity import (
+    fit_reciprocal_weights,
+    is_symmetric,
+    symmetrized,
+    with_transposed,
+)
+from rfpipe.methods.footprints.weights import fit_weights
+from rfpipe.methods.images import beyond_noise
+from rfpipe.methods.smooth_light import coarse_to_fine
+from rfpipe.provenance import generator
+from rfpipe.transport.multiscale import cells, coarsest_scale
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Pictures = tuple[ViewPictures, ...]
+
+# Seed, and default number, of the camera rays in the fit of indirect light in a light field.
+_SEED, _LIGHT_FIELD_RAYS = 2006, 4096
+# Candidates below this fraction of the floodlit image are dropped between searches.
+_FAINT = 0.005
+# Prior standard deviations of weights, as fractions of the weight and of the floodlit image: in the
+# last fit, and where both directions of light agree.
+_LAST_PRIOR, _RECIPROCAL_PRIOR = (1.0, 0.02), (0.05, 0.003)
+# Finer functions are added where the error exceeds this fraction of the floodlit image.
+_ALLOWED_ERROR = 0.004
+
+
+@dataclass(frozen=True)
+class FitLimits:
+    """Limits of the fits of indirect light.
+
+    Attributes
+    ----------
+    camera_rays : int
+        Largest number of camera rays; a random subset is used if there are more.
+    cores : int
+        Largest number of unknowns.
+    """
+
+    camera_rays: int
+    cores: int = 1_500_000
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Rig, pictures of the channels' sum, and limits of the fits.
+
+    Attributes
+    ----------
+    camera, projector : RayDomain
+    grey : tuple of ViewPictures
+        One for each projector view.
+    templates : list of BoxTemplates
+        One for each projector view.
+    camera_rays : ndarray of int64, optional
+        Rays in the fits of indirect light, ascending; None for all.
+    largest_core_count : int
+    """
+
+    camera: RayDomain
+    projector: RayDomain
+    grey: Pictures
+    templates: list[BoxTemplates]
+    camera_rays: Index | None
+    largest_core_count: int
+
+
+def fit_model(
+    camera: RayDomain,
+    projector: RayDomain,
+    grey: Pictures,
+    channels: Iterable[Pictures],
+    previous: Candidates | None = None,
+    limits: FitLimits | None = None,
+) -> FootprintModel:
+    """Fit the model to pictures.
+
+    Parameters
+    ----------
+    camera, projector : RayDomain
+    grey : tuple of ViewPictures
+        Sum of the channels, for each projector view.
+    channels : iterable of tuple of ViewPictures
+        Each channel; empty if there is one. Each is fitted before the next is read.
+    previous : Candidates, optional
+        `FootprintModel.grey` of an earlier fit.
+    limits : FitLimits, optional
+        By default all camera rays take part, but 4,096 with several projector views.
+    """
+    problem = _problem(camera, projector, grey, limits)
+    footprints = previous if previous is not None else _first_footprints(problem)
+    for _ in range(1 if previous is not None else 2):
+        light = _fit_indirect(problem, footprints)
+        footprints = _search_again(problem, footprints, light)
+    footprints = _ready_for_last_fit(grey, footprints)
+    combined = _fit_both(grey, footprints, light, problem.camera_rays, BEST)
+    fitted = tuple(_fit_channel(problem, pictures, combined) for pictures in channels)
+    return FootprintModel(combined.footprints, fitted or (combined,))
+
+
+def _problem(
+    camera: RayDomain, projector: RayDomain, grey: Pictures, limits: FitLimits | None
+) -> _Problem:
+    view = RayDomain(projector.image_shape)
+    templates = []
+    for pictures in grey:
+        # projector pixels along each axis of a lit camera pixel, approximately
+        lit = max(1.0, float(pictures.lit_pixels.sum()) / camera.views)
+        density = float(np.sqrt(view.size / lit))
+        templates.append(box_templates(view, pictures.patterns, density))
+    limits = limits or FitLimits(_LIGHT_FIELD_RAYS if len(grey) > 1 else camera.size)
+    camera_rays = None
+    if camera.size > limits.camera_rays:
+        order = generator(_SEED, camera.size).permutation(camera.size)
+        camera_rays = np.sort(order[: limits.camera_rays])
+    return _Problem(camera, projector, grey, templates, camera_rays, limits.cores)
+
+
+def _first_footprints(problem: _Problem) -> Candidates:
+    views = zip(problem.grey, problem.templates, strict=True)
+    return join_views(
+        [first_candidates(pictures, problem.camera, templates) for pictures, templates in views]
+    )
+
+
+def _search_again(problem: _Problem, footprints: Candidates, light: IndirectLight) -> Candidates:
+    """Search for footprints in the pictures less indirect light, and fit their weights."""
+    grey, indirect, parts = problem.grey, light.in_pictures(problem.grey), []
+    views = zip(grey, split_views(footprints, len(grey)), indirect, problem.templates, strict=True)
+    for pictures, part, in_pictures, templates in views:
+        refined = refined_candidates(pictures, part, in_pictures, problem.camera, templates)
+        weighted = fit_weights(refined, pictures, in_pictures)
+        if problem.camera_rays is not None:
+            # only the rays in the fit of indirect light need the faint candidates
+            weighted = weighted.above(_FAINT, pictures.floodlit, problem.camera_rays)
+        parts.append(weighted)
+    footprints = join_views(parts)
+    if not light.basis.mapping.shared_rays:
+        return footprints
+    return _fit_weights_of_views(grey, with_transposed(footprints), indirect)
+
+
+def _ready_for_last_fit(pictures: Pictures, footprints: Candidates) -> Candidates:
+    """Drop faint candidates, and set the prior variances for the last fits."""
+    parts = zip(pictures, split_views(footprints, len(pictures)), strict=True)
+    return join_views(
+        [
+            part.above(_FAINT, view.floodlit).with_variance(view.floodlit, *_LAST_PRIOR)
+            for view, part in parts
+        ]
+    )
+
+
+def _fit_both(
+    pictures: Pictures,
+    footprints: Candidates,
+    light: IndirectLight,
+    camera_rays: Index | None,
+    accuracy: Accuracy,
+) -> ChannelModel:
+    """Fit S, then the weights of D, with fixed candidates and functions."""
+    if light.basis.mapping.shared_rays:
+        return _fit_both_reciprocal(pictures, footprints, light, camera_rays)
+    data = fit_data(pictures, footprints, camera_rays)
+    light = fit_gains(fit_cores(light, data, light.learned_deviations(), accuracy), data)
+    footprints = _fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))
+    return ChannelModel(footprints, light)
+
+
+def _fit_both_reciprocal(
+    pictures: Pictures,
+    footprints: Candidates,
+    light: IndirectLight,
+    camera_rays: Index | None,
+) -> ChannelModel:
+    """Fit weights with ``D = D^T``, and S, in turn.
+
+    Weights that agree in both directions are known so well that S is fitted to the pictures less
+    direct light, with small prior variances of the weights.
+    """
+    footprints = with_transposed(footprints)
+    footprints = _fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))
+    for _ in range(2):
+        footprints = fit_reciprocal_weights(footprints, pictures, light.in_pictures(pictures))
+        views = list(
+            zip(pictures, split_views(symmetrized(footprints), len(pictures)), strict=True)
+        )
+        prior = [part.with_variance(view.floodlit, *_RECIPROCAL_PRIOR) for view, part in views]
+        data = fit_data(pictures, join_views(prior), camera_rays)
+        residual = tuple(
+            replace(view, radiance=view.radiance - part.at(camera_rays).matrix() @ view.patterns)
+            for view, (_, part) in zip(data.pictures, views, strict=True)
+        )
+        data = replace(data, pictures=residual)
+        light = fit_cores(light, data, light.learned_deviations(), GOOD)
+    footprints = fit_reciprocal_weights(footprints, pictures, light.in_pictures(pictures))
+    return ChannelModel(footprints, light)
+
+
+def _fit_weights_of_views(
+    pictures: Pictures, footprints: Candidates, indirect: list[Float]
+) -> Candidates:
+    views = zip(split_views(footprints, len(pictures)), pictures, indirect, strict=True)
+    return join_views([fit_weights(part, view, in_view) for part, view, in_view in views])
+
+
+def _fit_channel(problem: _Problem, pictures: Pictures, combined: ChannelModel) -> ChannelModel:
+    """Fit a channel, starting from the model of the channels' sum, scaled to its brightness."""
+    floodlit, grey = floodlit_by_all(pictures), floodlit_by_all(problem.grey)
+    share = np.divide(floodlit, grey, out=np.zeros_like(floodlit), where=grey > 0)
+    if not any(view.has_light() for view in pictures):
+        share[:] = 0
+    footprints, light = combined.footprints, combined.indirect
+    share_of_each = share[footprints.camera_pixels]
+    footprints = replace(
+        footprints,
+        variance=footprints.variance * np.square(share_of_each),
+        weights=footprints.weights * share_of_each,
+    )
+    mapping = light.basis.mapping
+    typical = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
+    visibility = mapping.visibility
+    sent = visibility * (mapping.means @ share) + (1 - visibility) * np.float32(typical)
+    light = IndirectLight(
+        light.basis,
+        light.f * share,
+        (light.g * sent).astype(np.float32),
+        np.ones_like(light.camera_gain),
+        np.ones_like(light.projector_gain),
+        light.cores / np.float32(typical or 1.0),
+    )
+    if not share.any():
+        return ChannelModel(footprints, light)
+    return _fit_both(pictures, footprints, light, problem.camera_rays, GOOD)
+
+
+def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
+    """Fit S with functions of finer and finer scales, where the pictures need them."""
+    camera, projector, grey = problem.camera, problem.projector, problem.grey
+    direct, floodlit = footprints.matrix(), floodlit_by_all(grey)
+    chart = _chart(problem, footprints)
+    shared = len(grey) > 1 and camera == projector and is_symmetric(footprints)
+    mapping = identity_map(camera.size) if shared else camera_to_projector(direct, floodlit)
+    f = camera_factor(direct, floodlit)
+    g = projector_factor(mapping, f, floodlit)
+    expected = _mean_indirect_light(grey, floodlit, direct)
+    mean = float(floodlit.mean(dtype=np.float64))
+    data = fit_data(grey, footprints, problem.camera_rays)
+
+    def fit(functions: NDArray[np.int32], previous: IndirectLight | None) -> IndirectLight | None:
+        basis = IndirectBasis(chart.basis(functions), projector, mapping)
+        if previous is not None and basis.core_count > problem.largest_core_count:
+            return None
+        gains = (np.ones(camera.size, np.float32), np.ones(projector.size, np.float32))
+        if previous is not None:
+            gains = previous.camera_gain, previous.projector_gain
+        light = IndirectLight(basis, f, g, *gains, np.zeros(basis.core_count, np.float32))
+        light = fit_cores(light, data, basis.prior_deviations(expected, mean), ROUGH)
+        return fit_gains(fit_cores(light, data, light.learned_deviations(), GOOD), data)
+
+    def cells_to_refine(light: IndirectLight, scale: int) -> NDArray[np.bool_]:
+        if 2 * scale == coarsest_scale(chart.shape):
+            return np.ones(cells(chart.shape, scale), np.bool_)
+        return _cells_with_errors(chart, scale, light, data)
+
+    light = coarse_to_fine(chart.shape, fit, cells_to_refine)
+    return fit_cores(light, data, light.learned_deviations(), BEST)
+
+
+def _chart(problem: _Problem, footprints: Candidates) -> Chart:
+    """Return the image of the middle projector view, or the camera's if there is one view."""
+    views = len(problem.grey)
+    if views == 1:
+        return Chart(problem.camera.shape)
+    middle = views // 2
+    direct = on_view(footprints, middle, views).matrix()
+    shape, floodlit = problem.projector.image_shape, problem.grey[middle].floodlit
+    return chart_from_view(problem.camera, direct, shape, floodlit)
+
+
+def _mean_indirect_light(
+    pictures: Pictures, floodlit: Float, direct: csr_array[np.float32]
+) -> float:
+    """Estimate the mean indirect light of the floodlit image, radiance, at least 0.
+
+    With one view it is measured where footprints are dark, in patterns with half of the pixels lit.
+    """
+    lit: Float = np.asarray(direct.sum(axis=1)).ravel()
+    if len(pictures) > 1:
+        return max(float((floodlit - lit).mean(dtype=np.float64)), 0.0)
+    (view,) = pictures
+    lit_part = (direct @ view.patterns[:, 1:]) / np.maximum(lit, np.finfo(np.float32).tiny)[:, None]
+    dark = (1 - np.clip(4 * lit_part, 0, 1)) * view.known[:, None]
+    light = (np.where(dark > 0, view.radiance[:, 1:], 0) * dark).sum(dtype=np.float64)
+    return max(2 * float(light), 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
+
+
+def _cells_with_errors(
+    chart: Chart, scale: int, light: IndirectLight, data: FitData
+) -> NDArray[np.bool_]:
+    """Find the cells of a scale whose errors exceed noise and 0.4 % of the floodlit image."""
+    cell = chart.cells(scale)
+    if data.camera_rays is not None:
+        cell = cell[data.camera_rays]
+    chi_square, freedom, allowed = misfit(light, data, _ALLOWED_ERROR)
+    shape = cells(chart.shape, scale)
+    return beyond_noise(shape, cell, chi_square, freedom, freedom, allowed)

@@ -1,0 +1,186 @@
+"""Search for footprints: the projector pixels that each camera pixel sees.
+
+The search has no calibration and no structured light to start from. At first a matched filter finds
+for each camera pixel the box of the projector's image whose patterns its radiance resembles most
+(`first_candidates`). Once indirect light is estimated, candidates are collected again
+(`refined_candidates`):
+
+1. projector pixels that give light now, and those that at least two of the eight neighbouring
+   camera pixels see, each with its eight neighbours;
+2. for pixels with a large residual, the box that explains it best, such as a reflection.
+
+Two places of the projector may have the same light in all patterns: with 24 patterns, for one pixel
+in a hundred at 96 x 96. Then the place near those of neighbouring pixels is preferred, by a larger
+prior variance: the prior standard deviation of a weight is the larger of ``s x`` and
+``(0.05 + 0.2 s) F`` for the weight x, the floodlit radiance F, and the fraction s of neighbours
+that see the candidate or a pixel near it.
+
+In all modules M, N and P are the numbers of camera pixels, of projector pixels of a view, and of
+pictures, and K that of candidates.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import Index, RayDomain
+from rfpipe.methods.base import Float
+from rfpipe.methods.footprints.candidates import Candidates, unique_keys
+from rfpipe.methods.footprints.matching import (
+    BoxTemplates,
+    coarse_light,
+    matched_filter,
+    pixels_in_boxes,
+)
+from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.weights import MODEL_ERROR, TINY, non_negative_weights
+
+# Least reduction of the squared residual by a new place, in squared standard deviations.
+_LEAST_GAIN = 25.0
+# Weights above this fraction of the floodlit image are certain enough to guide the search.
+_STRONG = 0.01
+# Standard deviations relative to the floodlit image in the first fit: weights, indirect light.
+_FIRST_WEIGHT, _FIRST_INDIRECT = 1 / 4, 0.2
+
+_NEIGHBOURS = [step for step in np.ndindex(3, 3) if step != (1, 1)]
+
+
+def first_candidates(
+    pictures: ViewPictures, camera: RayDomain, templates: BoxTemplates
+) -> Candidates:
+    """Find footprints from the pictures alone.
+
+    Each lit camera pixel has the projector pixels of its best box as candidates. Their weights are
+    fitted with smooth indirect light as noise: it has 20 % of the floodlit image as its standard
+    deviation, and varies over pictures as the light of coarse cells of the patterns.
+    """
+    floodlit, mask = pictures.floodlit, pictures.lit_pixels
+    lit = np.flatnonzero(mask)
+    series = pictures.radiance[lit] / floodlit[lit, None]
+    box, correlation = matched_filter(templates, pictures).match_image(series, camera, mask)
+    is_match = correlation > 0
+    keys = pixels_in_boxes(templates, lit[is_match], box[is_match])
+    size = templates.projector.size
+    variance = np.square(_FIRST_WEIGHT * floodlit[keys // size]).astype(np.float32)
+    candidates = Candidates(camera.size, size, keys, variance, np.zeros(len(keys), np.float32))
+    # the covariance of smooth light is diagonal after a rotation of the pictures
+    cells = coarse_light(templates.projector, pictures.patterns) + 0.5
+    power, rotation = np.linalg.eigh(cells.T @ cells / len(cells))
+    smooth = np.square(_FIRST_INDIRECT * floodlit)[:, None] * np.maximum(power, 0)
+    known = pictures.known[:, None]
+    inverse_variance = np.maximum(pictures.inverse_variance(MODEL_ERROR), TINY)
+    noise = np.where(known, 1 / inverse_variance, 1).mean(axis=1, keepdims=True)
+    rotated = (pictures.patterns @ rotation, pictures.radiance @ rotation)
+    patterns, radiance = (array.astype(np.float32) for array in rotated)
+    precision = np.where(known, 1 / (noise + smooth), 0).astype(np.float32)
+    return non_negative_weights(candidates, floodlit, patterns, radiance, precision)
+
+
+def refined_candidates(
+    pictures: ViewPictures,
+    candidates: Candidates,
+    indirect: Float,
+    camera: RayDomain,
+    templates: BoxTemplates,
+) -> Candidates:
+    """Collect candidates around earlier ones, from neighbours, and from the residual.
+
+    Parameters
+    ----------
+    pictures : ViewPictures
+    candidates : Candidates
+        Earlier ones with their weights.
+    indirect : ndarray of float32, shape (M, P)
+        Indirect light in the pictures, radiance.
+    camera : RayDomain
+    templates : BoxTemplates
+
+    Returns
+    -------
+    Candidates
+        With the weights of earlier ones, 0 for new ones, and prior variances.
+    """
+    size, floodlit = candidates.projector_size, pictures.floodlit
+    strong = candidates.above(_STRONG, floodlit)
+    neighbour_places = _neighbour_places(strong, camera)
+    is_place = neighbour_places >= 0
+    suggested = unique_keys((np.arange(camera.size) * size + neighbour_places)[is_place])
+    support = _neighbour_support(suggested, neighbour_places, templates)
+    confirmed = suggested[support > 1 / len(_NEIGHBOURS)]
+    nearby = _with_neighbours(np.concatenate([strong.keys, confirmed]), templates.projector)
+    unexplained = _residual_keys(pictures, candidates, indirect, templates)
+    keys = unique_keys(np.concatenate([nearby, unexplained]))
+    weights = np.zeros(len(keys), np.float32)
+    weights[np.searchsorted(keys, strong.keys)] = strong.weights
+    support = _neighbour_support(keys, neighbour_places, templates)
+    least = (0.05 + 0.2 * support) * floodlit[keys // size]
+    deviation = np.maximum(weights * support, least)
+    variance = np.square(deviation).astype(np.float32)
+    return Candidates(camera.size, size, keys, variance, weights)
+
+
+def _residual_keys(
+    pictures: ViewPictures, candidates: Candidates, indirect: Float, templates: BoxTemplates
+) -> Index:
+    """Find boxes that explain the residual of pixels where it is large, as sorted keys."""
+    residual = pictures.radiance - indirect - candidates.matrix() @ pictures.patterns
+    inverse_variance = pictures.inverse_variance(MODEL_ERROR)
+    chi_square = np.einsum("im,im,im->i", inverse_variance, residual, residual)
+    is_large = chi_square > max(_LEAST_GAIN, residual.shape[1] / 2)
+    pixel = np.flatnonzero(pictures.lit_pixels & is_large)
+    if len(pixel) > templates.most_series:
+        worst = np.argsort(-chi_square[pixel], kind="stable")[: templates.most_series]
+        pixel = np.sort(pixel[worst])
+    series = residual[pixel] / pictures.floodlit[pixel, None]
+    box, correlation = matched_filter(templates, pictures).match(series)
+    response, weight = templates.response[box], inverse_variance[pixel]
+    # reduction of chi-square by the box with its best weight
+    gain = np.square(np.einsum("im,im,im->i", weight, residual[pixel], response))
+    gain /= np.maximum(np.einsum("im,im,im->i", weight, response, response), TINY)
+    explains = (correlation > 0) & (gain > _LEAST_GAIN) & (gain > 0.25 * chi_square[pixel])
+    return pixels_in_boxes(templates, pixel[explains], box[explains])
+
+
+def _neighbour_places(strong: Candidates, camera: RayDomain) -> Index:
+    """Find the brightest candidate of each camera pixel's eight neighbours, (8, M), -1 for none."""
+    order = np.argsort(strong.weights, kind="stable")
+    brightest = np.full(camera.size, -1)
+    # of repeated indices the last assignment stays
+    brightest[strong.camera_pixels[order]] = strong.keys[order] % strong.projector_size
+    _, height, width = camera.stack_shape
+    image = brightest.reshape(camera.stack_shape)
+    image = np.pad(image, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
+    shifted = [image[:, down : down + height, right : right + width] for down, right in _NEIGHBOURS]
+    return np.stack(shifted).reshape(len(_NEIGHBOURS), -1)
+
+
+def _neighbour_support(
+    keys: Index, neighbour_places: Index, templates: BoxTemplates
+) -> NDArray[np.float32]:
+    """Compute the fraction of a camera pixel's neighbours that see a candidate or a pixel near it.
+
+    Near is at most the width of the smaller box along both axes. Returns float32 (K,), 0 to 1.
+    """
+    projector, reach = templates.projector, templates.width.min()
+    width = projector.image_shape[1]
+    camera_pixel, projector_pixel = np.divmod(keys, projector.size)
+    row, column = np.divmod(projector_pixel, width)
+    count = np.zeros(len(keys), np.float32)
+    for down, right in zip(*np.divmod(neighbour_places, width), strict=True):
+        near = (down[camera_pixel] >= 0) & (abs(row - down[camera_pixel]) <= reach)
+        count += near & (abs(column - right[camera_pixel]) <= reach)
+    return count / np.float32(len(neighbour_places))
+
+
+def _with_neighbours(keys: Index, projector: RayDomain) -> Index:
+    """Add the eight neighbours in the projector's image to candidates; returns sorted keys."""
+    height, width = projector.image_shape
+    row, column = keys // width % height, keys % width
+    parts = [keys[:0]]
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            row_fits = (row + down >= 0) & (row + down < height)
+            fits = row_fits & (column + right >= 0) & (column + right < width)
+            parts.append(keys[fits] + down * width + right)
+    return unique_keys(np.concatenate(parts))

@@ -1,0 +1,331 @@
+"""Fit of the indirect light: regularised least squares over all pictures.
+
+Picture p of camera pixel i is ``c_ip = (D P)_ip + (f L S R^T g P)_ip + noise`` for the patterns P.
+The weights in D are marginalised (`rfpipe.methods.footprints.weights`), so that each camera pixel
+has a precision K_i, and every pixel takes part, lit or dark. The cores S minimise
+
+    sum_i (c_i - (f L S B)_i)^T K_i (c_i - (f L S B)_i) + sum_k (S_k / sigma_k)^2,    B = R^T g P
+
+by conjugate gradients in the unknowns S / sigma. The deviations sigma are learned from the fitted
+cores (`rfpipe.methods.smooth_light`). Then each projector pixel and each camera pixel has a *gain*
+that is fitted with S fixed: factors of g and f, with prior mean 1.
+
+=========  ================================  =============  ========================================
+symbol     code                              shape          meaning, unit
+=========  ================================  =============  ========================================
+``P``      `ViewPictures.patterns`           (N, P)         light of the patterns, 0 to 1
+``c``      `FitData.radiance`                (M, P)         pictures, radiance
+``K``      `FitData.precisions`              (M, P, P)      precision of each camera pixel
+``f, g``   `IndirectLight.f`, `.g`           (M,), (N,)     factors with gains, radiance
+``L, R``   `IndirectBasis.L`, `.R`           (M, n), (N, n) functions
+``S``      `IndirectLight.cores`             (cores,)       symmetric, then antisymmetric parts,
+                                                            inverse radiance
+``B``      `CoreOperator.sent`               (n, P)         light of the patterns on the functions
+``sigma``  `deviations`                      (cores,)       prior standard deviations of S
+=========  ================================  =============  ========================================
+
+With several projector views the pictures of all views stand beside each other along P. A fit may be
+restricted to some of the camera rays: then M is their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from rfpipe.blocks import Index
+from rfpipe.methods.base import Float
+from rfpipe.methods.footprints.candidates import Candidates, split_views
+from rfpipe.methods.footprints.functions import IndirectBasis
+from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.weights import MarginalPrecision, marginal_precision
+from rfpipe.methods.least_squares import conjugate_gradients
+from rfpipe.methods.smooth_light import learned_deviations
+from rfpipe.steps import step
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+class Accuracy(NamedTuple):
+    """End of a fit: residual relative to that of zero, and largest number of iterations."""
+
+    tolerance: float
+    iterations: int
+
+
+ROUGH, GOOD, BEST = Accuracy(1e-2, 40), Accuracy(1e-3, 120), Accuracy(3e-4, 200)
+
+_GAIN_ACCURACY = Accuracy(1e-2, 25)
+_LEAST_GAIN, _LARGEST_GAIN = 0.2, 4.0
+# Prior standard deviations of gains: of projector pixels that the camera sees, of those that it
+# does not see, and of camera pixels.
+_VISIBLE_SPREAD, _HIDDEN_SPREAD, _CAMERA_SPREAD = 0.05, 0.3, 0.1
+
+
+@dataclass(frozen=True)
+class IndirectLight:
+    """Indirect light ``diag(f) L S R^T diag(g)`` of one channel.
+
+    Attributes
+    ----------
+    basis : IndirectBasis
+        L, R and the pairs of functions.
+    camera_factor : ndarray of float32, shape (camera rays,)
+    projector_factor : ndarray of float32, shape (projector rays,)
+        Factors without gains, see `rfpipe.methods.footprints.functions`.
+    camera_gain : ndarray of float32, shape (camera rays,)
+    projector_gain : ndarray of float32, shape (projector rays,)
+        1 where the pictures do not determine them.
+    cores : ndarray of float32, shape (basis.core_count,)
+        S: symmetric parts, then antisymmetric parts.
+    """
+
+    basis: IndirectBasis
+    camera_factor: Float
+    projector_factor: Float
+    camera_gain: Float
+    projector_gain: Float
+    cores: Float
+
+    @property
+    def f(self) -> Float:
+        """Factor of the camera rays, (camera rays,)."""
+        return self.camera_factor * self.camera_gain
+
+    @property
+    def g(self) -> Float:
+        """Factor of the projector rays, (projector rays,)."""
+        return self.projector_factor * self.projector_gain
+
+    def learned_deviations(self) -> Float:
+        """Return the root mean square of the cores of each group, (core_count,)."""
+        return learned_deviations(self.basis.core_groups, self.cores)
+
+    def in_pictures(self, pictures: Sequence[ViewPictures]) -> list[Float]:
+        """Compute the indirect light in the pictures of each projector view, (camera rays, P)."""
+        light = core_operator(self, pictures, None).forward(self.cores)
+        return _split(light, pictures)
+
+
+@dataclass(frozen=True)
+class FitData:
+    """Pictures of the camera rays that take part in a fit.
+
+    Attributes
+    ----------
+    pictures : tuple of ViewPictures
+        One for each projector view.
+    precisions : tuple of MarginalPrecision
+        One for each projector view.
+    camera_rays : ndarray of int64, optional
+        Numbers of the M rays in the fit, ascending; None for all.
+    """
+
+    pictures: tuple[ViewPictures, ...]
+    precisions: tuple[MarginalPrecision, ...]
+    camera_rays: Index | None
+
+    @cached_property
+    def radiance(self) -> Float:
+        """Pictures of all views, (M, P)."""
+        return np.concatenate([view.radiance for view in self.pictures], axis=1)
+
+    def apply_precision(self, images: Float) -> Float:
+        """Multiply images like the pictures, (M, P), by the precision of each camera ray."""
+        parts = zip(self.precisions, _split(images, self.pictures), strict=True)
+        return np.concatenate([precision.apply(part) for precision, part in parts], axis=1)
+
+
+def fit_data(
+    pictures: Sequence[ViewPictures], footprints: Candidates, camera_rays: Index | None
+) -> FitData:
+    """Select the camera rays of a fit, and marginalise the weights of their footprints."""
+    parts = split_views(footprints, len(pictures))
+    in_fit = tuple(view.at(camera_rays) for view in pictures)
+    precisions = tuple(
+        marginal_precision(part.at(camera_rays), view)
+        for part, view in zip(parts, in_fit, strict=True)
+    )
+    return FitData(in_fit, precisions, camera_rays)
+
+
+@dataclass(frozen=True)
+class CoreOperator:
+    """Linear map from the cores to the pictures, ``S -> f L S B`` with ``B = R^T g P``.
+
+    Attributes
+    ----------
+    basis : IndirectBasis
+    L : csr_array of float32, shape (M, n)
+    f : ndarray of float32, shape (M,)
+    sent : ndarray of float32, shape (n, P)
+        B.
+    """
+
+    basis: IndirectBasis
+    L: csr_array[np.float32]
+    f: Float
+    sent: Float
+
+    def forward(self, cores: Float) -> Float:
+        """Compute the pictures of cores, (M, P)."""
+        from rfpipe.transport.pair_kernels import couple_asymmetric
+
+        pairs = self.basis.camera.pairs
+        received = np.zeros_like(self.sent)
+        couple_asymmetric(*pairs, *np.split(cores, 2), self.sent, received)
+        images: Float = (self.L @ received) * self.f[:, None]
+        return images
+
+    def adjoint(self, images: Float) -> Float:
+        """Apply the transpose of `forward` to images (M, P); returns (core_count,)."""
+        from rfpipe.transport.pair_kernels import correlate_asymmetric
+
+        received = self.L.T @ (images * self.f[:, None])
+        received = np.ascontiguousarray(received, np.float32)
+        result = np.empty(self.basis.core_count, np.float32)
+        pairs = self.basis.camera.pairs
+        correlate_asymmetric(*pairs, received, self.sent, *np.split(result, 2))
+        return result
+
+    def normal_diagonal(self, data: FitData) -> Float:
+        """Estimate the diagonal of ``forward^T K forward``, (core_count,)."""
+        basis = self.basis.camera
+        trace = sum(precision.trace for precision in data.precisions)
+        precision = trace / self.sent.shape[1] * np.square(self.f)
+        weight = self.L.multiply(self.L).T @ precision
+        power = np.einsum("am,am->a", self.sent, self.sent)
+        forth = weight[basis.first] * power[basis.second]
+        mirrored = weight[basis.second] * power[basis.first]
+        diagonal = np.where(basis.first == basis.second, forth, forth + mirrored)
+        return np.concatenate([diagonal, diagonal]).astype(np.float32)
+
+
+def core_operator(
+    light: IndirectLight, pictures: Sequence[ViewPictures], camera_rays: Index | None
+) -> CoreOperator:
+    """Build the operator of the pictures of some camera rays; None for all."""
+    rays = slice(None) if camera_rays is None else camera_rays
+    L = light.basis.L if camera_rays is None else light.basis.L[camera_rays]
+    return CoreOperator(light.basis, L, light.f[rays], _sent(light.basis, light.g, pictures))
+
+
+def fit_cores(
+    light: IndirectLight, data: FitData, deviations: Float, accuracy: Accuracy
+) -> IndirectLight:
+    """Fit S, starting from the cores of `light`, with prior standard deviations (core_count,)."""
+    operator = core_operator(light, data.pictures, data.camera_rays)
+
+    def project(images: Float) -> Float:
+        return deviations * operator.adjoint(data.apply_precision(images))
+
+    def normal(unknowns: Float) -> Float:
+        return project(operator.forward(deviations * unknowns)) + unknowns
+
+    start = np.zeros_like(deviations)
+    np.divide(light.cores, deviations, out=start, where=deviations > 0)
+    diagonal = 1 + operator.normal_diagonal(data) * np.square(deviations)
+    scaling = np.float32(1) / diagonal
+    target = project(data.radiance)
+    solution = conjugate_gradients(normal, target, scaling.__mul__, start, *accuracy)
+    step()
+    return replace(light, cores=deviations * solution)
+
+
+def fit_gains(light: IndirectLight, data: FitData) -> IndirectLight:
+    """Fit the gains of projector pixels, then of camera pixels, with S fixed.
+
+    Gains stay the same if the fit is restricted to some camera rays.
+    """
+    if data.camera_rays is not None:
+        return light
+    return _fit_camera_gains(_fit_projector_gains(light, data), data)
+
+
+def _fit_projector_gains(light: IndirectLight, data: FitData) -> IndirectLight:
+    basis, pictures = light.basis, data.pictures
+    visible = basis.mapping.visibility > 1 / 2
+    spread = np.where(visible, _VISIBLE_SPREAD, _HIDDEN_SPREAD).astype(np.float32)
+    S, f, g = basis.core_matrix(light.cores), light.f, light.projector_factor
+
+    def forward(gain: Float) -> Float:
+        images: Float = (basis.L @ (S @ _sent(basis, gain * g, pictures))) * f[:, None]
+        return images
+
+    def project(images: Float) -> Float:
+        received = basis.L.T @ (data.apply_precision(images) * f[:, None])
+        on_views = _split(S.T @ received, pictures)
+        change = [
+            np.einsum("jm,jm->j", view.patterns, R @ on_view)
+            for R, on_view, view in zip(basis.R_by_view, on_views, pictures, strict=True)
+        ]
+        gradient: Float = spread * g * np.concatenate(change)
+        return gradient
+
+    def normal(change: Float) -> Float:
+        return project(forward(spread * change)) + change
+
+    target = project(data.radiance - forward(np.ones_like(spread)))
+    start = ((light.projector_gain - 1) / spread).astype(np.float32)
+    change = conjugate_gradients(normal, target, np.copy, start, *_GAIN_ACCURACY)
+    gain = np.clip(1 + spread * change, _LEAST_GAIN, _LARGEST_GAIN)
+    return replace(light, projector_gain=gain)
+
+
+def _fit_camera_gains(light: IndirectLight, data: FitData) -> IndirectLight:
+    images = np.concatenate(light.in_pictures(data.pictures), axis=1)
+    images /= light.camera_gain[:, None]
+    weighted, prior = data.apply_precision(images), np.float32(1 / _CAMERA_SPREAD**2)
+    normal = np.einsum("im,im->i", weighted, images) + prior
+    gain = (np.einsum("im,im->i", weighted, data.radiance) + prior) / normal
+    return replace(light, camera_gain=np.clip(gain, _LEAST_GAIN, _LARGEST_GAIN))
+
+
+class Misfit(NamedTuple):
+    """Differences between pictures and model, for each camera ray of a fit, (M,) each.
+
+    chi_square : differences in squared standard deviations
+    degrees_of_freedom : mean of chi_square from noise alone
+    allowed : chi_square of an error by a given fraction of the floodlit image
+    """
+
+    chi_square: Float
+    degrees_of_freedom: Float
+    allowed: Float
+
+
+def misfit(light: IndirectLight, data: FitData, allowed: float) -> Misfit:
+    """Compare the pictures with the model.
+
+    `allowed` is the allowed error as a fraction of the floodlit image.
+    """
+    operator = core_operator(light, data.pictures, data.camera_rays)
+    images = _split(operator.forward(light.cores), data.pictures)
+    views = []
+    for view, precision, image in zip(data.pictures, data.precisions, images, strict=True):
+        residual = view.radiance - image
+        count = view.patterns.shape[1]
+        weights = np.minimum(precision.candidate_counts, count // 2)
+        freedom = np.where(view.known, count - weights, 0)
+        chi_square = np.einsum("im,im->i", residual, precision.apply(residual))
+        views.append((chi_square, freedom, precision.trace * np.square(allowed * view.floodlit)))
+    return Misfit(*(sum(terms[1:], terms[0]) for terms in zip(*views, strict=True)))
+
+
+def _sent(basis: IndirectBasis, g: Float, pictures: Sequence[ViewPictures]) -> Float:
+    """Compute ``R^T g P`` of the patterns of all views, (n, P)."""
+    factors = g.reshape(len(pictures), -1, 1)
+    sides = zip(basis.R_by_view, pictures, factors, strict=True)
+    sent = [R.T @ (view.patterns * factor) for R, view, factor in sides]
+    return np.ascontiguousarray(np.concatenate(sent, axis=1), np.float32)
+
+
+def _split(images: Float, pictures: Sequence[ViewPictures]) -> list[Float]:
+    """Split arrays (..., P) of all views by projector view."""
+    ends = np.cumsum([view.patterns.shape[1] for view in pictures])
+    return np.split(images, ends[:-1], axis=1)

@@ -1,0 +1,304 @@
+"""Compiled loops over camera pixels: weights of footprints, and matching.
+
+For camera pixel i with k candidates and P pictures:
+
+======  ======  ====================================================================================
+symbol  shape   meaning
+======  ======  ====================================================================================
+``A``   (P, k)  light of each candidate projector pixel in each pattern
+``c``   (P,)    radiance
+``W``   (P, P)  diagonal matrix of the inverse variances of c
+``G``   (k, k)  diagonal matrix of the prior variances of the weights
+``e``   (k,)    prior means of the weights
+======  ======  ====================================================================================
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rfpipe.blocks import Index
+from rfpipe.methods.base import Float
+
+Double = NDArray[np.float64]
+Int32 = NDArray[np.int32]
+
+# A weight at 0 is freed if the slope of the objective exceeds this fraction of the largest target.
+_SLOPE_TOLERANCE = 1e-8
+
+
+class CandidateRows(NamedTuple):
+    """Candidates of all camera pixels, and the patterns.
+
+    Those of camera pixel i are ``projector_pixels[starts[i] : starts[i + 1]]``; their rows of
+    `patterns` are ``A^T``.
+    """
+
+    starts: Index  # (M + 1,)
+    projector_pixels: Int32  # (K,)
+    patterns: Float  # (N, P)
+
+
+class PixelPictures(NamedTuple):
+    """Pictures c of each camera pixel, and the diagonal of W."""
+
+    radiance: Float  # (M, P)
+    inverse_variance: Float  # (M, P)
+
+
+class WeightPrior(NamedTuple):
+    """Normal distribution of the weights before any picture: diagonal of ``G^-1``, and e."""
+
+    inverse_variance: Float  # (K,)
+    mean: Float  # (K,)
+
+
+class BoxGrid(NamedTuple):
+    """Normalised responses of boxes at half-pixel positions of an image, one grid a box width."""
+
+    responses: Float  # (widths x rows x columns, P), each of length 1
+    rows: int
+    columns: int
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _gram(pixels: Int32, patterns: Float, inverse_variance: Float) -> Double:
+    """Compute ``A^T W A`` of a camera pixel, (k, k)."""
+    count = len(pixels)
+    gram, weighted = np.empty((count, count)), np.empty(patterns.shape[1])
+    for a in range(count):
+        for p in range(len(weighted)):
+            weighted[p] = inverse_variance[p] * patterns[pixels[a], p]
+        for b in range(a + 1):
+            total, second = 0.0, patterns[pixels[b]]
+            for p in range(len(weighted)):
+                total += weighted[p] * second[p]
+            gram[a, b] = gram[b, a] = total
+    return gram
+
+
+@njit(cache=True, nogil=True)
+def _projected(pixels: Int32, patterns: Float, values: Float) -> Double:
+    """Compute ``A^T values`` of a camera pixel, (k,)."""
+    result = np.zeros(len(pixels))
+    for a in range(len(pixels)):
+        for p in range(len(values)):
+            result[a] += patterns[pixels[a], p] * values[p]
+    return result
+
+
+@njit(cache=True, nogil=True)
+def solve_weights(
+    rows: CandidateRows,
+    pictures: PixelPictures,
+    prior: WeightPrior,
+    start: Float,
+    least_evidence: float,
+) -> Float:
+    """Minimise ``(c - A x)^T W (c - A x) + (x - e)^T G^-1 (x - e)`` over x >= 0 for each pixel.
+
+    The weights x are 0 where they explain less than `least_evidence` squared standard deviations of
+    c, ``c^T W c - (c - A x)^T W (c - A x)``. `start`, (K,), is the first estimate; a good one saves
+    time. Returns the weights of all pixels, (K,).
+    """
+    weights = np.zeros(len(rows.projector_pixels), np.float32)
+    for i in range(len(rows.starts) - 1):
+        first, last = rows.starts[i], rows.starts[i + 1]
+        if first == last:
+            continue
+        pixels, w = rows.projector_pixels[first:last], pictures.inverse_variance[i]
+        gram = _gram(pixels, rows.patterns, w)
+        projected = _projected(pixels, rows.patterns, w * pictures.radiance[i])
+        matrix, target = gram.copy(), projected.copy()
+        for a in range(last - first):
+            matrix[a, a] += prior.inverse_variance[first + a]
+            target[a] += prior.inverse_variance[first + a] * prior.mean[first + a]
+        x = _non_negative(matrix, target, start[first:last].astype(np.float64))
+        if x @ (2 * projected - gram @ x) >= least_evidence:
+            weights[first:last] = x
+    return weights
+
+
+@njit(cache=True, nogil=True)
+def _non_negative(matrix: Double, target: Double, x: Double) -> Double:
+    """Minimise ``x^T matrix x / 2 - target^T x`` over x >= 0, from an estimate that is overwritten.
+
+    Active sets of Lawson and Hanson (1974). Coordinate descent would give all light to the first of
+    several projector pixels with the same patterns.
+    """
+    free = x > 0
+    for _ in range(3 * len(target)):
+        _minimise_free(matrix, target, x, free)
+        slope = target - matrix @ x
+        slope[free] = 0
+        steepest = np.argmax(slope)
+        if slope[steepest] <= _SLOPE_TOLERANCE * target.max():
+            break
+        free[steepest] = True
+    return x
+
+
+@njit(cache=True, nogil=True)
+def _minimise_free(matrix: Double, target: Double, x: Double, free: NDArray[np.bool_]) -> None:
+    """Minimise over the free elements of x; those that reach 0 on the way stay there."""
+    while free.any():
+        index = np.flatnonzero(free)
+        before = x[index]
+        after = np.linalg.solve(matrix[index][:, index], target[index])
+        fraction = np.ones(len(index))
+        for k in range(len(index)):
+            if after[k] <= 0:
+                fraction[k] = before[k] / (before[k] - after[k]) if before[k] > 0 else 0.0
+        step = fraction.min()
+        x[index] = before + step * (after - before)
+        if step == 1.0:
+            return
+        x[index[fraction == step]] = 0
+        free[index[fraction == step]] = False
+
+
+@njit(cache=True, nogil=True)
+def marginal_factors(
+    rows: CandidateRows, variance: Float, inverse_variance: Float
+) -> tuple[Double, Float]:
+    """Factor each camera pixel's precision when the weights of its candidates are unknown.
+
+    With weights of mean 0 and variance G the covariance of the pictures is ``W^-1 + A G A^T``, and
+    its inverse
+
+        W - W A H A^T W = W - U^T U,    H = (G^-1 + A^T W A)^-1,    U = C^-1 A^T W
+
+    where C is the Cholesky factor, ``C C^T = H^-1``.
+
+    Parameters
+    ----------
+    rows : CandidateRows
+    variance : ndarray of float32, shape (K,)
+        Diagonal of G.
+    inverse_variance : ndarray of float32, shape (M, P)
+        Diagonal of W.
+
+    Returns
+    -------
+    factors : ndarray of float64, shape (K, P)
+        U of all pixels. In float32 the precision would not be positive for exact pictures.
+    trace : ndarray of float32, shape (M,)
+        Trace of each precision.
+    """
+    factors = np.empty((len(rows.projector_pixels), rows.patterns.shape[1]))
+    trace = np.empty(len(rows.starts) - 1, np.float32)
+    for i in range(len(trace)):
+        first, last = rows.starts[i], rows.starts[i + 1]
+        total = 0.0
+        for p in range(inverse_variance.shape[1]):
+            total += inverse_variance[i, p]
+        if first < last:
+            pixels, U = rows.projector_pixels[first:last], factors[first:last]
+            inner = _gram(pixels, rows.patterns, inverse_variance[i])
+            for a in range(len(U)):
+                inner[a, a] += 1 / variance[first + a]
+                U[a] = rows.patterns[pixels[a]].astype(np.float64) * inverse_variance[i]
+            _substitute(np.linalg.cholesky(inner), U)
+            for u in U.ravel():
+                total -= u * u
+        trace[i] = max(total, 0.0)
+    return factors, trace
+
+
+@njit(cache=True, nogil=True)
+def _substitute(lower: Double, U: Double) -> None:
+    """Overwrite U, (k, P), with ``lower^-1 U``."""
+    for a in range(len(U)):
+        for b in range(a):
+            for p in range(U.shape[1]):
+                U[a, p] -= lower[a, b] * U[b, p]
+        for p in range(U.shape[1]):
+            U[a, p] /= lower[a, a]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def apply_precision(
+    starts: Index, factors: Double, inverse_variance: Float, pictures: Float
+) -> Float:
+    """Compute ``(W - U^T U) c`` of each camera pixel, float32 (M, P).
+
+    `factors` are U as in `marginal_factors`, (K, P), `inverse_variance` the diagonals of W, (M, P),
+    `pictures` c, (M, P).
+    """
+    result = np.empty_like(pictures)
+    count = pictures.shape[1]
+    explained = np.empty(count)
+    for i in range(len(starts) - 1):
+        explained[:] = 0
+        for candidate in range(starts[i], starts[i + 1]):
+            total = 0.0
+            for p in range(count):
+                total += factors[candidate, p] * pictures[i, p]
+            for p in range(count):
+                explained[p] += total * factors[candidate, p]
+        for p in range(count):
+            result[i, p] = np.float64(inverse_variance[i, p]) * pictures[i, p] - explained[p]
+    return result
+
+
+@njit(cache=True, nogil=True)
+def match_near(series: Float, grid: BoxGrid, guesses: Double, reach: float) -> tuple[Index, Float]:
+    """Find the box of highest correlation with each series, among boxes near guessed places.
+
+    Parameters
+    ----------
+    series : ndarray of float32, shape (m, P)
+        Of length 1 each, as the boxes' responses are.
+    grid : BoxGrid
+    guesses : ndarray of float64, shape (m, guesses, 2)
+        Row and column in pixels; NaN for none. A box is compared if it is at most `reach` pixels
+        from a guess along both axes.
+    reach : float
+
+    Returns
+    -------
+    boxes : ndarray of int64, shape (m,)
+    correlation : ndarray of float32, shape (m,)
+        0 where there is no guess.
+    """
+    best, score = np.zeros(len(series), np.int64), np.zeros(len(series), np.float32)
+    size = grid.rows * grid.columns
+    for i in range(len(series)):
+        for guess in range(guesses.shape[1]):
+            row, column = guesses[i, guess]
+            if np.isnan(row):
+                continue
+            # the box of number b along an axis is centred at (b + 1) / 2
+            top, bottom = _positions(row, reach, grid.rows)
+            left, right = _positions(column, reach, grid.columns)
+            for start in range(0, len(grid.responses), size):
+                for y in range(top, bottom):
+                    line = start + y * grid.columns
+                    box, alike = _best_of(series[i], grid.responses, line + left, line + right)
+                    if alike > score[i]:
+                        best[i], score[i] = box, alike
+    return best, score
+
+
+@njit(cache=True, nogil=True)
+def _positions(place: float, reach: float, count: int) -> tuple[int, int]:
+    """Compute the half-open range of positions within reach of a place along an axis."""
+    first = max(0, int(np.ceil(2 * (place - reach) - 1)))
+    return first, min(count, int(np.floor(2 * (place + reach) - 1)) + 1)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _best_of(series: Float, responses: Float, first: int, end: int) -> tuple[int, np.float32]:
+    """Find the row of largest product with a series among ``responses[first:end]``."""
+    best, score = first, np.float32(0)
+    for box in range(first, end):
+        alike = np.float32(0)
+        for p in range(len(series)):
+            alike += series[p] * responses[box, p]
+        if alike > score:
+            best, score = box, alike
+    return best, score

@@ -1,0 +1,93 @@
+"""Footprints of rigs whose cameras share the rays of the projectors: ``D = D^T``.
+
+By reciprocity (thesis, eq. 2.10) camera pixel i receives from projector pixel j as much as j would
+from i, so that both entries of D are estimates of one weight. A light field of coaxial pairs of
+cameras and projectors is such a rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rfpipe.methods.base import Float
+from rfpipe.methods.footprints.candidates import (
+    Candidates,
+    join_views,
+    split_views,
+    unique_keys,
+)
+from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.weights import fit_weights
+
+# Largest difference between D and its transpose, relative to the norm of D. Footprints of rigs that
+# aren't coaxial have nothing in common with their transpose.
+_LARGEST_DIFFERENCE = 0.5
+# Standard deviation of a weight from its transposed one: fractions of it and of the floodlit image.
+_DIFFERENCE = (0.1, 0.003)
+
+
+def is_symmetric(footprints: Candidates) -> bool:
+    """Return True if D and its transpose differ by less than half of the norm of D."""
+    completed, transposed = _both_ways(footprints)
+    difference = np.linalg.norm(completed.weights - transposed)
+    return bool(difference < _LARGEST_DIFFERENCE * np.linalg.norm(completed.weights))
+
+
+def with_transposed(footprints: Candidates) -> Candidates:
+    """Add a candidate with weight 0 wherever only the transposed one has light."""
+    return _both_ways(footprints)[0]
+
+
+def symmetrized(footprints: Candidates) -> Candidates:
+    """Return ``(D + D^T) / 2``."""
+    completed, transposed = _both_ways(footprints)
+    return replace(completed, weights=((completed.weights + transposed) / 2).astype(np.float32))
+
+
+def fit_reciprocal_weights(
+    footprints: Candidates, pictures: Sequence[ViewPictures], indirect: Sequence[Float]
+) -> Candidates:
+    """Fit the weights to the pictures less indirect light, near the transposed weights.
+
+    Parameters
+    ----------
+    footprints : Candidates
+        On all views of the projector.
+    pictures : sequence of ViewPictures
+        One for each view.
+    indirect : sequence of ndarray of float32, shape (M, P)
+        Indirect light in the pictures of each view, radiance.
+    """
+    completed, transposed = _both_ways(footprints)
+    expected = split_views(replace(completed, weights=transposed), len(pictures))
+    parts = []
+    for view, part, light in zip(pictures, expected, indirect, strict=True):
+        prior = part.with_variance(view.floodlit, *_DIFFERENCE)
+        parts.append(fit_weights(prior, view, light, prior.weights))
+    return join_views(parts)
+
+
+def _both_ways(footprints: Candidates) -> tuple[Candidates, Float]:
+    """Add the transposed candidates that have light, and return the transposed weights, too.
+
+    The variance is the larger one of both ways.
+    """
+    size = footprints.projector_size
+    keys = footprints.keys
+    # order of the entries by columns, which is the order of the transposed keys
+    order = footprints.matrix(np.arange(len(keys), dtype=np.int32)).tocsc().data
+    mirrored = (keys % size * size + keys // size)[order]
+    weights, variances = footprints.weights[order], footprints.variance[order]
+    union = unique_keys(np.concatenate([keys, mirrored[weights > 0]]))
+    index, mirrored_index = np.searchsorted(union, keys), np.searchsorted(union, mirrored)
+    known = union[np.minimum(mirrored_index, len(union) - 1)] == mirrored
+    mirrored_index = mirrored_index[known]
+    variance, direct, transposed = np.zeros((3, len(union)), np.float32)
+    direct[index], transposed[mirrored_index] = footprints.weights, weights[known]
+    variance[index] = footprints.variance
+    variance[mirrored_index] = np.maximum(variance[mirrored_index], variances[known])
+    completed = replace(footprints, keys=union, variance=variance, weights=direct)
+    return completed, transposed

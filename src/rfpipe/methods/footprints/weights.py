@@ -1,0 +1,169 @@
+"""Weights of footprints: the light that each candidate projector pixel contributes.
+
+For camera pixel i with k candidates and P pictures, the weights x minimise
+
+    (c - A x)^T W (c - A x) + (x - e)^T G^-1 (x - e),    x >= 0
+
+Where the fit of indirect light needs the pictures but not the weights, these are marginalised: the
+covariance of c becomes ``W^-1 + A G A^T``, and its inverse is the pixel's *precision*.
+
+======  =========================  =======  ======================================================
+symbol  code                       shape    meaning, unit
+======  =========================  =======  ======================================================
+``A``   rows of `patterns`         (P, k)   light of each candidate in each pattern, 0 to 1
+``x``   `Candidates.weights`       (k,)     weights, radiance: row i of D
+``c``   `radiance`                 (P,)     pictures less indirect light, radiance
+``W``   `inverse_variance`         (P,)     its diagonal: 1 / variance of c
+``e``   `mean`                     (k,)     prior mean of the weights, radiance
+``G``   `Candidates.variance`      (k,)     its diagonal: prior variance, radiance squared
+======  =========================  =======  ======================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import Index
+from rfpipe.methods.base import Float
+from rfpipe.methods.footprints.candidates import Candidates
+from rfpipe.methods.footprints.pictures import ViewPictures
+
+MODEL_ERROR = 0.003
+"""Error of the model in the fit of weights, relative to the floodlit image."""
+
+TINY = np.finfo(np.float32).tiny
+
+# Weights that explain less than this many squared standard deviations of the pictures become 0.
+_LEAST_EVIDENCE = 12.0
+# Prior standard deviation for the next fit: fractions of the weight and of the floodlit image.
+_NEXT_PRIOR = (1.0, 0.03)
+
+
+def fit_weights(
+    candidates: Candidates, pictures: ViewPictures, indirect: Float, mean: Float | None = None
+) -> Candidates:
+    """Fit the weights to the pictures less indirect light.
+
+    Parameters
+    ----------
+    candidates : Candidates
+        With prior variances. Their weights are the first estimate.
+    pictures : ViewPictures
+    indirect : ndarray of float32, shape (M, P)
+        Indirect light in the pictures, radiance.
+    mean : ndarray of float32, shape (K,), optional
+        Prior means of the weights; 0 by default.
+
+    Returns
+    -------
+    Candidates
+        With the prior standard deviation for the next fit: the weight, and 3 % of the floodlit
+        image.
+    """
+    residual = (pictures.radiance - indirect).astype(np.float32)
+    fitted = non_negative_weights(
+        candidates,
+        pictures.floodlit,
+        pictures.patterns,
+        residual,
+        pictures.inverse_variance(MODEL_ERROR),
+        mean,
+    )
+    return fitted.with_variance(pictures.floodlit, *_NEXT_PRIOR)
+
+
+def non_negative_weights(
+    candidates: Candidates,
+    floodlit: Float,
+    patterns: Float,
+    radiance: Float,
+    inverse_variance: Float,
+    mean: Float | None = None,
+) -> Candidates:
+    """Compute the non-negative weights that explain pictures best, by the module's equation.
+
+    Parameters
+    ----------
+    candidates : Candidates
+        With prior variances. Their weights are the first estimate, which affects only the time.
+    floodlit : ndarray of float32, shape (M,)
+    patterns : ndarray of float32, shape (N, P)
+    radiance, inverse_variance : ndarray of float32, shape (M, P)
+        c and the diagonals of W.
+    mean : ndarray of float32, shape (K,), optional
+        e; 0 by default.
+    """
+    from rfpipe.methods.footprints.kernels import (
+        CandidateRows,
+        PixelPictures,
+        WeightPrior,
+        solve_weights,
+    )
+
+    patterns, inverse_variance, radiance = map(
+        np.ascontiguousarray, (patterns, inverse_variance, radiance)
+    )
+    least = np.square(1e-4 * floodlit[candidates.camera_pixels])
+    # reciprocity can make candidates of a black pixel, whose prior variance is 0
+    prior_precision = (1 / np.maximum(candidates.variance + least, TINY)).astype(np.float32)
+    prior_mean = np.zeros_like(prior_precision) if mean is None else mean
+    weights = solve_weights(
+        CandidateRows(candidates.starts, candidates.projector_pixels, patterns),
+        PixelPictures(radiance, inverse_variance),
+        WeightPrior(prior_precision, prior_mean),
+        candidates.weights,
+        _LEAST_EVIDENCE,
+    )
+    return replace(candidates, weights=weights)
+
+
+@dataclass(frozen=True)
+class MarginalPrecision:
+    """Inverse covariance of each camera pixel's pictures when its weights are unknown.
+
+    It is ``W - U^T U`` with the factors U of `kernels.marginal_factors`.
+
+    Attributes
+    ----------
+    starts : ndarray of int64, shape (M + 1,)
+        As `Candidates.starts`.
+    factors : ndarray of float64, shape (K, P)
+        U.
+    inverse_variance : ndarray of float32, shape (M, P)
+        Diagonal of W.
+    trace : ndarray of float32, shape (M,)
+        Trace of the precision of each pixel.
+    """
+
+    starts: Index
+    factors: NDArray[np.float64]
+    inverse_variance: Float
+    trace: Float
+
+    @property
+    def candidate_counts(self) -> Index:
+        """Number of candidates of each camera pixel, (M,)."""
+        return np.diff(self.starts)
+
+    def apply(self, pictures: Float) -> Float:
+        """Multiply each camera pixel's pictures, (M, P), by its precision."""
+        from rfpipe.methods.footprints.kernels import apply_precision
+
+        contiguous = np.ascontiguousarray(pictures, np.float32)
+        return apply_precision(self.starts, self.factors, self.inverse_variance, contiguous)
+
+
+def marginal_precision(candidates: Candidates, pictures: ViewPictures) -> MarginalPrecision:
+    """Marginalise the weights of candidates, whose prior mean is 0."""
+    from rfpipe.methods.footprints.kernels import CandidateRows, marginal_factors
+
+    least = np.square(1e-3 * pictures.floodlit[candidates.camera_pixels])
+    # reciprocity can make candidates of a black pixel, whose prior variance is 0
+    variance = np.maximum(candidates.variance, np.maximum(least, TINY)).astype(np.float32)
+    inverse_variance = pictures.inverse_variance()
+    rows = CandidateRows(candidates.starts, candidates.projector_pixels, pictures.patterns)
+    factors, trace = marginal_factors(rows, variance, inverse_variance)
+    return MarginalPrecision(rows.starts, factors, inverse_variance, trace)
