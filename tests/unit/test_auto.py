@@ -56,7 +56,7 @@ def test_what_the_rig_is_decides(
 ) -> None:
     with caplog.at_level(logging.INFO, "rfpipe"):
         result = rfpipe.acquire(rig(seen), "auto", patterns=24, **FRAMES)
-    told = [record.message for record in caplog.records if "going on by" in record.message]
+    told = [record.message for record in caplog.records if "continuing with" in record.message]
     # rigs of two shapes are not asked
     assert len(told) == (len(seen) == SIDE**2)
     assert all(message.endswith(chosen.title.lower()) for message in told)

@@ -16,7 +16,7 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel, ExactSensor
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
-from rfpipe.references.reference_images import Merger
+from rfpipe.references.reference_images import BracketMerger, estimate_references
 
 CAMERA = CameraModel()
 IMAGE = (11, 13, 3)
@@ -39,17 +39,17 @@ def test_references_tell_the_same_however_their_brackets_come(camera: Any) -> No
     on = np.stack([camera.expose(image, 1, (8, index)) for index in range(6)])
     if camera is CAMERA:
         off[:, :, 4, 5] = 3000  # hot
-    together = Merger.from_references(camera, [off], [on])
-    apart = Merger.from_references(
+    together = estimate_references(camera, [off], [on])
+    apart = estimate_references(
         camera, (off[i : i + 2] for i in range(0, 5, 2)), (on[i : i + 1] for i in range(6))
     )
     for name in ("black", "floodlit", "floodlit_variance"):
         np.testing.assert_array_equal(getattr(apart, name), getattr(together, name))
-    assert together.black_count == apart.black_count == 5
+    assert together.merger.black_count == apart.merger.black_count == 5
     if camera is CAMERA:
-        assert together.defects is not None
-        assert apart.defects is not None
-        assert np.argwhere(apart.defects.mask).tolist() == [[4, 5]]
+        assert together.merger.defects is not None
+        assert apart.merger.defects is not None
+        assert np.argwhere(apart.merger.defects.mask).tolist() == [[4, 5]]
         assert (together.floodlit[4, 5] == 0).all()
         unknown = np.isinf(together.floodlit_variance)
         assert np.argwhere(unknown.all(axis=-1)).tolist() == [[4, 5]]
@@ -60,8 +60,7 @@ def test_defects_are_unknown_in_one_image_and_in_many() -> None:
     frames, off = captured(CAMERA, 4)
     mask = np.zeros(IMAGE[:2], bool)
     mask[0, 0] = mask[2, 3] = mask[5:8, 6:9] = True
-    nothing = np.zeros(0, np.float32)
-    merger = Merger(CAMERA, off, 4, DefectMap(mask, 1, 1), nothing, nothing)
+    merger = BracketMerger(CAMERA, off, 4, DefectMap(mask, 1, 1))
     plain = CAMERA.merge(frames, off, 4)
     together = merger.merge(frames, 0)
     np.testing.assert_array_equal(together.radiance[:, ~mask], plain.radiance[:, ~mask])
@@ -81,7 +80,7 @@ def test_a_camera_with_no_good_pixel_is_refused() -> None:
     on = np.stack([camera.expose(np.ones((2, 2, 3)), 1, (8, index)) for index in range(8)])
     off[:, :, 0, 0], on[:, :, 0, 0] = 4000, 4000  # the mosaic spreads it over all four
     with pytest.raises(CaptureError, match=r"all 4 camera pixels.*merge.mask_defects"):
-        Merger.from_references(camera, [off], [on])
+        estimate_references(camera, [off], [on])
 
 
 def test_workers_keep_the_order_and_hold_few_results(tmp_path: Path) -> None:
@@ -137,7 +136,7 @@ def test_the_floodlit_image_is_as_uncertain_as_its_variance_says() -> None:
     image = generator(5).uniform(0.2, 1, IMAGE).astype(np.float32)
     off = np.stack([CAMERA.expose(np.zeros_like(image), 1, (9, index)) for index in range(64)])
     on = np.stack([CAMERA.expose(image, 1, (8, index)) for index in range(6)])
-    learnt = Merger.from_references(CAMERA, [off], [on])
+    learnt = estimate_references(CAMERA, [off], [on])
     one = CAMERA.merge(on, learnt.black, 64).variance
     np.testing.assert_allclose(learnt.floodlit_variance, one.mean(axis=0) / 6, rtol=1e-5)
     deviation = np.square(learnt.floodlit - image) / learnt.floodlit_variance

@@ -11,7 +11,7 @@ import rfpipe
 from rfpipe import CameraModel, OperatorRig
 from rfpipe.config import CameraConfig, OfflineConfig, SceneSettings
 from rfpipe.errors import CaptureError
-from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, Kind, kind_of
+from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, RigKind, kind_of_rig
 from rfpipe.rigs import SimulatedRig
 from rfpipe.rigs.offline import offline_rig
 from rfpipe.scenes import MatrixScene, scene_from_config
@@ -25,17 +25,17 @@ FAULTS = {  # radiance under floodlight: share that is named, word of the fault
     FloodlitFault.DARK: (1e-9, "all black"),
 }
 MEANS = {  # kind of rig: words of its remedies, and words of other remedies
-    Kind.MATRIX: (("brightest", "camera to null"), ("aperture", "projector")),
-    Kind.SCENE: (("camera.exposures", "camera to null"), ("aperture", "brightest")),
-    Kind.PYTHON: (("matrix", "noise=None"), ("aperture", "camera.exposures")),
+    RigKind.MATRIX: (("brightest", "camera to null"), ("aperture", "projector")),
+    RigKind.SCENE: (("camera.exposures", "camera to null"), ("aperture", "brightest")),
+    RigKind.PYTHON: (("matrix", "noise=None"), ("aperture", "camera.exposures")),
 }
 
 
-def simulated(kind: Kind, radiance: float) -> Any:
-    if kind is Kind.MATRIX:
+def simulated(kind: RigKind, radiance: float) -> Any:
+    if kind is RigKind.MATRIX:
         scene: Any = MatrixScene(radiance * np.eye(20, dtype=np.float32), SHAPE, SHAPE)
         return SimulatedRig(scene, CAMERA)
-    if kind is Kind.SCENE:
+    if kind is RigKind.SCENE:
         wall = SceneSettings.of("plane", surfaces=["white"], shape=SHAPE)
         sensor = CameraModel(electrons_per_radiance=radiance * CAMERA.electrons_per_radiance)
         return SimulatedRig(scene_from_config(wall), sensor)
@@ -45,7 +45,7 @@ def simulated(kind: Kind, radiance: float) -> Any:
 @pytest.mark.parametrize("kind", MEANS)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_simulated_rig_is_changed_by_its_settings(
-    tmp_path: Path, fault: FloodlitFault, kind: Kind
+    tmp_path: Path, fault: FloodlitFault, kind: RigKind
 ) -> None:
     radiance, word = FAULTS[fault]
     acquisition = Acquisition(tmp_path, simulated(kind, radiance))
@@ -59,7 +59,7 @@ def test_a_simulated_rig_is_changed_by_its_settings(
 
 
 @pytest.mark.parametrize("kind", MEANS)
-def test_in_memory_it_is_changed_in_python(kind: Kind) -> None:
+def test_in_memory_it_is_changed_in_python(kind: RigKind) -> None:
     with pytest.raises(CaptureError, match="noise=None") as caught:
         rfpipe.acquire(simulated(kind, 5.0), "brute_force", progress=False)
     assert "aperture" not in str(caught.value)
@@ -68,18 +68,20 @@ def test_in_memory_it_is_changed_in_python(kind: Kind) -> None:
 def test_the_largest_radiance_of_the_camera_is_named() -> None:
     assert CAMERA.full_scale_radiance == 2
     with pytest.raises(CaptureError, match="radiance 2 is full scale"):
-        rfpipe.acquire(simulated(Kind.PYTHON, 5.0), "brute_force", progress=False)
+        rfpipe.acquire(simulated(RigKind.PYTHON, 5.0), "brute_force", progress=False)
 
 
 def test_each_kind_of_rig_has_a_remedy_of_each_fault() -> None:
     for fault in FloodlitFault:
-        assert set(REMEDIES[fault]) == set(Kind)
+        assert set(REMEDIES[fault]) == set(RigKind)
     offline = offline_rig(OfflineConfig(), CameraConfig(), SHAPE, SHAPE, 1)
     described = {
-        Kind.OFFLINE: offline.describe(),
-        Kind.DEVICES: BENCH,
+        RigKind.OFFLINE: offline.describe(),
+        RigKind.DEVICES: BENCH,
         **{kind: simulated(kind, 1.0).describe() for kind in MEANS},
     }
-    assert {kind_of(rig): kind for kind, rig in described.items()} == {kind: kind for kind in Kind}
-    assert "aperture" in REMEDIES[FloodlitFault.BRIGHT][Kind.DEVICES]
-    assert "again" in REMEDIES[FloodlitFault.BRIGHT][Kind.OFFLINE]
+    assert {kind_of_rig(rig): kind for kind, rig in described.items()} == {
+        kind: kind for kind in RigKind
+    }
+    assert "aperture" in REMEDIES[FloodlitFault.BRIGHT][RigKind.DEVICES]
+    assert "again" in REMEDIES[FloodlitFault.BRIGHT][RigKind.OFFLINE]

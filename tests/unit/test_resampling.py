@@ -17,7 +17,7 @@ from rfpipe.photometry import (
 )
 from rfpipe.photometry.defects import check_floodlit
 from rfpipe.photometry.resampling import normalised
-from rfpipe.references.reference_images import Merger
+from rfpipe.references.reference_images import estimate_references
 
 CAMERA = CameraModel(exposures=(1 / 64, 1 / 16), electrons_per_radiance=200_000.0)
 SHAPE, CAMERA_SHAPE = (3, 4), (8, 10)
@@ -89,7 +89,7 @@ def test_an_unseen_ray_is_no_light_and_stops_nothing() -> None:
     check_floodlit(merged.radiance, merged.variance)
     assert not sensor.resampling.seen[1, 1]
     assert sensor.resampling.seen.sum() == 11
-    merger = Merger.from_references(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
+    merger = estimate_references(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
     assert merger.floodlit.shape == (*SHAPE, 1)
 
 
@@ -109,7 +109,7 @@ def test_a_ray_without_a_good_pixel_is_unknown() -> None:
     light = np.full((*SHAPE, 1), 0.5, np.float32)
     dark, frames = frames_of(CAMERA, np.zeros_like(light), 8), frames_of(CAMERA, light, 2)
     dark[:, :, 0, 1], frames[:, :, 0, 1] = 3000, 3000
-    merger = Merger.from_references(sensor, [dark], [frames])
+    merger = estimate_references(sensor, [dark], [frames])
     for image, spread in (
         (merger.floodlit, merger.floodlit_variance),
         (merger.merge(frames, 0).radiance[1], merger.merge(frames, 0).variance[1]),

@@ -14,10 +14,10 @@ from rfpipe.provenance import generator
 from rfpipe.references.placement import placement_of
 from rfpipe.references.steadiness import (
     Samples,
-    faults_of_references,
-    sample,
-    scatter_of,
-    smooth_changes,
+    faults_of_reference_brackets,
+    is_smooth,
+    sample_pixels,
+    unsteadiness_of,
 )
 from rfpipe.rigs import stale
 from rfpipe.rigs.faults import CAPTURE
@@ -41,7 +41,7 @@ def brackets(light: Light, count: int, image: Any, camera: CameraModel = CAMERA)
             radiance = (gain * image + room)[..., None].astype(np.float32)
             single = replace(camera, exposures=(exposure,))
             frames.append(single.expose(radiance, 1, (bracket, number))[0])
-        taken.append(sample(np.stack(frames)))
+        taken.append(sample_pixels(np.stack(frames)))
     return np.stack(taken)
 
 
@@ -85,7 +85,7 @@ def test_the_references_show_what_changes(name: str, dimmer: int) -> None:
     light, expected = FAULTS[name]
     electrons = CAMERA.electrons_per_radiance / dimmer
     camera = replace(CAMERA, electrons_per_radiance=electrons)
-    found = faults_of_references(*references(light, camera), camera)
+    found = faults_of_reference_brackets(*references(light, camera), camera)
     assert [fault.kind for fault in found] == expected, found
     if name == "gain":
         assert found[0].size == pytest.approx(0.1, rel=0.4)
@@ -98,7 +98,7 @@ def test_the_references_show_what_changes(name: str, dimmer: int) -> None:
 @pytest.mark.parametrize("rows", [200, 400, 1000])
 def test_samples_hold_every_colour_of_a_mosaic(rows: int, columns: int) -> None:
     colours = np.tile([[0, 1], [2, 3]], (rows // 2, columns // 2))
-    assert np.unique(sample(colours[None])).tolist() == [0, 1, 2, 3]
+    assert np.unique(sample_pixels(colours[None])).tolist() == [0, 1, 2, 3]
 
 
 def test_a_queue_of_old_frames_is_named() -> None:
@@ -106,14 +106,14 @@ def test_a_queue_of_old_frames_is_named() -> None:
     late = np.concatenate([blacks[-1:], whites[:-1]])
     rotated = np.roll(whites, 1, axis=1)
     for wrong in (late, rotated):
-        (found,) = faults_of_references(blacks, wrong, CAMERA)
+        (found,) = faults_of_reference_brackets(blacks, wrong, CAMERA)
         assert found.kind == "late"
         assert "queue" in found.text
 
 
 def test_with_one_exposure_gain_and_flicker_are_not_told_apart() -> None:
     camera = replace(CAMERA, exposures=(1 / 64,))
-    found = faults_of_references(*references(jitter(0.1), camera), camera)
+    found = faults_of_reference_brackets(*references(jitter(0.1), camera), camera)
     assert [fault.kind for fault in found] == ["unsteady"]
     assert "automatic gain" in found[0].text
     assert "whole periods" in found[0].text
@@ -122,22 +122,22 @@ def test_with_one_exposure_gain_and_flicker_are_not_told_apart() -> None:
 def test_few_pictures_are_judged_as_they_are() -> None:
     for count in (2, 4):
         steady = Samples(brackets(lambda *_: (1.0, 0.0), count, TEXTURE), np.full((4, 1), 64.0))
-        assert scatter_of(steady, CAMERA) is None
+        assert unsteadiness_of(steady, CAMERA) is None
     unsteady = Samples(brackets(jitter(0.1), 4, TEXTURE), np.full((4, 1), 64.0))
-    found = scatter_of(unsteady, CAMERA)
+    found = unsteadiness_of(unsteady, CAMERA)
     assert found is not None
     assert found.exceeds(CAPTURE)
     one = Samples(brackets(jitter(0.1), 1, TEXTURE), np.full((4, 1), 64.0))
-    assert scatter_of(one, CAMERA) is None
+    assert unsteadiness_of(one, CAMERA) is None
 
 
 def test_black_pictures_without_light_change_nothing() -> None:
     blacks = brackets(lambda *_: (1.0, 0.0), 8, np.zeros(SHAPE))
-    assert faults_of_references(blacks, blacks, CAMERA) == []
+    assert faults_of_reference_brackets(blacks, blacks, CAMERA) == []
 
 
 @pytest.mark.parametrize(
-    ("gains", "is_smooth"),
+    ("gains", "smooth"),
     [
         (1 - 0.01 * np.arange(12), True),
         (np.repeat([1.0, 0.9], 6), True),
@@ -146,8 +146,8 @@ def test_black_pictures_without_light_change_nothing() -> None:
         (np.array([1.0, 0.9, 1.1]), True),  # too few to tell
     ],
 )
-def test_drift_is_smooth_and_gain_is_not(gains: Any, is_smooth: bool) -> None:
-    assert smooth_changes(gains[:, None]) is is_smooth
+def test_drift_is_smooth_and_gain_is_not(gains: Any, smooth: bool) -> None:
+    assert is_smooth(gains[:, None]) is smooth
 
 
 def half(image: Any) -> Any:

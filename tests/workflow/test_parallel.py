@@ -21,7 +21,7 @@ from tests.workflow.stagewise import SHAPE as STAGED
 from rfpipe.errors import ClusterError, IntegrityError
 from rfpipe.jobs import workers as cluster_module
 from rfpipe.jobs.workers import Resources, connected
-from rfpipe.references import reference_images as merging
+from rfpipe.stages import merge as merging
 from rfpipe.stages.plan import Plan
 
 PIECES = [(index, index + 1) for index in range(6)]
@@ -50,7 +50,7 @@ def elsewhere(address: str) -> Resources:
 def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Acquisition:
     """A level of 20 patterns, two of them in a run."""
     monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
-    monkeypatch.setattr(merging, "_CHUNKS_PER_RUN", 2)
+    monkeypatch.setattr(merging, "_CHUNKS_PER_PIECE", 2)
     acquisition = Acquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
     acquisition.plan = Plan("brute_force", "brute_force", STAGED, STAGED, 1)
     acquisition.schedule(0)

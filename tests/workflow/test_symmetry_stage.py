@@ -41,7 +41,9 @@ FRAMES = 6
 def judge(acquisition: Acquisition, accepted: float = 0.05) -> dict[str, Any]:
     found = symmetry.read_asymmetry(acquisition.folder)
     assert found is not None
-    assert found.judge(Symmetric(), SymmetricOptions(), accepted).name == "symmetric"
+    assert (
+        symmetry.choose_method(found, Symmetric(), SymmetricOptions(), accepted).name == "symmetric"
+    )
     facts: dict[str, Any] = acquisition.folder.read_manifest(0, "merge")["symmetry"]
     return facts
 
@@ -116,9 +118,12 @@ def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
     found = Asymmetry(0.03, 0.001)
     for target, chosen in ((None, Symmetric), (0.05, Symmetric), (0.01, BruteForce)):
         options = SimpleNamespace(target_error=target)
-        assert type(found.judge(Choice(), options, 0.05)) is chosen
+        assert type(symmetry.choose_method(found, Choice(), options, 0.05)) is chosen
     # whoever has no choice is warned of no more than before
-    assert isinstance(found.judge(Symmetric(), SimpleNamespace(target_error=0.01), 0.05), Symmetric)
+    assert isinstance(
+        symmetry.choose_method(found, Symmetric(), SimpleNamespace(target_error=0.01), 0.05),
+        Symmetric,
+    )
 
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
@@ -132,7 +137,7 @@ def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
         )
         return folder
 
-    with pytest.raises(CaptureError, match=r"doesn't go from camera to projector.*dual"):
+    with pytest.raises(CaptureError, match=r"not symmetric.*dual"):
         run("symmetric", FRAMES)
     stopped = AcquisitionFolder(tmp_path / f"symmetric_{FRAMES}")
     assert "symmetry" in stopped.read_manifest(0, "merge")

@@ -117,7 +117,7 @@ def test_a_knock_ends_the_capture_within_ten_patterns(
     rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
     folder = tmp_path / "results" / "wedge" / "refused"
     for _ in range(2):  # the next run takes no pattern more
-        with pytest.raises(CaptureError, match=r"moved.*begin anew: 'rfpipe run") as caught:
+        with pytest.raises(CaptureError, match=r"moved.*start over: 'rfpipe run") as caught:
             acquire(folder, rig, mode="refuse")
         assert at < len(rig.keys) <= at + 10
     rig.at = 10**6  # put back
@@ -145,7 +145,7 @@ def test_what_passes_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     rig = FaultyRig(OperatorRig(list(wedge()), SHAPE, SHAPE, CameraModel()), passing)
     with caplog.at_level(logging.WARNING):
         acquire(tmp_path, rig, mode="refuse")
-    assert "not once more" in caplog.text
+    assert "a repeated picture doesn" in caplog.text
 
 
 def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
-"""Today's rig against its calibration, by pictures that an acquisition takes anyway.
+"""Check of a rig against its calibration, by pictures that every acquisition takes.
 
-A calibration that found the rig coaxial holds until something is moved, turned, or plugged
-otherwise. Random patterns, and looks at the rig, show that before a level is captured.
+A calibration that found the rig coaxial holds until a device is moved or turned, or a cable or menu
+changed. Random patterns, or the first check picture, show that before a level is captured.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from rfpipe.errors import CaptureError
 from rfpipe.references.check_pictures import check_pattern, first_check_picture, recovery_advice
 from rfpipe.references.placement import placement_of
-from rfpipe.references.reference_images import Merger
+from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.references.symmetry import no_longer_coaxial, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.storage.files import LAMP, AcquisitionFolder
@@ -23,69 +23,77 @@ from rfpipe.storage.files import LAMP, AcquisitionFolder
 _log = logging.getLogger(__name__)
 
 
-def check(
-    folder: AcquisitionFolder,
+def check_calibration(
+    storage: AcquisitionFolder,
     level: int,
-    merger: Merger,
+    references: ReferenceImages,
     rig: Mapping[str, Any],
     accepted: float,
     *,
     refuse: bool,
 ) -> None:
-    """Refuse a rig that isn't as its calibration found it, or warn of it.
+    """Check that a rig still is as its calibration found it.
 
     Parameters
     ----------
+    storage : AcquisitionFolder
     level : int
-        The level that is about to be captured, not 0.
+        The level to be captured next, at least 1.
+    references : ReferenceImages
     rig : mapping
-        The rig's description; nothing is checked unless its calibration found it coaxial.
+        Description of the rig. Nothing is checked unless its calibration found it coaxial.
     accepted : float
         Error of relit pictures up to which asymmetry is accepted.
     refuse : bool
-        Whether to raise CaptureError.
+        Whether a fault raises an error, or is logged once.
+
+    Raises
+    ------
+    CaptureError
+        If the rig is no longer coaxial and `refuse` is set.
     """
     if not was_coaxial(rig):
         return
-    if read_asymmetry(folder) is None:
-        place = _placement_by_look(folder, merger)
-        text = no_longer_coaxial(place) if place else ""
+    if read_asymmetry(storage) is None:
+        displacement = _displacement_of_check_picture(storage, references)
+        text = no_longer_coaxial(displacement) if displacement else ""
     else:
-        text = alarm(folder, rig, accepted)
+        text = calibration_fault(storage, rig, accepted)
     if not text:
         return
     if refuse:
-        raise CaptureError(f"{text}. {recovery_advice(folder, 0)}")
-    if not any(folder.levels_above(level)[1:]):  # once
+        raise CaptureError(f"{text}. {recovery_advice(storage, 0)}")
+    is_first_check = not any(storage.levels_above(level)[1:])
+    if is_first_check:
         _log.warning("%s", text)
 
 
-def alarm(folder: AcquisitionFolder, rig: Mapping[str, Any], accepted: float) -> str:
-    """Describe what random patterns show of a rig that was coaxial; "" for nothing wrong.
+def calibration_fault(storage: AcquisitionFolder, rig: Mapping[str, Any], accepted: float) -> str:
+    """Describe the fault that random patterns show of a rig that was coaxial; "" for none.
 
-    Gain that changes from picture to picture makes any rig seem wrong.
+    Nothing is concluded from pictures whose gain changed from one to the next.
     """
-    asymmetry = read_asymmetry(folder)
+    asymmetry = read_asymmetry(storage)
     if asymmetry is None or not was_coaxial(rig):
         return ""
-    if not folder.read_manifest(0, "merge").get(LAMP, {}).get("steady", True):
+    if not storage.read_manifest(0, "merge").get(LAMP, {}).get("steady", True):
         return ""
     if asymmetry.excess:
         return asymmetry.text
-    is_wrong = asymmetry.place or asymmetry.least > accepted
-    return no_longer_coaxial(asymmetry.text) if is_wrong else ""
+    is_faulty = asymmetry.place or asymmetry.lower_bound > accepted
+    return no_longer_coaxial(asymmetry.text) if is_faulty else ""
 
 
-def _placement_by_look(folder: AcquisitionFolder, merger: Merger) -> str:
-    """Describe a wrong place of the first look's picture, "" for a right one."""
-    look, shape = first_check_picture(folder, merger), merger.floodlit.shape[:-1]
-    if look is None or len(shape) != 2:
+def _displacement_of_check_picture(storage: AcquisitionFolder, references: ReferenceImages) -> str:
+    """Describe a displacement of the first check picture; "" for a picture in place."""
+    first, shape = first_check_picture(storage, references), references.floodlit.shape[:-1]
+    if first is None or len(shape) != 2:
         return ""
     pictures, floodlit = (
         np.where(np.isfinite(variance), image, 0).sum(axis=-1, dtype=np.float64)
         for image, variance in (
-            (look.radiance, look.variance),
-            (merger.floodlit, merger.floodlit_variance),
+            (first.radiance, first.variance),
+            (references.floodlit, references.floodlit_variance),
         )
     )
     signs = 2 * check_pattern(shape).astype(np.float64) - 1

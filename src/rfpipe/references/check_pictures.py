@@ -1,6 +1,7 @@
 """Check pictures: repeated pictures of one random pattern, taken between the patterns of a level.
 
-A difference between a check picture and the first one shows that the rig or its light changed.
+A difference between a check picture and the first one shows that the rig or its light changed. They
+are compared by `rfpipe.references.comparison`.
 """
 
 from __future__ import annotations
@@ -11,61 +12,57 @@ from numpy.typing import NDArray
 from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
 from rfpipe.photometry.sensor import Merged
-from rfpipe.references.reference_images import Merger
-from rfpipe.storage.files import (
-    CHECK_PICTURES,
-    AcquisitionFolder,
-)
+from rfpipe.references.reference_images import ReferenceImages
+from rfpipe.storage.files import CHECK_PICTURES, AcquisitionFolder
 
 Double = NDArray[np.float64]
 
 
-def check_picture_count(patterns: int, every: int) -> int:
-    """Return the looks at a level: one before each `every` patterns, and one after the last."""
-    return -(-patterns // every) + 1
+def check_picture_count(patterns: int, interval: int) -> int:
+    """Return the number of check pictures of a level: one before each `interval` and a last one."""
+    return -(-patterns // interval) + 1
 
 
-def check_positions(patterns: int, every: int) -> Double:
-    """Return before which pattern each look is taken."""
-    return np.minimum(np.arange(check_picture_count(patterns, every)) * every, patterns).astype(
-        np.float64
-    )
+def check_positions(patterns: int, interval: int) -> Double:
+    """Return the index of the pattern before which each check picture is taken, float64."""
+    positions = np.arange(check_picture_count(patterns, interval)) * interval
+    return np.minimum(positions, patterns).astype(np.float64)
 
 
-def check_pattern(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return the random pattern that looks repeat, over the projector's rays."""
-    lit = random_signs(shape, 1, seed=15)[0] > 0
+def check_pattern(projector_shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return the random pattern of all check pictures, 0 or 1 at each projector ray."""
+    lit = random_signs(projector_shape, 1, seed=15)[0] > 0
     return np.asarray(lit if lit.any() else ~lit, np.float32)
 
 
-def first_check_picture(folder: AcquisitionFolder, merger: Merger) -> Merged | None:
-    """Merge the acquisition's first look, with which others are compared; None without one."""
-    for level in folder.levels():
+def first_check_picture(storage: AcquisitionFolder, references: ReferenceImages) -> Merged | None:
+    """Merge the acquisition's first check picture; None where there is none."""
+    for level in storage.levels():
         try:
-            with folder.open_frames(level, CHECK_PICTURES) as frames:
+            with storage.open_frames(level, CHECK_PICTURES) as frames:
                 if frames.done[0]:
-                    return merger.merge(frames.read(0, 1), 0)
-        except StoreError:  # not taken yet, or damaged
+                    return references.merge(frames.read(0, 1))
+        except StoreError:  # not captured yet, or damaged
             continue
     return None
 
 
-def recovery_advice(folder: AcquisitionFolder, level: int, kind: str = "") -> str:
-    """Describe ways on from a capture that ended at a level since the rig or its light changed.
+def recovery_advice(storage: AcquisitionFolder, level: int, rig_kind: str = "") -> str:
+    """Return the remedies after a capture ended at a level because rig or light changed.
 
-    `kind` is the rig's.
+    `rig_kind` is the entry ``kind`` of the rig's description.
     """
-    if kind == "offline":
-        return "mend it, and take the pictures again; capture.watch: warn goes on all the same"
-    if not folder.is_kept:
-        return "watch='warn' goes on all the same"
-    ways = (
-        f"all that is captured is kept. To begin anew: '{folder.retaking()}', with the run's other "
-        "options. "
-    )
+    if rig_kind == "offline":
+        return "mend it, and take the pictures again; capture.watch: warn continues despite it"
+    if not storage.is_kept:
+        return "watch='warn' continues despite it"
+    level_advice = ""
     if level:
-        ways += (
-            f"Or put back what changed: '{folder.retaking(level)}' takes this level alone again, "
-            "if the pattern looks as it did first. "
+        level_advice = (
+            f"Or put back what changed: '{storage.retaking(level)}' takes only this level "
+            "again, if the pattern looks as it did at first. "
         )
-    return f"{ways}capture.watch: warn goes on all the same"
+    return (
+        f"all captured pictures are kept. To start over: '{storage.retaking()}', with the run's "
+        f"other options. {level_advice}capture.watch: warn continues despite it"
+    )

@@ -1,19 +1,25 @@
-"""Comparison of two pictures of one pattern: brightness, room light, and what differs beyond.
+"""Comparison of two pictures of one pattern: gain, room light, and residual.
 
-A look y at a pattern is compared with the first look w, over C channels:
+A check picture y is compared with the first check picture w:
 
     y = g w + a + b f + d
 
-====== ======= ======= =========================================================================
-symbol code    shape   meaning
-====== ======= ======= =========================================================================
-w      known   (N, C)  the first look, over N rays
-y      later   (N, C)  another look
-f      white   (N, C)  the floodlit picture
-g      gain    (C,)    brightness of the lamp
-a, b   room    (C,)    light of the room: even, or as the scene reflects it
-d      rest    ()      norm of the residual beyond noise, over w's: 1 for half a pixel
-====== ======= ======= =========================================================================
+====== ========= ======= =======================================================================
+symbol code      shape   meaning
+====== ========= ======= =======================================================================
+w      earlier   (N, C)  the first check picture, radiance of N rays and C channels
+y      later     (N, C)  the check picture, radiance
+f      white     (N, C)  the floodlit image
+g      gain      (C,)    brightness of the lamp, relative to the first check picture
+a, b   room      (C,)    change of the room's light: uniform, and as the scene reflects it
+d      residual  ()      norm of the residual beyond noise, relative to w's; a shift by half a
+                         pixel gives about 1
+====== ========= ======= =======================================================================
+
+`rfpipe.references.steadiness` estimates gain and room light from reference brackets instead. Those
+are taken before black level and defects are known, and flicker shows only in single exposures, so
+it works on counts of each exposure; check pictures are merged to radiance first, which also shows
+motion at every ray.
 """
 
 from __future__ import annotations
@@ -24,99 +30,138 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
-from rfpipe.references.reference_images import Merger
+from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.rigs.faults import SIGNIFICANCE
 
 Double = NDArray[np.float64]
 
-# What the noise itself is known to, as a share of its square.
-_NOISE_KNOWN = 0.1
-# Rays from which on room light and brightness are separable.
-_FEWEST = 16
-# Share of a change's norm that room light must explain at least: it explains a part of any other.
-_EXPLAINED = 0.7
+_NOISE_UNCERTAINTY = 0.1
+"""Relative uncertainty of the predicted squared noise."""
+
+_MIN_RAYS = 16
+"""Number of rays from which room light and gain are separable."""
+
+_MIN_EXPLAINED = 0.7
+"""Share of the residual that room light must explain; it explains a part of any change."""
 
 
-class Change(NamedTuple):
-    """Difference of a bracket from a picture of the same pattern.
+class Difference(NamedTuple):
+    """Difference between two pictures of one pattern.
 
     Attributes
     ----------
     gain, deviation : ndarray of float64, shape (C,)
-        Its light relative to the picture's, and the standard deviation.
-    rest : float
-        What differs beyond brightness, room light and noise, relative to the picture's norm; 0
-        where nothing.
+        Light of the later picture over the earlier one's, and its standard deviation.
+    residual : float
+        Norm of the difference beyond gain, room light and noise, relative to the earlier picture's
+        norm; 0 where the difference is not significant.
     room : float
-        Change of the room's light relative to the floodlit picture's; 0 unless it is significant.
+        Change of the room's light relative to the floodlit image; 0 unless it is significant.
     """
 
     gain: Double
     deviation: Double
-    rest: float
+    residual: float
     room: float = 0.0
 
 
-def change(merger: Merger, known: Merged, bracket: NDArray[Any]) -> Change:
-    """Compare a bracket (1, E, ...) with a merged picture (1, *camera_shape, C).
+class _Fit(NamedTuple):
+    """Least-squares fit of gain and room light.
 
-    The light of the room, a and b, is 0 unless it explains the residual of g alone.
+    Attributes
+    ----------
+    gain : ndarray of float64, shape (C,)
+    room, room_deviation : float
+        Light of the room relative to the floodlit image, and its standard deviation.
+    residual : ndarray of float64, shape (N, C)
     """
-    later = merger.merge(bracket, 0)
-    both = np.isfinite(known.variance[0]) & np.isfinite(later.variance[0])
-    floodlit = merger.floodlit[None]
-    was, now, v_was, v_now, white = (
-        np.where(both, image[0], 0).reshape(-1, image.shape[-1]).astype(np.float64)
-        for image in (known.radiance, later.radiance, known.variance, later.variance, floodlit)
-    )
-    total = was.sum(axis=0)
-    over = np.where(total > 0, total, 1)
-    gain = np.where(total > 0, now.sum(axis=0) / over, 1)
-    noise = v_now + gain**2 * v_was
-    deviation = np.sqrt(noise.sum(axis=0)) / over
-    light = float((np.square(gain * was) - gain**2 * v_was).sum())
-    rest = _beyond_noise(now - gain * was, noise, light)
-    if rest == 0 or len(was) < _FEWEST:
-        return Change(gain, deviation, rest)
-    seen = both.reshape(-1, both.shape[-1]).all(axis=1)
-    fitted, room, room_deviation, left = _with_room(*(it[seen] for it in (was, now, white, noise)))
-    rest_of_fit = _beyond_noise(left, noise[seen], light)
-    is_room = abs(room) > SIGNIFICANCE * room_deviation
-    if is_room and rest_of_fit < (1 - _EXPLAINED) * rest:
-        return Change(fitted, deviation, rest_of_fit, room)
-    return Change(gain, deviation, rest)
+
+    gain: Double
+    room: float
+    room_deviation: float
+    residual: Double
 
 
-def _beyond_noise(difference: Double, noise: Double, light: float) -> float:
-    """Norm of a difference without its noise, relative to `light`; 0 for nothing but noise."""
-    square = float(np.square(difference).sum() - noise.sum())
-    chance = SIGNIFICANCE * np.sqrt(2 * np.square(noise).sum()) + _NOISE_KNOWN * noise.sum()
-    return float(np.sqrt(square / light)) if light > 0 and square > chance else 0.0
+def compare_pictures(
+    references: ReferenceImages, earlier: Merged, bracket: NDArray[Any]
+) -> Difference:
+    """Compare a bracket with an earlier picture of its pattern.
 
-
-def _with_room(
-    was: Double, now: Double, white: Double, noise: Double
-) -> tuple[Double, float, float, Double]:
-    """Fit brightness and room light to images (N, C); see `change`.
+    Parameters
+    ----------
+    references : ReferenceImages
+    earlier : Merged
+        One picture, (1, *camera_shape, C).
+    bracket : ndarray, shape (1, E, ...)
 
     Returns
     -------
-    gain : ndarray of float64, shape (C,)
-    room, deviation : float
-        Light of the room relative to `white`, and its standard deviation.
-    residual : ndarray of float64, shape (N, C)
+    Difference
+        The room's light, a and b, is 0 unless it explains the residual of the gain alone.
     """
-    gain, residual = np.ones(was.shape[1]), now - was
-    total, variance = 0.0, 0.0
-    for channel in range(was.shape[1]):
-        terms = np.stack([was[:, channel], np.ones(len(was)), white[:, channel]], axis=1)
+    later = references.merge(bracket)
+    is_known = np.isfinite(earlier.variance[0]) & np.isfinite(later.variance[0])
+    images = (earlier.radiance, later.radiance, earlier.variance, later.variance)
+    w, y, w_variance, y_variance, f = (
+        np.where(is_known, image[0], 0).reshape(-1, image.shape[-1]).astype(np.float64)
+        for image in (*images, references.floodlit[None])
+    )
+    total = w.sum(axis=0)
+    divisor = np.where(total > 0, total, 1)
+    gain = np.where(total > 0, y.sum(axis=0) / divisor, 1)
+    noise = y_variance + gain**2 * w_variance
+    deviation = np.sqrt(noise.sum(axis=0)) / divisor
+    energy = float((np.square(gain * w) - gain**2 * w_variance).sum())
+    residual = _norm_beyond_noise(y - gain * w, noise, energy)
+    if residual == 0 or len(w) < _MIN_RAYS:
+        return Difference(gain, deviation, residual)
+    rays = is_known.reshape(-1, is_known.shape[-1]).all(axis=1)
+    fit = _fit_room_light(w[rays], y[rays], f[rays], noise[rays])
+    fit_residual = _norm_beyond_noise(fit.residual, noise[rays], energy)
+    is_room = abs(fit.room) > SIGNIFICANCE * fit.room_deviation
+    if is_room and fit_residual < (1 - _MIN_EXPLAINED) * residual:
+        return Difference(fit.gain, deviation, fit_residual, fit.room)
+    return Difference(gain, deviation, residual)
+
+
+def _norm_beyond_noise(difference: Double, noise: Double, energy: float) -> float:
+    """Norm of a difference, its noise subtracted, relative to ``sqrt(energy)``.
+
+    Parameters
+    ----------
+    difference, noise : ndarray of float64, shape (N, C)
+        The noise is a variance.
+    energy : float
+        Squared norm of the picture.
+
+    Returns
+    -------
+    float
+        0 where the difference may be noise.
+    """
+    square = float(np.square(difference).sum() - noise.sum())
+    fluctuation = SIGNIFICANCE * np.sqrt(2 * np.square(noise).sum())
+    threshold = fluctuation + _NOISE_UNCERTAINTY * noise.sum()
+    return float(np.sqrt(square / energy)) if energy > 0 and square > threshold else 0.0
+
+
+def _fit_room_light(w: Double, y: Double, f: Double, noise: Double) -> _Fit:
+    """Fit ``y = g w + a + b f`` to images (N, C) by least squares, channel by channel.
+
+    `noise` is the variance of y, used for the standard deviation of the room's light only.
+    """
+    gain, residual = np.ones(w.shape[1]), y - w
+    room_sum, room_variance = 0.0, 0.0
+    for channel in range(w.shape[1]):
+        terms = np.stack([w[:, channel], np.ones(len(w)), f[:, channel]], axis=1)
         inverse = np.linalg.pinv(terms.T @ terms, rcond=1e-6, hermitian=True)
-        solution = inverse @ terms.T @ now[:, channel]
-        residual[:, channel] = now[:, channel] - terms @ solution
+        solution = inverse @ terms.T @ y[:, channel]
+        residual[:, channel] = y[:, channel] - terms @ solution
         gain[channel] = solution[0]
-        mean = np.array([0, len(was), white[:, channel].sum()])
-        spread = mean @ inverse @ (terms.T * noise[:, channel])
-        total += float(mean @ solution)
-        variance += float(spread @ terms @ inverse @ mean)
-    over = float(white.sum()) or 1.0
-    return gain, total / over, float(np.sqrt(max(variance, 0.0))) / over, residual
+        room_weights = np.array([0, len(w), f[:, channel].sum()])
+        spread = room_weights @ inverse @ (terms.T * noise[:, channel])
+        room_sum += float(room_weights @ solution)
+        room_variance += float(spread @ terms @ inverse @ room_weights)
+    white = float(f.sum()) or 1.0
+    room_deviation = float(np.sqrt(max(room_variance, 0.0))) / white
+    return _Fit(gain, room_sum / white, room_deviation, residual)

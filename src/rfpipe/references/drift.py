@@ -1,22 +1,21 @@
-"""Brightness of the lamp at each pattern of a level, and other changes, by the looks at the rig.
+"""Brightness of the lamp at each pattern of a level, and other changes, from check pictures.
 
-Looks are repeated pictures of one pattern, see `rfpipe.stages.watch`. Brightness at a pattern is
-interpolated between the looks before and after it.
+The brightness at a pattern is interpolated between the check pictures before and after it.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.references.check_pictures import check_positions, first_check_picture
-from rfpipe.references.comparison import change
-from rfpipe.references.reference_images import Merger
-from rfpipe.references.steadiness import smooth_changes
+from rfpipe.references.comparison import Difference, compare_pictures
+from rfpipe.references.reference_images import ReferenceImages
+from rfpipe.references.steadiness import is_smooth
 from rfpipe.rigs.faults import (
     AUTOMATIC_OFF,
     CAPTURE,
@@ -32,95 +31,124 @@ Double = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 
-def measure_looks(
-    folder: AcquisitionFolder,
-    merger: Merger,
+class Drift(NamedTuple):
+    """Brightness of the lamp during a level.
+
+    Attributes
+    ----------
+    gains : ndarray of float64, shape (patterns, C), or None
+        Brightness to divide the images by; None to leave the images as they are.
+    facts : dict
+        Entries for the manifest of the level's merge; empty without check pictures.
+    """
+
+    gains: Double | None
+    facts: dict[str, Any]
+
+
+def measure_drift(
+    storage: AcquisitionFolder,
+    references: ReferenceImages,
     level: int,
     *,
     divide_out: bool,
     is_steady: bool = True,
-) -> tuple[Double | None, dict[str, Any]]:
-    """Measure brightness and changes by the looks at a level, and log a change of the lamp.
+) -> Drift:
+    """Estimate brightness and other changes from a level's check pictures; log a change.
 
-    Brightness of gain that changes from picture to picture is not to be divided by: `is_steady` is
-    whether the white pictures at the acquisition's beginning were steady.
-
-    Returns brightness at each pattern to divide by, float64 (patterns, C), None not to divide; and
-    facts for the manifest.
+    Parameters
+    ----------
+    storage : AcquisitionFolder
+        The level is captured.
+    references : ReferenceImages
+    level : int
+    divide_out : bool
+        Whether images are to be divided by the brightness. A gain that changes from picture to
+        picture is not divided out.
+    is_steady : bool
+        Whether the gain was steady during the reference brackets.
     """
-    captured = folder.read_manifest(level, "capture")
-    known = first_check_picture(folder, merger) if CHECK_PICTURES in captured else None
-    if known is None:
-        return None, {}
-    every = captured[CHECK_PICTURES]["interval"]
-    with folder.frames(level, "capture", CHECK_PICTURES) as frames:
-        taken = (frames.read(n, n + 1) for n in range(frames.shape[0]))
-        looks = [change(merger, known, bracket) for bracket in taken]
-    gain = np.stack([look.gain for look in looks])
-    deviation = np.stack([look.deviation for look in looks])
-    is_moved = max(look.rest for look in looks) > CAPTURE.moved
-    # brightness of another picture does not show gain
-    is_steady &= is_moved or smooth_changes(*_series(folder, level, gain, captured))
+    captured = storage.read_manifest(level, "capture")
+    first = first_check_picture(storage, references) if CHECK_PICTURES in captured else None
+    if first is None:
+        return Drift(None, {})
+    with storage.frames(level, "capture", CHECK_PICTURES) as frames:
+        brackets = (frames.read(n, n + 1) for n in range(frames.shape[0]))
+        differences = [compare_pictures(references, first, bracket) for bracket in brackets]
+    gain = np.stack([difference.gain for difference in differences])
+    is_moved = max(difference.residual for difference in differences) > CAPTURE.moved
+    # the gain isn't comparable where the picture changed
+    is_steady &= is_moved or is_smooth(*_gains_so_far(storage, level, gain, captured))
     facts = {
-        "interval": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
-        "change": _rounded(look.rest for look in looks),
-        "room": _rounded(look.room for look in looks),
+        "interval": captured[CHECK_PICTURES]["interval"],
+        "change": _rounded(difference.residual for difference in differences),
+        "room": _rounded(difference.room for difference in differences),
+        "gain": gain.tolist(),
+        "deviation": [difference.deviation.tolist() for difference in differences],
         "moved": is_moved,
-        "steady": is_steady, "divided_out": divide_out and is_steady,
-    }  # fmt: skip
-    _log_brightness(level, gain, deviation, facts, divide_out=divide_out)
-    if not facts["divided_out"]:
-        return None, {CHECK_PICTURES: facts}
-    at, looked = np.arange(captured["patterns"]) + 0.5, check_positions(captured["patterns"], every)
-    gains = np.stack([np.interp(at, looked, of_channel) for of_channel in gain.T], axis=1)
-    return gains, {CHECK_PICTURES: facts}
+        "steady": is_steady,
+        "divided_out": divide_out and is_steady,
+    }
+    _log_brightness(level, differences, facts, divide_out=divide_out)
+    gains = _at_patterns(gain, captured) if facts["divided_out"] else None
+    return Drift(gains, {CHECK_PICTURES: facts})
 
 
-def alarms_of(facts: dict[str, Any]) -> list[str]:
-    """Describe what the looks at a level saw, from their facts in its merge's manifest."""
-    alarms = [RIG_MOVED] if facts["moved"] else []
-    if not facts.get("steady", True):
-        alarms.append(GAIN_CHANGES)
-    changes = [abs(change) for change in facts.get("room", [])]
-    room = room_fault(max(changes, default=0.0), f"in {len(changes)} looks")
+def changes_of(facts: dict[str, Any]) -> list[str]:
+    """Describe the harmful changes during a level, from the facts of `measure_drift`."""
+    changes = [RIG_MOVED] if facts["moved"] else []
+    if not facts["steady"]:
+        changes.append(GAIN_CHANGES)
+    sizes = [abs(size) for size in facts["room"]]
+    room = room_fault(max(sizes, default=0.0), f"in {len(sizes)} check pictures")
     if room.exceeds(CAPTURE):
-        alarms.append(room.change)
-    return alarms
+        changes.append(room.change)
+    return changes
 
 
 def _rounded(values: Iterable[float]) -> list[float]:
     return [float(f"{value:.4g}") for value in values]
 
 
-def _series(
-    folder: AcquisitionFolder, level: int, gain: Double, captured: dict[str, Any]
+def _at_patterns(gain: Double, captured: dict[str, Any]) -> Double:
+    """Interpolate the brightness of check pictures, (n, C), at a level's patterns."""
+    patterns, interval = captured["patterns"], captured[CHECK_PICTURES]["interval"]
+    times, check_times = np.arange(patterns) + 0.5, check_positions(patterns, interval)
+    return np.stack([np.interp(times, check_times, channel) for channel in gain.T], axis=1)
+
+
+def _gains_so_far(
+    storage: AcquisitionFolder, level: int, gain: Double, captured: dict[str, Any]
 ) -> tuple[Double, Double]:
-    """Brightness by all looks down to a level, (looks, C), and the pictures before each."""
-    gains, times, before = [], [], 0.0
-    for above in (*folder.levels_above(level), level):
-        if above == level:
-            of_level, every, patterns = (
-                gain,
-                captured[CHECK_PICTURES]["interval"],
-                captured["patterns"],
-            )
-        else:
-            facts = folder.read_manifest(above, "merge")
-            if CHECK_PICTURES not in facts:
-                continue
-            of_level = np.asarray(facts[CHECK_PICTURES]["gain"])
-            every, patterns = facts[CHECK_PICTURES]["interval"], facts["patterns"]
-        gains.append(of_level)
-        times.append(before + check_positions(patterns, every) + np.arange(len(of_level)))
-        before += patterns + len(of_level)
-    return np.concatenate(gains), np.concatenate(times)
+    """Collect the brightness of all check pictures up to a level.
+
+    Returns
+    -------
+    gains : ndarray of float64, shape (n, C)
+    times : ndarray of float64, shape (n,)
+        Number of pictures taken before each check picture.
+    """
+    merged = {above: storage.read_manifest(above, "merge") for above in storage.levels_above(level)}
+    series = [
+        (np.asarray(facts[CHECK_PICTURES]["gain"]), facts[CHECK_PICTURES]["interval"], facts)
+        for facts in merged.values()
+        if CHECK_PICTURES in facts
+    ]
+    series.append((gain, captured[CHECK_PICTURES]["interval"], captured))
+    times, pictures_before = [], 0.0
+    for level_gain, interval, facts in series:
+        positions = check_positions(facts["patterns"], interval)
+        times.append(pictures_before + positions + np.arange(len(level_gain)))
+        pictures_before += facts["patterns"] + len(level_gain)
+    return np.concatenate([level_gain for level_gain, *_ in series]), np.concatenate(times)
 
 
 def _log_brightness(
-    level: int, gain: Double, deviation: Double, facts: dict[str, Any], *, divide_out: bool
+    level: int, differences: list[Difference], facts: dict[str, Any], *, divide_out: bool
 ) -> None:
-    """Log a change of brightness (looks, C) beyond noise, and what becomes of it."""
-    span, noise = np.ptp(gain, axis=0), deviation.max(axis=0)
+    """Log a change of brightness that exceeds the noise, and how it is treated."""
+    span = np.ptp([difference.gain for difference in differences], axis=0)
+    noise = np.max([difference.deviation for difference in differences], axis=0)
     if not (span > SIGNIFICANCE * np.sqrt(2) * noise).any():
         return
     if facts["divided_out"]:
@@ -130,6 +158,6 @@ def _log_brightness(
     else:
         advice = "merge.divide_out_drift would divide it out"
     _log.warning(
-        "%s: the lamp's light changed by %.2g %% (noise %.2g %%) in %d looks; %s",
-        name_of(level), 100 * span.max(), 100 * noise.max(), len(gain), advice,
+        "%s: the lamp's light changed by %.2g %% (noise %.2g %%) in %d check pictures; %s",
+        name_of(level), 100 * span.max(), 100 * noise.max(), len(differences), advice,
     )  # fmt: skip

@@ -2,17 +2,17 @@
 
     g[k] = L[k] / L[0],    L[k] = sum of bracket k's radiance over the known pixels
 
-====== ============= ====== ====================================================================
-symbol code          shape  meaning
-====== ============= ====== ====================================================================
-L      total         (C,)   light of a white bracket
-L[0]   reference     (C,)   light of level 0's picture, with which looks at the rig begin
-g      whites        (C,)   brightness of the white brackets, on average
-g      randoms       (n, C) brightness at each random pattern, between them and level 0
-====== ============= ====== ====================================================================
+====== ================= ====== ================================================================
+symbol code              shape  meaning
+====== ================= ====== ================================================================
+L      total             (C,)   light of an all-on bracket
+L[0]   reference         (C,)   light of level 0's picture, at the time of the first check picture
+g      floodlit          (C,)   mean brightness of the all-on brackets
+g      random_patterns   (n, C) brightness at each random pattern of the symmetry test
+====== ================= ====== ================================================================
 
-Most methods have level 0's picture taken under white light, too; otherwise the last white brackets
-are the reference.
+Most methods take level 0's picture under the all-on pattern, too. Otherwise the last all-on
+brackets are the reference. `rfpipe.references.drift` estimates the brightness at later patterns.
 """
 
 from __future__ import annotations
@@ -25,99 +25,113 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged
-from rfpipe.references.reference_images import Merger
-from rfpipe.references.steadiness import smooth_changes
+from rfpipe.references.reference_images import ReferenceImages
+from rfpipe.references.steadiness import is_smooth
 from rfpipe.rigs.faults import SIGNIFICANCE
 from rfpipe.storage.files import LAMP, REFERENCE_BRACKETS, SYMMETRY, AcquisitionFolder
 
 Double = NDArray[np.float64]
 
-_LAST = 8  # white brackets that have the brightness at the end of the reference brackets
+_LAST_BRACKETS = 8
+"""Number of all-on brackets whose mean is the brightness at their end."""
 
 _log = logging.getLogger(__name__)
 
 
-class Lamp(NamedTuple):
-    """Brightness relative to that at the first look.
+class InitialBrightness(NamedTuple):
+    """Brightness relative to that at the first check picture.
 
     Attributes
     ----------
-    whites : ndarray of float64, shape (C,)
-        Mean of the white brackets'.
-    randoms : ndarray of float64, shape (n, C)
-        At each random pattern.
+    floodlit : ndarray of float64, shape (C,)
+        Mean over the all-on brackets.
+    random_patterns : ndarray of float64, shape (n, C)
+        At each random pattern of the symmetry test.
     is_steady : bool
-        Whether it drifts at most; otherwise brightness is 1 throughout.
+        Whether the brightness is constant or drifts; if it changes from picture to picture,
+        the brightness is 1 throughout.
     """
 
-    whites: Double
-    randoms: Double
+    floodlit: Double
+    random_patterns: Double
     is_steady: bool
 
     def facts(self) -> dict[str, Any]:
         """Return plain data for a manifest."""
-        return {LAMP: {"whites": self.whites.tolist(), "steady": self.is_steady}}
+        return {LAMP: {"floodlit": self.floodlit.tolist(), "steady": self.is_steady}}
 
 
 class _Light(NamedTuple):
-    """Sum over an image's known pixels, and its variance; (C,) each."""
+    """Sum of radiance over an image's known pixels, and its variance; (C,) each."""
 
     total: Double
     variance: Double
 
 
-def measure_lamp(folder: AcquisitionFolder, merger: Merger, *, level_0_is_white: bool) -> Lamp:
-    """Compare the brightness of the first brackets; log a change."""
-    captured = folder.read_manifest(0, "capture")
+def measure_initial_brightness(
+    storage: AcquisitionFolder, references: ReferenceImages, *, level_0_is_floodlit: bool
+) -> InitialBrightness:
+    """Estimate the brightness of the reference brackets and random patterns; log a change.
+
+    Parameters
+    ----------
+    storage : AcquisitionFolder
+        Level 0 is captured.
+    references : ReferenceImages
+    level_0_is_floodlit : bool
+        Whether level 0 has one pattern, the all-on one.
+    """
+    captured = storage.read_manifest(0, "capture")
     off, on = (captured[REFERENCE_BRACKETS][name] for name in ("black_frames", "floodlit_frames"))
-    count = captured.get(SYMMETRY, {}).get("symmetry_frames", 0)
-    channels = merger.floodlit.shape[-1]
-    steady = np.ones(channels), np.ones((count, channels))
-    last = range(off + max(0, on - _LAST), off + on)
-    with folder.frames(0, "capture", REFERENCE_BRACKETS) as frames:
-        whites = [_light(merger.merge(frames.read(index, index + 1), index)) for index in last]
-    now = _level_0(folder, merger) if level_0_is_white else None
-    series = np.stack([one.total for one in (*whites, *([now] if now else []))])
-    over = series[-1]
-    if not (over > 0).all():
-        return Lamp(*steady, is_steady=True)
-    if not smooth_changes(series / over):
-        return Lamp(*steady, is_steady=False)
-    before = _Light(*(np.mean([one[part] for one in whites], axis=0) for part in (0, 1)))
-    before = before._replace(variance=before.variance / len(whites))
-    mean = _light(Merged(merger.floodlit[None], merger.floodlit_variance[None], 0))
-    reference = now or before
-    at_end, at_mean = (_ratio(one, reference) for one in (before, mean))
-    times, ends = np.arange(count), (-(len(whites) + 1) / 2, float(count))
-    randoms = [np.interp(times, ends, (one, 1.0)) for one in at_end]
-    change = float(np.abs(at_mean - 1).max())
+    n_random = captured.get(SYMMETRY, {}).get("symmetry_frames", 0)
+    channels = references.floodlit.shape[-1]
+    ones = np.ones(channels), np.ones((n_random, channels))
+    last = range(off + max(0, on - _LAST_BRACKETS), off + on)
+    with storage.frames(0, "capture", REFERENCE_BRACKETS) as frames:
+        lights = [_light(references.merge(frames.read(n, n + 1), n)) for n in last]
+    level_0 = _level_0_light(storage, references) if level_0_is_floodlit else None
+    series = np.stack([light.total for light in (*lights, *([level_0] if level_0 else []))])
+    if not (series[-1] > 0).all():
+        return InitialBrightness(*ones, is_steady=True)
+    if not is_smooth(series / series[-1]):
+        return InitialBrightness(*ones, is_steady=False)
+    end = _mean(lights)
+    mean = _light(Merged(references.floodlit[None], references.floodlit_variance[None], 0))
+    reference = level_0 or end
+    end_ratio, mean_ratio = (_ratio(light, reference) for light in (end, mean))
+    # from the middle of the last all-on brackets to the first picture of level 0
+    span = -(len(lights) + 1) / 2, float(n_random)
+    times = np.arange(n_random)
+    random_patterns = [np.interp(times, span, (ratio, 1.0)) for ratio in end_ratio]
+    change = float(np.abs(mean_ratio - 1).max())
     if change:
         _log.warning(
-            "the lamp's light changed by %.2g %% from the white pictures to level 0; it is "
+            "the lamp's light changed by %.2g %% from the all-on brackets to level 0; it is "
             "divided out", 100 * change,
         )  # fmt: skip
-    return Lamp(at_mean, np.reshape(np.stack(randoms, axis=1), (count, channels)), is_steady=True)
+    at_random = np.reshape(np.stack(random_patterns, axis=1), (n_random, channels))
+    return InitialBrightness(mean_ratio, at_random, is_steady=True)
 
 
-def with_brightness(merger: Merger, whites: Double) -> Merger:
-    """Return a merger whose floodlit image has the brightness of the first look."""
-    if (whites == 1).all():
-        return merger
-    factor = (1 / whites).astype(np.float32)
+def divide_floodlit(references: ReferenceImages, brightness: Double) -> ReferenceImages:
+    """Divide the floodlit image by the lamp's brightness (C,)."""
+    if (brightness == 1).all():
+        return references
+    factor = (1 / brightness).astype(np.float32)
     return replace(
-        merger,
-        floodlit=merger.floodlit * factor,
-        floodlit_variance=merger.floodlit_variance * factor**2,
+        references,
+        floodlit=references.floodlit * factor,
+        floodlit_variance=references.floodlit_variance * factor**2,
     )
 
 
-def _level_0(folder: AcquisitionFolder, merger: Merger) -> _Light:
-    """Light of level 0's picture."""
-    with folder.frames(0, "capture") as frames:
-        return _light(merger.merge(frames.read(0, 1), 0))
+def _level_0_light(storage: AcquisitionFolder, references: ReferenceImages) -> _Light:
+    with storage.frames(0, "capture") as frames:
+        return _light(references.merge(frames.read(0, 1)))
 
 
 def _light(merged: Merged) -> _Light:
+    """Light of the first of merged images, (*camera_shape, C)."""
     known = np.isfinite(merged.variance[0])
     parts = (np.where(known, image[0], 0) for image in (merged.radiance, merged.variance))
     return _Light(
@@ -125,8 +139,14 @@ def _light(merged: Merged) -> _Light:
     )
 
 
+def _mean(lights: list[_Light]) -> _Light:
+    total = np.mean([light.total for light in lights], axis=0)
+    variance = np.mean([light.variance for light in lights], axis=0)
+    return _Light(total, variance / len(lights))
+
+
 def _ratio(light: _Light, reference: _Light) -> Double:
-    """Brightness relative to the reference's, (C,); 1 where the difference may be noise."""
+    """Ratio of light to the reference, (C,); 1 where the difference may be noise."""
     ratio = light.total / reference.total
     noise = np.sqrt(light.variance + ratio**2 * reference.variance) / reference.total
     return np.where(np.abs(ratio - 1) > SIGNIFICANCE * noise, ratio, 1.0)

@@ -1,18 +1,18 @@
-"""Place of pictures on the rays of a coaxial rig: mirrored, shifted, or as the patterns are.
+"""Displacement of pictures on the rays of a coaxial rig: mirrored, shifted, or in place.
 
-Resemblance of random patterns s, displaced by D, to the pictures y of them:
+Correlation of the pictures y with random patterns s, displaced by D:
 
     c(D) = <D s, r> / (|s| |r|),    r = 2 y - f
 
-====== =========== ========= ============================================================
-symbol code        shape     meaning
-====== =========== ========= ============================================================
-s      signs       (n, H, W) 1 where a pattern is lit, else -1
-y      pictures    (n, H, W) radiance under the patterns
-f      floodlit    (H, W)    radiance under white
-r      response    (n, H, W) radiance under s
-c      resemblance ()        largest for the displacement D of the pictures
-====== =========== ========= ============================================================
+====== ============ ========= ===========================================================
+symbol code         shape     meaning
+====== ============ ========= ===========================================================
+s      signs        (n, H, W) 1 where a pattern is lit, else -1
+y      pictures     (n, H, W) radiance under the patterns
+f      floodlit     (H, W)    radiance under the all-on pattern
+r      response     (n, H, W) radiance under s
+c      correlations scalar    largest for the displacement D of the pictures
+====== ============ ========= ===========================================================
 """
 
 from __future__ import annotations
@@ -25,26 +25,39 @@ from numpy.typing import NDArray
 
 Double = NDArray[np.float64]
 
-_REACH = 3  # rays by which a shift is looked for
-_CLEAR = 2.0  # factor on the resemblance of a pattern as it is that another place must exceed
-_SIGNIFICANT = 8.0  # standard deviations of a resemblance by chance
-_FOLLOWS = 0.3  # share of a ray's light that changes with its own pattern, at least
-_LIT = 0.01  # share of the mean light from which a ray is lit
-_MOST, _OTHERS = 0.9, 0.7  # shares of rays without light of their own at an edge, and with it
-_MISSED = 0.05  # share of such rays that is more than the edge of a picture
+_MAX_SHIFT = 3
+"""Largest shift that is tried, in rays along each axis."""
+
+_CLEAR_FACTOR = 2.0
+"""Factor by which the correlation with a displaced pattern must exceed that in place."""
+
+_SIGNIFICANCE = 8.0
+"""Standard deviations of a correlation by chance that the correlation must exceed."""
+
+_OWN_SHARE = 0.3
+"""Share of a ray's light that must change with the ray's pattern for the ray to be projected."""
+
+_LIT_SHARE = 0.01
+"""Share of the mean light from which a ray counts as lit."""
+
+_MIN_MISSED, _MIN_PROJECTED = 0.9, 0.7
+"""Shares of lit rays: not projected, at a missed edge; projected, in the remaining picture."""
+
+_MAX_MISSED = 0.05
+"""Share of rows or columns at an edge that the projector may miss."""
 
 
 class Placement(NamedTuple):
-    """Place on the rays of the pictures of random patterns.
+    """Displacement of the pictures of random patterns.
 
     Attributes
     ----------
     name : str
-        Such as "mirrored left to right" or "shifted by 1 ray right"; "" for in their place.
+        Such as "mirrored left to right" or "shifted by 1 ray right"; "" for pictures in place.
     missed : float
-        Share of rays, in rows or columns at one edge, that have light but none of their own.
+        Share of rows or columns at one edge whose rays have light, but not from their own pattern.
     edge : str
-        That edge.
+        That edge: "top", "right", "bottom" or "left".
     """
 
     name: str = ""
@@ -53,10 +66,10 @@ class Placement(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Description of a wrong place, "" for a right one."""
+        """Description of a displacement or missed edge, "" for none."""
         if self.name:
             return f"its pictures are {self.name}"
-        if self.missed > _MISSED:
+        if self.missed > _MAX_MISSED:
             return (
                 f"{self.missed:.0%} of the rays, at the {self.edge} edge, get no light of their "
                 "own: the projector misses a part of its picture"
@@ -65,7 +78,7 @@ class Placement(NamedTuple):
 
 
 def placement_of(signs: Double, pictures: Double, floodlit: Double) -> Placement:
-    """Compare pictures under random patterns with these patterns, mirrored and shifted.
+    """Correlate pictures of random patterns with these patterns, mirrored and shifted.
 
     Parameters
     ----------
@@ -78,44 +91,47 @@ def placement_of(signs: Double, pictures: Double, floodlit: Double) -> Placement
     norm = float(np.sqrt(np.square(response).sum() * signs.size))
     if norm == 0:
         return Placement()
-    resemblance = {name: float((placed * response).sum()) / norm for name, placed in _placed(signs)}
-    best = max(resemblance, key=lambda name: resemblance[name])
-    least = max(_CLEAR * resemblance[""], _SIGNIFICANT / np.sqrt(signs.size))
-    name = best if resemblance[best] > least else ""
+    correlations = {
+        name: float((pattern * response).sum()) / norm for name, pattern in _displaced(signs)
+    }
+    best = max(correlations, key=lambda name: correlations[name])
+    threshold = max(_CLEAR_FACTOR * correlations[""], _SIGNIFICANCE / np.sqrt(signs.size))
+    name = best if correlations[best] > threshold else ""
     if name:
         return Placement(name)
-    is_lit = floodlit > _LIT * floodlit.mean()
-    follows = (signs * response).mean(axis=0) > _FOLLOWS * floodlit
-    return Placement("", *_missed_edge(is_lit, follows))
+    is_lit = floodlit > _LIT_SHARE * floodlit.mean()
+    is_projected = (signs * response).mean(axis=0) > _OWN_SHARE * floodlit
+    return Placement("", *_missed_edge(is_lit, is_projected))
 
 
-def _missed_edge(is_lit: NDArray[np.bool_], follows: NDArray[np.bool_]) -> tuple[float, str]:
-    """Find the edge from which most rays get no light of their own, and their share of all."""
-    best = 0.0, ""
+def _missed_edge(is_lit: NDArray[np.bool_], is_projected: NDArray[np.bool_]) -> tuple[float, str]:
+    """Return the largest share of rows or columns that the projector misses, and their edge."""
+    largest = 0.0, ""
     for edge, turns in (("top", 0), ("right", 1), ("bottom", 2), ("left", 3)):
-        lit, missing = (np.rot90(rays, turns).sum(axis=1) for rays in (is_lit, is_lit & ~follows))
-        is_missed = (lit > 0) & (missing >= _MOST * lit)
+        lit = np.rot90(is_lit, turns).sum(axis=1)
+        missing = np.rot90(is_lit & ~is_projected, turns).sum(axis=1)
+        is_missed = (lit > 0) & (missing >= _MIN_MISSED * lit)
         count = len(lit) if is_missed.all() else int(np.argmin(is_missed))
-        others = np.rot90(follows, turns)[count:]
-        if count and others.size and others.mean() > _OTHERS:
-            best = max(best, (count / len(lit), edge))
-    return best
+        remainder = np.rot90(is_projected, turns)[count:]
+        if count and remainder.size and remainder.mean() > _MIN_PROJECTED:
+            largest = max(largest, (count / len(lit), edge))
+    return largest
 
 
-def _placed(signs: Double) -> Iterator[tuple[str, Double]]:
-    """Patterns in other places, with their names."""
+def _displaced(signs: Double) -> Iterator[tuple[str, Double]]:
+    """Yield the patterns in place, mirrored and shifted, with the names of the displacements."""
     yield "", signs
     yield "mirrored left to right", signs[:, :, ::-1]
     yield "mirrored top to bottom", signs[:, ::-1]
     yield "turned upside down", signs[:, ::-1, ::-1]
-    for down in range(-_REACH, _REACH + 1):
-        for right in range(-_REACH, _REACH + 1):
-            if (down or right) and abs(down) < signs.shape[1] and abs(right) < signs.shape[2]:
-                name = f"shifted by {_way(down, 'down', 'up')}{_way(right, 'right', 'left')}"
-                yield name.rstrip(), np.roll(signs, (down, right), axis=(1, 2))
+    shifts = range(-_MAX_SHIFT, _MAX_SHIFT + 1)
+    for down, right in ((down, right) for down in shifts for right in shifts):
+        if (down or right) and abs(down) < signs.shape[1] and abs(right) < signs.shape[2]:
+            name = f"shifted by {_shift(down, 'down', 'up')}{_shift(right, 'right', 'left')}"
+            yield name.rstrip(), np.roll(signs, (down, right), axis=(1, 2))
 
 
-def _way(rays: int, positive: str, negative: str) -> str:
+def _shift(rays: int, positive: str, negative: str) -> str:
     """Describe a shift along one axis, "" for none."""
     unit = "rays" if abs(rays) > 1 else "ray"
     return f"{abs(rays)} {unit} {positive if rays > 0 else negative} " if rays else ""

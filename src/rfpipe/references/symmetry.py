@@ -1,7 +1,8 @@
-"""Test of a rig for the coaxial one that a method takes it for, by a few random patterns.
+"""Test whether a rig is coaxial, by the random patterns captured with level 0.
 
-For any two of them, and for the floodlit one, light from the one to where the other is lit must be
-what goes back (reciprocity, 2.10). Half a pixel makes relit pictures wrong by 45 %.
+For any two of the random patterns and the floodlit one, the light from the first to where the
+second is lit must equal the light in the opposite direction (reciprocity, 2.10). Misalignment by
+half a pixel causes an error of 45 % in relit pictures.
 """
 
 from __future__ import annotations
@@ -21,34 +22,45 @@ from rfpipe.calibration.symmetry import (
 )
 from rfpipe.errors import CaptureError
 from rfpipe.references.placement import placement_of
-from rfpipe.references.reference_images import Merger
+from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.storage.files import SYMMETRY, AcquisitionFolder
 
 if TYPE_CHECKING:
     from rfpipe.methods import Method, Options
 
-# Symmetric photography is off by one and a half times the error that is predicted; what is worth a
-# word is a fifth of what is refused.
-_WORTH_A_WORD = 0.2
+Double = NDArray[np.float64]
 
-# Squared error that a share of pixels which aren't known may seem to make, for that share: their
-# light as it adds up in the floodlit image, and as much again in random ones, over 16 |T p|^2.
+_LOGGED = 0.2
+"""Share of the accepted error from which the error is logged. Symmetric photography has 1.5 times
+the predicted error."""
+
 _MASKED = 0.5
+"""Squared error caused by a masked pixel, relative to its share of all pixels: its light in the
+floodlit image, and as much again in random pictures, over 16 |T p|^2."""
 
-# Excess of light that spoils pictures, and standard errors from which on it is significant.
-_LEAST_EXCESS, _SURE = 0.01, 5.0
+_MIN_EXCESS = 0.01
+"""Relative excess of light that spoils pictures."""
+
+_EXCESS_SIGNIFICANCE = 5.0
+"""Standard errors from which an excess is significant."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Asymmetry:
-    """Error of relit pictures, relative to their norm, if T were symmetric.
+    """Error of relit pictures that the assumption of a coaxial rig causes.
 
-    The error is 0 where nothing but noise is seen. `place` describes a wrong place of the
-    pictures on the rays, see `rfpipe.references.placement`. `excess` is the light of random
-    pictures beyond that expected from the white ones, relative to the white; 0 unless it is
-    significant. No asymmetry makes it: ``1^T (T - T^T) 1 = 0``.
+    Attributes
+    ----------
+    error, standard_error : float
+        Relative to the norm of the pictures; 0 where the asymmetry may be noise.
+    place : str
+        Description of a displacement of the pictures, see `rfpipe.references.placement`; "" for
+        pictures in place.
+    excess : float
+        Light of random pictures beyond that expected from the floodlit one, relative to it; 0
+        unless it is significant. Asymmetry doesn't cause it: ``1^T (T - T^T) 1 = 0``.
     """
 
     error: float
@@ -60,7 +72,7 @@ class Asymmetry:
     def text(self) -> str:
         """Description of the error and its likely cause."""
         text = (
-            f"taking the rig for a coaxial one makes an error of {self.error:.1%} +- "
+            f"treating the rig as coaxial causes an error of {self.error:.1%} +- "
             f"{self.standard_error:.1%} in relit pictures"
         )
         if self.excess:
@@ -72,122 +84,164 @@ class Asymmetry:
         return f"{text}; {self.place}" if self.place else text
 
     @property
-    def least(self) -> float:
+    def lower_bound(self) -> float:
         """Lower bound of the error, `CONFIDENCE` standard errors below it."""
         return self.error - CONFIDENCE * self.standard_error
 
-    def judge(
-        self,
-        method: Method[Any],
-        options: Options,
-        accepted: float,
-        *,
-        aloud: bool = True,
-        calibrated: bool = False,
-    ) -> Method[Any]:
-        """Return the method to go on with on a rig whose error is surely above `accepted`, or not.
 
-        Where a method has the choice, it is less than `accepted` if its target is. `aloud` logs
-        why; `calibrated` is whether a calibration found the rig coaxial. Raises CaptureError if the
-        method needs a coaxial rig, and this is none.
-        """
-        found = f"light doesn't go from camera to projector as it comes: {self.text}"
-        accepts = f"{accepted:.1%} are accepted (capture.asymmetry)"
-        if method.needs_coaxial_rig and self.least > accepted:
-            if self.excess:
-                raise CaptureError(f"{found}, and {accepts}. Then begin anew")
-            if calibrated:
-                raise CaptureError(f"{no_longer_coaxial(self.text)}. {accepts}")
-            raise CaptureError(
-                f"{found}, and {accepts}. Use a method for any rig, such as dual photography; or "
-                "align a real rig's two devices to a fraction of a pixel, and focus both; a "
-                "simulated one's matrix must equal its transpose"
-            )
-        wished: float = min(accepted, getattr(options, "target_error", None) or accepted)
-        chosen = method.on_rig(self.least <= wished)
-        if not aloud:
-            return chosen
-        if chosen is not method:
-            _log.info(
-                "taking the rig for a coaxial one makes an error of %.1f%% +- %.1f%% in relit "
-                "pictures: going on by %s",
-                100 * self.error, 100 * self.standard_error, chosen.title.lower(),
-            )  # fmt: skip
-        elif self.least > _WORTH_A_WORD * accepted:
-            _log.warning("%s; %s", found, accepts)
-        return chosen
+def choose_method(
+    asymmetry: Asymmetry,
+    method: Method[Any],
+    options: Options,
+    accepted: float,
+    *,
+    log: bool = True,
+    was_coaxial: bool = False,
+) -> Method[Any]:
+    """Return the method for a rig with a measured asymmetry.
 
+    Parameters
+    ----------
+    asymmetry : Asymmetry
+    method : Method
+        Method of the settings. One that chooses between methods for coaxial and for any rigs
+        chooses by the smaller of `accepted` and its target error.
+    options : Options
+    accepted : float
+        Error of relit pictures up to which a rig counts as coaxial.
+    log : bool
+        Whether to log the reason.
+    was_coaxial : bool
+        Whether a calibration found the rig coaxial.
 
-def no_longer_coaxial(text: str) -> str:
-    """Message about a rig that was coaxial when it was calibrated; `text` describes it now."""
-    return (
-        f"this rig was coaxial when it was calibrated; it no longer is: {text}. Check cables, "
-        "mirroring and what may have moved, then calibrate again (rfpipe calibrate --again)"
-    )
-
-
-def measured(
-    folder: AcquisitionFolder, merger: Merger, brightness: NDArray[np.float64] | None = None
-) -> dict[str, Any]:
-    """Measure a rig by the random patterns that level 0 began with, if any, for the manifest.
-
-    Their pictures are divided by the lamp's `brightness` (count, C): its drift would look like
-    asymmetry.
+    Raises
+    ------
+    CaptureError
+        If the method needs a coaxial rig and the error exceeds the accepted one.
     """
-    if SYMMETRY not in folder.read_manifest(0, "capture"):
-        return {}
-    with folder.frames(0, "capture", SYMMETRY) as frames:
-        count = frames.shape[0]
-        merged = [merger.merge(frames.read(index, index + 1), index) for index in range(count)]
-    taken = (
-        np.concatenate([getattr(one, name) for one in merged]) for name in ("radiance", "variance")
+    if method.needs_coaxial_rig and asymmetry.lower_bound > accepted:
+        raise _not_coaxial(asymmetry, accepted, was_coaxial=was_coaxial)
+    target: float = min(accepted, getattr(options, "target_error", None) or accepted)
+    chosen = method.on_rig(asymmetry.lower_bound <= target)
+    if not log:
+        return chosen
+    if chosen is not method:
+        _log.info(
+            "treating the rig as coaxial causes an error of %.1f%% +- %.1f%% in relit pictures: "
+            "continuing with %s",
+            100 * asymmetry.error, 100 * asymmetry.standard_error, chosen.title.lower(),
+        )  # fmt: skip
+    elif asymmetry.lower_bound > _LOGGED * accepted:
+        _log.warning("%s; %s", _not_symmetric(asymmetry), _limit(accepted))
+    return chosen
+
+
+def no_longer_coaxial(description: str) -> str:
+    """Return the message for a rig that its calibration found coaxial; `description` is of now."""
+    return (
+        f"this rig was coaxial when it was calibrated; it no longer is: {description}. Check "
+        "cables, mirroring and what may have moved, then calibrate again (rfpipe calibrate --again)"
     )
-    floodlit, variance = _flat(np.stack([merger.floodlit, merger.floodlit_variance]))
-    signs = random_signs(merger.floodlit.shape[:-1], count, seed=0)
-    pictures = Pictures(signs.reshape(count, -1), *map(_flat, taken))
+
+
+def _not_symmetric(asymmetry: Asymmetry) -> str:
+    return f"the transport is not symmetric: {asymmetry.text}"
+
+
+def _limit(accepted: float) -> str:
+    return f"{accepted:.1%} are accepted (capture.asymmetry)"
+
+
+def _not_coaxial(asymmetry: Asymmetry, accepted: float, *, was_coaxial: bool) -> CaptureError:
+    """Return the error for a method that needs a coaxial rig."""
+    limit = _limit(accepted)
+    if asymmetry.excess:
+        return CaptureError(
+            f"{_not_symmetric(asymmetry)}, and {limit}", remedy="Mend that, and start over"
+        )
+    if was_coaxial:
+        return CaptureError(f"{no_longer_coaxial(asymmetry.text)}. {limit}")
+    return CaptureError(
+        f"{_not_symmetric(asymmetry)}, and {limit}",
+        remedy="Use a method for any rig, such as dual photography; or align a real rig's two "
+        "devices to a fraction of a pixel, and focus both; a simulated one's matrix must equal its "
+        "transpose",
+    )
+
+
+def measure_asymmetry(
+    storage: AcquisitionFolder, references: ReferenceImages, brightness: Double | None = None
+) -> dict[str, Any]:
+    """Measure the asymmetry of a rig from the random patterns captured with level 0.
+
+    Parameters
+    ----------
+    storage : AcquisitionFolder
+        Level 0 is captured.
+    references : ReferenceImages
+    brightness : ndarray of float64, shape (n, C), optional
+        Brightness of the lamp at each random pattern, divided out: its drift would look like
+        asymmetry.
+
+    Returns
+    -------
+    dict
+        Entry for the manifest of level 0's merge; empty without random patterns.
+    """
+    if SYMMETRY not in storage.read_manifest(0, "capture"):
+        return {}
+    with storage.frames(0, "capture", SYMMETRY) as frames:
+        count = frames.shape[0]
+        merged = [references.merge(frames.read(index, index + 1), index) for index in range(count)]
+    radiance = _flat(np.concatenate([picture.radiance for picture in merged]))
+    variance = _flat(np.concatenate([picture.variance for picture in merged]))
     if brightness is not None:
-        over = brightness[:, None]
-        pictures = Pictures(signs.reshape(count, -1), pictures[1] / over, pictures[2] / over**2)
-    error, standard_error = measure_symmetry(floodlit, variance, pictures)
-    # Light from pixels that aren't known is seen one way alone: at most so much, if indirect.
-    unseen = _MASKED * float(np.mean(~np.isfinite(merger.floodlit_variance)))
-    error = float(np.sqrt(max(error**2 - unseen, 0)))
+        radiance /= brightness[:, None]
+        variance /= brightness[:, None] ** 2
+    floodlit, floodlit_variance = _flat(
+        np.stack([references.floodlit, references.floodlit_variance])
+    )
+    signs = random_signs(references.floodlit.shape[:-1], count, seed=0)
+    pictures = Pictures(signs.reshape(count, -1), radiance, variance)
+    error, standard_error = measure_symmetry(floodlit, floodlit_variance, pictures)
+    # Light from a masked pixel is missing in one direction only; this is the largest such error.
+    masked = _MASKED * float(np.mean(~np.isfinite(references.floodlit_variance)))
+    error = float(np.sqrt(max(error**2 - masked, 0)))
     place, excess = _place(signs, pictures, floodlit), _excess(pictures, floodlit)
     asymmetry = Asymmetry(error, standard_error, place, excess)
     return {SYMMETRY: {**asdict(asymmetry), "frames": count}}
 
 
-def _excess(pictures: Pictures, floodlit: NDArray[np.float64]) -> float:
-    """Light of pictures beyond that by the white picture, relative to it, if it surely is there.
+def read_asymmetry(storage: AcquisitionFolder) -> Asymmetry | None:
+    """Read the asymmetry measured with level 0; None where it wasn't measured."""
+    facts = storage.read_manifest(0, "merge").get(SYMMETRY) if storage.exists(0, "merge") else None
+    if facts is None:
+        return None
+    return Asymmetry(facts["error"], facts["standard_error"], facts["place"], facts["excess"])
 
-    On a coaxial rig ``1^T T p = p^T T 1``.
+
+def _excess(pictures: Pictures, floodlit: Double) -> float:
+    """Return the light of pictures beyond that expected, relative to the floodlit image's.
+
+    On a coaxial rig ``1^T T p = p^T T 1``. Returns 0 unless the excess is significant.
     """
     white = floodlit.sum(axis=-1)
     total = float(white.sum()) or 1.0
     expected = (pictures.signs @ white + total) / 2
     excess = (pictures.radiance.sum(axis=(1, 2)) - expected) / total
     mean, deviation = float(excess.mean()), float(excess.std(ddof=1) / np.sqrt(len(excess)))
-    is_sure = abs(mean) > max(_LEAST_EXCESS, _SURE * deviation)
-    return mean if is_sure else 0.0
+    return mean if abs(mean) > max(_MIN_EXCESS, _EXCESS_SIGNIFICANCE * deviation) else 0.0
 
 
-def _place(signs: NDArray[np.float64], pictures: Pictures, floodlit: NDArray[np.float64]) -> str:
-    if signs.ndim != 3:  # an array of views
+def _place(signs: Double, pictures: Pictures, floodlit: Double) -> str:
+    """Describe a displacement of the pictures; "" for none, and for a light field."""
+    if signs.ndim != 3:
         return ""
     light = pictures.radiance.sum(axis=-1).reshape(signs.shape)
     return placement_of(signs, light, floodlit.sum(axis=-1).reshape(signs.shape[1:])).text
 
 
-def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return images as (B, N, C); pixels that aren't known are 0, forth and back alike."""
+def _flat(images: NDArray[np.float32]) -> Double:
+    """Reshape images to (B, N, C), in float64; masked pixels become 0."""
     flat = images.reshape(len(images), -1, images.shape[-1]).astype(np.float64)
     return np.where(np.isfinite(flat), flat, 0.0)
-
-
-def read_asymmetry(folder: AcquisitionFolder) -> Asymmetry | None:
-    """Read what level 0's merge measured; None where nothing was measured."""
-    facts = folder.read_manifest(0, "merge").get(SYMMETRY) if folder.exists(0, "merge") else None
-    if facts is None:
-        return None
-    numbers = (facts["error"], facts["standard_error"])
-    return Asymmetry(*numbers, facts.get("place", ""), facts.get("excess", 0.0))

@@ -19,9 +19,13 @@ from rfpipe.errors import CaptureError, StoreError
 from rfpipe.jobs.job import Progress
 from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
-from rfpipe.references.calibration_check import check
+from rfpipe.references.calibration_check import check_calibration
 from rfpipe.references.check_pictures import recovery_advice
-from rfpipe.references.steadiness import camera_of, faults_of_references, sample
+from rfpipe.references.steadiness import (
+    camera_model_of,
+    faults_of_reference_brackets,
+    sample_pixels,
+)
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated, sequence_patterns
 from rfpipe.rigs.faults import CAPTURE
@@ -127,11 +131,11 @@ def run(
                 _check_references(folder, rig.sensor, part.shown, watching["mode"])
     looks = max(watching["check_interval"], in_sequences) if watching["check_interval"] else 0
     with watching_level(of_level, level, watching["mode"], looks) as watch:
-        if watch and watch.merger and level != VERIFICATION:
+        if watch and watch.references and level != VERIFICATION:
             watch.before(0)  # says first what changes from picture to picture
-            check(
-                folder, level, watch.merger, of_level.shown["rig"], watching["asymmetry"],
-                refuse=watch.refuse,
+            check_calibration(
+                folder, level, watch.references, of_level.shown["rig"], watching["asymmetry"],
+                refuse=watch.is_refusing,
             )  # fmt: skip
         captured = of_level.capture(batch, watch, progress=progress)
         beside |= watch.entries() if watch else {}
@@ -268,13 +272,13 @@ def _check_references(
     folder: AcquisitionFolder, sensor: Sensor, shown: Mapping[str, Any], mode: str
 ) -> None:
     """Log what changed among the reference brackets; raise CaptureError where that is refused."""
-    camera, off = camera_of(sensor), shown["black_frames"]
+    camera, off = camera_model_of(sensor), shown["black_frames"]
     if camera is None:
         return
     with folder.open_frames(0, REFERENCE_BRACKETS) as frames:
         count = frames.shape[0]
-        samples = np.stack([sample(frames.read(n, n + 1)[0], count) for n in range(count)])
-    for fault in faults_of_references(samples[:off], samples[off:], camera):
+        samples = np.stack([sample_pixels(frames.read(n, n + 1)[0], count) for n in range(count)])
+    for fault in faults_of_reference_brackets(samples[:off], samples[off:], camera):
         if mode == "refuse" and fault.exceeds(CAPTURE):
             raise CaptureError(
                 f"black and white pictures show that {fault.text}. The capture ends here; "

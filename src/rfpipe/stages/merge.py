@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from contextlib import ExitStack
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,17 @@ from rfpipe.jobs.job import Progress
 from rfpipe.jobs.workers import Resources
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.references import symmetry
-from rfpipe.references.drift import measure_looks
-from rfpipe.references.initial_brightness import measure_lamp, with_brightness
+from rfpipe.references.drift import measure_drift
+from rfpipe.references.image_sum import ImageSum
+from rfpipe.references.initial_brightness import divide_floodlit, measure_initial_brightness
 from rfpipe.references.reference_images import (
-    LevelSum,
-    Merger,
-    chunk_patterns,
-    learn_references,
-    read_merger,
-    runs,
+    ReferenceImages,
+    measure_references,
+    read_references,
     write_references,
 )
-from rfpipe.references.steadiness import camera_of
+from rfpipe.references.steadiness import camera_model_of
+from rfpipe.references.symmetry import measure_asymmetry
 from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
 from rfpipe.stages.schedule import read_schedule
@@ -43,7 +42,14 @@ from rfpipe.storage.files import (
     name_of,
 )
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
-from rfpipe.units import RADIANCE_UNIT
+from rfpipe.units import RADIANCE, RADIANCE_UNIT
+
+_CHUNK_BYTES = 2 * 2**20
+"""Size of a chunk of merged images; radiance and variance of 62 x 70 RGB rays make 100 kB."""
+
+_CHUNKS_PER_PIECE = 8
+"""Chunks of a piece of work, which is also a file, so that no two workers write the same file.
+Large enough that the overhead of a thread or a cluster is negligible."""
 
 _log = logging.getLogger(__name__)
 
@@ -94,14 +100,15 @@ def run(
     """
     sensor = sensor or read_sensor(folder)
     captured = folder.read_manifest(level, "capture")
-    references = captured if level == 0 else folder.read_manifest(0, "merge")
+    first_manifest = captured if level == 0 else folder.read_manifest(0, "merge")
+    references_key = REFERENCE_BRACKETS if level == 0 else REFERENCE_IMAGES
     made_of: dict[str, Any] = {
         "settings": {
             "sensor": sensor.describe() if folder.is_kept else None,
             "mask_defects": mask_defects,
         },
         "captured": captured["digest"],
-        "references": references[REFERENCE_BRACKETS if level == 0 else REFERENCE_IMAGES]["digest"],
+        "references": first_manifest[references_key]["digest"],
         **({SYMMETRY: captured[SYMMETRY]["digest"]} if SYMMETRY in captured else {}),
     }
     if CHECK_PICTURES in captured:
@@ -116,74 +123,94 @@ def run(
             }  # fmt: skip
             if level == 0:
                 divide = divide_out_drift and CHECK_PICTURES in captured
-                merger, of_rig = _learn(sensor, folder, mask_defects, divide)
-                facts |= of_rig
+                references, rig_facts = _measure_and_write_references(
+                    sensor, folder, mask_defects, divide
+                )
+                facts |= rig_facts
             else:
-                merger = read_merger(sensor, folder)
+                references = read_references(sensor, folder)
             lamp = facts if level == 0 else folder.read_manifest(0, "merge")
             is_steady = lamp.get(LAMP, {}).get("steady", True)
-            gains, looks = measure_looks(
-                folder, merger, level, divide_out=divide_out_drift, is_steady=is_steady
+            drift = measure_drift(
+                folder, references, level, divide_out=divide_out_drift, is_steady=is_steady
             )
-            facts |= looks
-            facts |= _merge(merger, gains, folder, level, facts, resources or Resources(), progress)
+            facts |= drift.facts
+            facts |= _merge(
+                references, drift.gains, folder, level, facts, resources or Resources(), progress
+            )
         folder.write_manifest(level, "merge", facts)
     if not keep_raw:
         _drop_raw(folder, level)
 
 
-def _learn(
-    sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool, divide_out_drift: bool
-) -> tuple[Merger, dict[str, Any]]:
-    """Learn from the brackets that an acquisition begins with, and write it.
+def chunk_patterns(image_shape: tuple[int, ...]) -> int:
+    """Return the number of patterns whose radiance and variance (*camera_shape, C) make a chunk."""
+    return max(1, _CHUNK_BYTES // (2 * prod(image_shape) * np.dtype(RADIANCE).itemsize))
 
-    Returns what merges, and facts for the manifest: of references, lamp and symmetry.
+
+def merge_pieces(count: int, image_shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Divide a level's patterns into the ranges that are merged and summed as a piece of work.
+
+    The ranges don't depend on memory, threads or cluster, so that a level's sum, which is that of
+    its pieces, has the same bits everywhere.
     """
-    merger = learn_references(sensor, folder, mask_defects)
+    step = _CHUNKS_PER_PIECE * chunk_patterns(image_shape)
+    return [(first, min(first + step, count)) for first in range(0, count, step)]
+
+
+def _measure_and_write_references(
+    sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool, divide_out_drift: bool
+) -> tuple[ReferenceImages, dict[str, Any]]:
+    """Estimate and write the reference images of an acquisition.
+
+    Also returns the entries of reference images, lamp and symmetry test for the manifest.
+    """
+    references = measure_references(sensor, folder, mask_defects)
     facts: dict[str, Any] = {}
-    randoms = None
-    if divide_out_drift and camera_of(sensor) is not None:
+    random_brightness = None
+    if divide_out_drift and camera_model_of(sensor) is not None:
         schedule = read_schedule(folder, 0)
-        is_white = schedule.count == 1 and bool((schedule.batch(0, 1) == 1).all())
-        lamp = measure_lamp(folder, merger, level_0_is_white=is_white)
-        merger, randoms = with_brightness(merger, lamp.whites), lamp.randoms
-        facts |= lamp.facts()
-    facts[REFERENCE_IMAGES] = write_references(folder, merger)
-    return merger, facts | symmetry.measured(folder, merger, randoms)
+        is_floodlit = schedule.count == 1 and bool((schedule.batch(0, 1) == 1).all())
+        brightness = measure_initial_brightness(folder, references, level_0_is_floodlit=is_floodlit)
+        references = divide_floodlit(references, brightness.floodlit)
+        random_brightness = brightness.random_patterns
+        facts |= brightness.facts()
+    facts[REFERENCE_IMAGES] = write_references(folder, references)
+    return references, facts | measure_asymmetry(folder, references, random_brightness)
 
 
 @dataclass(frozen=True, eq=False)
 class _MergeRun:
     """Merges runs of a level's brackets and writes their images; any thread or process may."""
 
-    merger: Merger
+    references: ReferenceImages
     gains: NDArray[np.float64] | None
     frames: Any
     images: Any
     chunk: int
 
-    def __call__(self, first: int, last: int) -> tuple[int, list[str], LevelSum]:
+    def __call__(self, first: int, last: int) -> tuple[int, list[str], ImageSum]:
         """Merge a run; return its first pattern, and the digests and the sum of its images."""
         digests: list[str] = []
-        total = LevelSum.zero(self.merger.floodlit.shape)
+        total = ImageSum.zero(self.references.floodlit.shape)
         with self.images.adding(first) as add:
             for start in range(first, last, self.chunk):
                 stop = min(start + self.chunk, last)
-                merged = self.merger.merge(self.frames.read(start, stop), start)
+                merged = self.references.merge(self.frames.read(start, stop), start)
                 if self.gains is not None:
                     merged = _divided(merged, self.gains[start:stop])
-                total.add(merged)
+                total.add_images(merged)
                 digests += add(np.stack([merged.radiance, merged.variance], axis=1))
         return first, digests, total
 
     @property
     def bytes_in_hand(self) -> int:
         """Memory that a run takes while it is worked on."""
-        image = 2 * self.merger.floodlit.nbytes
+        image = 2 * self.references.floodlit.nbytes
         # The merge by NumPy has up to five float32 copies of a bracket; images exist as such, as
         # a block and compressed.
-        brackets = self.merger.black.nbytes * 5
-        return brackets + self.chunk * (self.merger.black.nbytes + 3 * image) + 2 * image
+        brackets = self.references.black.nbytes * 5
+        return brackets + self.chunk * (self.references.black.nbytes + 3 * image) + 2 * image
 
 
 def _divided(merged: Merged, gains: NDArray[np.float64]) -> Merged:
@@ -195,7 +222,7 @@ def _divided(merged: Merged, gains: NDArray[np.float64]) -> Merged:
 
 
 def _merge(
-    merger: Merger,
+    references: ReferenceImages,
     gains: NDArray[np.float64] | None,
     folder: AcquisitionFolder,
     level: int,
@@ -204,13 +231,13 @@ def _merge(
     progress: bool,
 ) -> dict[str, Any]:
     """Merge a level; return what its manifest says of the images and their sum."""
-    image_shape = merger.floodlit.shape
+    image_shape = references.floodlit.shape
     chunk = chunk_patterns(image_shape)
-    total = LevelSum.zero(image_shape)
+    total = ImageSum.zero(image_shape)
     with ExitStack() as stack:
         frames = stack.enter_context(folder.frames(level, "capture"))
         count = frames.shape[0]
-        pieces = runs(count, image_shape)
+        pieces = merge_pieces(count, image_shape)
         # a run is a shard, so that no two workers ever write the same one
         run_chunks = max(-(-(last - first) // chunk) for first, last in pieces or [(0, 1)])
         layout, shape = (chunk, run_chunks), (count, 2, *image_shape)
@@ -218,12 +245,12 @@ def _merge(
         images, writer = stack.enter_context(merging)
         name = f"{name_of(level)} merge"
         bar = stack.enter_context(Progress(name, count, shown=progress))
-        work = _MergeRun(merger, gains, frames, writer, chunk)
+        work = _MergeRun(references, gains, frames, writer, chunk)
         place = folder.store(level, "merge").parent
         workers = stack.enter_context(resources.workers(work.bytes_in_hand, place))
         for first, digests, of_run in workers.results(work, pieces):
             images.enter(first, digests)
-            total.join(of_run)
+            total.add_sum(of_run)
             bar.advance(of_run.count)
         entry = images.entry()
     samples = count * int(np.prod(image_shape))
@@ -302,7 +329,7 @@ def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
         _log.info("%s: raw exposures dropped, %.3g MB", name_of(level), freed / 1e6)
 
 
-def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:
+def read_level_sum(folder: AcquisitionFolder, level: int) -> ImageSum:
     """Read the sum of a level's images and of their variance."""
     arrays, _ = folder.read(level, "merge", SUMS)
-    return LevelSum(arrays["radiance"], arrays["variance"])
+    return ImageSum(arrays["radiance"], arrays["variance"])

@@ -15,7 +15,8 @@ from rfpipe.methods.base import Method
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
 from rfpipe.provenance import fingerprint
-from rfpipe.references.reference_images import LevelSum, read_floodlit
+from rfpipe.references.image_sum import ImageSum
+from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.merge import read_level_sum
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import read_schedule
@@ -64,7 +65,7 @@ def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | 
 
 def normalize_level(
     schedule: Schedule,
-    level_sum: LevelSum,
+    level_sum: ImageSum,
     floodlit: tuple[Float, Float],
     known: Float | None,
     mode: Mode,

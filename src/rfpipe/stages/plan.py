@@ -12,7 +12,7 @@ from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.states import unprefixed
 from rfpipe.plugins import METHODS, SCENES, is_of_rfpipe, sources_of
 from rfpipe.provenance import code_digest, source_digest
-from rfpipe.references.symmetry import read_asymmetry
+from rfpipe.references.symmetry import choose_method, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.units import SYMMETRY_FRAMES
@@ -76,9 +76,10 @@ class Plan:
         measured = read_asymmetry(folder)
         if measured is not None:
             calibrated = was_coaxial(folder.read_manifest(0, "capture")["rig"])
-            named = measured.judge(
-                self.named, self.options, self.asymmetry, aloud=aloud, calibrated=calibrated
-            )
+            named = choose_method(
+                measured, self.named, self.options, self.asymmetry,
+                log=aloud, was_coaxial=calibrated,
+            )  # fmt: skip
         else:
             is_coaxial = self.camera.shape == self.projector.shape
             named = self.named if is_coaxial else self.named.on_rig(coaxial=False)

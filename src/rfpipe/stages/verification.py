@@ -19,8 +19,8 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
-from rfpipe.references.calibration_check import alarm
-from rfpipe.references.drift import alarms_of
+from rfpipe.references.calibration_check import calibration_fault
+from rfpipe.references.drift import changes_of
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
 from rfpipe.stages import merge
@@ -369,14 +369,14 @@ def _rig_facts(folder: AcquisitionFolder, watching: Mapping[str, Any]) -> dict[s
         level: facts[CHECK_PICTURES] for level, facts in merged.items() if CHECK_PICTURES in facts
     }
     rig = folder.read_manifest(0, "capture")["rig"]
-    of_rig = alarm(folder, rig, watching.get("asymmetry", 1.0))
+    of_rig = calibration_fault(folder, rig, watching.get("asymmetry", 1.0))
     drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]
     return {
         "drift": max(drift, default=None),
         "moved": max((max(look["change"]) for look in looks.values()), default=None),
         "alarms": [
             *([f"level 0: {of_rig}"] if of_rig else []),
-            *(f"{name_of(at)}: {alarm}" for at in looks for alarm in alarms_of(looks[at])),
+            *(f"{name_of(at)}: {alarm}" for at in looks for alarm in changes_of(looks[at])),
         ],
         "saturated": sum(facts["saturated"] for facts in merged.values()),
         "samples": sum(facts["samples"] for facts in merged.values()),

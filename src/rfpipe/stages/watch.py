@@ -1,7 +1,7 @@
-"""Watch over a capture: looks at a fine random pattern, between the patterns of a level.
+"""Watch over a capture by check pictures, taken between the patterns of a level.
 
-A look that differs from the first one is repeated, and what changed is named: see
-`rfpipe.references.comparison`, and `rfpipe.references.steadiness` for looks one after another.
+A check picture that differs from the first one is repeated, to name the cause of the change: see
+`rfpipe.references.comparison`, and `rfpipe.references.repeats`.
 """
 
 from __future__ import annotations
@@ -24,195 +24,213 @@ from rfpipe.references.check_pictures import (
     first_check_picture,
     recovery_advice,
 )
-from rfpipe.references.comparison import Change, change
-from rfpipe.references.reference_images import Merger, read_merger
-from rfpipe.references.steadiness import Samples, camera_of, motion_of, sample, scatter_of
-from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, Fault, moved_fault, room_fault
+from rfpipe.references.comparison import Difference, compare_pictures
+from rfpipe.references.reference_images import ReferenceImages, read_references
+from rfpipe.references.repeats import fault_of_repeats, gain_fault_of_repeats
+from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, moved_fault, room_fault
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.storage.files import CHECK_PICTURES, name_of
 from rfpipe.store import FrameStore, restore_header
 from rfpipe.units import CHECK_PICTURE_KEY
 
-# Change of brightness from one look to the next after which the look is repeated.
-_JUMP = 0.01
-# Further repetitions of a look whose first one differs, too.
-_REPETITIONS = 2
 Double = NDArray[np.float64]
+
+_MAX_STEP = 0.01
+"""Relative change of brightness from one check picture to the next above which it is repeated."""
+
+_MORE_REPEATS = 2
+"""Number of further repeats where the first repeat shows unsteady gain."""
 
 _log = logging.getLogger(__name__)
 
 
 @contextmanager
 def watching_level(
-    of_level: Brackets, level: int, mode: str = "off", looks: int = 0
+    level_brackets: Brackets, level: int, mode: str = "off", interval: int = 0
 ) -> Iterator[Watcher | None]:
-    """Provide what watches the capture of a level, or None.
+    """Provide the watcher of a level's capture; None for none.
 
-    A level that was begun with looks goes on with them, as they were; one that was begun without
-    has none, since looks at its first part can't be taken afterwards.
+    A capture that is resumed keeps the interval with which it began, or stays without check
+    pictures.
 
     Parameters
     ----------
-    of_level : Brackets
-        Of the level's patterns, settled.
+    level_brackets : Brackets
+        Brackets of the level's patterns, settled.
+    level : int
     mode : {"off", "warn", "refuse"}
-        What to do when the rig moved: refuse ends the capture.
-    looks : int
-        Patterns from one look to the next, 0 for none.
+        Reaction to a change of rig or light: "refuse" ends the capture.
+    interval : int
+        Patterns from one check picture to the next, 0 for no check pictures.
     """
-    path = of_level.folder.store(level, CHECK_PICTURES)
-    every = _interval(of_level, path, looks if mode != "off" else 0)
-    if not every:
+    path = level_brackets.folder.store(level, CHECK_PICTURES)
+    interval = _interval(level_brackets, path, interval if mode != "off" else 0)
+    if not interval:
         yield None
         return
-    pattern = check_pattern(of_level.rig.projector_shape)
+    pattern = check_pattern(level_brackets.rig.projector_shape)
 
     def repeated(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
         keys: Keys = [(CHECK_PICTURE_KEY, level, index) for index in range(first, last)]
         return np.repeat(pattern[None], last - first, axis=0), keys
 
-    about = {"interval": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
-    brackets = Brackets(
-        of_level.rig, of_level.folder, path, f"{name_of(level)}, looks at the rig",
-        check_picture_count(of_level.count, every), about, repeated,
+    attributes = {
+        "interval": interval,
+        "level_fingerprint": level_brackets.made_for,
+        "rig": level_brackets.shown["rig"],
+    }
+    check_brackets = Brackets(
+        level_brackets.rig, level_brackets.folder, path, f"{name_of(level)}, check pictures",
+        check_picture_count(level_brackets.count, interval), attributes, repeated,
     )  # fmt: skip
-    brackets.settle()
-    with brackets.recording() as frames:
-        is_merged = of_level.folder.exists(0, "merge")
-        merger = read_merger(of_level.rig.sensor, of_level.folder) if is_merged else None
-        yield Watcher(of_level, level, merger, brackets, frames, every, mode == "refuse")
+    check_brackets.settle()
+    with check_brackets.recording() as frames:
+        references = None
+        if level_brackets.folder.exists(0, "merge"):
+            references = read_references(level_brackets.rig.sensor, level_brackets.folder)
+        is_refusing = mode == "refuse"
+        yield Watcher(
+            level_brackets, level, references, check_brackets, frames, interval, is_refusing
+        )
 
 
-def _interval(of_level: Brackets, path: Path, every: int) -> int:
-    """Return the patterns between looks, whose store is `path`; those of a level that was begun."""
-    if of_level.count_missing() == of_level.count:
-        return every if of_level.count else 0
+def _interval(level_brackets: Brackets, path: Path, interval: int) -> int:
+    """Return the interval of a new capture, or the one with which the capture began.
+
+    `path` is the store of the check pictures.
+    """
+    if level_brackets.count_missing() == level_brackets.count:
+        return interval if level_brackets.count else 0
     if path.exists():
         restore_header(path)
-        with FrameStore.open(path) as begun:
-            if begun.attributes.get("made_beside") == of_level.made_for:
-                return int(begun.attributes["interval"])
+        with FrameStore.open(path) as frames:
+            if frames.attributes.get("level_fingerprint") == level_brackets.made_for:
+                return int(frames.attributes["interval"])
     return 0
 
 
 @dataclass(frozen=True)
 class Watcher:
-    """Takes the looks of a level: brackets of one pattern, again and again between its own."""
+    """Captures and compares the check pictures of a level.
 
-    of_level: Brackets
+    Attributes
+    ----------
+    level_brackets : Brackets
+        Brackets of the level's patterns.
+    level : int
+    references : ReferenceImages or None
+        None before level 0 is merged; check pictures are not compared then.
+    check_brackets : Brackets
+        Brackets of the check pictures.
+    frames : FrameStore
+        Open store of the check pictures.
+    interval : int
+        Patterns from one check picture to the next.
+    is_refusing : bool
+        Whether a harmful change ends the capture, or is logged.
+    """
+
+    level_brackets: Brackets
     level: int
-    merger: Merger | None
-    looks: Brackets
+    references: ReferenceImages | None
+    check_brackets: Brackets
     frames: Any
-    every: int
-    refuse: bool
+    interval: int
+    is_refusing: bool
 
     def due(self, first: int, last: int) -> Sequence[int]:
-        """Return the positions between two patterns at which a look is due."""
-        return range((first // self.every + 1) * self.every, last, self.every)
+        """Return the positions between two patterns at which a check picture is due."""
+        return range((first // self.interval + 1) * self.interval, last, self.interval)
 
     def before(self, position: int) -> None:
-        """Take the look that is due before the pattern at `position`, or after the last one.
+        """Take the check picture before the pattern at `position`, or after the last pattern.
 
-        Raises CaptureError where it shows, and repeated as well, that gain, light or rig changed,
-        and that is to end the capture. That look isn't stored: the next run begins by taking it
-        again.
+        Raises
+        ------
+        CaptureError
+            If gain, room light or rig changed and the watcher refuses that. The check picture isn't
+            stored then: the next run takes it first.
         """
-        is_last = position == self.of_level.count
-        index = self.looks.count - 1 if is_last else position // self.every
+        is_last = position == self.level_brackets.count
+        index = self.check_brackets.count - 1 if is_last else position // self.interval
         if self.frames.done[index]:
             return
-        bracket = self.looks.take(index, index + 1)
-        if self.merger is not None:
-            self._compare(self.merger, position, index, bracket)
+        bracket = self.check_brackets.take(index, index + 1)
+        if self.references is not None:
+            self._compare(self.references, position, index, bracket)
         self.frames.write(index, bracket)
 
-    def _compare(self, merger: Merger, position: int, index: int, bracket: NDArray[Any]) -> None:
-        """Compare a look with the first one, and repeat it where more than the lamp may differ."""
-        known = first_check_picture(self.of_level.folder, merger)
-        if known is None:
-            return
-        gain = np.ones(known.radiance.shape[-1])
-        if index and self.frames.done[index - 1]:
-            gain = change(merger, known, self.frames.read(index - 1, index)).gain
-        if _is_doubtful(change(merger, known, bracket), gain):
-            where = f"{name_of(self.level)}, before pattern {position}"
-            self._repeat(merger, known, where, index, bracket)
+    def entries(self) -> dict[str, Any]:
+        """Return the entries of the check pictures for the level's manifest."""
+        entry = self.check_brackets.entry(self.frames)
+        return {CHECK_PICTURES: {**entry, "interval": self.interval}}
 
-    def _repeat(
-        self, merger: Merger, known: Merged, where: str, index: int, bracket: NDArray[Any]
+    def _compare(
+        self, references: ReferenceImages, position: int, index: int, bracket: NDArray[Any]
     ) -> None:
-        """Repeat a look that differs; log what changed, or raise CaptureError."""
-        takes = [bracket, self.looks.take(index, index + 1)]
-        if _scatter(takes, merger) is not None:
-            takes += [self.looks.take(index, index + 1) for _ in range(_REPETITIONS)]
-            unsteady = _unsteady(takes, merger)
-            if unsteady is not None and unsteady.exceeds(CAPTURE):
-                self._end(f"{where}: {unsteady.text}")
-                return
-        first, last = (change(merger, known, each) for each in (takes[0], takes[-1]))
-        room = room_fault(abs(last.room), "since the first look")
-        if room.exceeds(NOTED):
-            self._end(f"{where}: {room.text}", is_harmful=room.exceeds(CAPTURE))
-        elif max(first.rest, last.rest) > CAPTURE.moved:
-            self._say_moved(where, max(first.rest, last.rest), is_lasting=last.rest > CAPTURE.moved)
+        """Compare a check picture with the first one; examine a difference beyond drift."""
+        first = first_check_picture(self.level_brackets.folder, references)
+        if first is None:
+            return
+        previous_gain = np.ones(first.radiance.shape[-1])
+        if index and self.frames.done[index - 1]:
+            previous = self.frames.read(index - 1, index)
+            previous_gain = compare_pictures(references, first, previous).gain
+        if _exceeds_drift(compare_pictures(references, first, bracket), previous_gain):
+            place = f"{name_of(self.level)}, before pattern {position}"
+            self._examine(references, first, place, index, bracket)
 
-    def _say_moved(self, where: str, rest: float, *, is_lasting: bool) -> None:
-        """Log that the rig or the scene moved, or raise CaptureError."""
-        fault = moved_fault(rest)
-        if is_lasting:
-            self._end(f"{where}: {fault.text}. Pictures from before and after don't fit together")
+    def _examine(
+        self,
+        references: ReferenceImages,
+        first: Merged,
+        place: str,
+        index: int,
+        bracket: NDArray[Any],
+    ) -> None:
+        """Repeat a check picture that differs; log the cause, or raise CaptureError."""
+        repeats = [bracket, self.check_brackets.take(index, index + 1)]
+        if gain_fault_of_repeats(repeats, references) is not None:
+            repeats += [self.check_brackets.take(index, index + 1) for _ in range(_MORE_REPEATS)]
+            fault = fault_of_repeats(repeats, references)
+            if fault is not None and fault.exceeds(CAPTURE):
+                self._report(f"{place}: {fault.text}")
+                return
+        before, after = (
+            compare_pictures(references, first, repeat) for repeat in (repeats[0], repeats[-1])
+        )
+        room = room_fault(abs(after.room), "since the first check picture")
+        if room.exceeds(NOTED):
+            self._report(f"{place}: {room.text}", is_harmful=room.exceeds(CAPTURE))
+        elif max(before.residual, after.residual) > CAPTURE.moved:
+            self._report_motion(place, before.residual, after.residual)
+
+    def _report_motion(self, place: str, before: float, after: float) -> None:
+        """Report motion, by the residuals of a check picture and of its last repeat."""
+        fault = moved_fault(max(before, after))
+        if after > CAPTURE.moved:
+            self._report(f"{place}: {fault.text}. Pictures from before and after are inconsistent")
         else:
             _log.warning(
-                "%s: %s; but not once more: patterns before may show what passed",
-                where, fault.change,
+                "%s: %s; but a repeated picture doesn't: pictures before it may show what passed",
+                place, fault.change,
             )  # fmt: skip
 
-    def _end(self, text: str, *, is_harmful: bool = True) -> None:
-        """Raise CaptureError for what spoils the capture if that is to end it, else log it."""
-        if not (self.refuse and is_harmful):
+    def _report(self, text: str, *, is_harmful: bool = True) -> None:
+        """Raise CaptureError for a harmful change if the watcher refuses it, else log it."""
+        if not (self.is_refusing and is_harmful):
             _log.warning("%s", text)
             return
-        folder = self.of_level.folder
-        raise CaptureError(f"{text}. The capture ends here; {recovery_advice(folder, self.level)}")
-
-    def entries(self) -> dict[str, Any]:
-        """Entries of the looks in the level's manifest."""
-        return {CHECK_PICTURES: {**self.looks.entry(self.frames), "interval": self.every}}
+        advice = recovery_advice(self.level_brackets.folder, self.level)
+        raise CaptureError(f"{text}. The capture ends here; {advice}")
 
 
-def _is_doubtful(shown: Change, before: Double) -> bool:
-    """Test whether a look differs by more than a lamp that drifts changes it.
+def _exceeds_drift(difference: Difference, previous_gain: Double) -> bool:
+    """Test whether a check picture differs by more than the drift of a lamp.
 
-    `before` is the brightness (C,) at the look before.
+    `previous_gain` is the gain (C,) of the previous check picture.
     """
-    jump = np.abs(shown.gain - before) - SIGNIFICANCE * np.sqrt(2) * shown.deviation
-    return shown.rest > CAPTURE.moved or abs(shown.room) > NOTED.room or bool((jump > _JUMP).any())
-
-
-def _scatter(takes: Sequence[NDArray[Any]], merger: Merger) -> Fault | None:
-    """Find a change of gain, lamp or queue between looks that were taken one after another."""
-    camera = camera_of(merger.sensor)
-    return None if camera is None else scatter_of(_samples(takes, merger), camera)
-
-
-def _unsteady(takes: Sequence[NDArray[Any]], merger: Merger) -> Fault | None:
-    """Find what changes between looks except their shape; None where that changes, too."""
-    scatter, camera = _scatter(takes, merger), camera_of(merger.sensor)
-    is_certain = scatter is not None and scatter.kind in ("flicker", "late")
-    unsteady = scatter if is_certain else _room_between(takes, merger) or scatter
-    if unsteady is None or unsteady.kind == "late" or camera is None:
-        return unsteady
-    return None if motion_of(_samples(takes, merger), camera) is not None else unsteady
-
-
-def _room_between(takes: Sequence[NDArray[Any]], merger: Merger) -> Fault | None:
-    """Find light of the room that changes between looks taken one after another."""
-    first = merger.merge(takes[0], 0)
-    room = [change(merger, first, each).room for each in takes[1:]]
-    fault = room_fault(max(map(abs, room)), f"in {len(takes)} pictures")
-    return fault if fault.exceeds(NOTED) else None
-
-
-def _samples(takes: Sequence[NDArray[Any]], merger: Merger) -> Samples:
-    return Samples(np.stack([sample(each[0]) for each in takes]), sample(merger.black))
+    noise = SIGNIFICANCE * np.sqrt(2) * difference.deviation
+    step = np.abs(difference.gain - previous_gain) - noise
+    is_room = abs(difference.room) > NOTED.room
+    return difference.residual > CAPTURE.moved or is_room or bool((step > _MAX_STEP).any())
