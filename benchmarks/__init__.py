@@ -1,1 +1,1 @@
-"""What compares and measures: methods, rivals, speed (README.md)."""
+"""Benchmarks of methods, rivals and speed (README.md)."""

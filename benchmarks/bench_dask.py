@@ -55,9 +55,9 @@ def idle(folder: Path, resources: Resources) -> None:
 
 
 def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
-    """Yield what is measured, on a copy of an acquisition."""
-    about = read_manifest(source / "transport.json")
-    level = max(range(1, len(about["levels"])), key=lambda n: about["levels"][n]["patterns"])
+    """Yield the measurements, on a copy of an acquisition."""
+    manifest = read_manifest(source / "transport.json")
+    level = max(range(1, len(manifest["levels"])), key=lambda n: manifest["levels"][n]["patterns"])
     parts = ["L00", f"L{level:02d}", "transport.zarr"]
     above = AcquisitionFolder(source).levels_above(level)[1:]
     for part in [*parts, *(f"L{n:02d}" for n in above)]:
@@ -68,7 +68,7 @@ def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
     folder = AcquisitionFolder(place)
     yield "overhead", partial(idle, place)
     yield (
-        f"merge, {about['levels'][level]['patterns']} patterns",
+        f"merge, {manifest['levels'][level]['patterns']} patterns",
         partial(merged_anew, folder, level),
     )
 
@@ -79,10 +79,15 @@ def cpu_seconds() -> float:
     total = times.user + times.system + times.children_user + times.children_system
     for child in psutil.Process().children(recursive=True):
         try:
-            own = child.cpu_times()
+            child_seconds = child.cpu_times()
         except psutil.NoSuchProcess:
             continue
-        total += own.user + own.system + own.children_user + own.children_system
+        total += (
+            child_seconds.user
+            + child_seconds.system
+            + child_seconds.children_user
+            + child_seconds.children_system
+        )
     return total
 
 
@@ -122,8 +127,8 @@ def measured(use: str, work: Use, ways: dict[str, Resources], rounds: int) -> li
                 seconds[name].append(took)
     reference = np.array(seconds["2 threads"])
     rows = []
-    for name, each in seconds.items():
-        wall, cpu = np.array(each).T
+    for name, samples in seconds.items():
+        wall, cpu = np.array(samples).T
         ratio = wall / reference[:, 0]
         rows.append(
             {

@@ -37,17 +37,17 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=["footprints", "symmetric", "dual"])
     parser.add_argument("--targets", nargs="+", type=float, default=[0.02, 0.01])
     parser.add_argument("--seed", type=int, default=1, help="of the camera's noise")
-    asked = parser.parse_args()
-    print(write("light_field", rows(asked)).round(2).to_string(index=False))
+    arguments = parser.parse_args()
+    print(write("light_field", rows(arguments)).round(2).to_string(index=False))
 
 
-def rows(asked: argparse.Namespace) -> Iterator[dict[str, Any]]:
+def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield a row a size, method and target."""
-    for size in asked.sizes:
+    for size in arguments.sizes:
         height, width = (int(part) for part in size.split("x"))
         scene = room_scene(("texture", "white", "white"), (height, width), views=_VIEWS, channels=1)
-        for method, target in product(asked.methods, asked.targets):
-            yield {"size": size, **acquired(scene, method, target, asked.seed)}
+        for method, target in product(arguments.methods, arguments.targets):
+            yield {"size": size, **acquired(scene, method, target, arguments.seed)}
 
 
 def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any]:
@@ -55,14 +55,14 @@ def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any
     begun = time.perf_counter()
     rig = SimulatedRig(scene, CameraModel(), seed=seed)
     # mean errors are some three tolerances of a hierarchy
-    told = {"target_error": target} if method == "footprints" else {"tolerance": 0.3 * target}
-    result = rfpipe.acquire(rig, method=method, progress=False, **told)
+    options = {"target_error": target} if method == "footprints" else {"tolerance": 0.3 * target}
+    result = rfpipe.acquire(rig, method=method, progress=False, **options)
     seconds = time.perf_counter() - begun
     shown = {**relighting_patterns(scene.shape), **spots_of(scene.shape)}
     light = np.stack(list(shown.values()))
     relative = errors(result.transport.relight_batch(light), images_of(scene, light))
-    found = dict(zip(shown, 100 * relative, strict=True))
-    usual = [found[name] for name in relighting_patterns(scene.shape)]
+    errors_by_kind = dict(zip(shown, 100 * relative, strict=True))
+    usual = [errors_by_kind[name] for name in relighting_patterns(scene.shape)]
     return {
         "method": method,
         "target": target,
@@ -70,9 +70,9 @@ def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any
         "estimate": 100 * float(result.history["estimated_error"].max()),
         "mean": float(np.mean(usual)),
         "largest": max(usual),
-        "spot": found["spot of 12"],
-        "spots": found["spots"],
-        "noise in one view": found["noise in one view"],
+        "spot": errors_by_kind["spot of 12"],
+        "spots": errors_by_kind["spots"],
+        "noise in one view": errors_by_kind["noise in one view"],
         "seconds": seconds,
     }
 
@@ -80,15 +80,15 @@ def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any
 def spots_of(shape: tuple[int, ...]) -> dict[str, NDArray[np.float32]]:
     """Return a spot of 12 pixels in the middle view, spots in all views, and noise in one."""
     views, height, width = shape
-    one, many, noise = (np.zeros(shape, np.float32) for _ in range(3))
-    one[views // 2, height // 3 :, width // 3 :][:3, :4] = 1
+    single, several, noise = (np.zeros(shape, np.float32) for _ in range(3))
+    single[views // 2, height // 3 :, width // 3 :][:3, :4] = 1
     random = generator(0, views, height, width)
     for view in range(views):
         for _ in range(4):
-            top, left = random.integers(0, height - 3), random.integers(0, width - 3)
-            many[view, top : top + 3, left : left + 3] = 1
+            top, column = random.integers(0, height - 3), random.integers(0, width - 3)
+            several[view, top : top + 3, column : column + 3] = 1
     noise[min(2, views - 1)] = octave_noise((height, width), random, 0.0) > 0
-    return {"spot of 12": one, "spots": many, "noise in one view": noise}
+    return {"spot of 12": single, "spots": several, "noise in one view": noise}
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Whether calibration tells linear cameras from bent ones, whatever scene they stand before.
+"""Classification of linear and non-linear cameras by the calibration, before various scenes.
 
 Usage: ``python -m benchmarks.bench_linearity [--seeds 20]`` (two minutes). Cameras of known
 exponents look at scenes of one, two, three and many albedos, without any texture: all pixels of a
-tone have the same light, wherever that lies between the edges of the bins that are compared. For
-each: of how many seeds the camera was found linear, bent, or neither, and the worst exponent. Also
+tone have the same light, wherever that lies between the edges of the bins that are compared.
+Columns: the number of seeds with the verdict linear, bent, or neither, and the worst exponent. Also
 cameras whose photosites have offsets, and whose noise is the same in all pictures. Writes
 results/bench/linearity.csv.
 """
@@ -54,7 +54,7 @@ SCENES = {
 
 
 class Wall:
-    """Projector and camera at once, before stripes of albedos."""
+    """A projector and a camera before stripes of albedos."""
 
     shape, channels = (SIDE, SIDE), 1
 
@@ -83,7 +83,7 @@ class Wall:
         return (frames + self.offsets).clip(0, self.sensor.white_level).astype(np.uint16)
 
     def describe(self) -> dict[str, Any]:
-        """Nothing keeps what is measured here."""
+        """Empty: these measurements aren't stored."""
         return {}
 
     def close(self) -> None:
@@ -93,27 +93,27 @@ class Wall:
 def linearity(wall: Wall) -> Findings:
     """Do the steps dark and linearity."""
     bench = Bench(wall, wall, CalibrationConfig(), None, {}, lambda _: nullcontext())
-    return measure_linearity(replace(bench, found={"dark": measure_dark(bench)}))
+    return measure_linearity(replace(bench, results={"dark": measure_dark(bench)}))
 
 
 def rows(seeds: int) -> Iterator[dict[str, Any]]:
     """Yield a row a camera, exponent and scene."""
     for name in (*CAMERAS, *OWN):
-        camera, own = CAMERAS.get(name, CameraModel()), OWN.get(name, {})
+        camera, fault = CAMERAS.get(name, CameraModel()), OWN.get(name, {})
         for exponent in EXPONENTS:
             bent = replace(camera, response_gamma=exponent)
             for scene, albedos in SCENES.items():
-                found = [linearity(Wall(albedos, bent, seed, **own)) for seed in range(seeds)]
-                good = [one for one in found if one.verdict.standing == "good"]
-                gammas = np.array([one["response_gamma"] for one in good])
+                results = [linearity(Wall(albedos, bent, seed, **fault)) for seed in range(seeds)]
+                good = [result for result in results if result.verdict.standing == "good"]
+                gammas = np.array([result["response_gamma"] for result in good])
                 yield {
                     "camera": name,
                     "exponent": exponent,
                     "albedos": scene,
                     "linear": int((gammas == 1).sum()),
                     "bent": int((gammas != 1).sum()),
-                    "not good": sum(one.verdict.standing == "poor" for one in found),
-                    "can't tell": sum(one.verdict.standing == "unknown" for one in found),
+                    "not good": sum(result.verdict.standing == "poor" for result in results),
+                    "can't tell": sum(result.verdict.standing == "unknown" for result in results),
                     "worst exponent's error": np.abs(gammas / exponent - 1).max(initial=0.0),
                 }
 
@@ -122,5 +122,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=20)
     table = write("linearity", rows(parser.parse_args().seeds)).groupby(["camera", "exponent"])
-    told = table[["linear", "bent", "not good", "can't tell"]].sum()
-    print(told.join(table["worst exponent's error"].max()).to_string())
+    counts = table[["linear", "bent", "not good", "can't tell"]].sum()
+    print(counts.join(table["worst exponent's error"].max()).to_string())

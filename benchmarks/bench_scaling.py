@@ -1,9 +1,9 @@
-"""How processing grows with the rays, beside a copy of the same bytes: results/bench/scaling.csv.
+"""Processing time by rays, relative to a copy of the same bytes: results/bench/scaling.csv.
 
 Usage: ``python -m benchmarks.bench_scaling [--full]``. Scene IV in RGB through the default camera,
 by symmetric and near/far acquisition in this process, at growing sizes; ``--full`` adds 310 x 350.
 The floor is one pass over an image's raw bracket and its merged radiance and variance at the speed
-at which this machine copies memory. Peak memory is that of the whole process, simulation included.
+at which this machine copies memory. Peak memory covers the whole process, simulation included.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def measure(method: str, shape: tuple[int, int]) -> dict[str, Any]:
 
 
 def rows() -> Iterator[dict[str, Any]]:
-    """Measure each case in a process of its own."""
+    """Measure each case in a separate process."""
     context = multiprocessing.get_context("spawn")
     sizes = (*SIZES, FULL) if is_full() else SIZES
     with ProcessPoolExecutor(1, mp_context=context, max_tasks_per_child=1) as pool:

@@ -1,9 +1,9 @@
-"""What a few random patterns tell of rigs that aren't coaxial, and what symmetric photography does.
+"""Asymmetry measured by random patterns, and the errors of symmetric photography it predicts.
 
 Usage: ``python -m benchmarks.bench_symmetry [SCENE ...]``, ``wedge`` or scenes of Mitsuba by name
 (ten minutes). A scene's matrix at 32 x 32 is spoilt as usual rigs spoil it: a camera that stands
 beside the projector by a part of a pixel, vignetting, a camera out of focus, less light. For each:
-the error that the check predicts, and that of relit pictures by symmetric photography without it.
+the error that the check predicts, and the error of relit pictures by symmetric photography.
 Writes results/bench/symmetry.csv.
 """
 
@@ -53,7 +53,7 @@ def matrix_of(scene: str) -> Array:
 
 
 def beside(pixels: float) -> Callable[[Array], Array]:
-    """Let the camera stand beside the projector."""
+    """Shift the camera against the projector."""
 
     def spoil(matrix: Array) -> Array:
         images = matrix.reshape(SIDE, SIDE, -1)
@@ -111,17 +111,17 @@ def rows() -> Iterator[dict[str, Any]]:
             matrix = spoil(right)
             camera = replace(CameraModel(), electrons_per_radiance=light * _LIGHT)
             rig = rfpipe.OperatorRig(matrix, (SIDE, SIDE), (SIDE, SIDE), camera)
-            told = {
+            row = {
                 f"predicted_{count}": np.mean([predicted(rig, count, seed) for seed in SEEDS])
                 for count in FRAMES
             }
-            found = rfpipe.acquire(
+            result = rfpipe.acquire(
                 rig, "symmetric", tolerance=3e-3, symmetry_frames=0, progress=False
             )
             truth = lit.reshape(len(lit), -1) @ matrix.T
-            images = found.transport.relight_batch(lit).reshape(truth.shape)
+            images = result.transport.relight_batch(lit).reshape(truth.shape)
             error = errors(images, truth).mean()
-            yield {"scene": scene, "rig": name, **told, "symmetric": error}
+            yield {"scene": scene, "rig": name, **row, "symmetric": error}
 
 
 if __name__ == "__main__":

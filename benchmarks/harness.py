@@ -1,4 +1,4 @@
-"""What the scripts share: their tables, the shortest of several times, and errors of pictures."""
+"""Shared functions of the scripts: tables, shortest of several times, errors of pictures."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def given(
 
 
 def is_full() -> bool:
-    """Whether a script was called with ``--full``, its only option."""
+    """Test whether a script was called with ``--full``, its only option."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--full", action="store_true")
     return bool(parser.parse_args().full)
@@ -56,7 +56,7 @@ def existing(text: str) -> Path:
 
 
 def write(name: str, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Write ``results/bench/{name}.csv`` anew after each row, so that a stopped script leaves some.
+    """Rewrite ``results/bench/{name}.csv`` after each row, so that a stopped script leaves rows.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def _text(value: Any) -> str:
 def shortest_ms(seconds: float = 4.0, **actions: Callable[[], object]) -> dict[str, float]:
     """Return the shortest time of each action in ms, warm; all of them in turn for so long."""
     for action in actions.values():
-        action()  # compiles, or loads what was compiled
+        action()  # compiles, or loads compiled code
     shortest = dict.fromkeys(actions, np.inf)
     began = time.perf_counter()
     while time.perf_counter() - began < seconds:

@@ -2,7 +2,7 @@
 
     python -m benchmarks.kill_runs FOLDER [--runs 30] [--seed 1]
 
-For each mode of resources.jobs so many runs are killed by kill -9, with all of their jobs, at
+For each mode of resources.jobs, RUNS runs are killed by kill -9, with all of their jobs, at
 moments spread over the time of an undisturbed run; unlocked; and run to their end. A table says in
 which stage each was killed; the exit status is 1 where any ends with other bytes.
 """
@@ -39,18 +39,18 @@ def main() -> int:
     parser.add_argument("folder", type=Path, help="where the runs lie; made")
     parser.add_argument("--runs", type=int, default=30, help="runs to kill of each mode")
     parser.add_argument("--seed", type=int, default=1, help="of the moments")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     expected, wrong = None, 0
     for number, mode in enumerate(MODES):
-        seconds = _run(asked.folder / mode / "whole", mode)
-        contents = _contents(asked.folder / mode / "whole")
+        seconds = _run(arguments.folder / mode / "whole", mode)
+        contents = _contents(arguments.folder / mode / "whole")
         expected = expected or contents
         wrong += contents != expected
-        random = generator(asked.seed, number)
+        random = generator(arguments.seed, number)
         killed = Counter[str]()
-        for run in range(asked.runs):
-            folder = asked.folder / mode / str(run)
-            moment = (run + random.uniform()) / asked.runs * seconds
+        for run in range(arguments.runs):
+            folder = arguments.folder / mode / str(run)
+            moment = (run + random.uniform()) / arguments.runs * seconds
             killed[_killed(folder, mode, moment)] += 1
             _run(folder, mode)
             if _contents(folder) != expected:
@@ -59,7 +59,7 @@ def main() -> int:
             else:
                 shutil.rmtree(folder)
         stages = ", ".join(f"{count} in {stage}" for stage, count in sorted(killed.items()))
-        print(f"jobs: {mode}: {asked.runs} killed, {stages}", flush=True)
+        print(f"jobs: {mode}: {arguments.runs} killed, {stages}", flush=True)
     print(f"{wrong} ended with other bytes")
     return int(wrong > 0)
 

@@ -4,7 +4,7 @@ Usage: ``python -m benchmarks.localise_errors [--side N] [SCENE ...]``, scenes o
 by default a box with two blocks and one with a red wall (needs the extra mitsuba; at 48 x 48 some
 ten minutes a scene). Their light is recorded with 16,384 samples, the red channel is acquired; by
 dual photography alone where camera and projector aren't coaxial. For symmetric photography the
-error of half-lit pictures is told apart by the kind and the level of the leaves that hold it. Adds
+error of half-lit pictures is split by the kind and the level of the leaves. Adds
 to results/bench/tolerance.csv and results/bench/tolerance_leaves.csv.
 """
 
@@ -49,15 +49,15 @@ def recorded(scene: str, side: int) -> MitsubaScene:
 def pictures(matrix: Array, side: int) -> Array:
     """Return relighting patterns and a half-lit one, then a crease and three spots, (P, N)."""
     shape = height, width = side, side
-    found = list(relighting_patterns(shape).values())
-    found.append(np.broadcast_to(np.arange(width) < width // 2, shape).astype(np.float32))
-    found.append(_crease(matrix, shape).astype(np.float32))
+    patterns = list(relighting_patterns(shape).values())
+    patterns.append(np.broadcast_to(np.arange(width) < width // 2, shape).astype(np.float32))
+    patterns.append(_crease(matrix, shape).astype(np.float32))
     random = np.random.default_rng(5)
     for spot in (1, 2, 3):
-        top, left = random.integers(0, height - spot), random.integers(0, width - spot)
-        found.append(np.zeros(shape, np.float32))
-        found[-1][top : top + spot, left : left + spot] = 1
-    return np.stack(found).reshape(len(found), -1).astype(np.float64)
+        top, column = random.integers(0, height - spot), random.integers(0, width - spot)
+        patterns.append(np.zeros(shape, np.float32))
+        patterns[-1][top : top + spot, column : column + spot] = 1
+    return np.stack(patterns).reshape(len(patterns), -1).astype(np.float64)
 
 
 def _crease(matrix: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
@@ -65,9 +65,9 @@ def _crease(matrix: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
     height, width = shape
     near, rays = np.zeros(height * width), np.arange(height * width).reshape(shape)
     for down, right in ((0, 1), (1, 0), (1, 1)):
-        one, other = rays[: height - down, : width - right].ravel(), rays[down:, right:].ravel()
-        near[one] += matrix[one, other]
-        near[other] += matrix[one, other]
+        first, second = rays[: height - down, : width - right].ravel(), rays[down:, right:].ravel()
+        near[first] += matrix[first, second]
+        near[second] += matrix[first, second]
     return (near >= np.quantile(near, 1 - _CREASE)).reshape(shape)
 
 
@@ -83,10 +83,10 @@ def by_leaf(transport: HierarchicalTransport, matrix: Array) -> list[dict[str, A
     for leaves in transport.leaf_sets:
         starts, scalar = tree.starts[leaves.level], leaves.level == tree.n_levels - 1
         for a, b in zip(leaves.block_a, leaves.block_b, strict=True):
-            for one, other in ((a, b), (b, a)):
+            for first, second in ((a, b), (b, a)):
                 place = (
-                    slice(starts[one], starts[one + 1]),
-                    slice(starts[other], starts[other + 1]),
+                    slice(starts[first], starts[first + 1]),
+                    slice(starts[second], starts[second + 1]),
                 )
                 kind[place] = 1 if scalar else 2
                 level[place], on_diagonal[place] = leaves.level, a == b
@@ -94,14 +94,14 @@ def by_leaf(transport: HierarchicalTransport, matrix: Array) -> list[dict[str, A
     norm = np.linalg.norm(truth @ lit)
     rows = []
     for which in np.unique(np.stack([kind.ravel(), level.ravel(), on_diagonal.ravel()]), axis=1).T:
-        here = (kind == which[0]) & (level == which[1]) & (on_diagonal == which[2])
-        part = np.where(here, error, 0.0)
+        selected = (kind == which[0]) & (level == which[1]) & (on_diagonal == which[2])
+        part = np.where(selected, error, 0.0)
         rows.append(
             {
                 "kind": _KINDS[which[0]],
                 "level": int(which[1]),
                 "diagonal": bool(which[2]),
-                "area": float(here.mean()),
+                "area": float(selected.mean()),
                 "half_lit_error": float(np.linalg.norm(part @ lit) / norm),
                 "of_one_sign": float(part.sum() / max(np.abs(part).sum(), 1e-30)),
             }
@@ -125,12 +125,12 @@ def errors(
         result = rfpipe.acquire(rig, method, tolerance=tolerance, progress=False)
         lit = patterns.astype(np.float32).reshape(-1, side, side)
         images = result.transport.relight_batch(lit).reshape(truth.shape)
-        found = [relative_rms(*pair) for pair in zip(images, truth, strict=True)]
+        values = [relative_rms(*pair) for pair in zip(images, truth, strict=True)]
         counts = {
             "patterns": result.patterns,
-            "mean": float(np.mean(found)),
-            "large": float(np.mean(found[:-_SMALL])),
-            "worst": float(max(found)),
+            "mean": float(np.mean(values)),
+            "large": float(np.mean(values[:-_SMALL])),
+            "worst": float(max(values)),
         }
         hierarchical = isinstance(result.transport, HierarchicalTransport)
         leaves = by_leaf(result.transport, matrix) if hierarchical else []
@@ -149,9 +149,9 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=SCENES, choices=WORLDS, metavar="SCENE")
     parser.add_argument("--side", type=int, default=48, help="pixels; 48")
     parser.add_argument("--tolerances", nargs="+", type=float, default=TOLERANCES)
-    asked = parser.parse_args()
-    for scene in asked.scenes:
-        for row, leaves in errors(scene, asked.side, asked.tolerances):
+    arguments = parser.parse_args()
+    for scene in arguments.scenes:
+        for row, leaves in errors(scene, arguments.side, arguments.tolerances):
             print(row, flush=True)
             append(OUTPUT / "tolerance.csv", [row])
             append(OUTPUT / "tolerance_leaves.csv", leaves)

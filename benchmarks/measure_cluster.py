@@ -37,11 +37,11 @@ def main() -> None:
     arguments.add_argument("--cpus", type=int, default=1)
     arguments.add_argument("--kill", action="store_true")
     arguments.add_argument("--local", action="store_true")
-    asked = arguments.parse_args()
-    folder = asked.folder / ("local" if asked.local else f"slurm_{asked.group}")
+    options = arguments.parse_args()
+    folder = options.folder / ("local" if options.local else f"slurm_{options.group}")
     folder.mkdir(parents=True)
     config = folder / "config.yaml"
-    config.write_text(yaml.safe_dump(_settings(asked.scenes)), encoding="utf-8")
+    config.write_text(yaml.safe_dump(_settings(options.scenes)), encoding="utf-8")
     targets = [
         f"results/{scene}/{method}/transport.json"
         for scene, method in load_config(config).acquisitions
@@ -51,21 +51,21 @@ def main() -> None:
         "--snakefile", str(ROOT / "Snakefile"),
         "--directory", str(folder), "--configfile", str(config),
     ]  # fmt: skip
-    killed_after = asked.scenes // 3 if asked.kill else None
+    killed_after = options.scenes // 3 if options.kill else None
     began = time.perf_counter()
-    cores = 2 * asked.cpus
-    if asked.local:
+    cores = 2 * options.cpus
+    if options.local:
         subprocess.run([*command, "--cores", str(cores)], check=True)
     else:
-        with TemporaryDirectory() as place, Slurm(Path(place) / "slurm", asked.cpus) as slurm:
+        with TemporaryDirectory() as place, Slurm(Path(place) / "slurm", options.cpus) as slurm:
             os.environ.update(slurm.environment)
             command += ["--profile", str(ROOT / "workflow" / "profiles" / "slurm")]
-            if asked.group > 1:
+            if options.group > 1:
                 command += ["--groups", "acquire=small"]
-                command += ["--group-components", f"small={asked.group}"]
-                command += ["--cores", str(asked.cpus)]  # those of a group's jobs side by side
+                command += ["--group-components", f"small={options.group}"]
+                command += ["--cores", str(options.cpus)]  # of a group's parallel jobs
             _run(command, slurm, folder, killed_after)
-    _tell(folder, asked.folder / "local", time.perf_counter() - began, cores)
+    _tell(folder, options.folder / "local", time.perf_counter() - began, cores)
 
 
 def _settings(count: int) -> dict[str, object]:
@@ -93,17 +93,19 @@ def _run(command: list[str], slurm: Slurm, folder: Path, killed_after: int | Non
         sys.exit("the run failed")
 
 
-def _tell(folder: Path, other: Path, wall: float, cores: int) -> None:
+def _tell(folder: Path, second_folder: Path, wall: float, cores: int) -> None:
     files = sorted(folder.glob("results/*/*/acquire.benchmark.tsv"))
     table = pd.concat([pd.read_csv(file, sep="\t") for file in files])
-    own = table["s"].sum()
-    print(f"{len(table)} jobs, {wall:.0f} s on {cores} cores; the jobs themselves {own:.0f} s")
-    print(f"ideal {own / cores:.0f} s: {wall * cores / own:.2f} times that")
+    job_seconds = table["s"].sum()
+    print(
+        f"{len(table)} jobs, {wall:.0f} s on {cores} cores; the jobs themselves {job_seconds:.0f} s"
+    )
+    print(f"ideal {job_seconds / cores:.0f} s: {wall * cores / job_seconds:.2f} times that")
     print(f"processor time of the jobs {table['cpu_time'].sum():.0f} s")
     print(f"memory {table['max_rss'].min():.0f} to {table['max_rss'].max():.0f} MiB")
-    if other.exists() and other != folder:
-        same = _digests(folder) == _digests(other)
-        print(f"bytes: {'the same' if same else 'OTHERS'} as in {other}")
+    if second_folder.exists() and second_folder != folder:
+        same = _digests(folder) == _digests(second_folder)
+        print(f"bytes: {'the same' if same else 'OTHERS'} as in {second_folder}")
 
 
 def _digests(folder: Path) -> dict[str, str]:

@@ -1,9 +1,9 @@
 """A checkerboard on textured creases, with and without inter-reflections in the model.
 
-Usage: ``python -m benchmarks.measure_compensation [SIDE ...]``, by default 48. Patterns are found
-from the exact transport and from that which `auto` acquires with noise, each with all its light and
-with its direct light alone; the scene tells what they make. Errors are relative to the wished
-picture, over the pixels within reach of the former. Writes results/bench/compensation.csv.
+Usage: ``python -m benchmarks.measure_compensation [SIDE ...]``, by default 48. Patterns are
+computed from the exact transport and from a transport that `auto` acquires with noise, each with
+all light and with direct light alone, and projected onto the simulated scene. Errors are relative
+to the wished picture, over the pixels within reach of the former. Writes results/bench/compensation.csv.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ def rows(side: int) -> Iterator[dict[str, Any]]:
         wished = np.quantile(scene.floodlit, 0.1) * (1 + (row + column) % 2) / 4
 
         def off(pattern: NDArray[Any], within: NDArray[np.bool_]) -> float:
-            seen = scene.apply(pattern.reshape(1, -1)).reshape(side, side)  # noqa: B023
+            picture = scene.apply(pattern.reshape(1, -1)).reshape(side, side)  # noqa: B023
             return float(
-                np.linalg.norm((seen - wished)[within]) / np.linalg.norm(wished[within])  # noqa: B023
+                np.linalg.norm((picture - wished)[within]) / np.linalg.norm(wished[within])  # noqa: B023
             )
 
         for method, noise in (("brute_force", None), ("auto", rfpipe.CameraModel())):
             rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, noise, seed=1)
             result = rfpipe.acquire(rig, method, progress=False)
-            found = result.transport.pattern_for(wished)
+            solution = result.transport.pattern_for(wished)
             direct = result.transport.separate(np.ones(scene.shape)).direct[..., 0]
-            alone = np.clip(wished / np.maximum(direct, 1e-6), 0, 1).astype(np.float32)
-            within = ~found.out_of_reach
+            by_direct_light = np.clip(wished / np.maximum(direct, 1e-6), 0, 1).astype(np.float32)
+            within = ~solution.out_of_reach
             yield {"scene": name, "side": side, "by": method, "patterns": result.patterns,
-                   "within reach": float(within.mean()), "all light": off(found.pattern, within),
-                   "direct light": off(alone, within)}  # fmt: skip
+                   "within reach": float(within.mean()), "all light": off(solution.pattern, within),
+                   "direct light": off(by_direct_light, within)}  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""What a transport says that camera pixels see, against the scene's geometry and structured light.
+"""Projector places of camera pixels by a transport, by geometry and by structured light.
 
 Usage: ``python -m benchmarks.measure_places [SIDE ...]``, by default 48; a wedge of 120 degrees lit
 from aside. Distances are in projector pixels, errors of depth in parts of it, where the camera sees
-lit surface; noise is that of the default camera. Writes results/bench/places.csv.
+lit surface; with the noise of the default camera. Writes results/bench/places.csv.
 """
 
 from __future__ import annotations
@@ -28,22 +28,25 @@ _LEAST = 0.05  # of the brightest pixel, that counts as lit
 
 
 def rows(side: int) -> Iterator[dict[str, Any]]:
-    """Yield a row for each way to tell places."""
+    """Yield a row for each way to compute places."""
     scene = stage_of("wedge_aside", str(side), 1, 1, 1, Path()).scene
     camera, lamp = Pinhole((side, side)), Pinhole((side, side), *ASIDE)
     points = sight_of(camera, GEOMETRIES[_GEOMETRY]).positions
     truth = lamp.project(points).reshape(*camera.shape, 2)
     floodlit = scene.floodlit[..., 0]
-    seen = ((truth > 1) & (truth < side - 1)).all(axis=-1)
-    seen &= floodlit > _LEAST * floodlit.max()
+    visible = ((truth > 1) & (truth < side - 1)).all(axis=-1)
+    visible &= floodlit > _LEAST * floodlit.max()
 
     def row(name: str, patterns: int, places: NDArray[Any], mask: NDArray[Any]) -> dict[str, Any]:
-        told = mask & seen
-        off = np.linalg.norm(places - truth, axis=-1)[told]
-        sides = ((np.argwhere(told)[:, ::-1].T + 0.5), places[told][:, ::-1].T.astype(np.float64))
+        judged = mask & visible
+        off = np.linalg.norm(places - truth, axis=-1)[judged]
+        sides = (
+            (np.argwhere(judged)[:, ::-1].T + 0.5),
+            places[judged][:, ::-1].T.astype(np.float64),
+        )
         point = cv2.triangulatePoints(camera.matrix, lamp.matrix, *sides)
-        deep = np.abs(point[2] / point[3] / points.reshape(*camera.shape, 3)[told, 2] - 1)
-        return {"by": name, "side": side, "pixels": int(seen.sum()), "told": len(off),
+        deep = np.abs(point[2] / point[3] / points.reshape(*camera.shape, 3)[judged, 2] - 1)
+        return {"by": name, "side": side, "pixels": int(visible.sum()), "told": len(off),
                 "patterns": patterns, "median": float(np.median(off)),
                 "nine tenths": float(np.quantile(off, 0.9)), "beyond 1": int((off > 1).sum()),
                 "depth": float(np.median(deep)), "depth, nine tenths": float(np.quantile(deep, 0.9))
@@ -56,8 +59,8 @@ def rows(side: int) -> Iterator[dict[str, Any]]:
     for method, noise in (("brute_force", None), ("auto", rfpipe.CameraModel())):
         rig = rfpipe.OperatorRig(scene, camera.shape, lamp.shape, noise, seed=1)
         result = rfpipe.acquire(rig, method, progress=False)
-        found = result.transport.correspondence()
-        yield row(method, result.patterns, found.places, found.mask)
+        matches = result.transport.correspondence()
+        yield row(method, result.patterns, matches.places, matches.mask)
 
 
 def _structured(rig: Rig) -> tuple[int, NDArray[Any], NDArray[Any]]:
@@ -72,11 +75,11 @@ def _structured(rig: Rig) -> tuple[int, NDArray[Any], NDArray[Any]]:
         along = lines[:, :, None] if axis == 0 else lines[:, None]
         patterns = np.broadcast_to(along, (len(lines), *shape))
         frames = rig.capture(patterns, [(1, axis, index) for index in range(len(lines))])
-        taken = rig.sensor.merge(frames, dark.mean(axis=0, dtype=np.float32), len(dark))
-        images = (taken.radiance, np.maximum(taken.variance, 1e-12))
-        found = code.decode(*(it[..., 0].astype(np.float64) for it in images))
-        coordinates.append(found["coordinate"])
-        valid &= found["valid"]
+        merged = rig.sensor.merge(frames, dark.mean(axis=0, dtype=np.float32), len(dark))
+        images = (merged.radiance, np.maximum(merged.variance, 1e-12))
+        matches = code.decode(*(it[..., 0].astype(np.float64) for it in images))
+        coordinates.append(matches["coordinate"])
+        valid &= matches["valid"]
     return count, np.stack(coordinates, axis=-1), valid
 
 

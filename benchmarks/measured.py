@@ -33,13 +33,13 @@ THESIS = {  # Table 5.1: patterns and MB
 }
 _INDIRECT = "error of indirect light, %"
 _PATTERNS = "patterns (thesis, which gives no errors)"
-_ALIKE = 1.1  # errors of which the larger is no larger than so many times the other
+_ALIKE = 1.1  # largest ratio of two errors that count as equal
 _SIDES = ("48", "96", "192")
 _THESIS_SIDE = "310x350"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Acquire what is missing, then write the tables."""
+    """Run missing acquisitions, then write the tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.measured", description=__doc__)
     parser.add_argument("--run", type=Path, default=Path("results/report/tables"),
                         help="tables of the default run")  # fmt: skip
@@ -50,13 +50,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=float("inf"),
                         help="begin no acquisition after so long")  # fmt: skip
     parser.add_argument("--table-only", action="store_true", help="acquire nothing")
-    asked = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     table = FOLDER / "acquisitions.csv"
-    if not asked.table_only:
+    if not options.table_only:
         known = known_keys(table)
-        lacking = [case for case in all_cases() if case.key not in known]
-        run(lacking, table, by_place(table), asked.cache, 60 * asked.minutes)
-    for tables, name in ((asked.run, "default_run"), (asked.thesis, "thesis_run")):
+        missing = [case for case in all_cases() if case.key not in known]
+        run(missing, table, by_place(table), options.cache, 60 * options.minutes)
+    for tables, name in ((options.run, "default_run"), (options.thesis, "thesis_run")):
         if (tables / "results.csv").exists():
             write_atomically(FOLDER / f"{name}.csv", of_run(tables).encode())
     for page in PAGES:
@@ -75,15 +75,15 @@ def all_cases() -> Iterator[Case]:
 
 
 def of_run(tables: Path) -> str:
-    """Return what is shown of a run's tables, as CSV."""
-    told = pd.read_csv(tables / "results.csv")
+    """Select the columns shown of a run's tables, as CSV."""
+    results = pd.read_csv(tables / "results.csv")
     columns = ["scene", "method", "patterns", "pictures", "megabytes", "mean_error",
                "estimated_error", "worst_error", "mean_indirect"]  # fmt: skip
-    return str(told[columns].to_csv(index=False, float_format="%.4g", lineterminator="\n"))
+    return str(results[columns].to_csv(index=False, float_format="%.4g", lineterminator="\n"))
 
 
 def written(text: str, folder: Path) -> str:
-    """Return a page with its tables made anew from the files in a folder."""
+    """Return a page with tables from the files in a folder."""
     rows = newest(folder / "acquisitions.csv")
     makers: dict[str, Callable[[], str]] = {
         "default run": lambda: _default(pd.read_csv(folder / "default_run.csv")),
@@ -98,14 +98,14 @@ def written(text: str, folder: Path) -> str:
     }
     for name, make in makers.items():
         begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
-        before, found, after = text.partition(begin)
-        if found:
+        before, body, after = text.partition(begin)
+        if body:
             text = f"{before}{begin}\n{make()}\n{end}{after.partition(end)[2]}"
     return text
 
 
 def _percent(value: Any) -> str:
-    """Return a fraction in per cent, of two digits; a word where there is no such light."""
+    """Format a fraction in per cent with two digits; a word without indirect light."""
     return f"{100 * value:#.2g}".rstrip(".") if value > 0 else "none" if value == 0 else ""
 
 
@@ -126,20 +126,20 @@ def _default(rows: pd.DataFrame) -> str:
 
 def _methods(rows: pd.DataFrame) -> str:
     """Return the methods on the default run's scene IV."""
-    own = rows[rows["scene"] == "planes_iv"]
+    scene_rows = rows[rows["scene"] == "planes_iv"]
     return markdown(
         ["method", "patterns", "pictures on the rig", "mean error, %", _INDIRECT],
         ([f"`{row.method}`", str(row.patterns), str(row.pictures), _percent(row.mean_error),
-          _percent(row.mean_indirect)] for row in own.itertuples()),
+          _percent(row.mean_indirect)] for row in scene_rows.itertuples()),
     )  # fmt: skip
 
 
 def _of_sides(rows: pd.DataFrame) -> str:
-    """Return what `auto` takes for 1 % as pixels grow."""
+    """Return the cost of `auto` for 1 % against the number of pixels."""
     chosen = rows[(rows["method"] == "auto") & rows["side"].isin(_SIDES)]
     lines = []
-    for scene, own in chosen.groupby("scene", sort=False):
-        at = own.set_index("side")
+    for scene, scene_rows in chosen.groupby("scene", sort=False):
+        at = scene_rows.set_index("side")
         cells = [
             f"{at.patterns[side]}: {_percent(at.error_mean[side])}, {at.processing_s[side]:.0f} s, "
             f"{at.memory_gb[side]:.1f} GB" if side in at.index else ""
@@ -155,17 +155,17 @@ def _of_planes(rows: pd.DataFrame) -> str:
     lines = [
         [THESIS[str(scene).replace("wedge", "planes")][0], f"`{method}`",
          *(f"{row.patterns}: {_percent(row.error_mean)}, {_percent(row.indirect_mean)}"
-           for row in own.sort_values("patterns").itertuples())]
-        for (scene, method), own in chosen.groupby(["scene", "method"])
+           for row in scene_rows.sort_values("patterns").itertuples())]
+        for (scene, method), scene_rows in chosen.groupby(["scene", "method"])
     ]  # fmt: skip
     head = ["scene", "method", "coarse", "finer", "finest"]
     return markdown(head, ([*line, *[""] * (len(head) - len(line))] for line in lines))
 
 
 def _thesis_run(folder: Path) -> pd.DataFrame:
-    """Return what stands beside Table 5.1: the run of `make thesis`, and the sweets."""
-    found = pd.concat([pd.read_csv(folder / "thesis_run.csv"), _ends(folder / "large.csv")])
-    return found[found["scene"].isin(THESIS) & (found["method"] != "dual")]
+    """Return the acquisitions of Table 5.1: the run of `make thesis`, and the sweets."""
+    acquisitions = pd.concat([pd.read_csv(folder / "thesis_run.csv"), _ends(folder / "large.csv")])
+    return acquisitions[acquisitions["scene"].isin(THESIS) & (acquisitions["method"] != "dual")]
 
 
 def _of_thesis(rows: pd.DataFrame, last: int | None = None) -> str:
@@ -185,7 +185,7 @@ def _of_thesis(rows: pd.DataFrame, last: int | None = None) -> str:
 
 
 def _ends(path: Path) -> pd.DataFrame:
-    """Return what acquisitions came to after their last levels."""
+    """Return the acquisitions after their last levels."""
     rows = pd.read_csv(path)
     return rows.groupby(["scene", "method"], sort=False).tail(1)
 
@@ -194,22 +194,22 @@ def _beaten(rows: pd.DataFrame) -> str:
     """Return the thesis' Table 5.1, its method here, and the fewest patterns for its error."""
     lines = []
     for scene, (title, patterns, megabytes) in THESIS.items():
-        own = rows[rows["scene"] == scene].sort_values("patterns")
-        if own.empty:  # a run without this scene
+        scene_rows = rows[rows["scene"] == scene].sort_values("patterns")
+        if scene_rows.empty:  # a run without this scene
             continue
-        of_thesis = own["method"] == "symmetric"
-        theirs, rest = own[of_thesis].iloc[0], own[~of_thesis]
-        alike = rest[rest["mean_error"] <= _ALIKE * theirs.mean_error]
-        best = alike.iloc[0] if len(alike) else rest.sort_values("mean_error").iloc[0]
+        of_thesis = scene_rows["method"] == "symmetric"
+        theirs, ours = scene_rows[of_thesis].iloc[0], scene_rows[~of_thesis]
+        alike = ours[ours["mean_error"] <= _ALIKE * theirs.mean_error]
+        best = alike.iloc[0] if len(alike) else ours.sort_values("mean_error").iloc[0]
         lines.append(
             [title, f"{patterns:,}, {megabytes:,} MB",
-             *(f"{each.patterns}, {each.megabytes:.3g} MB: {_percent(each.mean_error)}, "
-               f"{_percent(each.mean_indirect)}" for each in (theirs, best)),
+             *(f"{row.patterns}, {row.megabytes:.3g} MB: {_percent(row.mean_error)}, "
+               f"{_percent(row.mean_indirect)}" for row in (theirs, best)),
              f"{patterns / best.patterns:.0f}, {megabytes / best.megabytes:.0f}"]
         )  # fmt: skip
-    both = "patterns, MB: error, error of indirect light, %"
-    head = ["scene", "thesis, without errors: patterns, MB", f"`symmetric`: {both}",
-            f"`near_far` or `auto`: {both}",
+    cell_format = "patterns, MB: error, error of indirect light, %"
+    head = ["scene", "thesis, without errors: patterns, MB", f"`symmetric`: {cell_format}",
+            f"`near_far` or `auto`: {cell_format}",
             "times fewer than the thesis: patterns, MB"]  # fmt: skip
     return markdown(head, lines)
 
@@ -236,9 +236,9 @@ def _stages(rows: pd.DataFrame) -> str:
     rows["cell"] = [
         f"{row.processor_s / 60:.1f} min, {row.memory_gib:.1f} GiB" for row in rows.itertuples()
     ]
-    told = rows.pivot_table("cell", "stage", ["scene", "method"], "first", sort=False).fillna("")
-    head = ["stage", *(f"{scene}, `{method}`" for scene, method in told.columns)]
-    return markdown(head, ([stage, *cells] for stage, *cells in told.itertuples()))
+    stages = rows.pivot_table("cell", "stage", ["scene", "method"], "first", sort=False).fillna("")
+    head = ["stage", *(f"{scene}, `{method}`" for scene, method in stages.columns)]
+    return markdown(head, ([stage, *cells] for stage, *cells in stages.itertuples()))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""What `rfpipe import` says of pictures with faults, and that it refuses no good ones.
+"""Reactions of `rfpipe import` to pictures with faults, and to good pictures.
 
 ``python -m benchmarks.offline_faults`` takes the first two sheets of a scene by a camera with
-noise, spoils each in twelve ways, and prints a table: what is said, and what is kept. With
+noise, spoils each in twelve ways, and prints a table of messages and of imported levels. With
 ``--good`` it imports good pictures of scenes, brightnesses and seeds instead, and counts refusals.
 """
 
@@ -41,7 +41,7 @@ EXPOSURES = [0.015625, 0.0625, 0.25, 1.0]
 
 
 class Series:
-    """An acquisition whose pictures are taken by a simulated camera, in a folder of its own."""
+    """An acquisition with pictures of a simulated camera, in a separate folder."""
 
     def __init__(self, folder: Path, scene: str, side: int, light: float, seed: int) -> None:
         self.folder, self.seed = folder, seed
@@ -50,7 +50,7 @@ class Series:
         options = {**SCENES[scene], "shape": [side, side], "channels": 1}
         simulated = scene_from_config(SceneSettings.model_validate(options))
         self.matrix = simulated.dense(0)[None]
-        if scene == "mirror":  # in its lower right quarter, where it turns what is seen
+        if scene == "mirror":  # in its lower right quarter, where it rotates the picture
             rays = np.arange(side**2).reshape(side, side)[side // 2 :, side // 2 :].ravel()
             bright = np.diag(self.matrix[0])[rays].mean()
             self.matrix[0][np.ix_(rays, rays)] = bright * np.eye(len(rays))[::-1]
@@ -66,7 +66,7 @@ class Series:
         self.run("patterns", folder / "mine.yaml", "-o", folder, "--results", folder / "results")
 
     def run(self, *arguments: object) -> str:
-        """Run a command of rfpipe; return what it says, or its error."""
+        """Run a command of rfpipe; return its output or its error."""
         done = CliRunner().invoke(app, [str(argument) for argument in arguments])
         return done.output if done.exception is None else f"REFUSED {done.exception}"
 
@@ -76,7 +76,7 @@ class Series:
         return max(self.folder.glob("desk_*"))
 
     def photograph(self) -> None:
-        """Take the pictures of the last sheet, each with noise of its own."""
+        """Take the pictures of the last sheet, each with independent noise."""
         random = np.random.default_rng([self.seed, len(self.sheet.name), ord(self.sheet.name[-1])])
 
         def expose(radiance: Any, seconds: float, _key: Any) -> Any:
@@ -87,7 +87,7 @@ class Series:
         photographer.photograph(self.sheet, self.matrix, expose)
 
     def kept(self, sheet: Path) -> bool:
-        """Whether anything of a sheet's level is kept."""
+        """Test whether a sheet's level has stored pictures."""
         frames = self.folder.glob(f"results/desk/*/{sheet.name[-3:]}/*.zarr/journal.jsonl")
         return any(path.stat().st_size for path in frames)
 
@@ -112,17 +112,17 @@ def each(of: list[list[Path]], how: Callable[[Any], Any]) -> None:
         change(path, how(read_picture(path).pixels))
 
 
-def swap(one: list[Path], other: list[Path]) -> None:
+def swap(first: list[Path], second: list[Path]) -> None:
     """Exchange two brackets."""
-    for first, second in zip(one, other, strict=True):
-        aside = first.with_name("aside")
-        first.rename(aside)
-        second.rename(first)
-        aside.rename(second)
+    for path, partner in zip(first, second, strict=True):
+        aside = path.with_name("aside")
+        path.rename(aside)
+        partner.rename(path)
+        aside.rename(partner)
 
 
 def renumber(pictures: Path, files: list[Path]) -> None:
-    """Number pictures anew, in this order; a file may be there twice."""
+    """Renumber pictures in this order; a file may occur twice."""
     aside = pictures.with_name("aside")
     pictures.rename(aside)
     pictures.mkdir()
@@ -134,12 +134,12 @@ def renumber(pictures: Path, files: list[Path]) -> None:
 def faults(pictures: Path, seed: int) -> Iterator[tuple[str, Callable[[], None]]]:
     """Yield a name of each fault, and what brings it about."""
     of, random = brackets(pictures), np.random.default_rng(seed)
-    one = 2 + int(random.integers(len(of) - 3))
+    dropped = 2 + int(random.integers(len(of) - 3))
     flat = [path for bracket in of for path in bracket]
-    lost = [path for index, bracket in enumerate(of) if index != one for path in bracket]
-    yield "a picture missing", flat[one * len(EXPOSURES)].unlink
-    yield "a bracket missing", lambda: renumber(pictures, lost)
-    twice = flat[: (one + 1) * len(EXPOSURES)] + flat[one * len(EXPOSURES) :]
+    remaining = [path for index, bracket in enumerate(of) if index != dropped for path in bracket]
+    yield "a picture missing", flat[dropped * len(EXPOSURES)].unlink
+    yield "a bracket missing", lambda: renumber(pictures, remaining)
+    twice = flat[: (dropped + 1) * len(EXPOSURES)] + flat[dropped * len(EXPOSURES) :]
     yield "a bracket twice", lambda: renumber(pictures, twice)
     yield "two exchanged", lambda: swap(of[-2], of[-3])
     copied = [*flat[: -3 * len(EXPOSURES)], *of[-2], *of[-2], *of[-1]]
@@ -149,7 +149,7 @@ def faults(pictures: Path, seed: int) -> Iterator[tuple[str, Callable[[], None]]
     yield "all transposed", lambda: each(of, TURNS["mirrored along the diagonal"])
     yield "all mirrored", lambda: each(of, TURNS["mirrored left to right"])
     yield "one turned", lambda: each([of[-2]], TURNS["turned by 180 degrees"])
-    yield "wrong size", lambda: each([of[one]], lambda pixels: pixels[:-1])
+    yield "wrong size", lambda: each([of[dropped]], lambda pixels: pixels[:-1])
     yield "8 bits", lambda: each(of, lambda pixels: (pixels >> 8).astype(np.uint8))
     yield "8 bits as 16", lambda: each(of, lambda pixels: (pixels >> 8) * np.uint16(257))
     yield "8 bits in 16", lambda: each(of, lambda pixels: pixels >> 8)
@@ -162,7 +162,7 @@ def faults(pictures: Path, seed: int) -> Iterator[tuple[str, Callable[[], None]]
 
 
 def spoil(scene: str, side: int, light: float, seed: int) -> None:
-    """Print what is said of each fault, in the first two sheets."""
+    """Print the message for each fault, in the first two sheets."""
     with tempfile.TemporaryDirectory() as folder:
         series = Series(Path(folder), scene, side, light, seed)
         for _ in range(2):

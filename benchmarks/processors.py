@@ -1,7 +1,7 @@
-"""How many digits hold on another processor: ``python -m benchmarks.processors``.
+"""Digits that hold on another processor: ``python -m benchmarks.processors``.
 
 The same acquisitions with OpenBLAS' kernels and Numba's instructions of other processors, and with
-two threads, compared with those of this processor and one thread. A row an acquisition: patterns
+two threads, compared with this processor and one thread. A row an acquisition: patterns
 of both, and relative differences in per cent; results/bench/processors.csv.
 """
 
@@ -71,9 +71,9 @@ def on(variables: Mapping[str, str]) -> list[dict[str, Any]]:
 
 def rows() -> Iterator[dict[str, Any]]:
     """Yield a row for each processor and acquisition."""
-    here = on({})
+    reference = on({})
     for processor, variables in PROCESSORS.items():
-        for before, after in zip(here, on(variables), strict=True):
+        for before, after in zip(reference, on(variables), strict=True):
             names = ("scene", "method", "value")
             differences = {
                 name: 100 * (after[column] / before[column] - 1)

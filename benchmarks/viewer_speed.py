@@ -24,17 +24,17 @@ SECONDS = 10
 
 
 def threads(process: psutil.Process) -> dict[int, float]:
-    return {each.id: each.user_time + each.system_time for each in process.threads()}
+    return {thread.id: thread.user_time + thread.system_time for thread in process.threads()}
 
 
 def renderer() -> psutil.Process:
     """The process that takes most CPU time among this one's children that render pages."""
-    found = [
+    measurements = [
         child
         for child in psutil.Process().children(recursive=True)
         if "--type=renderer" in " ".join(child.cmdline())
     ]
-    return max(found, key=lambda child: sum(child.cpu_times()[:2]))
+    return max(measurements, key=lambda child: sum(child.cpu_times()[:2]))
 
 
 def measure(chromium: Any, path: Path) -> dict[str, Any]:
@@ -42,21 +42,21 @@ def measure(chromium: Any, path: Path) -> dict[str, Any]:
     page.goto(path.resolve().as_uri(), wait_until="commit")
     while not page.evaluate("document.body && document.body.dataset.ready"):
         time.sleep(0.1)
-    about = page.evaluate("({...document.body.dataset, workers: engine.workers.length})")
+    page_facts = page.evaluate("({...document.body.dataset, workers: engine.workers.length})")
     page.evaluate("startPlaying()")
     time.sleep(3)  # for the compilers
     first, process = page.evaluate("engine.id"), renderer()
     before, since = threads(process), time.perf_counter()
     time.sleep(SECONDS)
     pictures, seconds = page.evaluate("engine.id") - first, time.perf_counter() - since
-    taken = [spent - before.get(thread, 0) for thread, spent in threads(process).items()]
-    busiest = sorted(taken, reverse=True)[: 1 + about["workers"]]
+    seconds_used = [spent - before.get(thread, 0) for thread, spent in threads(process).items()]
+    busiest = sorted(seconds_used, reverse=True)[: 1 + page_facts["workers"]]
     page.context.close()
     return {
         "page": path.name,
         "megabytes": round(path.stat().st_size / 1e6, 1),
-        "first_picture_seconds": round(int(about["first"]) / 1000, 2),
-        "all_levels_seconds": round(int(about["ready"]) / 1000, 2),
+        "first_picture_seconds": round(int(page_facts["first"]) / 1000, 2),
+        "all_levels_seconds": round(int(page_facts["ready"]) / 1000, 2),
         "pictures_a_second": round(pictures / seconds, 1),
         "cpu_ms_a_picture": " ".join(f"{1000 * spent / pictures:.1f}" for spent in busiest),
         "load_average": round(psutil.getloadavg()[0], 1),

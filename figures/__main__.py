@@ -2,7 +2,7 @@
 
 Writes ``{slug}.png``, ``{slug}.pdf`` of vectors and ``{slug}.csv`` into the folder and, last,
 ``{script}.json`` with their names, captions and costs; ``python -m figures index FOLDER`` makes the
-page of all of them, and ``python -m figures check`` tells whether LLVM is here.
+page of all of them, and ``python -m figures check`` checks for LLVM.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m figures", description=__doc__)
     parser.add_argument("script", help=f"{', '.join(SCRIPTS)}, index, or check")
     parser.add_argument("folder", type=Path, nargs="?", default=Path())
-    for each in fields(Size):
-        kind = type(each.default)
-        many = {"nargs": "+", "type": int} if kind is tuple else {"type": kind}
-        parser.add_argument(f"--{each.name}", default=each.default, **many)
+    for field in fields(Size):
+        kind = type(field.default)
+        keywords = {"nargs": "+", "type": int} if kind is tuple else {"type": kind}
+        parser.add_argument(f"--{field.name}", default=field.default, **keywords)
     given = vars(parser.parse_args())
     script, folder = given.pop("script"), given.pop("folder")
     if script not in (*SCRIPTS, "index", "check"):
@@ -66,9 +66,9 @@ def _check() -> None:
     """End with a line that says what to install where physically based scenes can't be traced."""
     from rfpipe.mitsuba.variant import lacking_llvm
 
-    lacking = lacking_llvm("make figures")
-    if lacking is not None:
-        sys.exit(f"figures: {lacking}")
+    missing = lacking_llvm("make figures")
+    if missing is not None:
+        sys.exit(f"figures: {missing}")
 
 
 def run(script: str, folder: Path, size: Size) -> None:
@@ -89,8 +89,8 @@ def run(script: str, folder: Path, size: Size) -> None:
             shown.append({"file": f"{item.slug}.csv", "name": item.name, "caption": item.caption})
         else:
             costs.append(asdict(item))
-    about = json.dumps({"shown": shown, "costs": costs}, indent=1)
-    write_atomically(folder / f"{script}.json", about.encode())
+    contents = json.dumps({"shown": shown, "costs": costs}, indent=1)
+    write_atomically(folder / f"{script}.json", contents.encode())
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from rfpipe.report.drawing import Panel, difference, draw
 
 _WORLD = "still_life_arc"
 _AREA = (0.6, 0.9)  # of the arc that the area light takes: beside the projector, to show shadows
-_CAMERA_SHARE = 2  # the camera's pixels are so much larger: at a light they are all one
+_CAMERA_SHARE = 2  # the camera's pixels are larger: at a light they are all one
 
 
 def items(size: Size) -> Items:
@@ -34,7 +34,7 @@ def items(size: Size) -> Items:
     from rfpipe.mitsuba.worlds import WORLDS
 
     world = WORLDS[_WORLD]
-    projectors = [each.model_dump() for each in world.projectors or ()]
+    projectors = [projector.model_dump() for projector in world.projectors or ()]
 
     def scene_at(index: int, side: int) -> Any:
         shapes = {"shape": (side, side), "projector_shape": (size.side, size.side)}
@@ -56,7 +56,9 @@ def items(size: Size) -> Items:
     pairs = {
         "light on the left": (relit[0], true[0]),
         "light on the right": (relit[-1], true[-1]),
-        "area light": tuple(np.mean(each[first : end + 1], axis=0) for each in (relit, true)),
+        "area light": tuple(
+            np.mean(pictures[first : end + 1], axis=0) for pictures in (relit, true)
+        ),
         "high-resolution matte": (
             acquired(middle, "dual")[0].transport.T.relight(pattern),
             dual_truth(middle, pattern),

@@ -23,7 +23,7 @@ from figures.common import (
 from figures.relit import relit
 from rfpipe.report.drawing import Panel, draw
 
-_COARSE = 3e-2  # tolerance of the patterns shown: what a camera of 2006 could tell from its noise
+_COARSE = 3e-2  # tolerance of the patterns shown: the noise of a camera of 2006
 _MANY = 4.0  # times the camera pixels that a median projector pixel lights
 _LEAST_LIT = 0.01  # of the light of the projector pixel that most comes back from
 
@@ -31,20 +31,20 @@ _LEAST_LIT = 0.01  # of the light of the projector pixel that most comes back fr
 def items(size: Size) -> Items:
     """Acquire the bottle; look at the last level's patterns at a coarse tolerance."""
     scene = physical(size, "bottle", shape=size.even)
-    found = relit(scene)
+    drawn = relit(scene)
     _, rig = acquired(scene, "dual", tolerance=_COARSE)
-    patterns = rig.levels[found.result.transport.last_level]
+    patterns = rig.levels[drawn.result.transport.last_level]
     chosen = max(patterns, key=lambda pattern: float(pattern.mean()))
     together = np.zeros(chosen.shape, np.float32)
     for pattern in patterns:
         together[pattern > 0] = float((pattern > 0).sum())
-    bright = exposure(found.truths["primal"])
-    most = float(together.max())
+    bright = exposure(drawn.truths["primal"])
+    brightest = float(together.max())
     row = [
-        Panel(found.truths["primal"], "floodlit scene", "", bright),
+        Panel(drawn.truths["primal"], "floodlit scene", "", bright),
         Panel(chosen, "one pattern in the projector", f"{chosen.mean():.0%} lit"),
         Panel(seen(scene, chosen), "the same on the scene", "", bright),
-        Panel(together, "pixels lit together", f"black 0, white {most:.0f}", most),
+        Panel(together, "pixels lit together", f"black 0, white {brightest:.0f}", brightest),
     ]
     glass, elsewhere = _means(scene, together)
     caption = (
@@ -60,16 +60,16 @@ def items(size: Size) -> Items:
     caption = (
         "Above as the camera sees the bottle in the projector's light, below as the projector sees "
         "it in the camera's; errors of the pictures by the matte of diagonal stripes: primal "
-        f"{percent(found.error('primal_matte'))}, dual {percent(found.error('dual_matte'))}. "
+        f"{percent(drawn.error('primal_matte'))}, dual {percent(drawn.error('dual_matte'))}. "
         f"{size_of(scene)}"
     )
     thesis = (
         "light through a bottle is captured: caustics, seen from the camera and from the "
         "projector, vary with a high-frequency pattern that relights the dual image."
     )
-    rows = [found.row(side, f"{side}_matte") for side in ("primal", "dual")]
+    rows = [drawn.row(side, f"{side}_matte") for side in ("primal", "dual")]
     yield Picture("fig_3_6", "Fig. 3.6", thesis, caption, draw(rows))
-    yield cost("3.1", "Fig. 3.6, bottle", scene, found.result, found.error("dual"))
+    yield cost("3.1", "Fig. 3.6, bottle", scene, drawn.result, drawn.error("dual"))
 
 
 def _means(scene: Any, together: Float) -> tuple[float, float]:

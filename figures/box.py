@@ -68,14 +68,16 @@ def items(size: Size) -> Items:
     yield Picture("fig_3_3", "Fig. 3.3", thesis, caption, draw([top, errors]))
     levels = []
     for level, (part, patterns) in enumerate(zip(parts, result.levels["patterns"], strict=False)):
-        own = min(bright, exposure(part)) if part.max() > 0 else bright
-        told = f"white at {own:.2g}" if part.max() > 0 else "nothing is stored here"
-        levels.append(Panel(part, f"level {level + 1}", f"patterns {patterns}\n{told}", own))
+        part_white = min(bright, exposure(part)) if part.max() > 0 else bright
+        caption = f"white at {part_white:.2g}" if part.max() > 0 else "nothing is stored here"
+        levels.append(
+            Panel(part, f"level {level + 1}", f"patterns {patterns}\n{caption}", part_white)
+        )
     levels.append(Panel(ours, "their sum", f"patterns {result.patterns}", bright))
     rows = [levels[first : first + _ABREAST] for first in range(0, len(levels), _ABREAST)]
     caption = (
-        "What each level adds to the dual picture, coarse to fine, brightened so that it can be "
-        "seen: its white is below it."
+        "Contribution of each level to the dual picture, coarse to fine, brightened: the radiance "
+        "shown as white is below it."
     )
     thesis = (
         "the dual image is the sum of the images of all levels, coarse ones with the diffuse "

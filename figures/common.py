@@ -1,4 +1,4 @@
-"""What the scripts share: sizes, scenes, acquisitions, and what a script yields."""
+"""Shared functions of the scripts: sizes, scenes, acquisitions, and items of the page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FILLED = 0.8  # of the full well, at most, by the floodlit picture
 
 @dataclass(frozen=True)
 class Size:
-    """How large and how exact the figures are: `figures/figures.yaml` and `figures_full.yaml`."""
+    """Size and precision of the figures: `figures/figures.yaml` and `figures_full.yaml`."""
 
     side: int = 48  # pixels of the square pictures
     samples: int = 4096  # paths of light a pixel
@@ -36,7 +36,7 @@ class Size:
 
     @property
     def even(self) -> tuple[int, int]:
-        """Shape whose pixels all stand at the block tree's last level."""
+        """Shape whose pixels are all on the last level of the block tree."""
         side = 2 ** int(np.ceil(np.log2(self.side)))
         return side, side
 
@@ -121,7 +121,7 @@ class Watched:
     levels: dict[int, list[Float]] = field(default_factory=dict)
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the rig has."""
+        """Return an attribute of the rig."""
         return getattr(self.rig, name)
 
     def capture(self, patterns: Float, keys: Sequence[tuple[int, ...]]) -> NDArray[Any]:
@@ -183,21 +183,21 @@ def with_errors(levels: Sequence[Any], truth: Any, columns: int = 5) -> list[lis
     """Return rows of panels and of their errors below, the truth last without one."""
     panels, rows = [*levels, truth], []
     for first in range(0, len(panels), columns):
-        own = panels[first : first + columns]
-        errors = [None if panel is truth else panel.less(truth) for panel in own]
-        rows += [own, errors] if any(errors) else [own]
+        row_panels = panels[first : first + columns]
+        errors = [None if panel is truth else panel.less(truth) for panel in row_panels]
+        rows += [row_panels, errors] if any(errors) else [row_panels]
     return rows
 
 
 def level_pictures(result: Any, light: Float) -> list[Float]:
-    """Return what each level of a dual acquisition adds to the dual picture."""
+    """Return the contribution of each level to the dual picture."""
     transport = result.transport
     by_level = {pairs.level: pairs for pairs in transport.pair_sets}
     pictures = []
     for level in range(transport.last_level + 1):
-        held = [by_level[level]] if level in by_level else []
-        alone = transport.holding(transport.level_rows, held)
-        pictures.append(alone.T.relight(light))
+        level_matrices = [by_level[level]] if level in by_level else []
+        single_level = transport.holding(transport.level_rows, level_matrices)
+        pictures.append(single_level.T.relight(light))
     return pictures
 
 

@@ -105,9 +105,9 @@ def items(size: Size) -> Items:
                 difference(relit, truth, bright),
             ]
         )
-    told = ", ".join(f"{row['case']} {percent(row['at_highlights'])}" for row in rows)
+    summary = ", ".join(f"{row['case']} {percent(row['at_highlights'])}" for row in rows)
     caption = (
-        f"Errors at the highlights: {told}. The camera's aperture spreads 3 % of each pixel's "
+        f"Errors at the highlights: {summary}. The camera's aperture spreads 3 % of each pixel's "
         "light over a star of six arms; the projector has no flare, so that the matrix isn't "
         f"symmetric. {size_of(scene)}"
     )
@@ -116,5 +116,5 @@ def items(size: Size) -> Items:
         "highlights, a loose one makes that less noticeable."
     )
     yield Picture("fig_5_11", "Fig. 5.11", thesis, caption, draw(panels))
-    about = "Relative RMS error of the half-lit picture against what the camera sees."
-    yield Table("flare", "Tight against loose", about, pd.DataFrame(rows))
+    caption = "Relative RMS error of the half-lit picture against what the camera sees."
+    yield Table("flare", "Tight against loose", caption, pd.DataFrame(rows))

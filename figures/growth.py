@@ -57,7 +57,7 @@ class _Coarse:
 
 
 def items(size: Size) -> Items:
-    """Acquire box and bottle at five resolutions of the projector, scene IV at those asked for."""
+    """Acquire box and bottle at five resolutions of the projector, scene IV at the given ones."""
     rows, levels = [], []
     for name, scene in (
         ("box", aside(size, "two_blocks", shape=size.even)),
@@ -68,10 +68,10 @@ def items(size: Size) -> Items:
             result, _ = acquired(coarse, "dual")
             light = white(coarse.projector_shape)
             tree = BlockTree(RayDomain(coarse.projector_shape))
-            own = pd.DataFrame(result.levels)[["level", "patterns"]]
-            own = own.assign(scene=name, side=coarse.projector_shape[0])
-            own["blocks"] = [tree.n_blocks(int(level)) for level in own["level"]]
-            levels.append(own)
+            level_rows = pd.DataFrame(result.levels)[["level", "patterns"]]
+            level_rows = level_rows.assign(scene=name, side=coarse.projector_shape[0])
+            level_rows["blocks"] = [tree.n_blocks(int(level)) for level in level_rows["level"]]
+            levels.append(level_rows)
             rows.append(
                 {
                     "scene": name,
@@ -84,15 +84,18 @@ def items(size: Size) -> Items:
             )
     numbers = pd.DataFrame(rows)
     fits = pd.DataFrame(
-        [{"scene": name, **line_fit(own)} for name, own in numbers.groupby("scene", sort=False)]
+        [
+            {"scene": name, **line_fit(scene_rows)}
+            for name, scene_rows in numbers.groupby("scene", sort=False)
+        ]
     )
-    told = "; ".join(
+    summary = "; ".join(
         f"{row.scene}: {row.slope:.0f} patterns a level, the line explains {row.explained:.0%}, "
         f"the exponent of pixels is {row.exponent:.2f}"
         for row in fits.itertuples()
     )
     caption = (
-        f"{told}. Left, pixels on a logarithmic scale: growth as O(log pq) is a straight line, "
+        f"{summary}. Left, pixels on a logarithmic scale: growth as O(log pq) is a straight line, "
         "dashed the one fitted. Right, both logarithmic, with brute force: an exponent of 0 is "
         "logarithmic growth, 1 is brute force."
     )
@@ -104,8 +107,8 @@ def items(size: Size) -> Items:
     yield Picture("fig_3_8_physical", "Fig. 3.8", thesis, caption, figure)
     yield Table("growth", "Patterns by resolution", "As measured.", numbers)
     yield Table("growth_fits", "Lines fitted to them", "Slope in patterns a level.", fits)
-    about = "Blocks of each level, and the patterns that light them."
-    yield Table("growth_levels", "Where the patterns go", about, pd.concat(levels))
+    caption = "Blocks of each level, and the patterns that light them."
+    yield Table("growth_levels", "Where the patterns go", caption, pd.concat(levels))
     flat = pd.DataFrame([row for side in size.sides for row in _scene_iv(side)])
     caption = "Scene IV in grey, exact radiance, its texture as fine as the pixels at each size."
     yield Picture("fig_3_8", "Fig. 3.8, scene IV", thesis, caption, _curves(flat, "method"))
@@ -140,8 +143,8 @@ def line_fit(rows: pd.DataFrame) -> dict[str, float]:
     spread = float(((patterns - patterns.mean()) ** 2).sum())
     residual = float(((patterns - base - slope * levels) ** 2).sum())
     explained = 1 - residual / spread if spread > 0 else 1.0
-    found = {"slope": slope, "base": base, "explained": explained, "exponent": exponent}
-    return {name: float(value) for name, value in found.items()}
+    line = {"slope": slope, "base": base, "explained": explained, "exponent": exponent}
+    return {name: float(value) for name, value in line.items()}
 
 
 def _curves(numbers: pd.DataFrame, by: str, fits: pd.DataFrame | None = None) -> Any:
@@ -149,15 +152,21 @@ def _curves(numbers: pd.DataFrame, by: str, fits: pd.DataFrame | None = None) ->
     figure, axes = new_figure(1, 2, (8.6, 3.4))
     sides = numbers.drop_duplicates("rays").sort_values("rays")
     for axis in axes[0]:
-        for name, own in numbers.groupby(by, sort=False):
-            axis.plot(own["rays"], own["patterns"], "o-", color=_COLOURS[str(name)], label=name)
+        for name, scene_rows in numbers.groupby(by, sort=False):
+            axis.plot(
+                scene_rows["rays"],
+                scene_rows["patterns"],
+                "o-",
+                color=_COLOURS[str(name)],
+                label=name,
+            )
         axis.set_xscale("log", base=2)
         axis.set_xticks(sides["rays"], [f"{side}²" for side in sides["side"]])
         axis.set(xlabel="projector pixels", ylabel="patterns")
         axis.grid(True, linewidth=0.4, color="#dddddd")
     for fit in () if fits is None else fits.itertuples():
-        own = numbers[numbers[by] == fit.scene]
-        axes[0, 0].plot(own["rays"], fit.base + fit.slope * own["levels"], "--",
+        scene_rows = numbers[numbers[by] == fit.scene]
+        axes[0, 0].plot(scene_rows["rays"], fit.base + fit.slope * scene_rows["levels"], "--",
                         color=_COLOURS[fit.scene], linewidth=0.9)  # fmt: skip
     axes[0, 1].plot(sides["rays"], sides["rays"], "k:", label="brute force")
     axes[0, 1].set_yscale("log")

@@ -32,12 +32,12 @@ def items(_size: Size) -> Items:
         for name, make in hard_cases().items()
         for method, noisy, options in _RUNS
     ]  # fmt: skip
-    about = (
+    caption = (
         "Relative Frobenius error of the matrix; the largest relative RMS error of a relit "
         "picture; and the floodlit image summed in float32 by relighting against a sum in float64. "
         "Misalignment by half a pixel breaks the symmetry that symmetric photography builds on."
     )
-    yield Table("stability", "Hard cases", about, pd.DataFrame(rows))
+    yield Table("stability", "Hard cases", caption, pd.DataFrame(rows))
 
 
 def _acquired(

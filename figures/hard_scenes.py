@@ -55,7 +55,7 @@ def hard_cases() -> dict[str, Callable[[], MatrixScene]]:
         "dark_channel": _dark_channel,
         "asymmetric_flare": _flare,
         "asymmetric_alignment": _misalignment,
-        # each camera ray has a gain of its own
+        # each camera ray has another gain
         "asymmetric_gains": lambda: generator(_SEED, 4).uniform(0.9, 1.1, (256, 1)) * _wedge(),
     }
     return {name: case(make) for name, make in matrices.items()} | {

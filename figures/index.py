@@ -20,7 +20,7 @@ ORDER = (
 )  # fmt: skip
 
 # Table: patterns, megabytes, minutes of each row, and its rays, for brute force takes as many
-# patterns: those of Table 3.1 are what its days of a brute-force scan come to.
+# patterns; for Table 3.1 computed from its days of a brute-force scan.
 THESIS = {
     "3.1": {
         "Fig. 3.4, box": (352, 179, 14, 512 * 512),
@@ -70,7 +70,7 @@ def write_index(folder: Path) -> None:
         ``results/figures``.
     """
     made = {path.stem: json.loads(path.read_text()) for path in folder.glob("*.json")}
-    costs = [*_of_run(folder.parent), *(row for each in made.values() for row in each["costs"])]
+    costs = [*_of_run(folder.parent), *(row for script in made.values() for row in script["costs"])]
     parts = [
         _figure(folder, item) for name in ORDER if name in made for item in made[name]["shown"]
     ]
@@ -146,9 +146,11 @@ def cost_table(number: str, costs: list[dict[str, Any]], growth: pd.DataFrame) -
 
 
 def _extrapolated(fit: pd.Series[Any], row: dict[str, Any], rays: int) -> tuple[float, float]:
-    """Return the patterns at so many pixels by a line and a power law through a row's own."""
-    own, times = row["patterns"] / row["positions"], rays / row["rays"]
-    return float(own + fit["slope"] * np.log2(times) / 2), float(own * times ** fit["exponent"])
+    """Extrapolate the patterns of a row to `rays` by a line and by a power law."""
+    patterns, times = row["patterns"] / row["positions"], rays / row["rays"]
+    return float(patterns + fit["slope"] * np.log2(times) / 2), float(
+        patterns * times ** fit["exponent"]
+    )
 
 
 def _growth(folder: Path) -> pd.DataFrame:

@@ -21,13 +21,13 @@ _ERRORS = (1e-1, 1e-2, 1e-3)
 
 def items(size: Size) -> Items:
     """Measure duality, symmetry, rank, what texture does, and energy."""
-    one, other, rows = _duality(size)
+    transposed, exchanged, rows = _duality(size)
     rows += [*_symmetry(size), *_ranks(size), *_texture(), *_energy(size)]
-    bright = exposure(one, other)
+    bright = exposure(transposed, exchanged)
     panels = [
-        Panel(one, "transposed matrix", "", bright),
-        Panel(other, "projector and camera exchanged", "", bright),
-        difference(one, other, bright),
+        Panel(transposed, "transposed matrix", "", bright),
+        Panel(exchanged, "projector and camera exchanged", "", bright),
+        difference(transposed, exchanged, bright),
     ]
     caption = (
         "The dual picture of a box with two blocks, twice: by the transposed matrix, and by one "
@@ -35,12 +35,12 @@ def items(size: Size) -> Items:
     )
     thesis = "exchanging projector and camera transposes the matrix."
     yield Picture("fig_2_2", "Fig. 2.2, duality", thesis, caption, draw([panels]))
-    about = (
-        "Beside each number stands what it is to be compared with: for duality and symmetry the "
-        "recordings' noise, for ranks the size of the block, for energy the bounce before."
+    caption = (
+        "Each number has its reference beside it: for duality and symmetry the noise of the "
+        "recordings, for ranks the size of the block, for energy the previous bounce."
     )
     table = pd.DataFrame(rows, columns=["law", "measured", "value", "compared_with"])
-    yield Table("laws", "The laws of light transport (chapter 2, Appendix A)", about, table)
+    yield Table("laws", "The laws of light transport (chapter 2, Appendix A)", caption, table)
 
 
 def _duality(size: Size) -> tuple[Double, Double, list[Any]]:
@@ -50,13 +50,20 @@ def _duality(size: Size) -> tuple[Double, Double, list[Any]]:
     camera = WORLDS["two_blocks"].cameras[0]
     views = [[camera.model_dump()], [turned(camera, 22.0, 12.0)]]
     forth = physical(size, "two_blocks", cameras=views[0], projectors=views[1])
-    back = physical(size, "two_blocks", cameras=views[1], projectors=views[0])
-    one = np.stack([forth.dense(channel).T for channel in range(3)])
-    other = np.stack([back.dense(channel) for channel in range(3)])
-    other = other * float((one * other).sum() / (other * other).sum())  # each has its brightness
-    pictures = [matrix.sum(axis=2).T.reshape(*forth.projector_shape, 3) for matrix in (one, other)]
-    noise = float(np.hypot(_noise(forth), _noise(back)))
-    coarse = [_blocks(matrix.sum(axis=0), forth.projector_shape[0]) for matrix in (one, other)]
+    reverse = physical(size, "two_blocks", cameras=views[1], projectors=views[0])
+    transposed = np.stack([forth.dense(channel).T for channel in range(3)])
+    exchanged = np.stack([reverse.dense(channel) for channel in range(3)])
+    exchanged = exchanged * float(
+        (transposed * exchanged).sum() / (exchanged * exchanged).sum()
+    )  # each has its brightness
+    pictures = [
+        matrix.sum(axis=2).T.reshape(*forth.projector_shape, 3)
+        for matrix in (transposed, exchanged)
+    ]
+    noise = float(np.hypot(_noise(forth), _noise(reverse)))
+    coarse = [
+        _blocks(matrix.sum(axis=0), forth.projector_shape[0]) for matrix in (transposed, exchanged)
+    ]
     rows = [
         ("duality", "dual picture: transpose against exchange", error(*pictures), noise),
         ("duality", "matrix between blocks of 6 x 6 pixels", error(*coarse), noise),

@@ -28,15 +28,15 @@ def items(_size: Size) -> Items:
             yield from arrays_of_views(*pictures, f"{scene}, by {method}.", f"_{scene}_{method}")
 
 
-def arrays_of_views(relit: Float, truth: Float, told: str, suffix: str = "") -> Items:
+def arrays_of_views(relit: Float, truth: Float, remark: str, suffix: str = "") -> Items:
     """Draw what each view (second axis) sees in the light of each view (first axis).
 
     Parameters
     ----------
     relit, truth : ndarray of float32, shape (V, V, H, W, C)
         Of a square array of views.
-    told : str
-        What there is to say beside it.
+    remark : str
+        Text after the errors.
     suffix : str
         Of the files' names.
     """
@@ -44,19 +44,19 @@ def arrays_of_views(relit: Float, truth: Float, told: str, suffix: str = "") -> 
     worst = max(
         map(error, relit.reshape(-1, *relit.shape[2:]), truth.reshape(-1, *truth.shape[2:]))
     )
-    told = f"Errors of {len(truth) ** 2} pictures: up to {percent(worst)}. {told}"
+    remark = f"Errors of {len(truth) ** 2} pictures: up to {percent(worst)}. {remark}"
     for letter, name, pair in (
         ("a", "the light moves, the middle view sees", (relit[:, middle], truth[:, middle])),
         ("b", "the middle view lights, the view moves", (relit[middle], truth[middle])),
     ):
         slug = f"fig_5_8_{letter}{suffix}"
-        yield Picture(slug, f"Fig. 5.8 ({letter}), {name}", THESIS, told, _draw(*pair))
+        yield Picture(slug, f"Fig. 5.8 ({letter}), {name}", THESIS, remark, _draw(*pair))
     rows = [
         {"light": light, "view": view, "error": error(relit[light, view], truth[light, view])}
         for light, view in np.ndindex(truth.shape[:2])
     ]
-    about = "Relative RMS errors, lights and views counted row by row."
-    yield Table(f"view_errors{suffix}", "Errors between views", about, pd.DataFrame(rows))
+    caption = "Relative RMS errors, lights and views counted row by row."
+    yield Table(f"view_errors{suffix}", "Errors between views", caption, pd.DataFrame(rows))
 
 
 def _draw(relit: Float, truth: Float) -> object:

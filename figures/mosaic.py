@@ -78,20 +78,20 @@ def items(_size: Size) -> Items:
             )  # fmt: skip
         panels.append(row)
     bare = [row for row in rows if row["normalization"] == "none"]
-    told = "; ".join(
+    summary = "; ".join(
         f"{row['chain']}: {percent(row['energy'])} of the light and "
         f"{percent(row['colour_contrast'])} of the colour contrast before it"
         for row in bare
     )
     worst = percent(max(row["rms"] for row in rows if row not in bare))
-    caption = f"{told}; normalized within {worst} of the floodlit image."
+    caption = f"{summary}; normalized within {worst} of the floodlit image."
     thesis = (
         "the sum of the images of single pixels is dimmer and paler than the floodlit image; "
         "normalization restores it."
     )
     yield Picture("fig_b_1", "Fig. B.1", thesis, caption, draw(panels, 2.4))
-    about = "Of the sum against the floodlit image; image_error: of the images against the truth."
-    yield Table("mosaic", "Colour normalization", about, pd.DataFrame(rows))
+    caption = "Of the sum against the floodlit image; image_error: of the images against the truth."
+    yield Table("mosaic", "Colour normalization", caption, pd.DataFrame(rows))
 
 
 def _through_mosaic(truth: Float, camera: CameraModel) -> Merged:
@@ -118,6 +118,6 @@ def _smooth_colours(images: Float) -> Float:
 
 
 def _contrast(image: Float) -> float:
-    """Return how far the channels are from grey, relative to the image's light."""
+    """Return the colour contrast: the deviation of channels from grey, relative to the light."""
     grey = image.mean(axis=-1, keepdims=True)
     return float(np.linalg.norm(image - grey) / np.linalg.norm(grey))

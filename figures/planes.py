@@ -57,32 +57,32 @@ class Acquired:
 
 def items(_size: Size) -> Items:
     """Draw the coaxial scenes of a single view."""
-    found = []
+    rows = []
     for path in sorted(Path("results").glob("*/*/relight.json")):
         is_drawn = "line_truth" in open_arrays(path.with_suffix(".zarr")).names
         if is_drawn and read_manifest(path)["coaxial"]:
-            found.append(Acquired(path))
-    for method in dict.fromkeys(run.method for run in found):
-        runs = [run for run in found if run.method == method]
+            rows.append(Acquired(path))
+    for method in dict.fromkeys(run.method for run in rows):
+        runs = [run for run in rows if run.method == method]
         yield _matrices(method, runs)
         if len(runs[-1].images["levels_relit"]) > 1:
             yield _levels(method, runs[-1])
-    for scene in dict.fromkeys(run.scene for run in found):
-        yield from _methods(scene, [run for run in found if run.scene == scene])
+    for scene in dict.fromkeys(run.scene for run in rows):
+        yield from _methods(scene, [run for run in rows if run.scene == scene])
 
 
 def _matrices(method: str, runs: list[Acquired]) -> Picture:
     rows = dict(zip(_ROWS, zip(*map(_column, runs), strict=True), strict=True))
     if not all("line_levels" in run.images for run in runs):
         del rows["(d) level of the leaf"]
-    about = (
+    caption = (
         "T says how much light each projector ray, a column, sends into each camera ray, a row. "
         f"(c) Entries between the rays of the middle row, over {_DECADES} decades; the diagonal is "
         "direct light. (d) Level of the leaf that holds each entry; pale blue none. (e) Unlit "
         f"pixels {UNLIT_GAIN} times brighter; below it the truth, and the difference."
     )
     figure = draw([*rows.values()], left=[*rows])
-    return Picture(f"fig_2_1_{method}", f"Fig. 2.1, {method}", _MATRICES, about, figure)
+    return Picture(f"fig_2_1_{method}", f"Fig. 2.1, {method}", _MATRICES, caption, figure)
 
 
 def _column(run: Acquired) -> list[Any]:
@@ -107,9 +107,9 @@ def _levels(method: str, run: Acquired) -> Picture:
             patterns += row["patterns"]
             below = f"patterns {patterns:,}, error {percent(error(image, truth))}"
             panels.append(Panel(image, f"level {row['level']}", below, run.white))
-    about = f"{run.scene} relit with the vertical bar, and below the difference from the truth."
+    caption = f"{run.scene} relit with the vertical bar, and below the difference from the truth."
     figure = draw(with_errors(panels, Panel(truth, "ground truth", "", run.white)))
-    return Picture(f"fig_5_7_{method}", f"Fig. 5.7, {method}", _LEVELS, about, figure)
+    return Picture(f"fig_5_7_{method}", f"Fig. 5.7, {method}", _LEVELS, caption, figure)
 
 
 def _methods(scene: str, runs: list[Acquired]) -> Iterator[Picture]:
@@ -126,9 +126,9 @@ def _methods(scene: str, runs: list[Acquired]) -> Iterator[Picture]:
         below = f"patterns {run.facts['patterns']:,}, error {off}"
         panels.append(Panel(run.images["half_relit"], run.method, below, run.white, gain))
     truth = Panel(half, "ground truth", "", runs[0].white, gain)
-    about = (
+    caption = (
         f"The right half is lit; the left one shows indirect light alone, {gain.max():.0f} times "
         "brighter; its relative RMS error on that half, and the difference from the truth."
     )
     figure = draw(with_errors(panels, truth, len(runs) + 1))
-    yield Picture(f"fig_5_9_{scene}", f"Fig. 5.9, {scene}", _METHODS, about, figure)
+    yield Picture(f"fig_5_9_{scene}", f"Fig. 5.9, {scene}", _METHODS, caption, figure)

@@ -10,16 +10,16 @@ from rfpipe.report.drawing import Panel, draw
 def items(size: Size) -> Items:
     """Acquire a block and its reflection, the camera above, the projector in front."""
     scene = physical(size, "right_angles")
-    found = relit(scene)
-    primal = Panel(found.truths["primal"], "primal", "", found.white("primal"))
+    drawn = relit(scene)
+    primal = Panel(drawn.truths["primal"], "primal", "", drawn.white("primal"))
     caption = (
-        f"{percent(found.coarse)} of the dual picture's light is stored at levels coarser than a "
-        f"pixel, which blurs it there; its error is {percent(found.error('dual'))}. "
+        f"{percent(drawn.coarse)} of the dual picture's light is stored at levels coarser than a "
+        f"pixel, which blurs it there; its error is {percent(drawn.error('dual'))}. "
         f"{size_of(scene)}"
     )
     thesis = (
         "with camera and projector at right angles much of the dual image rests on coarse levels "
         "and is blurred, yet the mirror's reflection is there."
     )
-    figure = draw([[primal, *found.row("dual")]])
+    figure = draw([[primal, *drawn.row("dual")]])
     yield Picture("fig_3_10", "Fig. 3.10", thesis, caption, figure)

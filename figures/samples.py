@@ -11,15 +11,15 @@ _SCENES = {"top": ("glossy_metal", 22.0, 12.0), "bottom": ("foreshortened", -8.0
 
 def items(size: Size) -> Items:
     """Acquire gloss and rough metal in a box, and print, rings and checks at grazing angles."""
-    rows, told = [], []
+    rows, captions = [], []
     for place, (name, right, up) in _SCENES.items():
         scene = aside(size, name, right, up)
-        found = relit(scene)
-        rows.append([Panel(found.truths["primal"], "primal", "", found.white("primal")),
-                     *found.row("dual")])  # fmt: skip
-        told.append(f"{name}: {found.result.patterns} patterns, {percent(found.error('dual'))}")
-        yield cost("3.1", f"Fig. 3.7, {place}", scene, found.result, found.error("dual"))
-    caption = f"Errors of the dual pictures: {'; '.join(told)}. {size_of(scene)}"
+        drawn = relit(scene)
+        rows.append([Panel(drawn.truths["primal"], "primal", "", drawn.white("primal")),
+                     *drawn.row("dual")])  # fmt: skip
+        captions.append(f"{name}: {drawn.result.patterns} patterns, {percent(drawn.error('dual'))}")
+        yield cost("3.1", f"Fig. 3.7, {place}", scene, drawn.result, drawn.error("dual"))
+    caption = f"Errors of the dual pictures: {'; '.join(captions)}. {size_of(scene)}"
     thesis = (
         "the dual image shows what the camera hardly sees, such as detail on a pillar that is "
         "foreshortened to it."

@@ -32,12 +32,12 @@ def items(size: Size) -> Items:
     result, _ = acquired(scene, "symmetric")
     front = np.zeros(scene.projector_shape, np.float32)
     front[0] = letters(front.shape[-1])
-    both = front.copy()
-    both[1] = 1
+    front_and_back = front.copy()
+    front_and_back[1] = 1
     rows, errors = [], []
     for pattern, name, of_pair, factor in (
         (front, "letters from the front", front[0], _BRIGHTER),
-        (both, "and even light behind", white(front.shape[1:]), 1.0),
+        (front_and_back, "and even light behind", white(front.shape[1:]), 1.0),
     ):
         relit, truth = result.transport.relight(pattern)[0], seen(scene, pattern)[0]
         bright = factor * exposure(truth)
@@ -89,6 +89,6 @@ def letters(side: int) -> Float:
     width = max(1, columns * height // rows)
     drawn = dots[np.arange(height) * rows // height][:, np.arange(width) * columns // width]
     picture = np.zeros((side, side), np.float32)
-    top, left = max(0, (side - height) // 2 - side // 16), (side - width) // 2  # on the sweets
-    picture[top : top + height, left : left + width] = drawn
+    top, column = max(0, (side - height) // 2 - side // 16), (side - width) // 2  # on the sweets
+    picture[top : top + height, column : column + width] = drawn
     return picture

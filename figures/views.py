@@ -40,12 +40,12 @@ def items(size: Size) -> Items:
     truth = scene.apply(lights.reshape(len(lights), -1)).reshape(relit.shape)
     middle = count // 2
     moves = [_least_change(truth[:count, middle]), _least_change(truth[middle])]
-    told = (
+    remark = (
         f"{result.patterns:,} patterns at a tolerance of {_TOLERANCE:g}. Another light changes the "
         f"picture by {percent(moves[0])} at least, another view by {percent(moves[1])}. "
         f"{size_of(scene)}"
     )
-    yield from arrays_of_views(relit[:count], truth[:count], told)
+    yield from arrays_of_views(relit[:count], truth[:count], remark)
     ours, true = relit[count, middle], truth[count, middle]
     bright, lit = exposure(true), truth[:count].sum(axis=0)[middle]
     panels = [
@@ -64,5 +64,5 @@ def items(size: Size) -> Items:
 def _least_change(pictures: Float) -> float:
     """Return the least relative difference of a picture from the middle one."""
     middle = len(pictures) // 2
-    others = np.delete(pictures, middle, axis=0)
-    return min(error(picture, pictures[middle]) for picture in others)
+    other_views = np.delete(pictures, middle, axis=0)
+    return min(error(picture, pictures[middle]) for picture in other_views)

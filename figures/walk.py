@@ -57,7 +57,7 @@ def _draw(axis: Any, frames: NDArray[np.int64], length: int) -> None:
     axis.set(xticks=[], yticks=[])
     axis.imshow(frames, cmap="Pastel1", vmin=1, vmax=max(int(frames.max()), 9))
     for top in range(0, 8, length):
-        for left in range(0, 8, length):
+        for column in range(0, 8, length):
             middle = (length - 1) / 2
-            axis.text(left + middle, top + middle, str(frames[top, left]), ha="center",
+            axis.text(column + middle, top + middle, str(frames[top, column]), ha="center",
                       va="center", fontsize=6.5 if length == 1 else 8.5)  # fmt: skip

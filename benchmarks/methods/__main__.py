@@ -36,16 +36,16 @@ _log = logging.getLogger("benchmark")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run what is missing, then write the page."""
-    asked = parsed(arguments)
-    table = asked.folder / "acquisitions.csv"
-    cases, known = list(asked_cases(asked)), known_keys(table)
-    lacking = [case for case in cases if case.key not in known]
-    _log.info("at most %d acquisitions to do, %d rows in %s", len(lacking), len(known), table)
-    if not asked.table_only:
-        run(lacking, table, by_place(table), asked.cache, 60 * asked.minutes)
+    """Run missing cases, then write the page."""
+    options = parsed(arguments)
+    table = options.folder / "acquisitions.csv"
+    cases, known = list(asked_cases(options)), known_keys(table)
+    missing = [case for case in cases if case.key not in known]
+    _log.info("at most %d acquisitions to do, %d rows in %s", len(missing), len(known), table)
+    if not options.table_only:
+        run(missing, table, by_place(table), options.cache, 60 * options.minutes)
     if table.exists():
-        write_page(asked.folder, table, cases)
+        write_page(options.folder, table, cases)
 
 
 def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -70,21 +70,21 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def asked_cases(asked: argparse.Namespace) -> list[Case]:
-    """List what the command line asks for."""
+def asked_cases(options: argparse.Namespace) -> list[Case]:
+    """List the cases of the command line."""
     names = ("scenes", "methods", "lights", "seeds", "settings", "values", "channels", "samples")
-    settings = {name: getattr(asked, name) for name in names}
-    if asked.side:
-        return [case for side in asked.side for case in cases_of(**settings, side=side)]
+    settings = {name: getattr(options, name) for name in names}
+    if options.side:
+        return [case for side in options.side for case in cases_of(**settings, side=side)]
     small = [case for side in SMALL_SIDES for case in cases_of(**settings, side=side)]
     estimated = [case for case in small if case.method == AUTO and case.light == "full"]
     return [*cases_of(**settings), *estimated]
 
 
 def run(cases: Sequence[Case], table: Path, rows: Rows, cache: Path, seconds: float) -> None:
-    """Run cases one after the other; append a row each, to the table and to those of its place."""
+    """Run cases in turn; append a row each, to the table and to the rows of its place."""
     for case in {case.method: case for case in cases}.values():
-        measure(replace(case, scene="wedge_iv", side="8", seed=0), cache)  # load what is compiled
+        measure(replace(case, scene="wedge_iv", side="8", seed=0), cache)  # load compiled code
     began = time.monotonic()
     with appending(table) as append:
         for number, case in enumerate(cases, start=1):
@@ -95,11 +95,11 @@ def run(cases: Sequence[Case], table: Path, rows: Rows, cache: Path, seconds: fl
                 return
             row = measure(case, cache)
             append(row)
-            told = row.get("why", "")
+            outcome = row.get("why", "")
             if row["status"] == "done":
                 rows[case.place].append(row)
-                told = f"{row['patterns']} patterns, mean error {row['error_mean']:.3g}"
-            _log.info("%d of %d: %s: %s", number, len(cases), case, told)
+                outcome = f"{row['patterns']} patterns, mean error {row['error_mean']:.3g}"
+            _log.info("%d of %d: %s: %s", number, len(cases), case, outcome)
 
 
 if __name__ == "__main__":

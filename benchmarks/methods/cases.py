@@ -1,4 +1,4 @@
-"""What is run: scenes, light levels, seeds, the settings of each method; and the table of it."""
+"""Cases of the benchmark: scenes, light levels, seeds, settings of each method; and their table."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TARGETS = (0.02, 0.01, 0.005)
 """Mean errors that it is asked for, and other methods that take a target."""
 
 TOLERANCES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006, 0.004, 0.0025, 0.0015, 0.001, 6e-4, 4e-4, 3e-4)
-"""What others are run at, so close that in hindsight little is lost between two of them."""
+"""Settings of the other methods, so close that little is lost between two of them."""
 
 SIDE = "48"
 """Pixels along either side of a picture, at which all methods are compared."""
@@ -65,7 +65,7 @@ SEEDS = (0, 1, 2)
 
 
 def path_of(name: str) -> str:
-    """Return what `rfpipe.acquire` takes for a name in `NAMES`."""
+    """Return the argument of `rfpipe.acquire` for a name in `NAMES`."""
     return RIVALS.get(name, name)
 
 
@@ -116,7 +116,7 @@ class Case:
 
     @property
     def options(self) -> dict[str, Any]:
-        """What the method is told; a whole number stays one."""
+        """Options of the method; whole numbers stay whole."""
         if not self.option:
             return {}
         default = getattr(options_of(method_of(self.method)), self.option)
@@ -124,7 +124,7 @@ class Case:
 
     @property
     def held_out(self) -> dict[str, bool]:
-        """Whether its scene, and its seed, are looked at last."""
+        """Whether its scene, and its seed, are held out."""
         return {
             "held_out_scene": is_held_out(self.scene),
             "held_out_seed": is_held_out(f"seed {self.seed}"),
@@ -137,7 +137,7 @@ class Case:
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """What it shares with the acquisitions that it is compared with, see `PLACE`."""
+        """Values in common with the acquisitions to compare with, see `PLACE`."""
         return tuple(getattr(self, name) for name in PLACE)
 
     @property
@@ -157,8 +157,8 @@ class Case:
 
     def __str__(self) -> str:
         """Name the run in a line of the log."""
-        told = f", {self.option} {self.value:g}" if self.option else ""
-        return f"{self.method}{told} on {self.scene}, {self.light} light, seed {self.seed}"
+        setting = f", {self.option} {self.value:g}" if self.option else ""
+        return f"{self.method}{setting} on {self.scene}, {self.light} light, seed {self.seed}"
 
 
 def cases_of(
@@ -181,7 +181,7 @@ def cases_of(
     scenes
         Names in `KINDS`.
     methods
-        All that are installed where none is named.
+        All installed methods if empty.
     lights, seeds
     settings
         How many of each method's, from the coarsest; None for all.
@@ -224,11 +224,11 @@ Rows = Mapping[tuple[Any, ...], list[Mapping[str, Any]]]
 
 def by_place(path: Path) -> Rows:
     """Return the rows of acquisitions by this code that ended, by `Case.place`."""
-    found: dict[tuple[Any, ...], list[Mapping[str, Any]]] = defaultdict(list)
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = defaultdict(list)
     for row in newest(path).to_dict("records") if known_keys(path) else ():
         if row["status"] == "done" and row["code"] == code_of(row["method"]):
-            found[tuple(row[field] for field in PLACE)].append(row)
-    return found
+            groups[tuple(row[field] for field in PLACE)].append(row)
+    return groups
 
 
 def is_needless(case: Case, rows: Iterable[Mapping[str, Any]]) -> bool:
@@ -244,13 +244,13 @@ def is_needless(case: Case, rows: Iterable[Mapping[str, Any]]) -> bool:
         Of its place, those that ended.
     """
     rows = list(rows)
-    own = [row for row in rows if row["method"] == case.method and row["value"] > case.value]
+    finer = [row for row in rows if row["method"] == case.method and row["value"] > case.value]
     indirect = (row["indirect_mean"] for row in rows if row["method"] == AUTO)
     least = min((error for error in indirect if not math.isnan(error)), default=math.inf)
     return case.option == "tolerance" and any(
         row["patterns"] >= row["projector_rays"]
         or (row["error_mean"] <= TARGETS[-1] and not row["indirect_mean"] > least)
-        for row in own
+        for row in finer
     )
 
 
@@ -265,10 +265,10 @@ def known_keys(path: Path) -> set[str]:
     if not path.exists() or not path.stat().st_size:
         return set()
     with path.open(newline="") as file:
-        found = csv.DictReader(file)
-        if found.fieldnames != list(COLUMNS):
+        reader = csv.DictReader(file)
+        if reader.fieldnames != list(COLUMNS):
             raise InputError(f"{path}: expected the columns {', '.join(COLUMNS)}; move it away")
-        return {row["key"] for row in found}
+        return {row["key"] for row in reader}
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""One acquisition: what it costs, and how far relit pictures are from the truth."""
+"""One acquisition: its cost, and the errors of relit pictures."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _memory_before() -> float:
     """Return the bytes in memory, and forget their peak; NaN where the system can't."""
     gc.collect()
     try:
-        ctypes.CDLL(None).malloc_trim(0)  # what was freed, or it would be taken again unseen
+        ctypes.CDLL(None).malloc_trim(0)  # freed memory, which would otherwise be reused unnoticed
         Path("/proc/self/clear_refs").write_text("5")  # Linux: the peak
     except (AttributeError, OSError, TypeError):
         return float("nan")

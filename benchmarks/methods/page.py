@@ -40,7 +40,8 @@ _ABOUT = """# The open benchmark
 
 Every method on every physically based scene and on matt wedges, through one camera, as
 `make benchmark` runs it. `benchmark/acquisitions.csv` has a row an acquisition,
-`benchmark/regret.csv` a row an acquisition of `auto`; settings of less than half of the scenes are omitted.
+`benchmark/regret.csv` one of each acquisition of `auto`; settings that ran on less than half of the
+scenes are omitted.
 
 - **Light**: the brightest pixel of the floodlit scene has a radiance of 1.9, of 2 that the default
   camera takes; or a sixteenth of that.
@@ -90,7 +91,7 @@ against truth, filled where scene and seed are open.
 """
 
 
-def write_page(folder: Path, table: Path, asked: Sequence[Case]) -> None:
+def write_page(folder: Path, table: Path, planned: Sequence[Case]) -> None:
     """Write the table of regrets, the plots and the page.
 
     Parameters
@@ -99,12 +100,12 @@ def write_page(folder: Path, table: Path, asked: Sequence[Case]) -> None:
         Of the tables and the plots; the page lies beside it under the same name.
     table : Path
         The acquisitions.
-    asked : sequence of Case
-        What the command asked for, to say what is missing.
+    planned : sequence of Case
+        The cases of the command, to list missing ones.
     """
     rows = newest(table)
-    held = rows["held_out_scene"].astype(bool) | rows["held_out_seed"].astype(bool)
-    rows["section"] = held.map({False: OPEN, True: HELD_OUT})
+    held_out = rows["held_out_scene"].astype(bool) | rows["held_out_seed"].astype(bool)
+    rows["section"] = held_out.map({False: OPEN, True: HELD_OUT})
     done = rows[rows["status"] == "done"]
     side = rows["side"].value_counts().index[0]
     shown, regret = rows[rows["side"] == side], regrets(done[done["side"] == side])
@@ -117,7 +118,7 @@ def write_page(folder: Path, table: Path, asked: Sequence[Case]) -> None:
     small, sides = small_scenes(done[rays < _rays(side)]), _sides(done[rays >= _rays(side)])
     parts = [
         _ABOUT,
-        _run(rows, table, asked),
+        _run(rows, table, planned),
         _REGRET,
         _regret(regret, "error"),
         _INDIRECT,
@@ -152,24 +153,27 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
         that took the fewest, ``error_by`` and ``indirect_by``, empty where none did and brute
         force's number counts. NaN without other methods, or where the error isn't known.
     """
-    found = []
+    pairs = []
     for _, rows in done.groupby(list(PLACE), sort=False):
-        others = rows[~rows["method"].isin([AUTO, *PARTS])]
-        for own in rows[rows["method"] == AUTO].itertuples():
-            row = {name: getattr(own, name) for name in ("section", "scene", "light", "seed")}
-            row |= {"target": own.value, "missed": own.error_mean > _MISSED * own.value}
-            limits = {"error": own.value, "indirect": own.indirect_mean}
+        rivals = rows[~rows["method"].isin([AUTO, *PARTS])]
+        for auto_rows in rows[rows["method"] == AUTO].itertuples():
+            row = {name: getattr(auto_rows, name) for name in ("section", "scene", "light", "seed")}
+            row |= {
+                "target": auto_rows.value,
+                "missed": auto_rows.error_mean > _MISSED * auto_rows.value,
+            }
+            limits = {"error": auto_rows.value, "indirect": auto_rows.indirect_mean}
             for name, limit in limits.items():
-                enough = others[others[f"{name}_mean"] <= limit].sort_values("patterns")
-                fewest, by = own.projector_rays, ""
+                enough = rivals[rivals[f"{name}_mean"] <= limit].sort_values("patterns")
+                fewest, by = auto_rows.projector_rays, ""
                 if len(enough):
                     fewest, by = enough.iloc[0][["patterns", "method"]]
-                known = len(others) > 0 and not np.isnan(limit)
-                row |= {name: own.patterns / fewest if known else np.nan, f"{name}_by": by}
-            found.append(row)
+                known = len(rivals) > 0 and not np.isnan(limit)
+                row |= {name: auto_rows.patterns / fewest if known else np.nan, f"{name}_by": by}
+            pairs.append(row)
     columns = ["section", "scene", "light", "seed", "target", "missed", "error", "error_by",
                "indirect", "indirect_by"]  # fmt: skip
-    return pd.DataFrame(found, columns=columns)
+    return pd.DataFrame(pairs, columns=columns)
 
 
 def _of_scenes(rows: pd.DataFrame) -> pd.Series[str]:
@@ -177,22 +181,22 @@ def _of_scenes(rows: pd.DataFrame) -> pd.Series[str]:
     return rows["scene"].map(lambda name: HELD_OUT if is_held_out(name) else OPEN)
 
 
-def _run(rows: pd.DataFrame, table: Path, asked: Sequence[Case]) -> str:
-    """Say what the table holds, from when and where, and what it lacks."""
-    there = {tuple(map(str, row)) for row in rows[list(CASE)].itertuples(index=False)}
-    named = [tuple(str(getattr(case, name)) for name in CASE) for case in asked]
-    lacking = [case for case, name in zip(asked, named, strict=True) if name not in there]
-    older = len(asked) - len(lacking) - len({case.key for case in asked} & set(rows["key"]))
+def _run(rows: pd.DataFrame, table: Path, planned: Sequence[Case]) -> str:
+    """Describe the table: its rows, dates and machine, and missing cases."""
+    present = {tuple(map(str, row)) for row in rows[list(CASE)].itertuples(index=False)}
+    named = [tuple(str(getattr(case, name)) for name in CASE) for case in planned]
+    missing = [case for case, name in zip(planned, named, strict=True) if name not in present]
+    older = len(planned) - len(missing) - len({case.key for case in planned} & set(rows["key"]))
     places = by_place(table)
-    needless = sum(is_needless(case, places[case.place]) for case in lacking)
+    needless = sum(is_needless(case, places[case.place]) for case in missing)
     status = rows["status"].value_counts()
     return (
         f"{len(rows)} acquisitions from {rows['date'].min()} to {rows['date'].max()} on "
         f"{'; '.join(sorted(set(rows['machine'])))}: {status.get('done', 0)} done, "
         f"{status.get('refused', 0)} refused by the method, {status.get('failed', 0)} failed. "
-        f"Of the {len(asked)} that the command asked for, {needless} weren't needed, as a coarser "
-        "tolerance had reached all that they would be compared with; "
-        f"{len(lacking) - needless} weren't run; {older} are of earlier code.\n"
+        f"Of the {len(planned)} planned ones, {needless} weren't needed, since a coarser tolerance had "
+        "reached all errors in the comparison; "
+        f"{len(missing) - needless} weren't run; {older} are of earlier code.\n"
     )
 
 
@@ -200,9 +204,11 @@ def _regret(regret: pd.DataFrame, name: str) -> str:
     """Return a table of scenes by light and target, and the means over scenes."""
     regret = regret.dropna(subset=[name])
     counts = regret.groupby(["light", "target"])["scene"].nunique()
-    there = set(counts[2 * counts >= counts.max()].index)  # what was begun alone is in the table
-    targets = sorted({target for _, target in there}, reverse=True)
-    places = [place for place in product(CAMERAS, targets) if place in there]
+    complete = set(
+        counts[2 * counts >= counts.max()].index
+    )  # settings that were begun only stay in the table
+    targets = sorted({target for _, target in complete}, reverse=True)
+    places = [place for place in product(CAMERAS, targets) if place in complete]
     grouped = regret.assign(log=np.log(regret[name])).groupby(
         ["section", "scene", "light", "target"], sort=False
     )
@@ -211,13 +217,16 @@ def _regret(regret: pd.DataFrame, name: str) -> str:
 
     def cells(rows: pd.DataFrame, marked: bool) -> Iterator[str]:
         for light, target in places:
-            own = rows[(rows["light"] == light) & (rows["target"] == target)]
-            mark = "!" if marked and own["missed"].any() else ""
-            yield f"{np.exp(own['log'].mean()):.2f}{mark}" if len(own) else ""
+            section_rows = rows[(rows["light"] == light) & (rows["target"] == target)]
+            mark = "!" if marked and section_rows["missed"].any() else ""
+            yield f"{np.exp(section_rows['log'].mean()):.2f}{mark}" if len(section_rows) else ""
 
-    lines = [[_starred(str(scene)), *cells(own, name == "error")] for scene, own in scenes]
-    for section, own in means.groupby("section", sort=False):
-        lines.append([f"**mean, {section}**", *cells(own, False)])
+    lines = [
+        [_starred(str(scene)), *cells(section_rows, name == "error")]
+        for scene, section_rows in scenes
+    ]
+    for section, section_rows in means.groupby("section", sort=False):
+        lines.append([f"**mean, {section}**", *cells(section_rows, False)])
     return markdown(["scene", *(f"{light}, {100 * target:g}%" for light, target in places)], lines)
 
 
@@ -234,13 +243,15 @@ def _fewest(rows: pd.DataFrame) -> str:
         cells = []
         for method in methods:
             tried = of_scene[of_scene["method"] == method]
-            own = tried[tried["status"] == "done"]
-            enough = own[own["error_mean"] <= _ENOUGH].groupby("seed")["patterns"].min()
-            if len(own) and len(enough) == len(set(own["seed"])):
+            method_rows = tried[tried["status"] == "done"]
+            enough = (
+                method_rows[method_rows["error_mean"] <= _ENOUGH].groupby("seed")["patterns"].min()
+            )
+            if len(method_rows) and len(enough) == len(set(method_rows["seed"])):
                 cells.append(f"{np.exp(np.log(enough).mean()):.0f}")
             else:
-                least = own.groupby("seed")["error_mean"].min().mean()
-                cells.append(f"{least:.2%}" if len(own) else "-" if len(tried) else "")
+                least = method_rows.groupby("seed")["error_mean"].min().mean()
+                cells.append(f"{least:.2%}" if len(method_rows) else "-" if len(tried) else "")
         lines.append([_starred(str(scene)), *cells])
     return markdown(["scene", *(f"`{name}`" for name in methods)], lines)
 
@@ -248,14 +259,18 @@ def _fewest(rows: pd.DataFrame) -> str:
 def _estimates(done: pd.DataFrame) -> str:
     """Return a table of how good estimates are, and how many targets were met."""
     lines = []
-    for (method, light, section), own in done.groupby(["method", "light", "section"], sort=False):
-        ratios = [own[estimate] / own[true] for true, estimate in _ESTIMATED.items()]
-        told = [each.dropna().between(1 / _NEAR, _NEAR) for each in ratios]
-        asked = own[own["option"] == "target_error"]
-        told.append(asked["error_mean"] <= _MISSED * asked["value"])
-        if any(map(len, told[:-1])):
-            shares = (f"{each.mean():.0%}" if len(each) else "" for each in told)
-            lines.append([f"`{method}`", str(light), str(section), str(len(own)), *shares])
+    for (method, light, section), method_rows in done.groupby(
+        ["method", "light", "section"], sort=False
+    ):
+        ratios = [
+            method_rows[estimate] / method_rows[true] for true, estimate in _ESTIMATED.items()
+        ]
+        within = [flags.dropna().between(1 / _NEAR, _NEAR) for flags in ratios]
+        targeted = method_rows[method_rows["option"] == "target_error"]
+        within.append(targeted["error_mean"] <= _MISSED * targeted["value"])
+        if any(map(len, within[:-1])):
+            shares = (f"{flags.mean():.0%}" if len(flags) else "" for flags in within)
+            lines.append([f"`{method}`", str(light), str(section), str(len(method_rows)), *shares])
     head = ["method", "light", "", "runs", "error estimated", "error of indirect light estimated",
             "targets met"]  # fmt: skip
     return markdown(head, lines)
@@ -268,23 +283,25 @@ def _rays(side: str) -> int:
 
 def small_scenes(done: pd.DataFrame) -> str:
     """Return a table of estimates over true errors, of scenes by sides; empty where none was."""
-    own = done[(done["method"] == AUTO) & (done["light"] == "full")].dropna(
+    method_rows = done[(done["method"] == AUTO) & (done["light"] == "full")].dropna(
         subset=["estimated_error"]
     )
-    own = own.assign(
-        log=np.log(own["estimated_error"] / own["error_mean"]),
-        met=own["error_mean"] <= _MISSED * own["value"],
+    method_rows = method_rows.assign(
+        log=np.log(method_rows["estimated_error"] / method_rows["error_mean"]),
+        met=method_rows["error_mean"] <= _MISSED * method_rows["value"],
     )
-    visible = own[own["error_mean"] > _VISIBLE * own["photo_mean"].fillna(0)]
-    sides = sorted(set(own["side"]), key=_rays)
+    visible = method_rows[
+        method_rows["error_mean"] > _VISIBLE * method_rows["photo_mean"].fillna(0)
+    ]
+    sides = sorted(set(method_rows["side"]), key=_rays)
 
     def line(name: str, rows: pd.DataFrame, text: Callable[[pd.DataFrame], str]) -> list[str]:
         of_sides = (rows[rows["side"] == side] for side in sides)
-        return [name, *(text(each) if len(each) else "" for each in of_sides)]
+        return [name, *(text(side_rows) if len(side_rows) else "" for side_rows in of_sides)]
 
     lines = [
-        line(_starred(str(scene)), rows, lambda each: f"{np.exp(each['log'].mean()):.2f}")
-        for scene, rows in own.groupby("scene", sort=False)
+        line(_starred(str(scene)), rows, lambda side_rows: f"{np.exp(side_rows['log'].mean()):.2f}")
+        for scene, rows in method_rows.groupby("scene", sort=False)
     ]
     for section, rows in visible.groupby("section", sort=False):
         lines.append(line(f"**mean, {section}**", rows, _estimates_of))
@@ -302,9 +319,11 @@ def _sides(done: pd.DataFrame) -> str:
     setting = ["scene", "light", "method", "option", "value"]
     several = done.groupby(setting)["side"].transform("nunique") > 1
     lines = []
-    for (*named, _, side), own in done[several].groupby([*setting, "projector_rays", "side"]):
+    for (*named, _, side), setting_rows in done[several].groupby(
+        [*setting, "projector_rays", "side"]
+    ):
         scene, light, method, option, value = named
-        mean = own[["patterns", "error_mean", "processing_s", "memory_gb"]].mean()
+        mean = setting_rows[["patterns", "error_mean", "processing_s", "memory_gb"]].mean()
         lines.append(
             [_starred(scene), light, f"`{method}`", f"{option} {value:g}" if option else "", side,
              f"{mean['patterns']:.0f}", f"{mean['error_mean']:.2%}", f"{mean['processing_s']:.1f}",
@@ -340,13 +359,13 @@ def _png(figure: Any) -> bytes:
 
 
 def _style(method: str) -> dict[str, Any]:
-    own = method_of(method)
+    method_class = method_of(method)
     return {
-        "color": own.colour,
-        "marker": own.marker or "x",
-        "linestyle": own.line,
+        "color": method_class.colour,
+        "marker": method_class.marker or "x",
+        "linestyle": method_class.line,
         "markersize": 4,
-        "label": own.title,
+        "label": method_class.title,
     }
 
 
@@ -358,15 +377,19 @@ def _curves(done: pd.DataFrame) -> bytes:
     for axis in axes.flat:
         axis.set_axis_off()
     for axis, scene in zip(axes.flat, scenes, strict=False):
-        own = done[done["scene"] == scene]
+        scene_rows = done[done["scene"] == scene]
         axis.set_axis_on()
         axis.set(xscale="log", yscale="log", xlim=(5, 5000), ylim=(0.05, 100))
         axis.set_title(_starred(scene).replace("_", " "), fontsize=9)
         axis.tick_params(labelsize=7)
-        for method, each in own.groupby("method"):
-            means = each.groupby("value")[["patterns", "error_mean"]].mean().sort_values("patterns")
+        for method, method_rows in scene_rows.groupby("method"):
+            means = (
+                method_rows.groupby("value")[["patterns", "error_mean"]]
+                .mean()
+                .sort_values("patterns")
+            )
             axis.plot(means["patterns"], 100 * means["error_mean"], **_style(str(method)))
-        axis.axhline(100 * own["photo_mean"].mean(), color="#888888", linestyle=":",
+        axis.axhline(100 * scene_rows["photo_mean"].mean(), color="#888888", linestyle=":",
                      label="a photograph's noise")  # fmt: skip
     figure.supxlabel("patterns", fontsize=9)
     figure.supylabel("mean error, %", fontsize=9)
@@ -378,17 +401,22 @@ def _against_truth(done: pd.DataFrame) -> bytes:
 
     A row of panels for each error that methods estimate.
     """
-    pairs = [each for each in _ESTIMATED.items() if done[list(each)].notna().all(axis=1).any()]
+    pairs = [pair for pair in _ESTIMATED.items() if done[list(pair)].notna().all(axis=1).any()]
     methods = list(dict.fromkeys(done["method"][done["estimated_error"].notna()]))
     height, width = max(len(pairs), 1), max(len(methods), 1)
     figure, axes = _figure(height, width, (4.0 * width, 4.0 * height))
     for across, (true, estimated) in zip(axes, pairs, strict=False):
         named = " ".join(reversed(true.split("_")))
         for axis, method in zip(across, methods, strict=False):
-            for section, each in done[done["method"] == method].groupby("section"):
+            for section, section_rows in done[done["method"] == method].groupby("section"):
                 look = {**_style(method), "linestyle": "none", "label": str(section)}
                 face = look["color"] if section == OPEN else "white"
-                axis.plot(100 * each[true], 100 * each[estimated], **look, markerfacecolor=face)
+                axis.plot(
+                    100 * section_rows[true],
+                    100 * section_rows[estimated],
+                    **look,
+                    markerfacecolor=face,
+                )
             axis.plot([0.05, 100], [0.05, 100], color="#888888", linewidth=0.8, label="equal")
             axis.set(xscale="log", yscale="log")
             axis.set(xlabel=f"true {named}, %", ylabel=f"estimated {named}, %")

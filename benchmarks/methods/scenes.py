@@ -31,21 +31,21 @@ _BRIGHTEST = 1.9
 _LEAST_SIDE = 8  # of each view of a stack
 _PICTURES = 96
 _PICTURES_SEED = 1000  # of seed 0's pictures: not the camera's
-ASIDE = ((1.72, 0.0, 0.54), (0.0, 0.0, 3.0))  # where a projector stands, and what it looks at
+ASIDE = ((1.72, 0.0, 0.54), (0.0, 0.0, 3.0))  # place and target of a projector
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How a scene is made.
+    """A kind of scene.
 
     Attributes
     ----------
     what : str
         "physical" or "matt".
     settings : callable
-        Plain data that tells the scene, of (side, channels, samples, seed).
+        Plain data that describe the scene, from (side, channels, samples, seed).
     make : callable
-        The scene, of the same and the folder of recorded matrices.
+        The scene, from the same arguments and the folder of recorded matrices.
     """
 
     what: str
@@ -103,14 +103,14 @@ def _mitsuba(name: str, side: str, channels: int, samples: int, cache: Path) -> 
 
     world = WORLDS[name]
     views = max(len(world.cameras), len(world.projectors or ()))
-    each = [
+    planes = [
         max(min(length, _LEAST_SIDE), round(length / math.sqrt(views))) for length in shape_of(side)
     ]
     options = MitsubaOptions.model_validate(
         {
             "kind": "rfpipe.mitsuba.scene:MitsubaScene",
             "scene": name,
-            "shape": each,
+            "shape": planes,
             "channels": channels,
             "samples": samples,
             "cache": str(cache),
@@ -127,7 +127,7 @@ KINDS: dict[str, Kind] = {name: _world(name) for name in WORLDS} | {
 
 @lru_cache(maxsize=512)
 def settings_of(name: str, side: str, channels: int, samples: int, seed: int) -> dict[str, Any]:
-    """Return plain data that tells a scene, without making it."""
+    """Return plain data that describe a scene, without building it."""
     return KINDS[name].settings(side, channels, samples, seed)
 
 

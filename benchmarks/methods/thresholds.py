@@ -1,8 +1,8 @@
-"""What decisions' thresholds do: ``python -m benchmarks.methods.thresholds [--targets 0.01]``.
+"""Effect of decision thresholds: ``python -m benchmarks.methods.thresholds [--targets 0.01]``.
 
-Each of them is changed alone, down and up, and `auto` acquires open scenes anew, seed 1, in full
-light. A row tells the patterns over those of the thresholds as they are, and the mean error over
-the target, by geometric means over scenes; results/bench/thresholds.csv.
+Each threshold is decreased and increased separately, and `auto` acquires the open scenes, seed 1,
+in full light. A row has the ratio of patterns to the present thresholds, and of the mean error to the
+target, as geometric means over scenes; results/bench/thresholds.csv.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--targets", nargs="+", type=float, default=[0.01])
     parser.add_argument("--only", nargs="+", choices=CHANGED, default=list(CHANGED))
     parser.add_argument("--cache", type=Path, default=Path("results/recorded"))
-    asked = parser.parse_args(arguments)
-    write("thresholds", rows(asked.scenes, asked.targets, asked.only, asked.cache))
+    options = parser.parse_args(arguments)
+    write("thresholds", rows(options.scenes, options.targets, options.only, options.cache))
 
 
 def rows(
@@ -60,7 +60,7 @@ def rows(
     """Yield a row for each value of each threshold."""
     places = list(product(scenes, targets))
     before = [acquired(*place, cache) for place in places]
-    for name, value in [(each, value) for each in names for value in CHANGED[each]]:
+    for name, value in [(threshold, value) for threshold in names for value in CHANGED[threshold]]:
         with changed(name, value):
             after = [acquired(*place, cache) for place in places]
         more = [b["patterns"] / a["patterns"] for a, b in zip(before, after, strict=True)]
@@ -85,9 +85,9 @@ def changed(name: str, value: Any) -> ExitStack:
         stack.enter_context(patch.object(decisions, "_AT", replace(decisions._AT, **{name: value})))
     for method, law in ((NearFar, "symmetric"), (Footprints, "dual")):
         way = method.way
-        own = {law: {"law": value}, name: {name: value * getattr(way, name, 0)}}
+        overrides = {law: {"law": value}, name: {name: value * getattr(way, name, 0)}}
         if name == law or name in ("lost", "tolerance"):
-            stack.enter_context(patch.object(method, "way", replace(way, **own[name])))
+            stack.enter_context(patch.object(method, "way", replace(way, **overrides[name])))
     return stack
 
 

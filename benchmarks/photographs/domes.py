@@ -1,4 +1,4 @@
-"""Errors of pictures under lights that are left out of a dome, beside those of simple methods.
+"""Errors of pictures under lights that are left out of a dome, compared with simple methods.
 
 `dome_tables` takes a folder of pictures of one light at a time and their directions, such as the
 set of the University of Washington, or of any dome. `simulated_table` takes simulated objects. No
@@ -123,8 +123,8 @@ def dome_tables(folder: Path) -> pd.DataFrame:
     -------
     DataFrame
         A row for each dome and number of lights (``lights``: all but one, and `SUBSETS` of domes
-        with more lights), a column for each of `METHODS`: the norm of the difference over that of
-        the picture, percent, mean over the lights that are left out. ``light`` is ``rgb``, or
+        with more lights), a column for each of `METHODS`: the norm of the difference over the norm
+        of the picture, percent, mean over the lights that are left out. ``light`` is ``rgb``, or
         ``grey`` for the mean of the channels.
     """
     rows = []
@@ -167,12 +167,12 @@ def _rows(
     splits += [(k, [np.sort(order[:k])]) for k in subsets if k < count - 4]
     for number, parts in splits:
         errors: dict[str, list[float]] = {name: [] for name in METHODS}
-        for some in parts:
-            others = np.setdiff1d(np.arange(count), some)
+        for held_out in parts:
+            used = np.setdiff1d(np.arange(count), held_out)
             for name, predict in METHODS.items():
-                predicted = np.maximum(predict(lights[some], lights[others], values[some]), 0)
-                difference = np.linalg.norm(predicted - values[others], axis=1)
-                errors[name] += (difference / np.linalg.norm(values[others], axis=1)).tolist()
+                predicted = np.maximum(predict(lights[held_out], lights[used], values[held_out]), 0)
+                difference = np.linalg.norm(predicted - values[used], axis=1)
+                errors[name] += (difference / np.linalg.norm(values[used], axis=1)).tolist()
         yield {"lights": number, **{name: 100 * float(np.mean(e)) for name, e in errors.items()}}
 
 

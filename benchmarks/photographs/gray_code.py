@@ -38,7 +38,7 @@ Mask = NDArray[np.bool_]
 
 # Range of the true places within a square of pixels, in rays, up to which the square is judged.
 _VARIES = 1.5
-# Camera pixels that are decoded at once.
+# Camera pixels that are decoded together.
 _CHUNK = 1024
 # Camera rays of least squares, as many as `rfpipe fit` takes for its error.
 _RAYS = 2048
@@ -115,9 +115,9 @@ def held_out_rows(folder: Path, side: int, pairs: Sequence[int] = ()) -> Iterato
     Yields
     ------
     dict
-        ``camera_bin``, ``pair``; errors in percent, the norm of the difference over that of the
-        picture, less noise, mean of the pair: ``footprints``, ``decoded`` (see `decoded_pictures`),
-        ``mean_picture`` (the mean picture times the pattern's light) and ``least_squares``.
+        ``camera_bin``, ``pair``; errors in percent, the norm of the difference over the norm of
+        the picture, less noise, mean of the pair: ``footprints``, ``decoded`` (see
+        `decoded_pictures`), ``mean_picture`` (the mean picture times the pattern's light) and ``least_squares``.
     """
     series = with_estimated_noise(read_series(folder, patterns=CODE, camera_bin=side)).grey
     labels = dependent_groups(series.patterns)

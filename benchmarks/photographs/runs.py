@@ -1,6 +1,6 @@
-"""Processor time and peak memory of ``rfpipe fit``, measured in a process of its own.
+"""Processor time and peak memory of ``rfpipe fit``, measured in a separate process.
 
-The peak memory of a process starts at that of the process which started it. Therefore a small
+The peak memory of a process starts at the peak of its parent process. Therefore a small
 intermediate process, this module, starts the fit and writes its usage as JSON.
 """
 

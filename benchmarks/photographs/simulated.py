@@ -1,8 +1,8 @@
 """Simulated pictures of objects under single lights of a dome, with noise, in 8 bits.
 
 Objects are spheres before an orthographic camera: matt, glossy, with sharp highlights, or as a
-relief of many. They cast shadows on each other. Lamps stand at 5 times the object's size and have
-unequal power.
+relief of many. They cast shadows on each other. Lamps have a distance of 5 times the object's
+size and unequal power.
 """
 
 from __future__ import annotations

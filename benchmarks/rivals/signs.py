@@ -24,7 +24,7 @@ def random_signs(count: int, rays: int, seed: int, level: int) -> Float:
 
 
 def as_light(signs: Float, shape: tuple[int, ...]) -> Float:
-    """Return patterns of signs q as what is shown for them, ``(1 + q) / 2``, (count, *shape).
+    """Return the displayed patterns of signs q, ``(1 + q) / 2``, (count, *shape).
 
     With the floodlit image, ``T q = 2 T (1 + q) / 2 - T 1``.
     """
