@@ -23,9 +23,9 @@ from benchmarks.harness import existing, given
 from rfpipe.config import Config, load_config
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, scene_from_config
-from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.stages.plan import Plan, plan_of
 from rfpipe.stages.verification import compared
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import open_arrays
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import estimates

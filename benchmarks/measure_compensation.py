@@ -3,7 +3,8 @@
 Usage: ``python -m benchmarks.measure_compensation [SIDE ...]``, by default 48. Patterns are
 computed from the exact transport and from a transport that `auto` acquires with noise, each with
 all light and with direct light alone, and projected onto the simulated scene. Errors are relative
-to the wished picture, over the pixels within reach of the former. Writes results/bench/compensation.csv.
+to the wished picture, over the pixels within reach of the former. Writes
+results/bench/compensation.csv.
 """
 
 from __future__ import annotations

@@ -194,8 +194,8 @@ def _run(rows: pd.DataFrame, table: Path, planned: Sequence[Case]) -> str:
         f"{len(rows)} acquisitions from {rows['date'].min()} to {rows['date'].max()} on "
         f"{'; '.join(sorted(set(rows['machine'])))}: {status.get('done', 0)} done, "
         f"{status.get('refused', 0)} refused by the method, {status.get('failed', 0)} failed. "
-        f"Of the {len(planned)} planned ones, {needless} weren't needed, since a coarser tolerance had "
-        "reached all errors in the comparison; "
+        f"Of the {len(planned)} planned ones, {needless} weren't needed, since a coarser tolerance "
+        "had reached all errors in the comparison; "
         f"{len(missing) - needless} weren't run; {older} are of earlier code.\n"
     )
 

@@ -117,7 +117,8 @@ def held_out_rows(folder: Path, side: int, pairs: Sequence[int] = ()) -> Iterato
     dict
         ``camera_bin``, ``pair``; errors in percent, the norm of the difference over the norm of
         the picture, less noise, mean of the pair: ``footprints``, ``decoded`` (see
-        `decoded_pictures`), ``mean_picture`` (the mean picture times the pattern's light) and ``least_squares``.
+        `decoded_pictures`), ``mean_picture`` (the mean picture times the pattern's light) and
+        ``least_squares``.
     """
     series = with_estimated_noise(read_series(folder, patterns=CODE, camera_bin=side)).grey
     labels = dependent_groups(series.patterns)

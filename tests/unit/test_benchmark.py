@@ -92,7 +92,7 @@ def test_what_is_there_is_not_run_again(run, monkeypatch):
 def test_the_page_says_what_was_run_and_what_was_not(run):
     page = run.with_suffix(".md").read_text()
     asked = len(SCENES) * len(NAMES)
-    assert f"Of the {asked} that the command asked for, 0 weren't needed" in page
+    assert f"Of the {asked} planned ones, 0 weren't needed" in page
     of_scene = [line for line in page.splitlines() if line.startswith("| tilted_wedge* | ")]
     assert "64" in of_scene[-1]
     assert len(of_scene) == 3  # regrets, and the fewest patterns
