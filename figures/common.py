@@ -196,7 +196,7 @@ def level_pictures(result: Any, light: Float) -> list[Float]:
     pictures = []
     for level in range(transport.last_level + 1):
         level_matrices = [by_level[level]] if level in by_level else []
-        single_level = transport.holding(transport.level_rows, level_matrices)
+        single_level = transport.with_content(transport.level_rows, level_matrices)
         pictures.append(single_level.T.relight(light))
     return pictures
 

@@ -88,7 +88,7 @@ def kriging(lights: Double, directions: Double, pictures: Double) -> Double:
 
 
 def ours(lights: Double, directions: Double, pictures: Double) -> Double:
-    """Interpolate as `Light.light_from` does."""
+    """Interpolate as `Relightable.light_from` does."""
     chosen = np.linspace(0, pictures.shape[1] - 1, 1024).astype(int)
     interpolation = interpolate(pictures[:, np.unique(chosen)], lights)
     weights, share, shading = interpolation.weights(directions)

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from rfpipe.transport import open_transport as open_transport
     from rfpipe.transport.collection import Collection as Collection
     from rfpipe.transport.collection import open_collection as open_collection
-    from rfpipe.transport.matrix_in import read_matrix as read_matrix
-    from rfpipe.transport.rays import crop as crop
+    from rfpipe.transport.matrix_reading import read_matrix as read_matrix
+    from rfpipe.transport.regrouping import crop as crop
     from rfpipe.version import __version__ as __version__
     from rfpipe.weights import picture_weights as picture_weights
 
@@ -43,7 +43,7 @@ _HOMES = {
     "__version__": "rfpipe.version",
     "acquire": "rfpipe.stages.acquire",
     "coarser": "rfpipe.transport",
-    "crop": "rfpipe.transport.rays",
+    "crop": "rfpipe.transport.regrouping",
     "environment_coverage": "rfpipe.environment",
     "environment_weights": "rfpipe.environment",
     "open_collection": "rfpipe.transport.collection",
@@ -51,7 +51,7 @@ _HOMES = {
     "picture_errors": "rfpipe.relighting",
     "picture_weights": "rfpipe.weights",
     "read_lights": "rfpipe.light_files",
-    "read_matrix": "rfpipe.transport.matrix_in",
+    "read_matrix": "rfpipe.transport.matrix_reading",
     "relighting_pictures": "rfpipe.relighting",
 }
 

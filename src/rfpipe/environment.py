@@ -52,8 +52,8 @@ def environment_weights(
 ) -> Float:
     """Return the weights of lights that together light a scene as a panorama does.
 
-    The weights depend on directions alone. `Light.relight_environment` also adapts them to the
-    pictures. For a map of constant radiance they add up to that radiance times the solid angle
+    The weights depend on directions alone; `Relightable.relight_environment` also adapts them to
+    the pictures. For a map of constant radiance they add up to that radiance times the solid angle
     that the lights cover, 4 pi for lights all around.
 
     Parameters

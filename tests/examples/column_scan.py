@@ -11,7 +11,7 @@ from pydantic import Field
 
 from rfpipe.methods import Method, Options, Pack
 from rfpipe.patterns import Schedule
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 
 class ColumnOptions(Options):

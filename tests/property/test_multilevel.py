@@ -47,7 +47,7 @@ def by_definition(transport: MultilevelTransport) -> np.ndarray:
         return even
     tree = transport.tree
     matrix = np.zeros_like(even)
-    for pairs in transport.pair_sets:
+    for pairs in transport.level_responses:
         starts, own = tree.starts[pairs.level], tree.labels(pairs.level).ravel()
         for n, (block, pixel) in enumerate(zip(pairs.block, pairs.pixel, strict=True)):
             rays = tree.order[starts[block] : starts[block + 1]]
@@ -63,7 +63,7 @@ def evenly(transport: MultilevelTransport) -> np.ndarray:
     tree = BlockTree(RayDomain(transport.projector_shape))
     pixels = RayDomain(transport.camera_shape).size
     matrix = np.zeros((transport.channels, pixels, tree.domain.size))
-    for pairs in transport.pair_sets:
+    for pairs in transport.level_responses:
         for n, (block, pixel) in enumerate(zip(pairs.block, pairs.pixel, strict=True)):
             start, end = tree.starts[pairs.level][block : block + 2]
             share = pairs.values[:, n, None].astype(np.float64) / (end - start)
@@ -88,7 +88,7 @@ def test_equals_the_dense_matrix(transport: MultilevelTransport) -> None:
 def test_truncation_keeps_the_energy(transport: MultilevelTransport, data: st.DataObject) -> None:
     level = data.draw(st.integers(0, transport.tree.n_levels - 1))
     truncated = transport.truncate(level)
-    assert all(pairs.level <= level for pairs in truncated.pair_sets)
+    assert all(pairs.level <= level for pairs in truncated.level_responses)
     light = np.ones(transport.projector_shape)
     np.testing.assert_allclose(
         truncated.relight(light), transport.relight(light), rtol=1e-5, atol=1e-7

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.transport.arrays import rounded
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
     decoded,
@@ -14,6 +13,7 @@ from rfpipe.transport.hierarchical.leaves import (
     pack_leaves,
     unpack_leaves,
 )
+from rfpipe.transport.rounding import rounded
 
 FORMATS = {"uint16": 65535, "uint8": 255}
 TREE = BlockTree(RayDomain((5, 6)))

@@ -10,7 +10,7 @@ from tests.rigs.known_matrix import settings_of_a_plane
 
 from rfpipe.store import write_arrays, write_manifest
 from rfpipe.transport import save_transport
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 SHAPE = (6, 7)
 N = 6 * 7

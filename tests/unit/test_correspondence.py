@@ -12,9 +12,9 @@ from rfpipe.scenes import planes_scene, reference_scene
 from rfpipe.scenes.geometries import GEOMETRIES
 from rfpipe.scenes.sight import Pinhole, sight_of
 from rfpipe.transport import Transport, open_transport, save_transport
-from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.correspondence import _agreement, _probability
-from rfpipe.transport.rays import crop
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.regrouping import crop
 from rfpipe.transport.sum import SumTransport
 
 CAMERA, PROJECTOR = (20, 24), (26, 30)
@@ -64,7 +64,7 @@ def test_right_places_are_confident_and_wrong_ones_are_not(photographed) -> None
 @pytest.mark.parametrize("deviation", [NOISE, 0.1])
 def test_dark_pixels_are_outside_the_mask(photographed, deviation: float) -> None:
     transport, _, _ = photographed
-    known = DenseTransport(CAMERA, PROJECTOR, 1, [], transport._held)
+    known = DenseTransport(CAMERA, PROJECTOR, 1, [], transport._content)
     known.noise = np.full(CAMERA, deviation)
     result = known.correspondence()
     floodlit = known.relight(np.ones(PROJECTOR))[..., 0]
@@ -75,7 +75,7 @@ def test_dark_pixels_are_outside_the_mask(photographed, deviation: float) -> Non
 
 def test_where_no_picture_shows_a_pixel_nothing_is_certain(photographed) -> None:
     transport, _, wrong = photographed
-    known = DenseTransport(CAMERA, PROJECTOR, 1, [], transport._held)
+    known = DenseTransport(CAMERA, PROJECTOR, 1, [], transport._content)
     known.noise = np.where(np.arange(CAMERA[1]) < 9, np.inf, NOISE) * np.ones((CAMERA[0], 1))
     mask = known.correspondence().mask
     assert not mask[:, :9].any()
@@ -138,7 +138,7 @@ def test_noise_is_stored_with_the_transport(photographed, tmp_path: Path) -> Non
     rig = SimulatedRig(reference_scene("IV", (12, 14), channels=1))
     acquired = rfpipe.acquire(rig, tolerance=1e-2, progress=False).transport
     both = SumTransport([acquired, acquired], acquired.level_rows)
-    transports: list[Transport] = [photographed[0].holding([], photographed[0]._held)]
+    transports: list[Transport] = [photographed[0].with_content([], photographed[0]._content)]
     for number, transport in enumerate([*transports, acquired, both]):
         path = tmp_path / f"{number}.zarr"
         light = transport.relight(np.ones(transport.projector_shape))
@@ -156,9 +156,9 @@ def test_noise_is_stored_with_the_transport(photographed, tmp_path: Path) -> Non
 
 
 def test_noise_is_that_of_the_rays_that_remain(photographed) -> None:
-    transport = photographed[0].holding([], photographed[0]._held)
+    transport = photographed[0].with_content([], photographed[0]._content)
     transport.noise = np.arange(480).reshape(CAMERA)
-    assert transport.holding([], transport._held).noise is not None
+    assert transport.with_content([], transport._content).noise is not None
     np.testing.assert_array_equal(crop(transport, np.s_[2:5, 3:9]).noise, transport.noise[2:5, 3:9])
     assert crop(transport, np.s_[2:5, 3:9]).correspondence().mask.shape == (3, 6)
     assert transport.T.noise is None

@@ -37,7 +37,7 @@ def test_the_brightest_channel_decides_for_all() -> None:
     run = acquire_matrix(Dual(), matrix, (1, 2), (2, 2), tolerance=0.1)
     pairs = {
         (pairs.level, int(block), int(pixel)): pairs.values[:, n].tolist()
-        for pairs in run.transport.pair_sets
+        for pairs in run.transport.level_responses
         for n, (block, pixel) in enumerate(zip(pairs.block, pairs.pixel, strict=True))
     }
     assert pairs == {
@@ -81,7 +81,7 @@ def test_a_coaxial_rig_s_responses_are_spread_as_its_transpose(
     """Half the error of the matrix at no pattern; stored, truncated and transposed alike."""
     run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
     assert run.transport.symmetric
-    even = MultilevelTransport((32, 32), (32, 32), 1, [], run.transport.pair_sets)
+    even = MultilevelTransport((32, 32), (32, 32), 1, [], run.transport.level_responses)
     found, before = dense(run.transport)[0], dense(even)[0]
     assert np.linalg.norm(found - wedge) < 0.6 * np.linalg.norm(before - wedge)
     assert found.min() >= 0

@@ -15,7 +15,7 @@ from rfpipe.methods.error_estimate import (
 from rfpipe.methods.images import Pictures
 from rfpipe.provenance import generator
 from rfpipe.relighting import picture_errors, relighting_pictures
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 SHAPE = (24, 32)
 TRUTH = scene_matrices("IV", SHAPE)

@@ -9,8 +9,8 @@ from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import Config
 from rfpipe.report import build_report
 from rfpipe.transport import save_transport
-from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
+from rfpipe.transport.dense import DenseTransport
 
 LOW_RANK = "benchmarks.rivals.low_rank:LowRank"
 ROWS = [

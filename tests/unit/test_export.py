@@ -20,7 +20,7 @@ from rfpipe.export import (
 from rfpipe.pictures.images import read_image, srgb, write_image
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.transport import coarser
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 CAMERA, PROJECTOR, VIEWS = (6, 8), (5, 7), (2, 4, 6)
 RANDOM = np.random.default_rng(3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.filling import fill_from_transpose
 from rfpipe.transport.low_rank import LowRankTransport
 

@@ -20,7 +20,7 @@ from rfpipe.fitting import Series, fit_transport, read_series
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.scenes import planes_scene, relighting_patterns
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 SHAPE = (12, 14)
 WALL = {"kind": "plane", "surfaces": ["white"]}

@@ -9,7 +9,7 @@ import rfpipe
 from rfpipe.environment import Sky, sky_of
 from rfpipe.errors import InputError
 from rfpipe.fitting.lights import check_lights
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 RANDOM = np.random.default_rng(3)
 

@@ -6,8 +6,8 @@ from tests.unit.test_transports import N, leaves, scan
 
 import rfpipe
 from rfpipe.errors import InputError
-from rfpipe.transport.arrays import DenseTransport
-from rfpipe.transport.rays import squares
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.regrouping import squares
 from rfpipe.transport.sum import SumTransport
 
 RANDOM = np.random.default_rng(3)

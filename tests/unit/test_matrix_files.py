@@ -21,7 +21,7 @@ from rfpipe.errors import InputError
 from rfpipe.scenes import scene_from_config
 from rfpipe.testing import SceneContract
 from rfpipe.transport import save_transport
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 CAMERA, PROJECTOR = (4, 5), (3, 6)
 T = np.random.default_rng(0).random((3, 20, 18))

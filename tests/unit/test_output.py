@@ -26,7 +26,7 @@ from rfpipe.errors import InputError, StoreError
 from rfpipe.output import FOLDER, FORMATS, OUTPUTS, mount_point, suffix_of, whole_file
 from rfpipe.pictures.images import write_image, write_parts
 from rfpipe.transport import save_transport
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 SHAPE = (12, 14)
 OFFLINE = {
@@ -342,7 +342,7 @@ def test_no_other_module_writes_files_by_itself() -> None:
         # into the temporary file of `whole_file`
         "rfpipe/cli/relight.py": "partial_file.open",
         "rfpipe/export/movies.py": "av.open",
-        "rfpipe/transport/matrix_out.py": "archive.open|path.open|zipfile.ZipFile",
+        "rfpipe/transport/matrix_export.py": "archive.open|path.open|zipfile.ZipFile",
         # a line is added to a log
         "rfpipe/stages/folder.py": "log.open",
         # messages in memory

@@ -30,7 +30,7 @@ from rfpipe.stages import evaluate, relight
 from rfpipe.stages.verification import compare
 from rfpipe.storage.files import write_bundle
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 
 def built(folder, config):

@@ -19,7 +19,7 @@ from rfpipe.methods.residual.model import (
 )
 from rfpipe.methods.residual.posterior import CellData, Posterior, cell_data, initial_prior
 from rfpipe.provenance import generator
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.wavelet import Cells, Haar, cell_side
 
 STACKS = st.tuples(st.integers(1, 3), st.integers(1, 27), st.integers(1, 27))

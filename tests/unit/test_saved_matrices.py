@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StoreError
-from rfpipe.transport.arrays import DenseTransport
-from rfpipe.transport.matrix_out import MATRIX_FILES
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.matrix_export import MATRIX_FILES
 
 CAMERA, PROJECTOR = (3, 5), (2, 4, 3)
 

@@ -14,7 +14,7 @@ from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
 from rfpipe.store import write_arrays
 from rfpipe.transport import Transport, open_transport, save_transport
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.hierarchical import leaves, truncation
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.sum import SumTransport

@@ -13,12 +13,12 @@ from tests.rigs.known_matrix import dense
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.testing import dot_test
 from rfpipe.transport import Transport, open_transport, save_transport
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.multiscale import MultiscaleBasis, MultiscaleTransport, functions_over
-from rfpipe.transport.pairs import PairSet
+from rfpipe.transport.responses import Responses
 from rfpipe.transport.sum import SumTransport
 from rfpipe.transport.wavelet import Cells, WaveletTransport
 
@@ -49,7 +49,7 @@ def pairs() -> Made:
     for level in (1, tree.n_levels - 1):
         block, pixel = (index.ravel() for index in np.indices((tree.n_blocks(level), M)))
         values = draw(3, len(block), seed=level)
-        sets.append(PairSet(level, block.astype(np.int32), pixel.astype(np.int32), values))
+        sets.append(Responses(level, block.astype(np.int32), pixel.astype(np.int32), values))
         own, sizes = tree.labels(level).ravel(), np.diff(tree.starts[level])
         matrix += (values.reshape(3, -1, M) / sizes[:, None])[:, own].swapaxes(1, 2)
     return MultilevelTransport(CAMERA, PROJECTOR, 3, ROWS, sets), matrix

@@ -13,7 +13,7 @@ from rfpipe.errors import InputError
 from rfpipe.scenes import planes_scene
 from rfpipe.scenes.rooms import GEOMETRIES
 from rfpipe.scenes.sight import Pinhole, sight_of
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 CAMERA, LAMP = Pinhole((24, 30)), Pinhole((28, 34), (1.72, 0.0, 0.54), (0.0, 0.0, 3.0))
 

@@ -7,7 +7,7 @@ import rfpipe
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.rigs.devices import check_picture
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.weights import as_weights, picture_weights
 
 SHAPE = (4, 6)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from rfpipe.transport.light import Light
+    from rfpipe.transport.relightable import Relightable
 
     Float = NDArray[np.float32]
 
@@ -166,7 +166,7 @@ def _write_stack(output: Path, shape: tuple[int, ...], pictures: Iterator[Float]
 
 
 def _turning(
-    environment: Path, turns: int, light: Light, mirrored: bool
+    environment: Path, turns: int, light: Relightable, mirrored: bool
 ) -> Iterator[tuple[str, Callable[[], Float]]]:
     """Yield the name of each picture under a panorama that turns, and a function that relights it.
 
@@ -190,7 +190,7 @@ def _turning(
         yield name, partial(light.relight_environment, panorama, None, angle, mirrored)
 
 
-def _lit(sources: Sequence[str], light: Light) -> Iterator[tuple[str, Callable[[], Float]]]:
+def _lit(sources: Sequence[str], light: Relightable) -> Iterator[tuple[str, Callable[[], Float]]]:
     """Yield the pictures under all patterns: their names, and what makes them."""
     import numpy as np
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rfpipe.store.places import Place
     from rfpipe.transport import Transport
-    from rfpipe.transport.light import Light
+    from rfpipe.transport.relightable import Relightable
 
 TransportPath = Annotated[
     Path,
@@ -157,7 +157,7 @@ def export(
     from rfpipe.export import write_lights, write_normals, write_photographs
     from rfpipe.output import checked_output
     from rfpipe.transport import coarser
-    from rfpipe.transport.matrix_out import write_matrix
+    from rfpipe.transport.matrix_export import write_matrix
 
     option = " --normals" if normals else " --photographs" if photographs else ""
     suffix = checked_output(f"export{option}", output)
@@ -223,7 +223,7 @@ def movie(
     typer.echo(f"{output}: {counted(count, 'picture')}, white is {used:.4g}")
 
 
-def enlarged(light: Light) -> int:
+def enlarged(light: Relightable) -> int:
     """Return how many pixels down and across a camera ray has in a movie."""
     from rfpipe.blocks import RayDomain
 
@@ -232,17 +232,17 @@ def enlarged(light: Light) -> int:
 
 def opened(
     path: Path, dual: bool = False, level: int | None = None, view: int | None = None
-) -> Light:
+) -> Relightable:
     """Open a transport, or its dual, as known after a level, to one view of several."""
     import numpy as np
 
     from rfpipe.blocks import RayDomain
-    from rfpipe.transport.rays import crop
+    from rfpipe.transport.regrouping import crop
 
     transport = open_checked(path)
     if level is not None:
         transport = transport.truncate(level)
-    light: Light = transport.T if dual else transport
+    light: Relightable = transport.T if dual else transport
     if view is None:
         return light
     domain = RayDomain(light.camera_shape)

@@ -14,7 +14,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, StoreError, installing
 from rfpipe.output import OUTPUTS, suffix_of, whole_file
 from rfpipe.pictures.images import srgb
-from rfpipe.transport.light import Light
+from rfpipe.transport.relightable import Relightable
 
 Float = NDArray[np.float32]
 
@@ -60,10 +60,10 @@ def moving_light(path: str, shape: tuple[int, ...], time: float) -> Float:
     return np.broadcast_to(weights, shape)
 
 
-def relit_pictures(light: Light, patterns: Iterable[Float]) -> Iterator[Float]:
+def relit_pictures(light: Relightable, patterns: Iterable[Float]) -> Iterator[Float]:
     """Yield the pictures ``(H, W, C)`` under patterns, radiance; views one above the other.
 
-    Patterns are as `Light.relight` takes them.
+    Patterns are as `Relightable.relight` takes them.
     """
     shape = RayDomain(light.camera_shape).picture_shape
     for pattern in patterns:
@@ -71,7 +71,7 @@ def relit_pictures(light: Light, patterns: Iterable[Float]) -> Iterator[Float]:
 
 
 def relit_movie(
-    light: Light,
+    light: Relightable,
     file: Path,
     path: str = "across",
     count: int = 150,

@@ -17,17 +17,22 @@ from rfpipe.pictures.images import write_code_picture, write_image, write_parts
 from rfpipe.provenance import generator
 from rfpipe.relighting import shapes
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, write_atomically
-from rfpipe.transport.algebra import Rays, chosen_rays, refuse_larger
-from rfpipe.transport.light import LIMIT, Light
+from rfpipe.transport.algebra import RaySelection, refuse_larger, selected_rays
 from rfpipe.transport.normals import Normals
-from rfpipe.transport.rays import squares
+from rfpipe.transport.regrouping import squares
+from rfpipe.transport.relightable import LIMIT, Relightable
 from rfpipe.weights import picture_weights
 
 Float = NDArray[np.float32]
 
 
 def write_lights(
-    light: Light, file: Path, rays: Rays = None, *, side: int = 1, limit_bytes: int = LIMIT
+    light: Relightable,
+    file: Path,
+    rays: RaySelection = None,
+    *,
+    side: int = 1,
+    limit_bytes: int = LIMIT,
 ) -> int:
     """Write the pictures under one light at a time (OLAT) as parts of an EXR file, return how many.
 
@@ -40,8 +45,9 @@ def write_lights(
     file : path
         Written whole or not at all.
     rays
-        Projector rays, or squares of `side` by `side` rays, see `rfpipe.transport.algebra.Rays`; a
-        part each, in their order, named as ``light_31_35`` by row and column. All by default.
+        Projector rays, or squares of `side` by `side` rays, see
+        `rfpipe.transport.algebra.RaySelection`; a part for each, in their order, named by row and
+        column as in ``light_31_35``. All by default.
     limit_bytes : int
         That the pictures may take before compression.
 
@@ -51,7 +57,7 @@ def write_lights(
         If there is no such ray, the pictures are larger, or the file can't be written.
     """
     grid, members = squares(light.projector_shape, side)
-    chosen = chosen_rays(rays, grid, "lights")
+    chosen = selected_rays(rays, grid, "lights")
     shape = (*RayDomain(light.camera_shape).picture_shape, light.channels)
     advice = "choose columns, join rays (2 x 2: 4 times smaller), or raise the limit"
     refuse_larger(f"{file}: a file", (len(chosen), *shape), limit_bytes, advice)
@@ -72,12 +78,12 @@ def write_lights(
     return len(names)
 
 
-def write_normals(light: Light, file: Path) -> Normals:
+def write_normals(light: Relightable, file: Path) -> Normals:
     """Write normals, albedo and uncertainty, and return them.
 
     Parameters
     ----------
-    light : Light
+    light : Relightable
         One light at a time, with the lights' directions.
     file : path
         ``.exr`` has the parts ``normals`` (x, y, z, each -1 to 1), ``albedo`` and ``uncertainty``
@@ -104,7 +110,13 @@ def write_normals(light: Light, file: Path) -> Normals:
 
 
 def write_photographs(
-    light: Light, folder: Path, training: int, validation: int, *, seed: int = 0, form: str = "png"
+    light: Relightable,
+    folder: Path,
+    training: int,
+    validation: int,
+    *,
+    seed: int = 0,
+    form: str = "png",
 ) -> float:
     """Write patterns and relit photographs in the layout of papers on projector-camera systems.
 
@@ -146,7 +158,7 @@ def write_photographs(
 
 
 def _patterns(
-    light: Light, training: int, validation: int, seed: int
+    light: Relightable, training: int, validation: int, seed: int
 ) -> Iterator[tuple[str, Float]]:
     """Yield names and patterns (H, W, C), views one above the other."""
     size, channels = RayDomain(light.projector_shape).picture_shape, light.channels

@@ -12,7 +12,7 @@ from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
 from rfpipe.methods.images import batches
 from rfpipe.methods.states import MethodState, PackingMethod, level_row
 from rfpipe.patterns import Schedule
-from rfpipe.transport.arrays import DenseTransport
+from rfpipe.transport.dense import DenseTransport
 
 # A scan is for small scenes: what it would cost for large ones is computed, never run.
 _LARGEST_MATRIX_BYTES = 8 * 2**30

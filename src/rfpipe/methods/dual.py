@@ -20,7 +20,7 @@ from rfpipe.methods.states import MethodState, grown, kept, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.multilevel import MultilevelTransport
-from rfpipe.transport.pairs import PairSet, by_level, fold, looks_symmetric, no_pairs
+from rfpipe.transport.responses import Responses, by_level, fold, looks_symmetric, no_responses
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
@@ -51,9 +51,9 @@ class DualState(MethodState):
     ----------
     tree : BlockTree
         Of the projector's rays.
-    stored : sequence of PairSet
+    stored : sequence of Responses
         Responses stored so far, one set a level.
-    frontier : PairSet
+    frontier : Responses
         Responses of level ``level - 1`` that are to be subdivided: the sets B_k of the thesis.
     floodlit_maximum, floodlit_rms : float
         Maximum and root mean square of the floodlit image, the units of the tolerance.
@@ -63,8 +63,8 @@ class DualState(MethodState):
 
     options: DualOptions
     tree: BlockTree = field(kw_only=True)
-    stored: Sequence[PairSet] = grown(PairSet)
-    frontier: PairSet = kept(PairSet)
+    stored: Sequence[Responses] = grown(Responses)
+    frontier: Responses = kept(Responses)
     floodlit_maximum: float = 0.0
     floodlit_rms: float = 0.0
     complete: bool = True
@@ -91,7 +91,7 @@ class Dual(Descent[DualState]):
         self, camera: RayDomain, projector: RayDomain, channels: int, options: DualOptions
     ) -> DualState:
         """Return the state before the floodlit image."""
-        nothing = no_pairs(0, channels)
+        nothing = no_responses(0, channels)
         return DualState(
             camera, projector, channels, options, tree=BlockTree(projector), frontier=nothing
         )
@@ -152,7 +152,7 @@ class Dual(Descent[DualState]):
                 divisible[here],
             )
         stored, frontier = (
-            PairSet(level, block[chosen], pixel[chosen], values[:, chosen])
+            Responses(level, block[chosen], pixel[chosen], values[:, chosen])
             for chosen in (outcome == _STORED, outcome == _OPEN)
         )
         unlit_from_now_on = np.setdiff1d(stored.block, frontier.block)
@@ -173,22 +173,22 @@ class Dual(Descent[DualState]):
         Where the single rays measured show that it is symmetric, responses are spread over their
         blocks as the transpose is.
         """
-        pair_sets = list(state.stored)
+        level_responses = list(state.stored)
         if len(state.frontier):
             together = [state.stored[-1], state.frontier]
-            pair_sets[-1] = fold(
+            level_responses[-1] = fold(
                 state.tree, state.level - 1, together, state.channels, state.camera.size
             )
-        symmetric = looks_symmetric(state.tree, state.camera, pair_sets)
-        return _transport(state, pair_sets, symmetric)
+        symmetric = looks_symmetric(state.tree, state.camera, level_responses)
+        return _transport(state, level_responses, symmetric)
 
 
 def _transport(
-    state: DualState, pair_sets: Sequence[PairSet], symmetric: bool = False
+    state: DualState, level_responses: Sequence[Responses], symmetric: bool = False
 ) -> MultilevelTransport:
     """Return the transport of some of the responses."""
     shapes, rows = (state.camera.shape, state.projector.shape), list(state.rows)
-    sets = by_level(pair_sets)
+    sets = by_level(level_responses)
     return MultilevelTransport(*shapes, state.channels, rows, sets, symmetric=symmetric)
 
 
@@ -233,7 +233,7 @@ def _judge(
     return np.where(significant, outcome, _DROPPED).astype(np.uint8)
 
 
-def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.int32]]:
+def coloured_blocks(frontier: Responses, pixels: int) -> tuple[Index, NDArray[np.int32]]:
     """Colour blocks so that no camera pixel sees two of one colour (ConstructConflictFreeLists).
 
     Returns the frontier's blocks, ascending, and their colours.

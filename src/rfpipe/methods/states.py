@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Method, Pack, State
-from rfpipe.transport.arrays import SetsOnDemand
+from rfpipe.transport.lazy import LazySequence
 
 Arrays = Mapping[str, NDArray[Any]]
 S = TypeVar("S", bound=Any)
@@ -138,7 +138,7 @@ class PackingMethod(Method[State]):
             if "grows" in each.metadata:
                 sets = [(pack, plain) for pack in log for plain in pack.attributes[name]]
                 numbered = [(f"{name}_{n:03d}_", *one) for n, one in enumerate(sets)]
-                values[name] = SetsOnDemand(numbered, partial(_whole, kind), keep=True)
+                values[name] = LazySequence(numbered, partial(_whole, kind), keep=True)
             elif "lengthens" in each.metadata:
                 parts = [_whole(kind, (f"{name}_", pack, pack.attributes[name])) for pack in log]
                 values[name] = joined(parts, axis=0)

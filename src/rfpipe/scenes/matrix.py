@@ -14,7 +14,7 @@ from rfpipe.config.base import Text
 from rfpipe.config.scenes import AnyRig, SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import Scene, weights_of
-from rfpipe.transport.matrix_in import RayOrder, read_matrix
+from rfpipe.transport.matrix_reading import RayOrder, read_matrix
 from rfpipe.transport.operators import Transportish, as_pattern_operator
 
 

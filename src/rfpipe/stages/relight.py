@@ -216,7 +216,7 @@ def leaf_levels(
     if isinstance(transport, HierarchicalTransport):
         sets: Any = transport.leaf_sets
     elif isinstance(transport, MultilevelTransport):
-        sets = transport.pair_sets
+        sets = transport.level_responses
     else:
         return None
     for held_at in sets:

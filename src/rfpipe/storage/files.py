@@ -32,7 +32,7 @@ from rfpipe.store import (
 )
 from rfpipe.store.files import digest_of, storage_errors, write_atomically
 from rfpipe.store.places import Place
-from rfpipe.transport.arrays import LazyArrays
+from rfpipe.transport.lazy import LazyArrays
 from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
 
 REFERENCE_BRACKETS = "reference_brackets"

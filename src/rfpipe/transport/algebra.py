@@ -15,8 +15,8 @@ from rfpipe.weights import as_weights
 
 Float = NDArray[np.float32]
 Index = NDArray[np.int64]
-Rays = ArrayLike | slice | None
-"""Rays of a domain: their numbers, row by row from 0; a mask of the domain; a slice; None: all."""
+RaySelection = ArrayLike | slice | None
+"""Rays of a domain: numbers, row by row from 0; a mask of the domain; a slice; or None for all."""
 
 MEMORY_BUDGET = 4 * 2**30
 """Bytes of a transport, or of a matrix made of it, that are taken into memory by default."""
@@ -89,14 +89,18 @@ class MatrixAlgebra(ABC):
         return np.asarray(self.toarray(), dtype)
 
     def toarray(
-        self, rows: Rays = None, columns: Rays = None, *, memory_budget: int = MEMORY_BUDGET
+        self,
+        rows: RaySelection = None,
+        columns: RaySelection = None,
+        *,
+        memory_budget: int = MEMORY_BUDGET,
     ) -> Float:
         """Return the matrix, or some rows and columns of it.
 
         Parameters
         ----------
         rows, columns : array_like of int or bool, slice, or None
-            Camera rays and projector rays, see `Rays`; all by default.
+            Camera rays and projector rays, see `RaySelection`; all by default.
         memory_budget : int
             Bytes that the matrix may take; InputError if it would take more.
 
@@ -105,8 +109,8 @@ class MatrixAlgebra(ABC):
         ndarray of float32, shape (channels, rows, columns)
             Radiance of a camera ray per weight of a projector ray.
         """
-        chosen_rows = chosen_rays(rows, self.camera_shape, "rows")
-        chosen_columns = chosen_rays(columns, self.projector_shape, "columns")
+        chosen_rows = selected_rays(rows, self.camera_shape, "rows")
+        chosen_columns = selected_rays(columns, self.projector_shape, "columns")
         shape = self.channels, len(chosen_rows), len(chosen_columns)
         advice = "choose rows or columns, take rfpipe.coarser(T, 4), or multiply without it: T @ x"
         refuse_larger("a matrix", shape, memory_budget, advice)
@@ -150,7 +154,7 @@ class MatrixAlgebra(ABC):
             else:
                 yield of_seen, of_lit, np.moveaxis(entries, 0, -1)
 
-    def relight_each(self, patterns: Any, channel: int) -> Float:
+    def relight_per_ray(self, patterns: Any, channel: int) -> Float:
         """Return what each camera ray sees under a pattern of its own, float32 (camera rays,).
 
         `patterns` are sparse (camera rays, projector rays). What isn't made for it is read as rows
@@ -188,7 +192,7 @@ class MatrixAlgebra(ABC):
         return images[0] if vectors.ndim == 1 else np.moveaxis(images, 0, -1 if left else -2)
 
 
-def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
+def selected_rays(rays: RaySelection, shape: tuple[int, ...], name: str) -> Index:
     """Return the numbers of some rays of a domain; InputError, by `name`, if there are none."""
     every = np.arange(prod(shape))
     index = rays if rays is None or isinstance(rays, slice) else np.asarray(rays)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.output import suffix_of
 from rfpipe.store.arrays import ArrayBundle, write_arrays
-from rfpipe.transport.algebra import Rays
-from rfpipe.transport.light import LIMIT, Light
+from rfpipe.transport.algebra import RaySelection
+from rfpipe.transport.relightable import LIMIT, Relightable
 from rfpipe.units import NumberFormat
 
 if TYPE_CHECKING:
@@ -28,12 +28,12 @@ HISTORY_COLUMNS = ("level", "patterns", "estimated_error", "estimated_indirect")
 estimated, relative to the norm of a relit image."""
 
 NOISE = "noise"
-"""Array of a store that holds `Light.noise`, beside those of the transport itself."""
+"""Array of a store that holds `Relightable.noise`, beside those of the transport itself."""
 
 _BATCH = 64
 
 
-class Transport(Light):
+class Transport(Relightable):
     """Light transport ``T``, one matrix a colour channel: rows camera rays, columns projector rays.
 
     Parameters
@@ -43,7 +43,7 @@ class Transport(Light):
     channels : int
     level_rows : list of dict
         The rows of `levels`.
-    held
+    content
         Its arrays, or objects that hold them, in memory or read when used.
     nbytes : int, optional
         Bytes on disk; by default those of the arrays in memory.
@@ -61,14 +61,14 @@ class Transport(Light):
         projector_shape: tuple[int, ...],
         channels: int,
         level_rows: list[dict[str, Any]],
-        held: Any,
+        content: Any,
         nbytes: int | None = None,
     ) -> None:
         self.camera_shape = tuple(camera_shape)
         self.projector_shape = tuple(projector_shape)
         self.channels = channels
         self.level_rows = level_rows
-        self._held = held
+        self._content = content
         self._nbytes = nbytes
 
     def __repr__(self) -> str:
@@ -80,10 +80,10 @@ class Transport(Light):
             f"{channels}, {patterns}{self.nbytes / 1e6:.3g} MB)"
         )
 
-    def holding(self, level_rows: list[dict[str, Any]], held: Any) -> Self:
+    def with_content(self, level_rows: list[dict[str, Any]], content: Any) -> Self:
         """Return a transport between the same rays that is made of something else."""
         stored: dict[str, Any] = {name: getattr(self, name) for name in self.stored_names}
-        made = type(self)(channels=self.channels, level_rows=level_rows, held=held, **stored)
+        made = type(self)(channels=self.channels, level_rows=level_rows, content=content, **stored)
         made.lights = self.lights
         made.noise = self.noise
         return made
@@ -92,7 +92,7 @@ class Transport(Light):
         self, number_format: NumberFormat = "float32"
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the named arrays and the attributes that a store keeps."""
-        return self._packed(number_format), {
+        return self._to_arrays(number_format), {
             "kind": self.kind,
             "number_format": number_format,
             **{name: getattr(self, name) for name in self.stored_names},
@@ -109,17 +109,17 @@ class Transport(Light):
         return cls(
             channels=about["channels"],
             level_rows=about["levels"],
-            held=cls._opened(bundle, bundle.nbytes <= memory_budget),
+            content=cls._open(bundle, bundle.nbytes <= memory_budget),
             nbytes=bundle.nbytes_stored,
             **{name: about[name] for name in cls.stored_names if name in about},
         )
 
-    def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
+    def _to_arrays(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         """Return what is held as named arrays, for `pack`."""
         raise NotImplementedError
 
     @classmethod
-    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Any:
+    def _open(cls, bundle: ArrayBundle, keep: bool) -> Any:
         """Return what a store holds, read when used, to be kept in memory or not, for `unpack`."""
         raise NotImplementedError
 
@@ -196,17 +196,18 @@ class Transport(Light):
         self,
         path: str | Path,
         *,
-        rows: Rays = None,
-        columns: Rays = None,
+        rows: RaySelection = None,
+        columns: RaySelection = None,
         limit_bytes: int = LIMIT,
         number_format: NumberFormat | None = None,
     ) -> None:
         """Write the transport into a store, ``.zarr``, or its matrix into a file.
 
-        A matrix takes `rows`, `columns` and `limit_bytes` as `Light.save`, a store `number_format`
-        as `save_transport`. Errors as there; InputError where an option isn't for such a file.
+        `rows`, `columns` and `limit_bytes` are options of a matrix, see `Relightable.save`;
+        `number_format` is one of a store, see `save_transport`. Errors as there; InputError for an
+        option that the kind of file doesn't have.
         """
-        from rfpipe.transport.matrix_out import MATRIX_FILES
+        from rfpipe.transport.matrix_export import MATRIX_FILES
 
         if suffix_of(Path(path), (*MATRIX_FILES, ".zarr")) != ".zarr":
             if number_format is not None:

@@ -44,7 +44,7 @@ def compensation_for(transport: MatrixAlgebra, wished: Float) -> Compensation:
 
     That is ``min |T p - picture|`` for ``0 <= p <= 1`` in each channel, by limited-memory BFGS with
     bounds [Byrd et al. 1995], from the weights that direct light alone would take. The picture is
-    planar, (channels, camera rays); see `Light.pattern_for`.
+    planar, (channels, camera rays); see `Relightable.pattern_for`.
     """
     if (wished < 0).any():
         raise InputError("a wished picture holds negative values; light has none")

@@ -73,7 +73,7 @@ class Correspondence:
     mask : ndarray of bool, shape (*camera_shape)
         True where the confidence is at least one half. Dark pixels are outside: those with less
         than a thousandth of the brightest pixel's light under full light or, where
-        `Light.noise` is known, with at most eight standard deviations of it.
+        `Relightable.noise` is known, with at most eight standard deviations of it.
     """
 
     places: Float
@@ -89,7 +89,7 @@ def correspondence_of(transport: MatrixAlgebra, noise: Float | None = None) -> C
     transport : MatrixAlgebra
         Its projector has one picture.
     noise : ndarray of float32, shape (*camera_shape), optional
-        Standard deviation of one picture, see `Light.noise`. It separates lit from dark pixels.
+        Standard deviation of one picture, see `Relightable.noise`; separates lit from dark pixels.
 
     Raises
     ------

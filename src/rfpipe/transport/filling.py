@@ -11,7 +11,7 @@ from rfpipe.provenance import generator
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel import MultilevelTransport
-from rfpipe.transport.pairs import PairSet, agree, by_level, fold
+from rfpipe.transport.responses import Responses, agree, by_level, fold
 from rfpipe.transport.sum import SumTransport
 
 _TRIALS = 4  # random patterns that tell whether T is symmetric
@@ -50,11 +50,11 @@ def _with_pairs(transport: Any, rays: NDArray[np.int64], rows: Float) -> Transpo
     tree, last = transport.tree, transport.last_level
     which, block = np.nonzero(rows[..., tree.order].any(axis=0))
     pixel, values = rays[which].astype(np.int32), rows[:, which, tree.order[block]]
-    more = PairSet(last, block.astype(np.int32), pixel, values)
-    finest = [*(pairs for pairs in transport.pair_sets if pairs.level == last), more]
-    pair_sets = [pairs for pairs in transport.pair_sets if pairs.level < last]
-    pair_sets.append(fold(tree, last, finest, transport.channels, tree.domain.size))
-    filled: Transport = transport.holding(transport.level_rows, by_level(pair_sets))
+    more = Responses(last, block.astype(np.int32), pixel, values)
+    finest = [*(pairs for pairs in transport.level_responses if pairs.level == last), more]
+    level_responses = [pairs for pairs in transport.level_responses if pairs.level < last]
+    level_responses.append(fold(tree, last, finest, transport.channels, tree.domain.size))
+    filled: Transport = transport.with_content(transport.level_rows, by_level(level_responses))
     return filled
 
 

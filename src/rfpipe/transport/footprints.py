@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.transport.arrays import ArrayTransport, each_bounced
+from rfpipe.transport.array_transport import ArrayTransport
 from rfpipe.transport.base import Float
+from rfpipe.transport.function_pairs import product_diagonal
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -27,7 +28,7 @@ class FootprintTransport(ArrayTransport):
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.base.Transport`.
-    held : mapping of str to ndarray
+    content : mapping of str to ndarray
         Sparse matrices row by row: row ``i`` of the matrix `name` is non-zero at the columns
         ``{name}_columns[{name}_starts[i] : {name}_starts[i + 1]]``, both int32. ``footprints`` is
         D, its values ``footprints``, float32 (channels, entries), in radiance; ``left`` L and
@@ -40,33 +41,33 @@ class FootprintTransport(ArrayTransport):
 
     kind = "footprints"
 
-    def _lit(self, light: Float, channel: int) -> Any:
-        held, functions = self._held, self._functions
+    def _forward(self, light: Float, channel: int) -> Any:
+        held, functions = self._content, self._functions
         cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
         sent = functions["right"].T @ (light.T * held["projector_factor"][channel][:, None])
         smooth = functions["left"] @ (cores @ sent)
         return (direct @ light.T + smooth * held["camera_factor"][channel][:, None]).T
 
-    def _lit_back(self, light: Float, channel: int) -> Any:
-        held, functions = self._held, self._functions
+    def _adjoint(self, light: Float, channel: int) -> Any:
+        held, functions = self._content, self._functions
         cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
         sent = functions["left"].T @ (light.T * held["camera_factor"][channel][:, None])
         smooth = functions["right"] @ (cores.T @ sent)
         return (direct.T @ light.T + smooth * held["projector_factor"][channel][:, None]).T
 
-    def relight_each(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
-        held, functions = self._held, self._functions
+    def relight_per_ray(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
+        held, functions = self._content, self._functions
         cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
         light = patterns.multiply(held["projector_factor"][channel]) @ functions["right"]
-        smooth = held["camera_factor"][channel] * each_bounced(functions["left"], cores, light)
+        smooth = held["camera_factor"][channel] * product_diagonal(functions["left"], cores, light)
         seen: Float = patterns.multiply(direct).sum(axis=1) + smooth
         return seen
 
     def direct(self) -> FootprintTransport:
         """Return the footprints alone."""
-        dark = {name: np.zeros_like(self._held[name]) for name in ("cores", "camera_factor")}
-        return self.holding(self.level_rows, {**self._held, **dark})
+        dark = {name: np.zeros_like(self._content[name]) for name in ("cores", "camera_factor")}
+        return self.with_content(self.level_rows, {**self._content, **dark})
 
     def mixed_with_even_light(
         self, smooth: Sequence[float], even: Sequence[float]
@@ -88,7 +89,7 @@ class FootprintTransport(ArrayTransport):
             csr_array(
                 block_array(
                     [
-                        [np.float32(a) * self._matrix("cores", self._held["cores"][k]), None],
+                        [np.float32(a) * self._matrix("cores", self._content["cores"][k]), None],
                         [None, csr_array(np.full((1, 1), b, np.float32))],
                     ]
                 )
@@ -96,33 +97,33 @@ class FootprintTransport(ArrayTransport):
             for k, (a, b) in enumerate(zip(smooth, even, strict=True))
         ]
         arrays = {
-            **self._held,
+            **self._content,
             **sparse_arrays("left", functions[0]),
             **sparse_arrays("right", functions[1]),
             **sparse_arrays("cores", cores[0], [core.data for core in cores]),
         }
-        return self.holding(self.level_rows, arrays)
+        return self.with_content(self.level_rows, arrays)
 
     @cached_property
     def _functions(self) -> dict[str, csr_array[np.float32]]:
         """L and R."""
-        return {name: self._matrix(name, self._held[name]) for name in ("left", "right")}
+        return {name: self._matrix(name, self._content[name]) for name in ("left", "right")}
 
     @cached_property
     def _columns(self) -> dict[str, int]:
         """How many columns the matrices have."""
-        last = [self._held[name].max(initial=-1) for name in ("right_columns", "cores_columns")]
+        last = [self._content[name].max(initial=-1) for name in ("right_columns", "cores_columns")]
         of_right = int(max(last)) + 1
-        of_left = len(self._held["cores_starts"]) - 1
+        of_left = len(self._content["cores_starts"]) - 1
         rays = int(np.prod(self.projector_shape))
         return {"footprints": rays, "cores": of_right, "left": of_left, "right": of_right}
 
     def _matrix(self, name: str, values: Float) -> csr_array[np.float32]:
         from scipy.sparse import csr_array
 
-        starts: Any = self._held[f"{name}_starts"]
+        starts: Any = self._content[f"{name}_starts"]
         shape = (len(starts) - 1, self._columns[name])
-        return csr_array((values, self._held[f"{name}_columns"], starts), shape=shape)
+        return csr_array((values, self._content[f"{name}_columns"], starts), shape=shape)
 
 
 def sparse_arrays(

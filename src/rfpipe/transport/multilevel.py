@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.store.arrays import ArrayBundle
-from rfpipe.transport.arrays import LevelTransport, SetsOnDemand, by_prefix, rounded
 from rfpipe.transport.base import Float
-from rfpipe.transport.pairs import (
-    PAIR_PARTS,
-    PairSet,
+from rfpipe.transport.lazy import LazySequence, names_by_prefix
+from rfpipe.transport.level_transport import LevelTransport
+from rfpipe.transport.responses import (
+    RESPONSE_ARRAYS,
+    Responses,
     Spread,
     by_level,
     fold,
     spread_by_transpose,
     spread_evenly,
 )
+from rfpipe.transport.rounding import rounded
 from rfpipe.units import NumberFormat
 
 # Patterns relit together: bounds the memory of the planes that are summed in float64.
@@ -33,7 +35,7 @@ class MultilevelTransport(LevelTransport):
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.base.Transport`.
-    held : sequence of PairSet
+    content : sequence of Responses
         By level, the coarsest first; may be read when used.
     symmetric : bool
         Whether the transport is its own transpose, as a coaxial rig's is: a response is then spread
@@ -42,7 +44,7 @@ class MultilevelTransport(LevelTransport):
 
     kind = "multilevel"
     stored_names = ("camera_shape", "projector_shape", "symmetric")
-    _held: Sequence[PairSet]
+    _content: Sequence[Responses]
 
     def __init__(self, *args: Any, symmetric: bool = False, **named: Any) -> None:
         super().__init__(*args, **named)
@@ -52,12 +54,12 @@ class MultilevelTransport(LevelTransport):
     def evenly(self) -> MultilevelTransport:
         """Return the transport whose responses are spread evenly over their blocks."""
         shapes = self.camera_shape, self.projector_shape
-        return type(self)(*shapes, self.channels, self.level_rows, self._held)
+        return type(self)(*shapes, self.channels, self.level_rows, self._content)
 
     @property
-    def pair_sets(self) -> Sequence[PairSet]:
+    def level_responses(self) -> Sequence[Responses]:
         """The pairs by level, the coarsest first."""
-        return self._held
+        return self._content
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``, by eq. (3.2).
@@ -103,8 +105,8 @@ class MultilevelTransport(LevelTransport):
             result[first : first + _BATCH] = spread[..., self.tree.inverse]
         return result
 
-    def relight_each(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+    def relight_per_ray(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
         from scipy.sparse import csr_array
 
         seen = np.zeros(patterns.shape[0])
@@ -114,49 +116,49 @@ class MultilevelTransport(LevelTransport):
             seen += (csr_array((pairs.values[channel], where), shape=light.shape) * light).sum(1)
         return seen.astype(np.float32)
 
-    def spread_pairs(self) -> Iterator[tuple[PairSet, Spread]]:
+    def spread_pairs(self) -> Iterator[tuple[Responses, Spread]]:
         """Yield each level's pairs, and how their responses are spread over their blocks."""
-        for index, pairs in enumerate(self.pair_sets):
+        for index, pairs in enumerate(self.level_responses):
             yield pairs, self._spread(index, pairs)
 
-    def _spread(self, index: int, pairs: PairSet) -> Spread:
+    def _spread(self, index: int, pairs: Responses) -> Spread:
         """Return how a level's responses are spread over their blocks, made when first used."""
         if pairs.level not in self._spreads:
             self._spreads[pairs.level] = (
-                spread_by_transpose(self.tree, self.pair_sets, index)
+                spread_by_transpose(self.tree, self.level_responses, index)
                 if self.symmetric and pairs.level < self.last_level
                 else spread_evenly(self.tree, pairs)
             )
         return self._spreads[pairs.level]
 
-    def _chosen(self, channels: Sequence[int]) -> Iterator[tuple[PairSet, Spread, Float]]:
+    def _chosen(self, channels: Sequence[int]) -> Iterator[tuple[Responses, Spread, Float]]:
         """Yield each level's pairs, how they are spread, and the values of some channels."""
         chosen = list(channels)
         every = chosen == list(range(self.channels))
         for pairs, spread in self.spread_pairs():
             yield pairs, spread, pairs.values if every else pairs.values[chosen]
 
-    def _truncated(self, level: int) -> list[PairSet]:
+    def _truncated(self, level: int) -> list[Responses]:
         """Give what was subdivided at `level` of the blocks the sum of what was stored below it."""
-        kept = [pairs for pairs in self.pair_sets if pairs.level < level]
-        folded = [pairs for pairs in self.pair_sets if pairs.level >= level]
+        kept = [pairs for pairs in self.level_responses if pairs.level < level]
+        folded = [pairs for pairs in self.level_responses if pairs.level >= level]
         pixels = int(np.prod(self.camera_shape))
         return by_level([*kept, fold(self.tree, level, folded, self.channels, pixels)])
 
-    def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
+    def _to_arrays(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
-        for pairs in self.pair_sets:
+        for pairs in self.level_responses:
             parts = pairs.block, pairs.pixel, rounded(pairs.values, number_format)
-            for part, array in zip(PAIR_PARTS, parts, strict=True):
+            for part, array in zip(RESPONSE_ARRAYS, parts, strict=True):
                 arrays[f"level_{pairs.level:02d}_{part}"] = array
         return arrays
 
     @classmethod
-    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Sequence[PairSet]:
-        prefixes = by_prefix(bundle, PAIR_PARTS)
+    def _open(cls, bundle: ArrayBundle, keep: bool) -> Sequence[Responses]:
+        prefixes = names_by_prefix(bundle, RESPONSE_ARRAYS)
 
-        def read(prefix: str) -> PairSet:
-            arrays = (bundle.read(f"{prefix}_{part}") for part in PAIR_PARTS)
-            return PairSet(int(prefix.split("_")[1]), *arrays)
+        def read(prefix: str) -> Responses:
+            arrays = (bundle.read(f"{prefix}_{part}") for part in RESPONSE_ARRAYS)
+            return Responses(int(prefix.split("_")[1]), *arrays)
 
-        return SetsOnDemand(list(prefixes), read, keep=keep)
+        return LazySequence(list(prefixes), read, keep=keep)

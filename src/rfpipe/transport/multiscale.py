@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.transport.arrays import PairTransport
 from rfpipe.transport.base import Float
+from rfpipe.transport.function_pairs import FunctionPairTransport
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -211,14 +211,14 @@ def _pairs(
     return a[order].astype(np.int32), b[order].astype(np.int32)
 
 
-class MultiscaleTransport(PairTransport):
+class MultiscaleTransport(FunctionPairTransport):
     """Symmetric transport ``T = F B S B^T F`` a channel, smooth up to the image F on both sides.
 
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.Transport`; one shape twice.
-    held : mapping of str to ndarray
+    content : mapping of str to ndarray
         ``factor``, float32 (channels, N): F, radiance of the floodlit image. ``functions``, int32
         (n, 4): those of B, see `MultiscaleBasis`. ``cores``, float32 (channels, pairs): S, one
         value a pair of functions, in inverse radiance. ``pairs``, int32 (2, pairs): which
@@ -230,11 +230,11 @@ class MultiscaleTransport(PairTransport):
     @cached_property
     def basis(self) -> MultiscaleBasis:
         """The functions."""
-        return MultiscaleBasis(self.camera_shape, self._held["functions"])
+        return MultiscaleBasis(self.camera_shape, self._content["functions"])
 
-    def _lit(self, light: Float, channel: int) -> Any:
-        cores, factor = self._held["cores"][channel], self._held["factor"][channel]
-        first, second = self._held["pairs"]
+    def _forward(self, light: Float, channel: int) -> Any:
+        cores, factor = self._content["cores"][channel], self._content["factor"][channel]
+        first, second = self._content["pairs"]
         return bounced(self.basis, (first, second), cores, factor, light)
 
     def functions(self) -> csr_array[np.float32]:
@@ -250,15 +250,15 @@ class MultiscaleTransport(PairTransport):
         from rfpipe.transport.pair_kernels import couple
 
         # no image is made: functions are many fewer than rays
-        scaled = self.basis.sums @ diags_array(self._held["factor"][channel])
+        scaled = self.basis.sums @ diags_array(self._content["factor"][channel])
         light, back = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
         matrix = np.empty((received.shape[1], sent.shape[1]), np.float32)
-        first, second = self._held["pairs"]
+        first, second = self._content["pairs"]
         for start in range(0, sent.shape[1], _COLUMNS):
             columns = slice(start, start + _COLUMNS)
             some = np.ascontiguousarray(light[:, columns].toarray())
             arriving = np.zeros_like(some)
-            couple(first, second, self._held["cores"][channel], some, arriving)
+            couple(first, second, self._content["cores"][channel], some, arriving)
             matrix[:, columns] = back @ arriving
         return matrix
 

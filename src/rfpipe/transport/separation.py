@@ -36,9 +36,9 @@ class Separation:
 def separated(
     transport: MatrixAlgebra, light: Float, direct: int, near: float, noise: Float | None = None
 ) -> Separation:
-    """Separate the picture under planar light (channels, projector rays), see `Light.separate`.
+    """Separate the picture under planar light (channels, projector rays).
 
-    `noise` is that of `correspondence_of`.
+    See `Relightable.separate`; `noise` is that of `correspondence_of`.
     """
     shape = transport.projector_shape
     if not (direct >= 0 and direct == int(direct) and 0 < near <= 1):
@@ -52,7 +52,7 @@ def separated(
     channels = range(transport.channels)
     planes = light.reshape(-1, *shape[-2:])
     windows = (_windows(plane, places, int(direct)) for plane in planes)
-    around = np.stack([transport.relight_each(own, k) for k, own in enumerate(windows)])
+    around = np.stack([transport.relight_per_ray(own, k) for k, own in enumerate(windows)])
     within = np.zeros_like(around)
     for weights, lit in _neighbourhoods(planes, places, near * max(shape), direct + 1):
         images = transport.forward(lit.reshape(-1, *light.shape), channels)

@@ -21,7 +21,7 @@ ZIP_NAME = "transport.zip"
 """Under which `rfpipe keep` brings it into a bucket, as one object."""
 
 _CLASSES = {
-    "dense": "arrays:DenseTransport",
+    "dense": "dense:DenseTransport",
     "footprints": "footprints:FootprintTransport",
     "hierarchical": "hierarchical.transport:HierarchicalTransport",
     "low_rank": "low_rank:LowRankTransport",

@@ -25,7 +25,7 @@ class SumTransport(Transport):
     """
 
     kind = "sum"
-    _held: tuple[Transport, ...]
+    _content: tuple[Transport, ...]
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class SumTransport(Transport):
     @property
     def parts(self) -> tuple[Transport, ...]:
         """The parts."""
-        return self._held
+        return self._content
 
     def _bytes_in_memory(self) -> int:
         return sum(part.nbytes for part in self.parts)
@@ -59,13 +59,13 @@ class SumTransport(Transport):
         """Return the light between few patterns, see `Transport.between`."""
         return reduce(np.add, (part.between(received, sent, channel) for part in self.parts))
 
-    def relight_each(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
-        return reduce(np.add, (part.relight_each(patterns, channel) for part in self.parts))
+    def relight_per_ray(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
+        return reduce(np.add, (part.relight_per_ray(patterns, channel) for part in self.parts))
 
-    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
-        """Return the parts that pass light between some rays, see `Light.between_some`."""
-        parts: Any = [part.between_some(seen, lit) for part in self.parts]
+    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
+        """Return the parts that pass light between some rays, see `Relightable.restricted`."""
+        parts: Any = [part.restricted(seen, lit) for part in self.parts]
         return SumTransport(parts, self.level_rows)
 
     def pack(

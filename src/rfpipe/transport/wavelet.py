@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.transport.arrays import PairTransport
 from rfpipe.transport.base import Float
-from rfpipe.transport.rays import squares
+from rfpipe.transport.function_pairs import FunctionPairTransport
+from rfpipe.transport.regrouping import squares
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -183,14 +183,14 @@ class Cells:
         return csr_array((shares, where), shape=(len(shares), self.count))
 
 
-class WaveletTransport(PairTransport):
+class WaveletTransport(FunctionPairTransport):
     """Symmetric transport ``T = F W^T C W F`` a channel, between wavelets of two images.
 
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.Transport`; one shape twice.
-    held : mapping of str to ndarray
+    content : mapping of str to ndarray
         ``side``, int32 (1,): pixels along the side of a cell. ``factor``, float32 (channels, N): F.
         ``pairs``, int32 (2, pairs): which wavelets exchange light, of those of the cells' `Haar`,
         the first one's number at most the second's. ``cores``, float32 (channels, pairs): C, of
@@ -202,18 +202,18 @@ class WaveletTransport(PairTransport):
     @cached_property
     def cells(self) -> Cells:
         """The grid of the wavelets."""
-        return Cells(self.camera_shape, int(self._held["side"][0]))
+        return Cells(self.camera_shape, int(self._content["side"][0]))
 
     def functions(self) -> csr_array[np.float32]:
         """Return ``W^T`` over the rays."""
         return self.cells.functions()
 
-    def _lit(self, light: Float, channel: int) -> Any:
+    def _forward(self, light: Float, channel: int) -> Any:
         from rfpipe.transport.pair_kernels import couple
 
-        factor, cells = self._held["factor"][channel], self.cells
+        factor, cells = self._content["factor"][channel], self.cells
         sent = cells.haar.forward(cells.total(light * factor))
         received = np.zeros_like(sent)
-        first, second = self._held["pairs"]
-        couple(first, second, self._held["cores"][channel], sent, received)
+        first, second = self._content["pairs"]
+        couple(first, second, self._content["cores"][channel], sent, received)
         return cells.spread(cells.haar.inverse(received)) * factor

@@ -12,8 +12,8 @@ import numpy as np
 from rfpipe.blocks import BlockTree
 from rfpipe.errors import InputError
 from rfpipe.store.files import digest_of
-from rfpipe.transport.arrays import DenseTransport
 from rfpipe.transport.base import Transport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
@@ -181,7 +181,7 @@ def _lower_hierarchical(builder: Builder, transport: HierarchicalTransport) -> N
     light, received = builder.buffer("light", rays), builder.buffer("received", rays)
     order = {"index": tree.order.astype(np.int32)}
     builder.add("gather", PROJECTOR, light, order)
-    for leaves in transport.held_leaf_sets:
+    for leaves in transport.stored_leaf_sets:
         lengths = np.diff(leaf_offsets(tree, leaves))
         chosen = np.arange(len(leaves))
         for run in runs(lengths, _SHARE):

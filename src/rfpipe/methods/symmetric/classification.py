@@ -83,8 +83,8 @@ def classify(
     candidates = replace(candidates, is_final=is_final).select(lit)
     energy = np.ascontiguousarray(energy[:, lit])
     if level == tree.n_levels - 1:
-        blocks = (it[candidates.pair] for it in (pieces.block_a, pieces.block_b))
-        leaves = LeafSet(level, *blocks, energy.astype(np.float32))
+        a, b = pieces.block_a[candidates.pair], pieces.block_b[candidates.pair]
+        leaves = LeafSet(level, a, b, energy.astype(np.float32))
         counts = {"empty": empty, "scalar": len(leaves)}
         return Classification(leaves, no_nodes(len(energy)), counts)
     nodes, is_leaf = _estimate(tree, level, pieces, candidates, energy, limits)

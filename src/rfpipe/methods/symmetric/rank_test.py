@@ -123,5 +123,6 @@ def _has_evidence(
     """
     children = np.diff(tree.child_starts[level])
     limit = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)
-    evident: NDArray[np.bool_] = (squares <= limit).any(axis=1) | (nodes.energy == 0)
-    return evident.all(axis=0)
+    is_distributed = (squares <= limit).any(axis=1) | (nodes.energy == 0)
+    evidence: NDArray[np.bool_] = is_distributed.all(axis=0)
+    return evidence

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.store.arrays import ArrayBundle
-from rfpipe.transport.arrays import CoaxialTransport, LevelTransport, SetsOnDemand
+from rfpipe.transport.array_transport import CoaxialTransport
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.hierarchical.apply import apply_leaf_sets
 from rfpipe.transport.hierarchical.leaves import (
@@ -20,8 +20,10 @@ from rfpipe.transport.hierarchical.leaves import (
     merge_leaf_sets,
     pack_leaves,
 )
-from rfpipe.transport.hierarchical.some import Rays, StoredLeaves
+from rfpipe.transport.hierarchical.stored import Rays, StoredLeaves
 from rfpipe.transport.hierarchical.truncation import collapse
+from rfpipe.transport.lazy import LazySequence
+from rfpipe.transport.level_transport import LevelTransport
 from rfpipe.units import NumberFormat
 
 
@@ -32,7 +34,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.Transport`; one shape twice.
-    held : sequence of LeafSet
+    content : sequence of LeafSet
         By level, the coarsest first; may be rounded, and may be read when used.
     """
 
@@ -53,39 +55,39 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     @property
     def leaf_sets(self) -> Sequence[LeafSet]:
         """The leaves with float32 factors, by level, the coarsest first."""
-        return SetsOnDemand(self._held, lambda leaves: decoded(self.tree, leaves), keep=False)
+        return LazySequence(self._content, lambda leaves: decoded(self.tree, leaves), keep=False)
 
     @property
-    def held_leaf_sets(self) -> Sequence[LeafSet]:
+    def stored_leaf_sets(self) -> Sequence[LeafSet]:
         """The leaves as they are held, by level: rounded factors as codes, see `LeafSet`."""
-        return self._held
+        return self._content
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)`` in image order."""
-        return apply_leaf_sets(self.tree, self._held, patterns, channels)
+        return apply_leaf_sets(self.tree, self._content, patterns, channels)
 
-    def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
+    def _to_arrays(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
-        for index, leaves in enumerate(self._held):
+        for index, leaves in enumerate(self._content):
             packed = pack_leaves(self.tree, leaves, number_format)
             prefix = f"level_{leaves.level:02d}_{index:04d}"
             arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
         return arrays
 
     @classmethod
-    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Sequence[LeafSet]:
+    def _open(cls, bundle: ArrayBundle, keep: bool) -> Sequence[LeafSet]:
         return StoredLeaves(bundle, keep=keep)
 
-    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
-        """Return the leaves that pass light between some rays, see `Light.between_some`."""
+    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
+        """Return the leaves that pass light between some rays, see `Relightable.restricted`."""
         rays = Rays(self.tree, seen[self.tree.order], lit[self.tree.order])
-        held = self._held
+        held = self._content
         if isinstance(held, StoredLeaves):
-            return self.holding(self.level_rows, held.between(rays))
-        return self.holding(self.level_rows, [rays.chosen(leaves) for leaves in held])
+            return self.with_content(self.level_rows, held.between(rays))
+        return self.with_content(self.level_rows, [rays.chosen(leaves) for leaves in held])
 
-    def relight_each(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_each`."""
+    def relight_per_ray(self, patterns: Any, channel: int) -> Float:
+        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
         pairs = patterns.tocoo()
         # T = T^T, and the blocks of rays in order are in order
         rays = np.sort(self.tree.inverse[np.stack([pairs.row, pairs.col])], axis=0)
@@ -95,7 +97,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
 
     def _truncated(self, level: int) -> Sequence[LeafSet]:
         """Make leaves of what was subdivided at `level` of the blocks."""
-        held: list[LeafSet] = [*self._held]
+        held: list[LeafSet] = [*self._content]
         kept = [leaves for leaves in held if leaves.level <= level]
         below = [leaves for leaves in held if leaves.level > level]
         return [*kept, *collapse(self.tree, below, level, self.channels)]

@@ -18,9 +18,9 @@ from rfpipe.transport.algebra import (
     Float,
     Index,
     MatrixAlgebra,
-    Rays,
-    chosen_rays,
+    RaySelection,
     refuse_larger,
+    selected_rays,
 )
 from rfpipe.version import __version__
 
@@ -69,14 +69,14 @@ class Contents(NamedTuple):
 
 
 def write_matrix(
-    matrix: MatrixAlgebra, path: Path, rows: Rays, columns: Rays, limit_bytes: int
+    matrix: MatrixAlgebra, path: Path, rows: RaySelection, columns: RaySelection, limit_bytes: int
 ) -> None:
-    """Write a matrix, see `rfpipe.transport.light.Light.save`."""
+    """Write a matrix, see `rfpipe.transport.relightable.Relightable.save`."""
     write = MATRIX_FILES[suffix_of(path, tuple(MATRIX_FILES))]
     contents = Contents(
         matrix,
-        chosen_rays(rows, matrix.camera_shape, "rows"),
-        chosen_rays(columns, matrix.projector_shape, "columns"),
+        selected_rays(rows, matrix.camera_shape, "rows"),
+        selected_rays(columns, matrix.projector_shape, "columns"),
     )
     advice = "choose rows or columns, join rays (2 x 2: 16 times smaller), or raise the limit"
     refuse_larger(f"{path}: a matrix", contents.shape, limit_bytes, advice)

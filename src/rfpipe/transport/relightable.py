@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError, installing
-from rfpipe.transport.algebra import Float, MatrixAlgebra, Rays, chosen_rays
+from rfpipe.transport.algebra import Float, MatrixAlgebra, RaySelection, selected_rays
 from rfpipe.weights import as_weights
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rfpipe.transport.compensation import Compensation
     from rfpipe.transport.correspondence import Correspondence
-    from rfpipe.transport.light_between import LightsBetween
+    from rfpipe.transport.light_interpolation import LightInterpolation
     from rfpipe.transport.normals import Normals
     from rfpipe.transport.separation import Separation
 
@@ -27,15 +27,15 @@ LIMIT = 8 * 2**30
 """Bytes that a matrix in a file may take by default, before compression."""
 
 
-class Light(MatrixAlgebra):
+class Relightable(MatrixAlgebra):
     """What can be relit: a transport, its dual, or either between coarser rays."""
 
     _lights: Float | None = None
-    _between: LightsBetween | None = None
+    _between: LightInterpolation | None = None
     _noise: Float | None = None
 
     @property
-    def T(self) -> Light:  # noqa: N802 - as in scipy and numpy
+    def T(self) -> Relightable:  # noqa: N802 - as in scipy and numpy
         """The dual transport: from the camera's rays to the projector's (eq. 2.12)."""
         return TransposedTransport(self)
 
@@ -168,20 +168,20 @@ class Light(MatrixAlgebra):
         sky = sky_of(environment, turned, mirrored)
         return self._lights_between(lights).relight(self, sky)
 
-    def _lights_between(self, lights: ArrayLike | None) -> LightsBetween:
+    def _lights_between(self, lights: ArrayLike | None) -> LightInterpolation:
         """Return the interpolation between lights, by default the transport's, which is kept."""
         from rfpipe.environment import as_directions
-        from rfpipe.transport.light_between import lights_between
+        from rfpipe.transport.light_interpolation import interpolate_lights
 
         if lights is not None:
-            return lights_between(self, as_directions(lights, count=self.shape[2]))
+            return interpolate_lights(self, as_directions(lights, count=self.shape[2]))
         if self.lights is None:
             raise InputError(
                 "the transport has no directions of its lights: fit it from a folder with a file "
                 "of their directions, or set transport.lights, one direction for each ray"
             )
         if self._between is None:
-            self._between = lights_between(self, self.lights)
+            self._between = interpolate_lights(self, self.lights)
         return self._between
 
     def normals(self) -> Normals:
@@ -247,7 +247,7 @@ class Light(MatrixAlgebra):
         light = planar_patterns(np.asarray(pattern)[None], self.projector_shape, self.channels)
         return separated(self, light[0], direct, near, self.noise)
 
-    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
+    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Relightable:  # noqa: ARG002
         """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
 
         Light between other rays may be missing. Both are bool (rays,).
@@ -281,7 +281,7 @@ class Light(MatrixAlgebra):
             dtype=np.dtype(np.float32),
         )
 
-    def to_xarray(self, rows: Rays = None, columns: Rays = None) -> DataArray:
+    def to_xarray(self, rows: RaySelection = None, columns: RaySelection = None) -> DataArray:
         """Return the matrix, or some rows and columns of it as `toarray`, labelled by its rays.
 
         Returns
@@ -299,15 +299,20 @@ class Light(MatrixAlgebra):
         except ImportError as error:
             raise InputError(f"to_xarray needs xarray; {installing('xarray')}") from error
         rays = {
-            "camera": chosen_rays(rows, self.camera_shape, "rows"),
-            "projector": chosen_rays(columns, self.projector_shape, "columns"),
+            "camera": selected_rays(rows, self.camera_shape, "rows"),
+            "projector": selected_rays(columns, self.projector_shape, "columns"),
         }
         about = {"camera_shape": self.camera_shape, "projector_shape": self.projector_shape}
         matrix = self.toarray(*rays.values())
         return DataArray(matrix, rays, ("channel", *rays), "radiance per weight", about)
 
     def save(
-        self, path: str | Path, *, rows: Rays = None, columns: Rays = None, limit_bytes: int = LIMIT
+        self,
+        path: str | Path,
+        *,
+        rows: RaySelection = None,
+        columns: RaySelection = None,
+        limit_bytes: int = LIMIT,
     ) -> None:
         """Write the matrix into a file, part by part, complete or not at all.
 
@@ -328,15 +333,15 @@ class Light(MatrixAlgebra):
         StoreError
             If the file can't be written, or the package that writes it isn't installed.
         """
-        from rfpipe.transport.matrix_out import write_matrix
+        from rfpipe.transport.matrix_export import write_matrix
 
         write_matrix(self, Path(path), rows, columns, limit_bytes)
 
 
-class TransposedTransport(Light):
+class TransposedTransport(Relightable):
     """The dual of a transport: light from the camera's rays, seen by the projector."""
 
-    def __init__(self, primal: Light) -> None:
+    def __init__(self, primal: Relightable) -> None:
         self._primal = primal
         self.camera_shape = primal.projector_shape
         self.projector_shape = primal.camera_shape
@@ -346,7 +351,7 @@ class TransposedTransport(Light):
         return f"{self._primal!r}.T"
 
     @property
-    def T(self) -> Light:  # noqa: N802
+    def T(self) -> Relightable:  # noqa: N802
         """The transport that this is the dual of."""
         return self._primal
 
@@ -358,9 +363,9 @@ class TransposedTransport(Light):
         """Return ``T p`` for planar images ``(P, K, projector rays)``."""
         return self._primal.forward(images, channels)
 
-    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:
-        """Return a dual that is the same between some rays, see `Light.between_some`."""
-        return self._primal.between_some(lit, seen).T
+    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Relightable:
+        """Return a dual that is the same between some rays, see `Relightable.restricted`."""
+        return self._primal.restricted(lit, seen).T
 
 
 def planar_patterns(

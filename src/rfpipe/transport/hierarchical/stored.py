@@ -14,7 +14,6 @@ from rfpipe.blocks import BlockTree
 from rfpipe.errors import StoreError
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.store.places import Place
-from rfpipe.transport.arrays import SetsOnDemand, by_prefix
 from rfpipe.transport.hierarchical.leaves import (
     CODED_PARTS,
     LEAF_PARTS,
@@ -23,6 +22,7 @@ from rfpipe.transport.hierarchical.leaves import (
     ragged_ranges,
     unpack_leaves,
 )
+from rfpipe.transport.lazy import LazySequence, names_by_prefix
 
 _BLOCKS = ("block_a", "block_b")
 _AT_ONCE = 16  # requests to a server: each waits for the way there and back
@@ -51,14 +51,14 @@ class Rays:
         return leaves.subset(self.tree, passing)
 
 
-class StoredLeaves(SetsOnDemand[str, LeafSet]):
+class StoredLeaves(LazySequence[str, LeafSet]):
     """The sets of leaves of a store, read when used, as a whole or in part."""
 
     def __init__(self, bundle: ArrayBundle, *, keep: bool) -> None:
         self._bundle = bundle
         if any(name.endswith("_signs") for name in bundle.names):
             raise StoreError(f"{bundle.path}: leaves with signs are no longer read; acquire anew")
-        self._sets = by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
+        self._sets = names_by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
         super().__init__(list(self._sets), self._whole, keep=keep)
 
     def between(self, rays: Rays) -> Sequence[LeafSet]:
@@ -69,7 +69,7 @@ class StoredLeaves(SetsOnDemand[str, LeafSet]):
                 return rays.chosen(self.kept[index])
             return self._some(self.keys[index], rays)
 
-        some = SetsOnDemand(range(len(self)), read, keep=self.keep)
+        some = LazySequence(range(len(self)), read, keep=self.keep)
         if self.keep and isinstance(self._bundle.path, Place):
             with ThreadPoolExecutor(_AT_ONCE) as pool:
                 some.kept |= enumerate(pool.map(read, some.keys))

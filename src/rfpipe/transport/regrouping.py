@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport.algebra import Float
-from rfpipe.transport.light import Light
+from rfpipe.transport.relightable import Relightable
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _AT_ONCE_BYTES = 64 * 2**20
 
 
-class RegroupedTransport(Light):
+class RegroupedTransport(Relightable):
     """Light between other rays, ``C T P`` computed at each use; see `coarser` and `crop`.
 
     C, `camera`, and P, `projector`, are sparse float32 (m, M) and (N, n), where T has M camera rays
@@ -29,7 +29,7 @@ class RegroupedTransport(Light):
 
     def __init__(
         self,
-        whole: Light,
+        whole: Relightable,
         camera_shape: tuple[int, ...],
         projector_shape: tuple[int, ...],
         camera: csr_array[np.float32],
@@ -82,7 +82,7 @@ def _each(matrix: Any, planar: Float) -> Float:
     return np.ascontiguousarray(product).reshape(*planar.shape[:2], -1)
 
 
-def coarser(transport: Light, factor: int) -> RegroupedTransport:
+def coarser(transport: Relightable, factor: int) -> RegroupedTransport:
     """Return a transport between coarser rays, squares of `factor` by `factor` of its own.
 
     A coarse projector ray lights all of its rays alike, a coarse camera ray sees the mean of its
@@ -116,7 +116,7 @@ def squares(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_arr
     return (*shape[:-2], *image), matrix
 
 
-def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTransport:
+def crop(whole: Relightable, camera: Any = None, projector: Any = None) -> RegroupedTransport:
     """Return a transport between some of its rays: of a view, of a part of a picture.
 
     What passes between the others isn't read of leaves, as ``symmetric`` finds them. All else is
@@ -137,7 +137,7 @@ def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTr
         _one_each(rays, prod(shape))
         for rays, shape in ((seen, whole.camera_shape), (lit, whole.projector_shape))
     ]
-    part = whole.between_some(*(matrix.sum(axis=0) > 0 for matrix in some))
+    part = whole.restricted(*(matrix.sum(axis=0) > 0 for matrix in some))
     name = f"{seen.shape} by {lit.shape} rays"
     taken = RegroupedTransport(part, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
     taken.lights = None if whole.lights is None else whole.lights[lit.ravel()]

@@ -27,7 +27,7 @@ _TABLE_ROWS = 91
 
 
 @dataclass(frozen=True, eq=False)
-class LightsBetween:
+class LightInterpolation:
     """Interpolation between the lights of a transport.
 
     Attributes
@@ -61,12 +61,12 @@ class LightsBetween:
         return np.moveaxis(positive, 0, -1).reshape(*transport.camera_shape, len(positive))
 
 
-def lights_between(transport: MatrixAlgebra, directions: Float) -> LightsBetween:
+def interpolate_lights(transport: MatrixAlgebra, directions: Float) -> LightInterpolation:
     """Choose the interpolation between the lights of a transport from its pictures.
 
     Parameters
     ----------
-    transport : Light
+    transport : Relightable
         Its projector's rays are single lights.
     directions : ndarray of float32, shape (lights, 3)
 
@@ -77,23 +77,23 @@ def lights_between(transport: MatrixAlgebra, directions: Float) -> LightsBetween
     """
     lights = len(directions)
     if lights > MOST_LIGHTS:
-        return LightsBetween(between(directions), None)
+        return LightInterpolation(between(directions), None)
     white = np.ones((1, 1, lights), np.float32).repeat(transport.channels, axis=1)
     seen = np.flatnonzero(transport.forward(white, range(transport.channels))[0].any(axis=0))
     if not len(seen):
-        return LightsBetween(between(directions), None)
+        return LightInterpolation(between(directions), None)
     chosen = np.linspace(0, len(seen) - 1, -(-_SAMPLES // transport.channels)).astype(int)
     rays = seen[np.unique(chosen)]
     samples = np.moveaxis(transport.toarray(rays), -1, 0).reshape(lights, -1)
     fits = 4 * prod(transport.shape) <= MEMORY_BUDGET
     interpolation = interpolate(samples, directions, with_shading=fits)
     if not interpolation.has_shading:
-        return LightsBetween(interpolation, None)
+        return LightInterpolation(interpolation, None)
     vectors = [
         fit_shading(pictures.T, interpolation.directions).vectors
         for pictures in transport.toarray()
     ]
-    return LightsBetween(interpolation, np.stack(vectors))
+    return LightInterpolation(interpolation, np.stack(vectors))
 
 
 def _matt(vectors: Float, directions: Double, light: Double) -> Double:

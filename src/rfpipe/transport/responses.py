@@ -27,12 +27,12 @@ Double = NDArray[np.float64]
 # 0.7.
 _LEAST_DIFFERENCE = 0.5
 
-PAIR_PARTS = ("block", "pixel", "values")
-"""The arrays of a `PairSet`, by which stores name them."""
+RESPONSE_ARRAYS = ("block", "pixel", "values")
+"""The arrays of a `Responses`, by which stores name them."""
 
 
 @dataclass(frozen=True)
-class PairSet:
+class Responses:
     """Responses of camera pixels to projector blocks of one level, ordered by block, then pixel.
 
     Attributes
@@ -58,31 +58,31 @@ class PairSet:
         return self.block.nbytes + self.pixel.nbytes + self.values.nbytes
 
 
-def by_level(pair_sets: Sequence[PairSet]) -> list[PairSet]:
+def by_level(level_responses: Sequence[Responses]) -> list[Responses]:
     """Return the sets that aren't empty, the coarsest first."""
-    return sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
+    return sorted(filter(len, level_responses), key=lambda pairs: pairs.level)
 
 
-def no_pairs(level: int, channels: int) -> PairSet:
+def no_responses(level: int, channels: int) -> Responses:
     """Return an empty set of pairs."""
     none = np.empty(0, np.int32)
-    return PairSet(level, none, none, np.empty((channels, 0), np.float32))
+    return Responses(level, none, none, np.empty((channels, 0), np.float32))
 
 
 def fold(
-    tree: BlockTree, level: int, pair_sets: Sequence[PairSet], channels: int, pixels: int
-) -> PairSet:
+    tree: BlockTree, level: int, level_responses: Sequence[Responses], channels: int, pixels: int
+) -> Responses:
     """Add up pairs of `level` and of finer levels over their blocks of `level`."""
-    if not any(len(pairs) for pairs in pair_sets):
-        return no_pairs(level, channels)
+    if not any(len(pairs) for pairs in level_responses):
+        return no_responses(level, channels)
     keys = [
         tree.ancestors(pairs.level, level)[pairs.block] * pixels + pairs.pixel
-        for pairs in pair_sets
+        for pairs in level_responses
     ]
-    values = np.concatenate([pairs.values for pairs in pair_sets], axis=1)
+    values = np.concatenate([pairs.values for pairs in level_responses], axis=1)
     kept, sums = _summed(np.concatenate(keys), values)
     block, pixel = np.divmod(kept, pixels)
-    return PairSet(level, block.astype(np.int32), pixel.astype(np.int32), sums.astype(np.float32))
+    return Responses(level, block.astype(np.int32), pixel.astype(np.int32), sums.astype(np.float32))
 
 
 def _summed(keys: NDArray[np.int64], values: Float) -> tuple[NDArray[np.int64], Double]:
@@ -111,7 +111,7 @@ class Spread:
         return [self.shares[channel % len(self.shares)] for channel in channels]
 
 
-def spread_evenly(tree: BlockTree, pairs: PairSet) -> Spread:
+def spread_evenly(tree: BlockTree, pairs: Responses) -> Spread:
     """Spread each response evenly over its block [eq. 3.2]."""
     from scipy.sparse import csr_array
 
@@ -122,14 +122,16 @@ def spread_evenly(tree: BlockTree, pairs: PairSet) -> Spread:
     return Spread(pairs.block, [csr_array((shares, rays, starts), (len(sizes), len(rays)))])
 
 
-def spread_by_transpose(tree: BlockTree, pair_sets: Sequence[PairSet], index: int) -> Spread:
+def spread_by_transpose(
+    tree: BlockTree, level_responses: Sequence[Responses], index: int
+) -> Spread:
     """Spread the responses of the set `index` in proportion to the transpose's estimate.
 
     The tree is that of both the camera's and the projector's rays.
     """
     from scipy.sparse import csr_array
 
-    pairs = pair_sets[index]
+    pairs = level_responses[index]
     starts, level = tree.starts[pairs.level], pairs.level
     blocks, pixels, channels = tree.n_blocks(level), tree.domain.size, len(pairs.values)
     block_of_pixel = tree.labels(level).ravel().astype(np.int64)
@@ -141,7 +143,7 @@ def spread_by_transpose(tree: BlockTree, pair_sets: Sequence[PairSet], index: in
     position = ragged_ranges(starts[source], sizes)
     ray, lit = tree.order[position], np.repeat(viewer, sizes)
     shares = np.zeros((channels, len(ray)))
-    for other in pair_sets:
+    for other in level_responses:
         _add_responses(tree, level, other, lit, ray, shares)
     ends = np.append(0, np.cumsum(sizes))
     sums = np.repeat(np.add.reduceat(shares, ends[:-1], axis=1), sizes, axis=1)
@@ -153,22 +155,24 @@ def spread_by_transpose(tree: BlockTree, pair_sets: Sequence[PairSet], index: in
     )
 
 
-def looks_symmetric(tree: BlockTree, camera: RayDomain, pair_sets: Sequence[PairSet]) -> bool:
+def looks_symmetric(
+    tree: BlockTree, camera: RayDomain, level_responses: Sequence[Responses]
+) -> bool:
     """Tell whether single rays' responses agree with those of their transpose.
 
     Direct light, on the diagonal of a coaxial rig's transport, says nothing. Of the rest, two
     matrices that have nothing to do with each other differ by 0.7 of their norm or more.
     """
-    if camera.shape != tree.domain.shape or not pair_sets:
+    if camera.shape != tree.domain.shape or not level_responses:
         return False
-    finest = pair_sets[-1]
+    finest = level_responses[-1]
     lit = tree.order[tree.starts[finest.level][finest.block]]
     indirect = lit != finest.pixel
     if finest.level < tree.n_levels - 1 or not indirect.any():
         return False
     back = np.zeros((len(finest.values), int(np.count_nonzero(indirect))))
     viewer = tree.inverse[finest.pixel[indirect]]
-    for pairs in pair_sets:
+    for pairs in level_responses:
         if len(pairs):
             _add_responses(tree, finest.level, pairs, viewer, lit[indirect], back)
     there = finest.values[:, indirect]
@@ -183,7 +187,7 @@ def agree(there: NDArray[np.floating[Any]], back: Double) -> bool:
 def _add_responses(
     tree: BlockTree,
     level: int,
-    pairs: PairSet,
+    pairs: Responses,
     block: NDArray[np.int64],
     pixel: NDArray[np.int64],
     out: Double,
