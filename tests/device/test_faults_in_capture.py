@@ -20,6 +20,7 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.rigs import DeviceRig, stale
 from rfpipe.stages import capture, verification
 from rfpipe.stages.plan import Plan
+from rfpipe.storage.files import VERIFICATION_MANIFEST
 from rfpipe.store import read_manifest
 from rfpipe.testing import faults
 
@@ -105,7 +106,7 @@ def test_the_files_state_target_error_and_reason(
     folder = acquire_on_files(tmp_path / "matrix" / "auto", rig, plan, settings)
     capturing = partial(capture.run, rig)
     verification.run(folder, capturing, pictures=3, settings=settings, resources=Resources())
-    stated = read_manifest(folder.path / verification.MANIFEST)
+    stated = read_manifest(folder.path / VERIFICATION_MANIFEST)
     assert stated["target_error"] == target
     assert stated["standing"] == standing
     assert f"{stated['mean_error']:.2%}" in stated["reason"]

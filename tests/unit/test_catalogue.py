@@ -37,7 +37,7 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         "2026-01-01 00:00:01,000 ERROR the lamp <went> out; mend it\nTraceback\n  ...\n"
     )
     log = results / "stopped/hadamard/acquire.log"
-    log.write_text("2026-01-01 00:00:01,000 ERROR stopped; what is done is kept, and the next\n")
+    log.write_text("2026-01-01 00:00:01,000 WARNING stopped; finished work is kept, and the next\n")
     (results / "stopped/hadamard/L00/capture.json").write_text("{}")
     (results / "report/view").mkdir(parents=True)
     (results / "report/view/done_hadamard.html").write_text("a viewer")

@@ -123,8 +123,8 @@ def test_workers_stop_at_the_first_error_in_order(tmp_path: Path) -> None:
 
 def test_resources_use_fewer_threads_where_memory_is_short(tmp_path: Path) -> None:
     few = Resources(memory_gib=1.0, threads=4)
-    assert few.fitting(few.data_bytes // 3, 16) == 3
-    assert few.fitting(2 * few.data_bytes, 16) == 1
+    assert few.fitting_count(few.data_bytes // 3, 16) == 3
+    assert few.fitting_count(2 * few.data_bytes, 16) == 1
     for size, in_flight in ((1, 8), (few.data_bytes // 4, 4), (few.data_bytes, 1)):
         with few.workers(size, tmp_path) as workers:
             assert workers.in_flight == in_flight

@@ -85,7 +85,7 @@ def test_a_lock_that_is_not_known_stays(
     else:  # of a Snakemake that came after it
         (folder / "0.input.lock").unlink()
         (folder / "0.input.lock").touch()
-    with pytest.raises(LockedError, match=f"isn't known here.*{UNLOCK}"):
+    with pytest.raises(LockedError, match=f"by an unknown Snakemake.*{UNLOCK}"):
         free_if_dead(tmp_path, UNLOCK)
     assert not free_if_dead(tmp_path, None)  # which is for Snakemake to do
     assert locks(tmp_path)

@@ -74,7 +74,7 @@ def test_a_stopped_capture_closes_its_store_and_goes_on(
     kill_group(process, number)
     os.kill(writer, signal.SIGCONT)
     output = workflow.end(process, succeeds=False)
-    assert "stopped; what is done is kept" in output
+    assert "stopped; finished work is kept" in output
     captured = len(journal(store))
     assert 12 <= captured < 40
     assert not store.with_name(".capture.zarr.lock").exists()

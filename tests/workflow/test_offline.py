@@ -31,7 +31,7 @@ from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.stages import captures, verification
 from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import VERIFICATION_MANIFEST, AcquisitionFolder
 from rfpipe.store import read_manifest, write_manifest
 
 SHAPE = (4, 5)
@@ -129,7 +129,7 @@ def verified(path: Path, results: Path) -> dict[str, Any]:
         settings=stages_of(settings, "desk", "symmetric"),
         resources=Resources(),
     )
-    return read_manifest(results / "desk" / "symmetric" / verification.MANIFEST)
+    return read_manifest(results / "desk" / "symmetric" / VERIFICATION_MANIFEST)
 
 
 def acquired(tmp_path: Path, settings: Path, matrix_of: Any) -> list[str]:

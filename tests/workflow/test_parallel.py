@@ -150,7 +150,7 @@ def test_a_scheduler_that_dies_ends_the_job(
             process.kill()
             promise.result()
 
-    with pytest.raises(ClusterError, match=r"(?s)the work was lost.*What is done is kept"):
+    with pytest.raises(ClusterError, match=r"(?s)the work was lost.*Finished work is kept"):
         interrupted()
 
 

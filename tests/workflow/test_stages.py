@@ -169,8 +169,8 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
     ("failure", "said", "shows_where"),
     [
         ("raise CaptureError('no light; switch it on')", "no light; switch it on", False),
-        ("signal.raise_signal(signal.SIGTERM)", "stopped; what is done is kept", False),
-        ("signal.raise_signal(signal.SIGINT)", "stopped; what is done is kept", False),
+        ("signal.raise_signal(signal.SIGTERM)", "stopped; finished work is kept", False),
+        ("signal.raise_signal(signal.SIGINT)", "stopped; finished work is kept", False),
         ("1 / 0", "ZeroDivisionError", True),
     ],
 )

@@ -23,7 +23,7 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, verification
 from rfpipe.stages.plan import Plan
 from rfpipe.storage.checking import check
-from rfpipe.storage.files import VERIFICATION, AcquisitionFolder
+from rfpipe.storage.files import VERIFICATION, VERIFICATION_MANIFEST, AcquisitionFolder
 from rfpipe.storage.retake import find_retakes
 from rfpipe.store import read_manifest
 from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
@@ -54,7 +54,7 @@ def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str,
         settings=settings(code=code),
         resources=Resources(),
     )
-    return read_manifest(folder.path / verification.MANIFEST)
+    return read_manifest(folder.path / VERIFICATION_MANIFEST)
 
 
 class Stopping(FaultyRig):
@@ -93,7 +93,7 @@ def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
     assert facts == intact
     assert check(tmp_path / "results").findings == []
     shown = len(rig.shown)
-    (folder.path / verification.MANIFEST).unlink()
+    (folder.path / VERIFICATION_MANIFEST).unlink()
     assert verified(folder, rig, "other code")["pictures"] == intact["pictures"]
     assert len(rig.shown) == shown  # the pictures are kept
 

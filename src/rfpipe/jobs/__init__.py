@@ -1,1 +1,1 @@
-"""What every job has: a log, progress, threads and memory."""
+"""Jobs of a run: logs, progress, memory and threads, Snakemake, and the outcome of a run."""

@@ -1,4 +1,4 @@
-"""What every job of the workflow has: its log, a bar of progress, an end when it is stopped."""
+"""Start of a job of the workflow with its log and signal handlers, and its progress."""
 
 from __future__ import annotations
 
@@ -14,23 +14,25 @@ from typing import Any
 from rfpipe.errors import RfpipeError
 from rfpipe.text import counted
 
-_SECONDS_BETWEEN_LINES = 15.0  # of progress, where there is no terminal
+_SECONDS_BETWEEN_LINES = 15.0
+"""Seconds between lines of progress in a log."""
 
 _log = logging.getLogger("rfpipe")
 
 
 def start(log_file: str) -> None:
-    """Log to a file and to stderr; say why the job ends when it ends early; bound its threads.
+    """Set up the log, the handlers of errors and signals, and the threads of a job.
 
-    An `RfpipeError` is reported by its message, with the traceback in the file alone. SIGTERM
-    interrupts like Ctrl-C, so that stores are closed before the process ends.
+    Messages are logged to a file and to stderr. An `RfpipeError` that ends the job is logged as
+    its message, with the traceback in the file only. SIGTERM interrupts the job as Ctrl-C does, so
+    that stores are closed before the process ends.
 
     Parameters
     ----------
     log_file : str
-        Replaced when it exists.
+        Path of the log file; an existing file is replaced.
     """
-    # Snakemake tells a job how many threads it has; numba doesn't listen by itself.
+    # Snakemake sets OMP_NUM_THREADS, which numba doesn't read.
     os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     path = Path(log_file)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +40,7 @@ def start(log_file: str) -> None:
     to_file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     to_terminal = logging.StreamHandler()
     to_terminal.setFormatter(_Brief(path))
-    logging.raiseExceptions = False  # a log on a full disk is done without: the stage says that
+    logging.raiseExceptions = False  # a full disk ends the stage with a message of its own
     _log.setLevel(logging.INFO)
     _log.handlers = [to_file, to_terminal]
     _log.propagate = False
@@ -49,7 +51,7 @@ def start(log_file: str) -> None:
 
 
 class _Brief(logging.Formatter):
-    """The message alone, after the name of the job; tracebacks are for the file."""
+    """Format a message as the name of the job and the message, without a traceback."""
 
     def __init__(self, log_file: Path) -> None:
         super().__init__(f"{'/'.join(log_file.with_suffix('').parts[-4:])}: %(message)s")
@@ -63,10 +65,10 @@ def _report(
     kind: type[BaseException], error: BaseException, traceback: TracebackType | None
 ) -> None:
     if issubclass(kind, KeyboardInterrupt):
-        _log.error("stopped; what is done is kept, and the next run goes on from there")
+        _log.warning("stopped; finished work is kept, and the next run continues from there")
         return
     message = str(error)
-    if not issubclass(kind, RfpipeError):  # a bug: show where
+    if not issubclass(kind, RfpipeError):  # a bug: show its traceback
         sys.__excepthook__(kind, error, traceback)
         message = f"{type(error).__name__}: {error}"
     _log.error("%s", message, exc_info=(kind, error, traceback))
@@ -77,10 +79,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 
 class _LoggedCount:
-    """Progress as lines of the log, at most one in each `_SECONDS_BETWEEN_LINES`.
-
-    Lines are plain text: a bar moves the cursor by codes that only a terminal understands.
-    """
+    """Progress as lines of the log, at most one every `_SECONDS_BETWEEN_LINES`."""
 
     def __init__(self, name: str, total: int, done: int, unit: str) -> None:
         self._name, self._total, self._unit = name, total, unit
@@ -96,10 +95,10 @@ class _LoggedCount:
             _log.info("%s: %s", self._name, self._line(now - self._begun))
 
     def close(self) -> None:
-        """Do nothing: the stage logs its end."""
+        """Do nothing: the stage logs the end of its work."""
 
     def _line(self, elapsed: float) -> str:
-        """Describe the progress; the time to go needs a total and something to measure it by."""
+        """Describe the progress after `elapsed` seconds, with the remaining time if it is known."""
         if not 0 < self._total >= self._done:
             return counted(self._done, self._unit)
         line = f"{self._done} of {counted(self._total, self._unit)}"
@@ -108,22 +107,25 @@ class _LoggedCount:
         seconds = elapsed * (self._total - self._done) / (self._done - self._first)
         minutes, seconds = divmod(round(seconds), 60)
         hours, minutes = divmod(minutes, 60)
-        to_go = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes:02d}:{seconds:02d}"
-        return f"{line}, {to_go} to go"
+        clock = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes:02d}:{seconds:02d}"
+        return f"{line}, {clock} to go"
 
 
 class Progress:
-    """Counts patterns or steps, and says when the rest will be done; a context manager.
+    """Progress of a job: a bar on a terminal, else lines of the log; a context manager.
 
     Parameters
     ----------
     name : str
-        What is in progress.
-    total, done : int
-        In all, 0 where that is unknown, and those done before.
+        Name of the work, such as "level 2".
+    total : int
+        Number of patterns or steps, 0 where it is unknown.
+    done : int
+        Number of those that were done before.
     shown : bool
+        Whether progress is shown at all.
     unit : str
-        What is counted, one of them.
+        Name of a pattern or step, in the singular.
     """
 
     def __init__(
@@ -138,7 +140,7 @@ class Progress:
             self._bar = _LoggedCount(name, total, done, unit)
 
     def advance(self, count: int) -> None:
-        """Count so many as done."""
+        """Count further patterns or steps as done."""
         if self._bar is not None:
             self._bar.update(count)
 

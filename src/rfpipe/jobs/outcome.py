@@ -15,17 +15,23 @@ from rfpipe.store import manifest_or_empty, read_manifest, write_manifest
 from rfpipe.transport.base import last_estimate
 
 FAILED = "failed.json"
-"""Lies in ``results`` after a run of which jobs failed."""
+"""Manifest of the failed jobs of a run, in the folder of results."""
 
-_LEVEL = "L"
-_NAMED = 4  # failures that the last line has
+_MAX_NAMED = 4
+"""Number of failures that the last line of a run names."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A job that failed: its stage, and its log relative to the run's folder.
+    """Failed job.
 
-    `scene`, `method` and `level` are empty where the job is of none.
+    Attributes
+    ----------
+    stage : str
+    log : str
+        Path of its log, relative to the run's folder.
+    scene, method, level : str
+        Acquisition and folder of the level; "" where the job belongs to none.
     """
 
     stage: str
@@ -36,7 +42,7 @@ class Failure:
 
     @classmethod
     def of_log(cls, stage: str, log: str) -> Failure:
-        """Return the failure of a job by its rule and its log, results/{scene}/{method}/..."""
+        """Return the failure of a job, by its rule and its log, results/{scene}/{method}/..."""
         folders = Path(log).parts[1:-1]
         if len(folders) < 2 or folders[0] == "report":
             return cls(stage, log)
@@ -44,20 +50,20 @@ class Failure:
         return cls(Path(log).stem, log, folders[0], folders[1], level)
 
     def __str__(self) -> str:
-        level = f"level {int(self.level[1:])}, " if self.level.startswith(_LEVEL) else ""
-        of = f"{self.scene} by {self.method}, {level}" if self.scene else ""
-        return f"{of}{self.stage}"
+        level = f"level {int(self.level[1:])}, " if self.level.startswith("L") else ""
+        acquisition = f"{self.scene} by {self.method}, {level}" if self.scene else ""
+        return f"{acquisition}{self.stage}"
 
 
 class FailedJobs(logging.Handler):
-    """Collects the jobs that Snakemake reports as failed."""
+    """Log handler that collects the jobs that Snakemake reports as failed."""
 
     def __init__(self) -> None:
         super().__init__()
         self._jobs: dict[str, tuple[Failure, list[Path]]] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take the job of a record that is about a failed one."""
+        """Record the job if the record reports a failed one."""
         from snakemake_interface_logger_plugins.common import LogEvent
 
         if getattr(record, "event", None) == LogEvent.JOB_ERROR:
@@ -81,30 +87,33 @@ def write_failures(results: Path, failures: Iterable[Failure]) -> None:
 
 
 def clear_failures(results: Path) -> None:
-    """Remove the failures of the run before."""
+    """Remove the failures of the previous run."""
     (results / FAILED).unlink(missing_ok=True)
 
 
 def read_failures(results: Path) -> list[Failure]:
-    """Return the failures of the last run; none where it succeeded."""
+    """Return the failures of the last run; an empty list if it succeeded."""
     with suppress(StoreError, KeyError, TypeError):
         return [Failure(**failure) for failure in read_manifest(results / FAILED)["failed"]]
     return []
 
 
 def failure_line(failures: list[Failure], folder: Path) -> str:
-    """Describe failures in a line, each with its log as seen from where the run was started."""
-    named = [
+    """Describe failures in a line, each with the path of its log.
+
+    `folder` is that of the run, relative to the current folder.
+    """
+    descriptions = [
         f"{failure} ({folder / failure.log})" if failure.log else str(failure)
-        for failure in failures[:_NAMED]
+        for failure in failures[:_MAX_NAMED]
     ]
-    more = f"; and {len(failures) - _NAMED} more" if len(failures) > _NAMED else ""
-    return f"failed: {'; '.join(named)}{more}"
+    more = f"; and {len(failures) - _MAX_NAMED} more" if len(failures) > _MAX_NAMED else ""
+    return f"failed: {'; '.join(descriptions)}{more}"
 
 
 @dataclass(frozen=True)
-class Missed:
-    """An acquisition whose error is above its target.
+class MissedTarget:
+    """Target error that an acquisition missed.
 
     Attributes
     ----------
@@ -112,8 +121,8 @@ class Missed:
     error, target : float
         Relative, see `rfpipe.relighting.picture_errors`.
     quantity : str
-        What the error is of, and how it is known.
-    why : str
+        Such as "measured error" or "estimated error of indirect light".
+    warning : str
         The method's last warning, or "".
     """
 
@@ -122,23 +131,30 @@ class Missed:
     error: float
     target: float
     quantity: str
-    why: str
+    warning: str
 
     def __str__(self) -> str:
-        why = f" ({self.why})" if self.why else ""
+        warning = f" ({self.warning})" if self.warning else ""
         return (
             f"{self.scene} by {self.method}, {self.quantity} {100 * self.error:.3g} %, "
-            f"target {100 * self.target:.3g} %{why}"
+            f"target {100 * self.target:.3g} %{warning}"
         )
 
 
 def missed_targets(
     results: Path, acquisitions: Iterable[tuple[str, str]], margin: float
-) -> list[Missed]:
-    """Return the acquisitions that missed their ``target_error`` or ``target_indirect``.
+) -> list[MissedTarget]:
+    """Return the targets that acquisitions missed, at most one for each acquisition.
 
-    The error is measured by pictures for verification, up to `margin` times the target, or else the
-    method's estimate. Unfinished acquisitions are skipped.
+    Parameters
+    ----------
+    results : Path
+        Folder of results.
+    acquisitions : iterable of (str, str)
+        Scene and method; unfinished acquisitions are skipped.
+    margin : float
+        Factor on a target up to which the error measured by verification pictures meets it. Without
+        such pictures, the method's estimate has to meet the target itself.
     """
     missed = []
     for scene, method in acquisitions:
@@ -146,24 +162,24 @@ def missed_targets(
         with suppress(StoreError):
             acquired = read_manifest(folder / "transport.json")
             verified = manifest_or_empty(folder / "verification.json")
-            missed += _missed(acquired, verified, margin, _warnings(folder, acquired))
+            missed += _missed(acquired, verified, margin, _last_warning(folder, acquired))
     return missed
 
 
 def _missed(
-    acquired: Mapping[str, Any], verified: Mapping[str, Any], margin: float, why: str
-) -> list[Missed]:
-    """Compare the errors of an acquisition with the options of its method; name one at most."""
+    acquired: Mapping[str, Any], verified: Mapping[str, Any], margin: float, warning: str
+) -> list[MissedTarget]:
+    """Return the first target that an acquisition missed, in a list, or an empty list."""
     measured, estimated = (verified.get("mean_error"), None), last_estimate(acquired["levels"])
     for miss in misses(acquired.get("options", {}), measured, estimated, margin):
         quantity = f"{'estimated' if miss.is_estimate else 'measured'} {miss.quantity}"
         names = acquired["scene"], acquired["method"]
-        return [Missed(*names, miss.error, miss.target, quantity, why)]
+        return [MissedTarget(*names, miss.error, miss.target, quantity, warning)]
     return []
 
 
-def _warnings(folder: Path, acquired: Mapping[str, Any]) -> str:
-    """Return the method's last warning, see `rfpipe.stages.refine`."""
+def _last_warning(folder: Path, acquired: Mapping[str, Any]) -> str:
+    """Return the last warning that the method logged, see `rfpipe.stages.refine`; "" for none."""
     for number, _ in reversed(acquired.get("made_of", {}).get("refine", [])):
         warnings = manifest_or_empty(folder / f"L{number:02d}" / "refine.json").get("warnings")
         if warnings:

@@ -1,4 +1,4 @@
-"""Where Snakemake itself runs: how a run was started, and what is said when jobs or a run end."""
+"""Adaptations of Snakemake: messages on reruns and failures, and a notification at the end."""
 
 from __future__ import annotations
 
@@ -16,25 +16,32 @@ _PATIENCE_SECONDS = 60
 
 
 def check_no_braces(name: str, path: str | Path) -> None:
-    """Refuse a path that Snakemake can't have: it takes braces in it for wildcards.
+    """Raise InputError for a path with braces, in which Snakemake would see wildcards.
 
-    Of a run's folder, Snakemake then finds no locks or those of other folders. Raises InputError.
+    In such a run's folder, Snakemake doesn't find its locks, or finds those of another folder.
+
+    Parameters
+    ----------
+    name : str
+        Name of the setting or option.
+    path : str or Path
     """
     if any(brace in str(path) for brace in "{}"):
         raise InputError(
-            f"{name} is {path}; Snakemake takes braces in a path for wildcards. Use a folder "
-            "without braces in its name and in those above it"
+            f"{name} is {path}; Snakemake reads braces in a path as wildcards. Use a folder "
+            "whose path has no braces"
         )
 
 
 def notify(command: str | None, status: Literal["done", "failed"], log: str) -> None:
-    """Run the user's command at the end of a run, which may be at night.
+    """Run the user's command at the end of a run.
 
     Parameters
     ----------
     command : str or None
-        A program and its arguments, quoted as for a shell, which isn't used. It finds
-        ``RFPIPE_STATUS`` and ``RFPIPE_LOG`` in its environment and has a minute. None does nothing.
+        A program and its arguments, quoted as for a shell, but run without one; its environment has
+        ``RFPIPE_STATUS`` and ``RFPIPE_LOG``, and it is ended after a minute. None: no command.
+    status : {"done", "failed"}
     log : str
         Snakemake's log file.
     """
@@ -48,9 +55,9 @@ def notify(command: str | None, status: Literal["done", "failed"], log: str) -> 
 
 
 def list_changed_parameters_alone() -> None:
-    """Let ``--list-changes params`` list outputs of changed parameters, not every output.
+    """Make ``--list-changes params`` list only outputs whose parameters changed.
 
-    Snakemake 9 lists the outputs of jobs whose parameters are the same, too.
+    Snakemake 9 also lists the outputs of jobs whose parameters are the same.
     """
     from snakemake.persistence import ParamsChange
 
@@ -58,10 +65,10 @@ def list_changed_parameters_alone() -> None:
 
 
 def explain_reruns() -> None:
-    """Let a run explain jobs that changed settings trigger, in place of Snakemake's advice.
+    """Make a run explain jobs that changed settings trigger, instead of giving Snakemake's advice.
 
-    Snakemake advises to look at times alone, or to remove its records, by which results of other
-    settings would stay.
+    Snakemake advises to compare only file times, or to remove its records; both would keep results
+    of other settings.
     """
     from snakemake.workflow import Workflow
 
@@ -69,14 +76,14 @@ def explain_reruns() -> None:
         reasons = map(workflow.dag.reason, workflow.dag.needrun_jobs(exclude_finished=False))
         if any(reason.is_provenance_triggered() for reason in reasons):
             logging.getLogger("snakemake.logging").info(
-                "Settings or code changed; config/README.md lists which change runs what again."
+                "Settings or code changed; config/README.md lists what each change reruns."
             )
 
     Workflow.log_provenance_info = log_reasons
 
 
 def say_failed_jobs(logger: logging.Logger) -> None:
-    """Let Snakemake say by what jobs failed on other machines, of which its profile is quiet."""
+    """Make Snakemake print why jobs failed on other machines, which its profile suppresses."""
     from snakemake.logging import DefaultFormatter
     from snakemake_interface_logger_plugins.common import LogEvent
 

@@ -1,8 +1,9 @@
-"""Snakemake's lock of a run's folder, removed automatically after its holder was killed.
+"""Snakemake's lock of a run's folder, removed automatically after a run was killed.
 
 Snakemake's lock files don't name the process that made them. A run therefore holds a `StoreLock`
-beside them, which the system releases however the process ends, and records the inodes and times of
-Snakemake's lock files. If that lock is free and the same files still exist, the run was killed.
+next to them, which the operating system releases however the process ends, and records the inodes
+and times of Snakemake's lock files. If that lock is free and the same files still exist, the run
+was killed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from rfpipe.store import StoreLock, read_manifest, write_manifest
 
 _SNAKEMAKE = Path(".snakemake")
 _LOCKS = "locks"
-_HELD = "rfpipe_run"  # names the lock
+_RUN_LOCK = "rfpipe_run"
 _RECORD = "rfpipe_run.json"
 _NAME_LENGTH = 200
 
@@ -25,11 +26,11 @@ _NAME_LENGTH = 200
 def hold(folder: Path = Path()) -> None:
     """Hold the lock of a run until this process ends, and record Snakemake's lock files.
 
-    Does nothing where another run, of other targets in the same folder, holds it.
+    Does nothing if another run holds it, with other targets in the same folder.
     """
     home = folder / _SNAKEMAKE
     with suppress(LockedError):
-        StoreLock(home / _HELD).acquire()
+        StoreLock(home / _RUN_LOCK).acquire()
         write_manifest(home / _RECORD, {"locks": _lock_files(home)})
 
 
@@ -39,20 +40,21 @@ def free_if_dead(folder: Path, unlocking: str | None) -> bool:
     Parameters
     ----------
     folder : Path
-        The run's.
+        Folder of the run.
     unlocking : str or None
-        The command that removes a lock of unknown origin, for the message; None for that command.
+        Command that removes a lock of unknown origin, for the message; None while that command
+        runs.
 
     Raises
     ------
     LockedError
-        When another run works in the folder, or that isn't known.
+        If another run works in the folder, or may do so.
     """
     home = folder / _SNAKEMAKE
     if not _lock_files(home):
         return False
-    lock = StoreLock(home / _HELD)
-    holder = StoreLock.holder(home / _HELD)
+    lock = StoreLock(home / _RUN_LOCK)
+    holder = StoreLock.holder(home / _RUN_LOCK)
     if holder is not None:
         raise LockedError(
             f"{folder.absolute()}: process {holder} is running the workflow in this folder; wait "
@@ -66,7 +68,7 @@ def free_if_dead(folder: Path, unlocking: str | None) -> bool:
             if unlocking is None:
                 return False
             raise LockedError(
-                f"{folder.absolute()}: this folder is locked by a Snakemake that isn't known here: "
+                f"{folder.absolute()}: this folder is locked by an unknown Snakemake: "
                 "it still runs, or was killed before its first job. If it still runs, wait until "
                 f"it ends; if it doesn't, free the folder with: {unlocking}"
             )
@@ -75,10 +77,10 @@ def free_if_dead(folder: Path, unlocking: str | None) -> bool:
 
 
 def unrecorded(folder: Path) -> list[str]:
-    """Acquisitions of a run whose settings Snakemake has no record of, ``SCENE/METHOD``.
+    """Return the acquisitions whose settings Snakemake has no record of, ``SCENE/METHOD``.
 
-    Without these records, which lie in ``.snakemake`` beside ``results``, Snakemake takes complete
-    results for those of today's settings.
+    Without these records, which are in ``.snakemake`` next to ``results``, Snakemake assumes that
+    complete results were made with the current settings.
     """
     metadata = folder / _SNAKEMAKE / "metadata"
     names = [
@@ -88,7 +90,7 @@ def unrecorded(folder: Path) -> list[str]:
 
 
 def _has_record(metadata: Path, output: str) -> bool:
-    """Whether Snakemake has a record of an output; it divides the names of long ones."""
+    """Test whether Snakemake has a record of an output; it divides long names into folders."""
     name = urlsafe_b64encode(output.encode()).decode()
     if len(name) > _NAME_LENGTH:
         return metadata.is_dir()
@@ -100,13 +102,13 @@ def _lock_files(home: Path) -> dict[str, list[int]]:
     files = {}
     for path in sorted((home / _LOCKS).glob("*.lock")):
         with suppress(FileNotFoundError):
-            about = path.stat()
-            files[path.name] = [about.st_ino, about.st_mtime_ns]
+            status = path.stat()
+            files[path.name] = [status.st_ino, status.st_mtime_ns]
     return files
 
 
 def _recorded(home: Path) -> dict[str, list[int]] | None:
-    """Lock files of the last run that held the lock."""
+    """Lock files that the last run recorded; None without a record."""
     try:
         locks: dict[str, list[int]] = read_manifest(home / _RECORD)["locks"]
     except (StoreError, KeyError):

@@ -1,18 +1,18 @@
-"""Targets that an acquisition was given, and errors above them."""
+"""Comparison of an acquisition's errors with its targets."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-_KINDS = (
+_QUANTITIES = (
     ("error", "target_error", "estimated_error"),
     ("error of indirect light", "target_indirect", "estimated_indirect"),
 )
 
 
 class Miss(NamedTuple):
-    """An error above its target.
+    """Error above its target.
 
     Attributes
     ----------
@@ -20,9 +20,9 @@ class Miss(NamedTuple):
     error, target, accepted : float
         Relative, see `rfpipe.relighting.picture_errors`; errors up to `accepted` meet the target.
     estimate : float or None
-        The method's estimate of the error.
+        Error as the method estimated it.
     is_estimate : bool
-        Whether the error is that estimate, since none was measured.
+        Whether `error` is that estimate, because none was measured.
     """
 
     quantity: str
@@ -44,19 +44,19 @@ def misses(
     Parameters
     ----------
     options : mapping
-        Of the method; ``target_error`` and ``target_indirect`` count.
+        Options of the method, of which ``target_error`` and ``target_indirect`` are compared.
     measured : (float or None, float or None)
-        Measured mean error, and that of indirect light; None where the estimate counts.
+        Measured mean error, and that of indirect light; None to compare the estimate.
     estimated : mapping
         ``estimated_error`` and ``estimated_indirect`` of the last level that has them.
     margin : float
         Factor on the target up to which a measured error meets it.
     """
-    for (quantity, target_name, name), known in zip(_KINDS, measured, strict=True):
+    for (quantity, target_name, name), measurement in zip(_QUANTITIES, measured, strict=True):
         target, estimate = options.get(target_name), estimated.get(name)
-        error = estimate if known is None else known
+        error = estimate if measurement is None else measurement
         if error is None or target is None:
             continue
-        accepted = target * (1.0 if known is None else margin)
+        accepted = target * (1.0 if measurement is None else margin)
         if error > accepted:
-            yield Miss(quantity, error, target, accepted, estimate, known is None)
+            yield Miss(quantity, error, target, accepted, estimate, measurement is None)

@@ -1,6 +1,6 @@
-"""What a stage may use, memory and cores, and its work side by side within that.
+"""Memory and threads of a job, and parallel work within them, on this machine or on a cluster.
 
-The workers of a `dask.distributed` cluster share the results' file system.
+The workers of a `dask.distributed` cluster must share the file system of the results.
 """
 
 from __future__ import annotations
@@ -24,34 +24,39 @@ from rfpipe.provenance import code_digest, fingerprint, versions
 
 Result = TypeVar("Result")
 Work = Callable[[int, int], Result]
-"""``work(first, last)`` does a piece; any thread, or process of a cluster, may call it."""
+"""``work(first, last)`` does a piece of work; called by any thread, or process of a cluster."""
 
-# Half of the budget is for Python with its libraries, and what an estimate leaves out.
 _SHARE_FOR_DATA = 0.5
-# Pieces per thread: one in hand, one to go on with.
-_AHEAD = 2
+"""Share of the memory for data; the remainder is for Python, libraries and estimation errors."""
+
+_PIECES_PER_THREAD = 2
+"""Pieces of work handed out per thread, so that a thread never waits for its next piece."""
 
 _PATIENCE_SECONDS = 10
-_HERE = ("localhost", "127.0.0.1")
+_LOCAL_HOSTS = ("localhost", "127.0.0.1")
 
 _log = logging.getLogger(__name__)
 
-HandOut = Callable[[Work[Any]], Callable[[int, int], Any]]
-"""Takes the work and returns a function that hands out one piece of it, and returns a future."""
+Submit = Callable[[int, int], Any]
+"""``submit(first, last)`` starts a piece of work and returns its future."""
+
+HandOut = Callable[[Work[Any]], Submit]
+"""Returns the function that submits pieces of some work."""
 
 
 @dataclass(frozen=True)
 class Resources:
-    """Memory and cores of a job. No result depends on them.
+    """Memory and threads of a job; no result depends on them.
 
     Parameters
     ----------
     memory_gib : float
         Peak memory of the job in GiB, above 0.
     threads : int
-        Threads to work with, at least 1.
+        Number of threads, at least 1.
     where : str
-        "threads" of this process, or the address of a dask scheduler, as ``tls://host:8786``.
+        "threads" of this process, or the address of a dask scheduler, such as
+        ``tls://host:8786``.
     """
 
     memory_gib: float = 4.0
@@ -61,41 +66,54 @@ class Resources:
     @classmethod
     def of_job(cls, snakemake: Any) -> Resources:
         """Return the resources of a job of the workflow."""
-        asked = snakemake.resources
-        memory_gib = asked.mem_mib / 1024
-        if "memory_gib" in asked.keys():  # noqa: SIM118 - Snakemake's resources are no mapping
-            memory_gib = min(memory_gib, float(asked.memory_gib))
-        return cls(memory_gib, snakemake.threads, asked.get("workers") or THREADS)
+        resources = snakemake.resources
+        memory_gib = resources.mem_mib / 1024
+        if "memory_gib" in resources.keys():  # noqa: SIM118 - Snakemake's resources are no mapping
+            memory_gib = min(memory_gib, float(resources.memory_gib))
+        return cls(memory_gib, snakemake.threads, resources.get("workers") or THREADS)
 
     @property
     def data_bytes(self) -> int:
-        """Bytes that the data in hand may take."""
+        """Memory for data in bytes."""
         return int(self.memory_gib * 2**30 * _SHARE_FOR_DATA)
 
     @property
-    def here(self) -> Resources:
-        """The same in this process."""
+    def local(self) -> Resources:
+        """The same resources, with the threads of this process."""
         return replace(self, where=THREADS)
 
-    def fitting(self, bytes_each: int, most: int) -> int:
-        """Return how many things of a size fit into memory, from 1 to `most`."""
-        return max(1, min(most, self.data_bytes // max(1, bytes_each)))
+    def fitting_count(self, bytes_per_item: int, limit: int) -> int:
+        """Return the number of items of a size that fit into memory, from 1 to `limit`."""
+        return max(1, min(limit, self.data_bytes // max(1, bytes_per_item)))
 
     @contextmanager
-    def workers(self, bytes_each: int, folder: Path) -> Iterator[Workers]:
-        """Provide workers for pieces of work that take `bytes_each` while they are in hand.
+    def workers(self, bytes_per_piece: int, folder: Path) -> Iterator[Workers]:
+        """Provide workers for pieces of work.
 
-        `folder` is one that the work reads or writes; a cluster's workers must see it. Raises
-        ClusterError when they don't, or the cluster doesn't answer.
+        Parameters
+        ----------
+        bytes_per_piece : int
+            Memory of a piece of work in bytes.
+        folder : Path
+            Folder that the work reads or writes.
+
+        Raises
+        ------
+        ClusterError
+            If the cluster doesn't answer, or its workers don't see the folder.
         """
         if self.where != THREADS:
             with connected(self.where, folder) as (hand_out, threads):
-                yield Workers(hand_out, self.fitting(bytes_each, _AHEAD * threads))
+                yield Workers(
+                    hand_out, self.fitting_count(bytes_per_piece, _PIECES_PER_THREAD * threads)
+                )
             return
-        count = self.fitting(_AHEAD * bytes_each, self.threads)
+        count = self.fitting_count(_PIECES_PER_THREAD * bytes_per_piece, self.threads)
         with ThreadPoolExecutor(count) as pool:
             try:
-                yield Workers(partial(partial, pool.submit), _AHEAD * count if count > 1 else 1)
+                yield Workers(
+                    partial(partial, pool.submit), _PIECES_PER_THREAD * count if count > 1 else 1
+                )
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
@@ -103,35 +121,57 @@ class Resources:
 
 @dataclass(frozen=True)
 class Workers:
-    """Does pieces of work, `in_flight` at a time: with their results, all that is in memory."""
+    """Parallel workers.
+
+    Attributes
+    ----------
+    hand_out : callable
+        See `HandOut`.
+    in_flight : int
+        Number of pieces handed out at a time, including finished ones whose result isn't used yet.
+    """
 
     hand_out: HandOut
     in_flight: int
 
-    def results(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:
-        """Yield ``work(first, last)`` of each run, in their order."""
-        ask = self.hand_out(work)
-        handed_out: deque[Any] = deque()
-        for first, last in runs:
-            if len(handed_out) == self.in_flight:
-                yield handed_out.popleft().result()
-            handed_out.append(ask(first, last))
-        while handed_out:
-            yield handed_out.popleft().result()
+    def results(self, work: Work[Result], pieces: Iterable[tuple[int, int]]) -> Iterator[Result]:
+        """Yield ``work(first, last)`` for each piece, in their order."""
+        submit = self.hand_out(work)
+        futures: deque[Any] = deque()
+        for first, last in pieces:
+            if len(futures) == self.in_flight:
+                yield futures.popleft().result()
+            futures.append(submit(first, last))
+        while futures:
+            yield futures.popleft().result()
 
 
 @contextmanager
 def connected(address: str, folder: Path) -> Iterator[tuple[HandOut, int]]:
-    """Connect to a scheduler; provide what hands out work, and the number of its workers' threads.
+    """Connect to a dask scheduler.
 
-    Certificates are those of dask's own settings. Raises ClusterError when no scheduler with
-    workers answers, or one doesn't see the folder or has another rfpipe.
+    The certificates are those of dask's settings.
+
+    Yields
+    ------
+    hand_out : callable
+        See `HandOut`.
+    threads : int
+        Number of threads of all workers.
+
+    Raises
+    ------
+    ClusterError
+        If no scheduler with workers answers, or a worker doesn't see the folder or has another
+        version of rfpipe.
     """
     import distributed
 
     setting = f"resources.workers is {address}"
-    if not address.startswith("tls:") and urlsplit(address).hostname not in _HERE:
-        text = "%s: not encrypted, and dask unpickles what it gets: use tls:// (docs/parallel.md)"
+    if not address.startswith("tls:") and urlsplit(address).hostname not in _LOCAL_HOSTS:
+        text = (
+            "%s: not encrypted, and dask unpickles what it receives: use tls:// (docs/parallel.md)"
+        )
         _log.warning(text, setting)
     connect: Any = distributed.Client  # without types
     with ExitStack() as stack:
@@ -148,59 +188,61 @@ def connected(address: str, folder: Path) -> Iterator[tuple[HandOut, int]]:
             ) from error
         unfit = client.run(_unfit, folder.absolute(), _our_code(), on_error="return")
         for worker, reason in unfit.items():
-            if reason is not None:  # an exception where there is no rfpipe, or another one
+            if reason is not None:  # an exception without rfpipe, or with another version
                 raise ClusterError(f"{setting}: {worker} {reason}")
 
-        def hand_out(work: Work[Any]) -> Callable[[int, int], _Promise]:
-            # by a task, which is done again where the worker that has the work dies
-            held = client.submit(_held, work, pure=False)
-            return lambda first, last: _Promise(
-                client.submit(_do, held, first, last, pure=False), setting
+        def hand_out(work: Work[Any]) -> Submit:
+            # as a task, which dask repeats if the worker that holds the work dies
+            remote_work = client.submit(_identity, work, pure=False)
+            return lambda first, last: _Future(
+                client.submit(_do, remote_work, first, last, pure=False), setting
             )
 
         yield hand_out, sum(client.nthreads().values())
 
 
 @dataclass(frozen=True)
-class _Promise:
-    future: Any  # of distributed
+class _Future:
+    """Future of dask, whose loss raises ClusterError."""
+
+    future: Any
     setting: str
 
     def result(self) -> Any:
-        """Wait for the result, or raise the error of the work; ClusterError where it was lost."""
+        """Wait for the result; raise the error of the work, or ClusterError if it was lost."""
         from distributed import KilledWorker
 
         try:
             return self.future.result()
         except (KilledWorker, CancelledError) as error:
             raise ClusterError(
-                f"{self.setting}: the work was lost ({type(error).__name__}: {error}). What is "
-                "done is kept. See dask's logs, a worker may have too little memory; start what is "
-                "missing and run again"
+                f"{self.setting}: the work was lost ({type(error).__name__}: {error}). Finished "
+                "work is kept. See dask's logs: a worker may have too little memory. Start missing "
+                "workers and run again"
             ) from error
 
 
-def _held(work: Work[Result]) -> Work[Result]:
+def _identity(work: Work[Result]) -> Work[Result]:
     return work
 
 
 def _do(work: Work[Result], first: int, last: int) -> Result:
-    """Do a piece of the work in a worker, with one thread: pieces are done side by side."""
+    """Do a piece of work in a worker, with one thread, since pieces run in parallel."""
     if "numba" in sys.modules:
         import numba
 
-        numba.set_num_threads(1)  # of this thread alone
+        numba.set_num_threads(1)  # for this thread only
     else:
         os.environ.setdefault("NUMBA_NUM_THREADS", "1")
     return work(first, last)
 
 
 def _unfit(folder: Path, code: str) -> str | None:
-    """Return why this process can't do the work, or None."""
+    """Return the reason why this process can't do the work, or None."""
     if not folder.is_dir():
         return f"does not see {folder}. Mount it there, under the same path"
     if code != _our_code():
-        return "runs another version of rfpipe or what it rests on. Install the same and restart it"
+        return "runs another version of rfpipe or its dependencies. Install the same and restart it"
     return None
 
 
@@ -210,8 +252,8 @@ def _our_code() -> str:
 
 
 def machine_memory_mb() -> int:
-    """Return the memory of this machine, or its control group's share of it, in MB."""
-    have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    """Return the memory of this machine, or the limit of its control group, in MB."""
+    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     with suppress(OSError, ValueError):  # no groups, or "max"
-        have = min(have, int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return have // 10**6
+        available = min(available, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return available // 10**6

@@ -33,7 +33,6 @@ State = Literal["failed", "running", "stopped", "waiting", "done"]
 _STATES: tuple[State, ...] = ("failed", "running", "stopped", "waiting", "done")
 
 _ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
-_STOPPED = "stopped; what is done is kept"
 _LONGEST_WHY = 400
 _TAIL_BYTES = 65_536
 _SIDE = 96  # pixels of a small picture
@@ -153,7 +152,7 @@ def _ended(folder: Path) -> Standing:
     except OSError:
         begun = any(folder.iterdir())
         return Standing("stopped", _reached(folder)) if begun else Standing("waiting")
-    if not errors or errors[-1].startswith(_STOPPED):
+    if not errors:
         return Standing("stopped", _reached(folder))
     return Standing("failed", errors[-1][:_LONGEST_WHY])
 

@@ -71,7 +71,7 @@ def run_levels(
 ) -> None:
     """Take an acquisition through all stages of all levels, whatever stands there; see `run`."""
     work = {
-        name: partial(capture, resources=resources.here)
+        name: partial(capture, resources=resources.local)
         if name == "capture"
         else _function(name, plan, resources)
         for name in STAGES
@@ -122,7 +122,7 @@ class StageJob:
         """Do the stage of a rule."""
         name = "capture" if rule.startswith("capture") else rule
         if name == "capture":
-            stage: Callable[..., None] = partial(self.capture, resources=self.resources.here)
+            stage: Callable[..., None] = partial(self.capture, resources=self.resources.local)
         else:
             stage = _function(rule, None if rule == "merge" else self.plan, self.resources)
         of_level = () if rule == "assemble" else (self.level,)

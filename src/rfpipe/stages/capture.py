@@ -120,7 +120,7 @@ def run(
     # in hand they have complements.
     in_sequences = sequence_patterns(rig)
     in_hand = _bytes_in_hand(rig) * (2 if in_sequences else 1)
-    batch = (resources or Resources()).fitting(in_hand, in_sequences or batch_patterns)
+    batch = (resources or Resources()).fitting_count(in_hand, in_sequences or batch_patterns)
     beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
     # a simulated scene may be recorded at its first picture
     with counted_by(partial(Progress, unit="step", shown=progress)):

@@ -228,7 +228,7 @@ def capture_and_merge(
 ) -> None:
     """Capture the scheduled pictures that verify a transport, and merge them; see `run`."""
     options = capture_options(folder, pictures, settings["capture"])
-    capture(folder, VERIFICATION, **options, resources=resources.here)
+    capture(folder, VERIFICATION, **options, resources=resources.local)
     merging = {**settings["merge"], "divide_out_drift": True}
     merge.run(folder, VERIFICATION, **merging, resources=resources)
 
