@@ -104,6 +104,10 @@ class InputError(RfpipeError, ValueError):
     """An argument has the wrong shape, dtype, range or kind."""
 
 
+class UnsuitableValueError(ValueError):
+    """The value of a setting is unsuitable; the message completes "it should ..."."""
+
+
 class CaptureError(RfpipeError):
     """A rig failed, or the picture it returned can't belong to the displayed pattern."""
 

@@ -39,7 +39,7 @@ def write_run(folder: Path, *scenes: str) -> Path:
         (place / "L00/capture.zarr").mkdir()
         (place / "L00/capture.zarr/c.0").write_bytes(b"a frame")
         (place / "acquire.log").write_text(f"in {folder}")
-    settings = {"provenance": {"configuration": settings_of_a_plane().shaping()}}
+    settings = {"provenance": {"configuration": settings_of_a_plane().result_settings()}}
     table = "scene,patterns,error,psnr\ndesk,12,0.1,\ndesk,3,1,4.5\n"
     for name, text in {
         "index.html": "<h1>Report</h1>",

@@ -83,7 +83,7 @@ def acquired(results: Path, config: Config) -> None:
         rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
         asked = config.methods_of(scene)[method]
         options = asked.options()
-        result = acquire(rig, asked.subject, progress=False, **options)
+        result = acquire(rig, asked.plugin, progress=False, **options)
         digest = save_transport(result.transport, folder / "transport.zarr")
         about = {"scene": scene, "method": method, "options": options}
         manifest = {**about, "digest": digest, "patterns": result.patterns}

@@ -53,8 +53,8 @@ def test_the_default_file_shows_what_a_person_decides() -> None:
     assert RUN.methods_of(next(iter(shown))).keys() == {"auto"}
     assert next(iter(shown.values())).shape >= (96, 108)
     # numbers that are shown and left at their defaults are the defaults
-    assert RUN.shaping() == {**parse_config(BARE, "bare").shaping(), **{
-        name: RUN.shaping()[name] for name in ("scenes", "methods", "report")
+    assert RUN.result_settings() == {**parse_config(BARE, "bare").result_settings(), **{
+        name: RUN.result_settings()[name] for name in ("scenes", "methods", "report")
     }}  # fmt: skip
 
 
@@ -94,12 +94,12 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
 
 MISTAKES = """
 methods: {symmetric: {tolerence: 1}} -> methods.symmetric.tolerence is unknown; did you mean tolera
-methods: {symmetric: {tolerance: 2 s}} -> tolerance is '2 s'; it should be a valid number
+methods: {symmetric: {tolerance: 2 s}} -> tolerance is '2 s'; it should be a number
 methods: {symmetric: {tolerance: yes}} -> tolerance is true; it should not be true
 methods: {dual: {patterns: 9}} -> dual.patterns is unknown; Known here: method, noise_significance,
 methods: [dual] -> methods is ['dual']; it should be a section for each method, as in {dual: {}}
-methods: {Dual!: {method: dual}} -> methods.Dual! is 'Dual!'; it should match pattern
-camera: {exposures: [15, 125]} -> exposures[1] is 125; it should .* 60. (Exposure times .* seconds
+methods: {Dual!: {method: dual}} -> methods.Dual! is 'Dual!'; it should match the pattern
+camera: {exposures: [15, 125]} -> exposures[1] is 125; it should be at most 60. (Exposure times .* seconds
 camera: {exposures: [1.0, 0.1]} -> camera: exposures is (1.0, 0.1); it should ascend
 camera: {black_level_counts: 255, bits: 8} -> camera: black_level_counts is 255; .* 255 at 8 bits
 capture: 3 -> capture is 3; it should be a group of 'key: value' settings
@@ -112,11 +112,11 @@ scenes: {a: {kind: plane, shpae: 8 x 8}} -> scenes.a.shpae is unknown; did you m
 scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surfaces (left, right), not
 {camera: {bayer: RGGB}, scenes: {a: {kind: plane, channels: 1}}} -> scenes.a.channels is 1; set it
 scenes: {a: {kind: room, methods: {}}} -> scenes.a.methods is {}
-scenes: {a: {kind: captured, shape: 4 x 5}} -> capture.rig should be remote or offline for scenes.a
+scenes: {a: {kind: captured, shape: 4 x 5}} -> scenes.a: capture.rig should be remote or offline
 {scenes: {a: &a {kind: captured}, b: *a}, capture: {rig: remote}} -> scenes .* capture.rig remote
 {scenes: {a: &a {kind: captured}, b: *a}, capture: {rig: offline}} -> scenes .* capture.rig offline
-{scenes: {a: {kind: captured, camera_shape: 6 x 7}},capture: {rig: remote}} -> a.methods .* any rig
-scenes: {a: {kind: plane, surfaces: [white], projector: {position: [1, 0, 0]}}} -> .* any rig
+{scenes: {a: {kind: captured, camera_shape: 6 x 7}},capture: {rig: remote}} -> scenes.a.methods: .* any rig
+scenes: {a: {kind: plane, surfaces: [white], projector: {position: [1, 0, 0]}}} -> scenes.a.methods: .* any rig
 scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is unknown
 """
 
@@ -139,11 +139,11 @@ NO_CAMERAS = """
 {scenes: {}, seed: 3} -> has no section camera, only scenes, seed; expected 'camera:'
 {bits: 14} -> has no section camera, only bits
 {camera: {bitss: 3}} -> camera.bitss is unknown; did you mean bits?
-{camera: {bits: 99}} -> camera.bits is 99; it should be less than or equal to 16. (Bits of
+{camera: {bits: 99}} -> camera.bits is 99; it should be at most 16. (Bits of
 {camera: {exposures: [2, 1]}} -> camera: exposures is (2.0, 1.0); it should ascend
 {camera: 14 bits} -> camera is '14 bits'; it should be a group
-[camera] -> holds ['camera']; expected
-{camera: {bits: 14}, camera: {bits: 12}} -> the key 'camera' stands twice
+[camera] -> contains ['camera']; expected
+{camera: {bits: 14}, camera: {bits: 12}} -> the key 'camera' appears twice
 """
 
 
@@ -186,7 +186,7 @@ def test_a_method_stands_twice_under_names_of_its_own() -> None:
     fine = {"method": "symmetric", "tolerance": 1e-4}
     settings = parse_config({**BARE, "methods": {"symmetric": {}, "fine": fine}}, "mine.yaml")
     assert list(settings.methods) == ["symmetric", "fine"]
-    assert settings.methods["fine"].subject.name == "symmetric"
+    assert settings.methods["fine"].plugin.name == "symmetric"
 
 
 @pytest.mark.parametrize(
@@ -234,14 +234,14 @@ def test_every_mistake_is_reported_once() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("seed: 1\nseed: 2\n", "the key 'seed' stands twice"),
+        ("seed: 1\nseed: 2\n", "the key 'seed' appears twice"),
         ("seed: [1\n", "is not valid YAML"),
         ("- seed\n", "expected 'key: value' lines"),
         ("? [a, b]\n: 1\n", "found unhashable key"),
         (f"seed: {'9' * 5000}\n", "is not valid YAML"),
         (f"seed: {'[' * 3000}\n", "is not valid YAML"),
-        ("seed: 010\n", "010 may be meant as one of two numbers"),
-        ("capture: {warm_up_minutes: 1:30}\n", "1:30 may be meant as one of two numbers"),
+        ("seed: 010\n", "010 is ambiguous"),
+        ("capture: {warm_up_minutes: 1:30}\n", "1:30 is ambiguous"),
     ],
 )
 def test_broken_file(tmp_path: Path, text: str, expected: str) -> None:

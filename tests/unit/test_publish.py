@@ -86,7 +86,7 @@ def test_zips_and_folders_hold_the_same_bytes_with_their_digests(run: Path) -> N
     assert {name for name in files if not name.startswith("source/")} == expected
     assert not any(str(run).encode() in content for content in files.values())
     settings = parse_config(yaml.safe_load(files["settings.yaml"]), "settings.yaml")
-    assert settings.shaping() == known_matrix.settings_of_a_plane().shaping()
+    assert settings.result_settings() == known_matrix.settings_of_a_plane().result_settings()
 
 
 def test_licence_and_creators_are_asked_for_once(run: Path) -> None:

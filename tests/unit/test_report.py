@@ -160,8 +160,8 @@ def test_costs_count_patterns_bytes_and_seconds(results, inputs):
 def test_a_summary_names_what_the_report_was_made_from(results):
     found = json.loads((results / "report" / "results.json").read_text("utf-8"))["provenance"]
     assert (found["seed"], found["versions"]) == (BOTH.seed, versions())
-    assert found["configuration"] == BOTH.shaping()
-    assert found["configuration_fingerprint"] == fingerprint(BOTH.shaping())
+    assert found["configuration"] == BOTH.result_settings()
+    assert found["configuration_fingerprint"] == fingerprint(BOTH.result_settings())
     for it in found["acquisitions"]:
         folder = results / it["scene"] / it["method"]
         assert it["transport_digest"] == read_manifest(folder / "transport.json")["digest"]

@@ -82,7 +82,7 @@ def test_each_setting_of_a_method_has_a_colour_and_a_marker_of_its_own(tmp_path:
     assert len(styles) == 5
     for name in ("color", "marker", "label"):
         assert len({style[name] for style in styles}) == 5, name
-    subject = CONFIG.methods["near_far"].subject
+    subject = CONFIG.methods["near_far"].plugin
     assert (styles[0]["color"], styles[0]["marker"]) == (subject.colour, subject.marker)
 
 

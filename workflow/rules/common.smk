@@ -20,7 +20,7 @@ SETTINGS = parse_config(
     config, "the configuration", [Path(file).parent for file in workflow.configfiles]
 )
 # All settings but those that shape no result.
-SHAPING = SETTINGS.shaping()
+SHAPING = SETTINGS.result_settings()
 
 check_no_braces("the run's folder", Path.cwd())
 check_no_braces("the workflow's folder", Path(workflow.current_basedir))

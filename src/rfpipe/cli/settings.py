@@ -1,4 +1,4 @@
-"""``rfpipe settings``: what may stand in a settings file."""
+"""``rfpipe settings``: the options of methods and scenes, and the schema of a settings file."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from rfpipe.config.base import Described
+    from rfpipe.config.base import PluginSettings
 
 
 def settings(
     of: Annotated[
         Literal["methods", "scenes", "schema"],
         typer.Argument(
-            help="The methods or kinds of scenes that are installed, each with its options; or the "
-            "JSON schema of a settings file, for editors."
+            help="methods or scenes: the installed methods or kinds of scenes, with the default, "
+            "meaning and range of each option. schema: the JSON schema of a settings file, with "
+            "which an editor completes and checks settings."
         ),
     ],
 ) -> None:
-    """List the methods or the kinds of scenes, each with its options; or print the JSON schema."""
+    """List methods or kinds of scenes with their options, or print the JSON schema."""
     from rfpipe import plugins
     from rfpipe.config import SceneSettings
     from rfpipe.config.model import Config
@@ -41,23 +42,25 @@ def settings(
         for name in plugins.names(plugins.SCENES):
             kind = plugins.find(plugins.SCENES, name)
             typer.echo(f"{name}: {(kind.__doc__ or '').partition('.')[0]}")
-            _list_options(SceneSettings.model_of(name), beside=SceneSettings)
+            _list_options(SceneSettings.model_of(name), base=SceneSettings)
 
 
-def _list_options(model: type[Described], beside: type[Described] | None = None) -> None:
-    """Print options with default and description, but for those that are the same `beside`."""
-    reference = _options(beside) if beside else {}
+def _list_options(model: type[PluginSettings], base: type[PluginSettings] | None = None) -> None:
+    """Print options with default and description, except those equal to options of `base`."""
+    reference = _options(base) if base else {}
     for option, line in _options(model).items():
         if option != model.key and reference.get(option) != line:
             typer.echo(f"    {line}")
 
 
-def _options(model: type[Described]) -> dict[str, str]:
+def _options(model: type[PluginSettings]) -> dict[str, str]:
     from pydantic_core import to_json
+
+    from rfpipe.config.schema import description_of
 
     lines = {}
     for option, field in model.model_fields.items():
         value = field.get_default(call_default_factory=True, validated_data={})
-        default = "needed" if field.is_required() else to_json(value).decode()
-        lines[option] = f"{option} ({default}): {field.description}"
+        default = "required" if field.is_required() else to_json(value).decode()
+        lines[option] = f"{option} ({default}): {description_of(field)}"
     return lines

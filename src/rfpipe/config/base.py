@@ -1,13 +1,11 @@
-"""What the settings' models share: strictness, messages, and sections by name."""
+"""Base classes of settings: strict models, and sections whose model depends on a name in them."""
 
 from __future__ import annotations
 
-import difflib
 import re
 import shlex
-import textwrap
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args, get_origin
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Self, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -21,12 +19,10 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from rfpipe import plugins
-from rfpipe.errors import InputError
-
-_T = TypeVar("_T")
+from rfpipe.config.mistakes import innermost, input_errors_as_mistakes, relocated
+from rfpipe.errors import InputError, UnsuitableValueError
 
 Extent = Annotated[int, Field(ge=1, le=4096)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
@@ -39,42 +35,38 @@ Corners = Annotated[tuple[tuple[Point, Point, Point, Point], ...], Field(min_len
 """Upper left, upper right, lower right and lower left corner (x, y) of each view, in pixels."""
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 
-Location = tuple[str | int, ...]
-
-_BETWEEN = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;,\s]+")
-
-
-_WORDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
-
-
-def setting(default: Any, about: str, **limits: Any) -> Any:
-    """Return a field, whose description tells its limits, too."""
-    bounds = [f"{_WORDS[name]} {value:g}" for name, value in limits.items() if name in _WORDS]
-    if {"ge", "le"} <= limits.keys():
-        bounds = [f"{limits['ge']:,} to {limits['le']:,}"]
-    what, between, rest = about.removesuffix(".").partition(";")
-    return Field(default, description=f"{', '.join([what, *bounds])}{between}{rest}.", **limits)
+_SEPARATORS = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;,\s]+")
+"""Separators of the numbers in a table's cell, such as ``8 x 8`` or ``1; 2``."""
 
 
 def group_of(model: type[Settings]) -> Any:
-    """Return a field that is a group of settings, said by its model's docstring; all defaults."""
+    """Return a field for a group of settings, all at their defaults.
+
+    Its description is the first line of the model's docstring.
+    """
     return Field(default_factory=model, description=str(model.__doc__).partition("\n")[0])
 
 
 def check_command(command: str | None) -> str | None:
-    """Return a command as it is; raise ValueError where it is none."""
+    """Return a command unchanged.
+
+    Raises
+    ------
+    UnsuitableValueError
+        When it names no program or a quotation mark isn't closed.
+    """
     try:
         if command is not None and not shlex.split(command):
             raise ValueError("no program is named")
-    except ValueError as error:  # such as a quotation mark without its other one
-        raise ValueError(
-            f"should be a program and its arguments, quoted as for a shell, or null: {error}"
+    except ValueError as error:
+        raise UnsuitableValueError(
+            f"be a program and its arguments, quoted as for a shell, or null: {error}"
         ) from None
     return command
 
 
 class Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, values can't change, numbers are finite.
+    """Base class of all settings: immutable, without unknown keys and infinite numbers.
 
     Attributes
     ----------
@@ -84,122 +76,65 @@ class Settings(BaseModel):
 
     without_effect_on_frames: ClassVar[frozenset[str]] = frozenset()
 
-    # validators are built when they are first used: a process needs those of few models
+    # validators are built at their first use, since a process needs those of few models
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     @field_validator("*", mode="before")
     @classmethod
-    def _as_meant(cls, value: object, info: ValidationInfo) -> object:
-        """Refuse a truth value as a number; take a cell of a table, a text, as what it lists."""
+    def _parse_text(cls, value: object, info: ValidationInfo) -> object:
+        """Reject true and false as numbers; split a table's cell into numbers."""
         if not isinstance(value, bool | str) or info.field_name is None:
             return value
-        kinds = _types(cls.model_fields[info.field_name].annotation)
+        types = _types(cls.model_fields[info.field_name].annotation)
         if isinstance(value, bool):
             # pydantic would read true as 1, and YAML reads a bare yes or on as true
-            if bool not in kinds:
-                raise ValueError("should not be true or false")
-        elif tuple in kinds:
-            return [_number(part) for part in _BETWEEN.split(value) if part]
-        elif str not in kinds:
+            if bool not in types:
+                raise UnsuitableValueError("not be true or false")
+        elif tuple in types:
+            return [_number(part) for part in _SEPARATORS.split(value) if part]
+        elif str not in types:
             return _number(value)
         return value
 
     @model_validator(mode="wrap")
     @classmethod
-    def _explained(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Say each mistake here, where the setting's meaning is known."""
+    def _describe_mistakes(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Describe each mistake in the model whose fields explain the setting."""
         try:
             return handler(data)
         except ValidationError as error:
-            problems = [mistake(cls._message(it), *it["loc"], of=it) for it in _innermost(error)]
-            raise ValidationError.from_exception_data(cls.__name__, problems) from None
-
-    @classmethod
-    def _message(cls, problem: Mapping[str, Any]) -> str:
-        """Say one of pydantic's problems: the value, what was expected, what the setting means."""
-        kind, location = problem["type"], problem["loc"]
-        text = str(problem["msg"]).removeprefix("Value error, ").removesuffix(" after validation")
-        if kind == "extra_forbidden":
-            close = difflib.get_close_matches(str(location[-1]), cls.model_fields, n=1)
-            meant = f"did you mean {close[0]}? " if close else ""
-            return f" is unknown; {meant}Known here: {', '.join(cls.model_fields)}."
-        if kind == "setting" or (kind == "value_error" and not text.startswith("should")):
-            return text  # a rule between settings names them and their values itself
-        field = cls.model_fields.get(str(location[0])) if location else None
-        meaning = f" ({field.description})" if field and field.description else ""
-        if kind == "missing":
-            return f" is missing; add it.{meaning}"
-        if kind in ("model_type", "dict_type"):
-            text = "should be a group of 'key: value' settings"
-        # without "Input", "String", "Tuple"
-        return f" is {shown(problem['input'])}; it {text[text.find('should') :]}.{meaning}"
-
-
-def mistake(message: str, *location: str | int, of: Any = None) -> InitErrorDetails:
-    """Return a mistake in settings, whose message is said as it is."""
-    kind = PydanticCustomError("setting", "{message}", {"message": message})
-    return InitErrorDetails(type=kind, loc=location, input=of and of["input"])
-
-
-def located(error: ValidationError) -> list[tuple[Location, str]]:
-    """Return the location and a line for each mistake in settings."""
-    lines = []
-    for problem in _innermost(error):
-        where = tuple(part for part in problem["loc"] if part != "[key]")
-        text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where)
-        message = Settings._message(problem)
-        between = ": " if text and not message.startswith(" ") else ""
-        lines.append((where, f"{text.removeprefix('.')}{between}{message}"))
-    return lines
-
-
-def explained(error: ValidationError) -> list[str]:
-    """Return a line for each mistake in settings."""
-    return [line for _, line in located(error)]
-
-
-def shown(value: object) -> str:
-    """Show a value as YAML would, short enough for a message."""
-    if value is None:
-        return "null"
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return textwrap.shorten(text, 80, placeholder=" ...")
-
-
-def _innermost(error: ValidationError) -> list[Any]:
-    """Return pydantic's problems; a list with a wrong item is reported as wrong itself, too."""
-    problems = error.errors(include_url=False)
-    outer = {problem["loc"][:n] for problem in problems for n in range(len(problem["loc"]))}
-    return [problem for problem in problems if problem["loc"] not in outer]
+            mistakes = [relocated(problem, cls.model_fields) for problem in innermost(error)]
+            raise ValidationError.from_exception_data(cls.__name__, mistakes) from None
 
 
 def _types(annotation: object) -> set[object]:
-    """Return the types that an annotation consists of."""
+    """Return the types of which an annotation consists."""
     inner = (_types(argument) for argument in get_args(annotation))
     return {annotation, get_origin(annotation)}.union(*inner)
 
 
 def _number(text: str) -> int | float | str:
-    for kind in (int, float):
+    for type_ in (int, float):
         try:
-            return kind(text)
+            return type_(text)
         except ValueError:
             continue
     return text
 
 
-class Described(Settings):
-    """Settings by name whose model belongs to the subject that they set up, and lies beside it.
+class PluginSettings(Settings):
+    """A section with the name of a method or scene, checked by the options of that plug-in.
 
-    A class derived directly from this one checks a section by the model of the section's name.
+    A direct subclass of this class checks a section by the class ``Options`` of the plug-in whose
+    name or path the section has.
 
     Attributes
     ----------
     group : str
-        The group of entry points among which a name is looked up; the subject has an attribute
-        ``Options``, its model, derived from this one.
+        Group of entry points in which the name is looked up. The class there has an attribute
+        ``Options``, a model derived from this one.
     key : str
-        The setting that holds the name.
+        Setting that holds the name.
     """
 
     group: ClassVar[str]
@@ -207,12 +142,12 @@ class Described(Settings):
 
     @classmethod
     def model_of(cls, name: str) -> type[Self]:
-        """Return the model that belongs to a name.
+        """Return the model of the options of a plug-in.
 
         Raises
         ------
         InputError
-            When nothing goes by that name, or it has no such model.
+            When there is no plug-in of this name, or it has no such model.
         """
         model = getattr(plugins.find(cls.group, name), "Options", None)
         if not (isinstance(model, type) and issubclass(model, cls)):
@@ -221,57 +156,52 @@ class Described(Settings):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _of_its_model(cls, section: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        if Described not in cls.__bases__ or not isinstance(section, Mapping):
+    def _check_by_plugin(cls, section: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        if PluginSettings not in cls.__bases__ or not isinstance(section, Mapping):
             return handler(section)
         name = section.get(cls.key)
-        if not isinstance(name, str):  # a mistake in the name alone
+        if not isinstance(name, str):  # report the mistake in the name, not unknown options
             return handler({key: section[key] for key in section if key == cls.key})
-        return known(lambda: cls.model_of(name)).model_validate(section)
+        with input_errors_as_mistakes():
+            model = cls.model_of(name)
+        return model.model_validate(section)
 
     @property
-    def subject(self) -> Any:
-        """The method or kind of scene that the settings are about."""
+    def plugin(self) -> Any:
+        """Class of the method or scene."""
         return plugins.find(self.group, getattr(self, self.key))
 
     def options(self) -> dict[str, Any]:
-        """Return all settings but the name, as plain data."""
+        """Return all settings except the name, as plain data."""
         return self.model_dump(mode="json", exclude={self.key})
 
 
-def known(find: Callable[[], _T]) -> _T:
-    """Return the result of `find`; its InputError becomes a mistake in the settings."""
-    try:
-        return find()
-    except InputError as error:
-        raise PydanticCustomError("setting", "{message}", {"message": str(error)}) from None
-
-
-class MethodSettings(Described):
-    """What the settings' section of every method has."""
+class MethodSettings(PluginSettings):
+    """Settings that the sections of all methods have."""
 
     group: ClassVar[str] = plugins.METHODS
     key: ClassVar[str] = "method"
 
-    method: Text | None = setting(
+    method: Text | None = Field(
         None,
-        "The method, or a class of your own, module:Class or file.py:Class; else the section's.",
+        description="The method, or a class of your own as module:Class or file.py:Class; by "
+        "default, the name of the section.",
     )
 
 
-def _named(sections: object) -> object:
-    """Put the name of each method's section into it, where it says none."""
+def _with_names(sections: object) -> object:
+    """Add to each method's section the section's name, unless it names a method."""
     if isinstance(sections, list | tuple):
-        expected = ", ".join(f"{name}: {{}}" for name in sections)
-        raise ValueError(f"should be a section for each method, as in {{{expected}}}")
+        example = ", ".join(f"{name}: {{}}" for name in sections)
+        raise UnsuitableValueError(f"be a section for each method, as in {{{example}}}")
     if not isinstance(sections, Mapping):
         return sections
     filled = {name: {} if section is None else section for name, section in sections.items()}
     return merged({name: {"method": name} for name in sections}, filled)
 
 
-def _options_by_name(schema: dict[str, Any]) -> None:
-    """Say in a JSON schema which options a section has that is called by a method's name."""
+def _add_options_to_schema(schema: dict[str, Any]) -> None:
+    """List in a JSON schema the options of each section that is named after a method."""
     schema["properties"] = {
         name: {"propertyNames": {"enum": [*MethodSettings.model_of(name).model_fields]}}
         for name in plugins.names(plugins.METHODS)
@@ -280,17 +210,17 @@ def _options_by_name(schema: dict[str, Any]) -> None:
 
 MethodSections = Annotated[
     dict[SectionName, SerializeAsAny[MethodSettings]],
-    BeforeValidator(_named),
-    Field(min_length=1, json_schema_extra=_options_by_name),
+    BeforeValidator(_with_names),
+    Field(min_length=1, json_schema_extra=_add_options_to_schema),
 ]
 """Methods by the names of their sections."""
 
 
-def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Put settings over others, group by group; what is no group takes the other's place."""
-    both = {
+def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` with other values from `overrides`, merging groups recursively."""
+    groups = {
         name: merged(base[name], value)
-        for name, value in over.items()
+        for name, value in overrides.items()
         if isinstance(base.get(name), Mapping) and isinstance(value, Mapping)
     }
-    return {**base, **over, **both}
+    return {**base, **overrides, **groups}

@@ -1,4 +1,4 @@
-"""A run's pictures, how they are taken and what is made of them: a group of settings each."""
+"""Settings of a run's pictures: capture, merge, verification, storage and report."""
 
 from __future__ import annotations
 
@@ -15,32 +15,29 @@ from rfpipe.config.base import (
     Settings,
     Text,
     check_command,
-    setting,
 )
 from rfpipe.units import NumberFormat
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
 Command = Annotated[str, AfterValidator(check_command)]
 Normalization = Literal["none", "per_channel", "total_energy"]
-
-
 RigKind = Literal["simulated", "remote", "offline"]
 Watch = Literal["off", "warn", "refuse"]
 
 
 class Precautions(NamedTuple):
-    """Defaults by which a kind of rig is watched and verified.
+    """Defaults of the checks on a kind of rig.
 
     Attributes
     ----------
     watch : {"off", "warn", "refuse"}
-        What to do where pictures show that the rig or its light changed.
+        Reaction to pictures which show that the rig or its light changed.
     check_interval : int
         Patterns from one check picture to the next, 0 for no check pictures.
     verification_pictures : int
         Pictures that verify a transport, 0 for none.
     divide_out_drift : bool
-        Whether images are divided by the brightness of the lamp.
+        Divide images by the brightness of the lamp.
     """
 
     watch: Watch
@@ -52,163 +49,199 @@ class Precautions(NamedTuple):
 PRECAUTIONS: dict[RigKind, Precautions] = {
     "simulated": Precautions("off", 0, 0, False),
     "remote": Precautions("refuse", 8, 9, True),
-    # pictures that are taken by hand: one of each kind, and no repeated pattern
+    # somebody takes these pictures by hand, so no pattern is repeated
     "offline": Precautions("refuse", 0, 3, False),
 }
 """Precautions by the kind of rig, for runs and for `rfpipe.acquire`; any real rig is "remote"."""
 
 
 class CaptureConfig(Settings):
-    """How patterns are shown and pictures taken."""
+    """Display of the patterns and capture of the pictures."""
 
-    rig: RigKind = setting(
+    rig: RigKind = Field(
         "simulated",
-        "The rig: simulated; remote, behind 'rfpipe serve'; or offline, by 'rfpipe patterns' and "
-        "'rfpipe import'.",
+        description="The rig: simulated; remote, a rig behind 'rfpipe serve'; or offline, with "
+        "files from 'rfpipe patterns' and 'rfpipe import'.",
     )
-    url: Annotated[str, AfterValidator(check_server)] = setting(
-        "http://127.0.0.1:8750", "Address of the acquisition server."
+    url: Annotated[str, AfterValidator(check_server)] = Field(
+        "http://127.0.0.1:8750", description="Address of the acquisition server."
     )
-    token_file: Text | None = setting(
+    token_file: Text | None = Field(
         None,
-        "File with the server's token, readable by its owner alone; null: RFPIPE_TOKEN.",
+        description="File with the server's token, readable only by its owner; null: the "
+        "environment variable RFPIPE_TOKEN.",
     )
-    patience_seconds: float = setting(
-        600.0, "Wait for a server or rig that fails, in seconds.", ge=0, le=604_800
+    patience_seconds: float = Field(
+        600.0,
+        description="Seconds to wait for a server or rig that fails.",
+        ge=0,
+        le=604_800,
     )
-    placing: Command | None = setting(
-        None, "Command that puts the scene named in RFPIPE_SCENE before the rig, or null."
+    placing: Command | None = Field(
+        None,
+        description="Command that puts the scene named in RFPIPE_SCENE in front of the rig; null: "
+        "none.",
     )
-    seconds_per_pattern: float = setting(
-        2.0, "Seconds of a pattern's bracket on a real rig, for forecasts.", gt=0, le=3600
+    seconds_per_pattern: float = Field(
+        2.0,
+        description="Seconds that a real rig needs for the bracket of a pattern, for forecasts.",
+        gt=0,
+        le=3600,
     )
-    black_frames: Batch = setting(8, "Brackets of the all-off pattern, averaged: 1 to 1024.")
-    floodlit_frames: Batch = setting(
-        64, "Brackets of all-on, averaged, which set the direct light's noise: 1 to 1024."
+    black_frames: Batch = Field(8, description="Brackets of the all-off pattern to average.")
+    floodlit_frames: Batch = Field(
+        64,
+        description="Brackets of the all-on pattern to average; they limit the noise of the "
+        "direct light.",
     )
-    asymmetry: Fraction = setting(
-        0.05, "Relative error in relit pictures above which a rig isn't taken for a coaxial one."
+    asymmetry: Fraction = Field(
+        0.05,
+        description="Relative error in relit pictures above which a rig doesn't count as coaxial.",
     )
-    watch: Watch = setting(
+    watch: Watch = Field(
         "refuse",
-        "Where pictures show that the rig or its light changed: refuse ends the capture; off: no "
-        "check pictures.",
+        description="Reaction to pictures which show that the rig or its light changed: refuse "
+        "ends the capture, warn logs it, off takes no check pictures.",
     )
-    batch_patterns: Batch = setting(16, "Patterns captured and stored at a time, 1 to 1024.")
-    keep_raw: bool = setting(
-        True, "Whether raw exposures stay; else another merge means another capture."
+    batch_patterns: Batch = Field(
+        16, description="Patterns that are captured before they are stored together."
     )
-    warm_up_minutes: float = setting(
-        0.0, "Minutes of white before a capture whose lamp may be cold.", ge=0, le=240
+    keep_raw: bool = Field(
+        True,
+        description="Keep the raw exposures; without them, other settings of merge need a new "
+        "capture.",
     )
-    when_patterns_change: Literal["recapture", "refuse"] = setting(
-        "recapture", "What to do with pictures whose patterns other settings have changed."
+    warm_up_minutes: float = Field(
+        0.0,
+        description="Minutes of white light before a capture for which the lamp may be cold.",
+        ge=0,
+        le=240,
+    )
+    when_patterns_change: Literal["recapture", "refuse"] = Field(
+        "recapture",
+        description="Reaction to changed settings that need other patterns than those captured: "
+        "recapture, or refuse to run.",
     )
 
     @property
     def rule(self) -> Literal["simulated", "hardware", "offline"]:
-        """Which of the workflow's rules of capture."""
+        """Suffix of the workflow's rule that captures."""
         return "hardware" if self.rig == "remote" else self.rig
 
     @property
     def precautions(self) -> Precautions:
-        """Defaults for this kind of rig."""
+        """Default precautions for this kind of rig."""
         return PRECAUTIONS[self.rig]
 
 
 class OfflineConfig(Settings):
-    """A rig whose pictures come and go as files, with capture.rig offline."""
+    """Files of an offline rig (capture.rig offline)."""
 
-    projector_shape: tuple[Extent, Extent] | None = setting(
-        None, "Height and width of the pictures to show; null: the calibration's, or a pixel a ray."
-    )
-    projector_gamma: Gamma = setting(
-        2.2, "Exponent g of the projector, light ~ code^g, above 0 and at most 5."
-    )
-    picture_shape: tuple[Extent, Extent] | None = setting(
-        None, "Height and width of the camera's pictures in pixels, with camera_corners."
-    )
-    camera_corners: Corners | None = setting(
+    projector_shape: tuple[Extent, Extent] | None = Field(
         None,
-        "Corners of each view's rays in the pictures, in pixels, from the upper left one "
-        "clockwise; null: the calibration's, or a pixel a ray.",
+        description="Height and width of the patterns' files in pixels; null: from the "
+        "calibration, or a pixel per ray.",
     )
-    calibration: Text | None = setting(
-        None, "Folder of a calibration, relative to where rfpipe runs, or null."
+    projector_gamma: Gamma = Field(2.2, description="Exponent g of the projector, light ~ code^g.")
+    picture_shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width of the camera's pictures in pixels; needed with "
+        "camera_corners.",
+    )
+    camera_corners: Corners | None = Field(
+        None,
+        description="Corners (x, y) of each view's rays in the pictures, in pixels, clockwise "
+        "from the upper left; null: from the calibration, or a pixel per ray.",
+    )
+    calibration: Text | None = Field(
+        None,
+        description="Folder of a calibration, relative to the folder where rfpipe runs; null: "
+        "none.",
     )
 
     @model_validator(mode="after")
-    def _knows_the_picture(self) -> Self:
+    def _check_picture_shape(self) -> Self:
         if (self.picture_shape is None) != (self.camera_corners is None):
             raise ValueError("picture_shape and camera_corners should both be set, or be null")
         return self
 
 
 class VerificationConfig(Settings):
-    """Pictures that no method saw, taken after an acquisition to compare the transport with."""
+    """Verification of a transport by pictures that no method used."""
 
-    pictures: int | None = setting(
+    pictures: int | None = Field(
         None,
-        "How many; null: 9 by a real rig, 3 by an offline one, none by a simulated one.",
+        description="Number of verification pictures; null: 9 for a remote rig, 3 for an offline "
+        "one, 0 for a simulated one.",
         ge=0,
         le=96,
     )
-    fail_above: Fraction | None = setting(
+    fail_above: Fraction | None = Field(
         None,
-        "Mean relative error of these pictures above which the run fails; null: by a real rig 1.5 "
-        "times the method's target_error, else never.",
+        description="Mean relative error of the verification pictures above which the run fails; "
+        "null: 1.5 times the method's target_error for a real rig, no limit for a simulated one.",
     )
 
 
 class MergeConfig(Settings):
-    """How a bracket becomes a radiance image."""
+    """Merge of a bracket into a radiance image."""
 
-    mask_defects: bool = setting(
-        True, "Whether dead and hot pixels are left out, with an infinite variance."
+    mask_defects: bool = Field(
+        True, description="Exclude dead and hot pixels by giving them infinite variance."
     )
-    divide_out_drift: bool | None = setting(
+    divide_out_drift: bool | None = Field(
         None,
-        "Whether images are divided by the lamp's brightness, which check pictures measure; "
-        "null: of a real rig.",
+        description="Divide images by the lamp's brightness, which check pictures measure; null: "
+        "only for a remote rig.",
     )
 
 
 class ResourcesConfig(Settings):
-    """What a job may use; none of it changes a result."""
+    """Resources of a job; they change no result."""
 
-    memory_gib: float = setting(4.0, "Memory that a job may take, in GiB.", ge=0.5, le=1024)
-    workers: Annotated[str, AfterValidator(check_workers)] = setting(
-        THREADS, "threads, or the address of a dask scheduler, tls://host:8786 (docs/parallel.md)."
+    memory_gib: float = Field(
+        4.0, description="Memory that a job may use, in GiB.", ge=0.5, le=1024
     )
-    jobs: Literal["stage", "acquisition"] | None = setting(
+    workers: Annotated[str, AfterValidator(check_workers)] = Field(
+        THREADS,
+        description="threads, or the address of a dask scheduler, such as tls://host:8786 "
+        "(docs/parallel.md).",
+    )
+    jobs: Literal["stage", "acquisition"] | None = Field(
         None,
-        "A job's work; null: acquisition with a collection, capture.placing or scenes of at most "
-        "4,000 rays, else stage.",
+        description="Work of one job: a stage or an acquisition; null: an acquisition with a "
+        "collection, with capture.placing, or if no scene has more than 4,000 rays, else a stage.",
     )
-    captures: Literal["here", "job"] = setting(
+    captures: Literal["here", "job"] = Field(
         "here",
-        "Where jobs of a real rig run: beside Snakemake, or as a cluster's (docs/clusters.md).",
+        description="Where the captures of a real rig run: here, on the machine of Snakemake, or "
+        "as a job of the cluster (docs/clusters.md).",
     )
 
 
 class StorageConfig(Settings):
-    """How the transport is stored."""
+    """Storage of the transport."""
 
-    number_format: NumberFormat = setting(
+    number_format: NumberFormat = Field(
         "uint8",
-        "How numbers are kept: float32 as they are; uint16, uint8 within about 1e-5, 3e-3.",
+        description="Format of stored numbers: float32 is exact; uint16 and uint8 have relative "
+        "errors of about 1e-5 and 3e-3.",
     )
-    keep_at: Annotated[str, AfterValidator(check_bucket)] | None = setting(
-        None, "Folder in a bucket, of this run alone, that keeps its results (docs/stores.md)."
+    keep_at: Annotated[str, AfterValidator(check_bucket)] | None = Field(
+        None,
+        description="Folder in a bucket, used by this run only, to which results are copied "
+        "(docs/stores.md); null: none.",
     )
 
 
 class ReportConfig(Settings):
-    """What the report shows."""
+    """The report of a run."""
 
-    page: bool | None = setting(
-        None, "Whether a run ends with a report; null: unless its collection has a catalogue."
+    page: bool | None = Field(
+        None,
+        description="Write a report at the end of the run; null: only without a collection, "
+        "which has a catalogue.",
     )
-    title: Text | None = setting(
-        None, "The report's title; null: Light transport, of as many scenes as it has."
+    title: Text | None = Field(
+        None, description="Title of the report; null: Light transport of the scene or scenes."
     )

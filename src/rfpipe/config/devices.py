@@ -1,4 +1,4 @@
-"""The settings of a rig: its devices, its calibration, and the optical bench in software."""
+"""Settings of a rig: devices, calibration, and the optical bench in software."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from rfpipe.config.base import (
     Text,
     ViewCount,
     group_of,
-    setting,
 )
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
@@ -28,45 +27,50 @@ Count = Annotated[int, Field(ge=2, le=1000)]
 
 
 class CalibrationConfig(Settings):
-    """How a rig is calibrated: what is shown and taken, and how good the rig is to be."""
+    """Calibration of the rig: patterns, pictures, and the accepted error."""
 
-    tolerance: Fraction = setting(0.02, "Error of a relit picture that verdicts allow, 0 to 1.")
-    coaxial: bool = setting(
-        True, "Whether camera and projector share their rays; symmetry is then checked."
+    tolerance: Fraction = Field(
+        0.02, description="Relative error of relit pictures that the verdicts accept."
     )
-    dark_frames: Count = setting(8, "Brackets of the all-off picture, 2 to 1000.")
-    levels: Count = setting(
-        8, "Flat pictures of the photon-transfer curve, from dark to bright, 2 to 1000."
+    coaxial: bool = Field(
+        True,
+        description="Camera and projector share their rays; the symmetry is then checked.",
     )
-    codes: int = setting(33, "Codes at which the projector's light is measured.", ge=5, le=256)
-    period_pixels: int = setting(
+    dark_frames: Count = Field(8, description="Brackets of the all-off pattern.")
+    levels: Count = Field(
+        8, description="Flat pictures of the photon-transfer curve, from dark to bright."
+    )
+    codes: int = Field(
+        33, description="Codes at which the projector's light is measured.", ge=5, le=256
+    )
+    period_pixels: int = Field(
         16,
-        "Period of the stripes in projector pixels, a multiple of 4.",
+        description="Period of the stripes in projector pixels, a multiple of 4.",
         ge=8,
         le=1024,
         multiple_of=4,
     )
-    views: tuple[ViewCount, ViewCount] | None = setting(
-        None, "Rows and columns of an array of views, 1 to 16 each; null: a single one."
+    views: tuple[ViewCount, ViewCount] | None = Field(
+        None, description="Rows and columns of an array of views; null: a single view."
     )
-    corners: Corners | None = setting(
+    corners: Corners | None = Field(
         None,
-        "Corners of each view on the projector in pixels, from the upper left one clockwise; null: "
-        "measured.",
+        description="Corners (x, y) of each view on the projector in pixels, clockwise from the "
+        "upper left; null: measured.",
     )
-    symmetry_patterns: int = setting(
-        12, "Random patterns that symmetry is checked with.", ge=3, le=1000
+    symmetry_patterns: int = Field(
+        12, description="Random patterns for the check of symmetry.", ge=3, le=1000
     )
 
     @model_validator(mode="after")
-    def _has_corners_for_each_view(self) -> Self:
+    def _check_corners_of_views(self) -> Self:
         if self.corners is not None and self.views is not None:
             _check_corners("corners", self.corners, math.prod(self.views))
         return self
 
 
 def _check_corners(name: str, corners: Corners, views: int) -> None:
-    """Raise ValueError for other than one quadrilateral a view."""
+    """Raise ValueError unless there is one quadrilateral per view."""
     if len(corners) != views:
         raise ValueError(
             f"{name} should have four corners for each of {views} views, not for {len(corners)}"
@@ -74,49 +78,53 @@ def _check_corners(name: str, corners: Corners, views: int) -> None:
 
 
 class BenchConfig(Settings):
-    """The optical bench in software: a scene between the projector's pictures and the camera.
+    """The optical bench in software: a simulated scene between projector window and camera.
 
-    The camera driver is the real one, its camera the driver's emulated one.
+    The real camera driver runs with the emulated camera that its vendor provides.
     """
 
     scene: SerializeAsAny[SceneSettings] = Field(
         default_factory=lambda: SceneSettings.of(
             "wedge", surfaces=("white", "texture"), shape=(32, 32), channels=1
         ),
-        description="The scene; 1 channel for a grey camera, 3 for one with a colour mosaic.",
+        description="The scene, with 1 channel for a grey camera or 3 for a colour mosaic.",
     )
-    display_shape: tuple[Extent, Extent] = setting(
-        (288, 320), "Height and width of the display in pixels, 1 to 4096 each."
+    display_shape: tuple[Extent, Extent] = Field(
+        (288, 320), description="Height and width of the display in pixels."
     )
-    camera_corners: Corners | None = setting(
+    camera_corners: Corners | None = Field(
         None,
-        "Corners of each view's rays on the camera in pixels, from the upper left one clockwise; "
-        "null: in the middle, turned and distorted a little.",
+        description="Corners (x, y) of each view's rays on the camera in pixels, clockwise from "
+        "the upper left; null: central, slightly rotated and distorted.",
     )
-    camera_shape: tuple[Extent, Extent] = setting(
-        (72, 80), "Height and width of the camera's frames in pixels, 1 to 4096 each."
+    camera_shape: tuple[Extent, Extent] = Field(
+        (72, 80), description="Height and width of the camera's frames in pixels."
     )
-    camera: CameraConfig | None = setting(
-        None, "The camera's true numbers, for calibration to measure; null: the sensor's."
-    )
-    projector_gamma: Gamma = setting(
-        2.2, "Exponent g of the projector, light ~ code^g, above 0 and at most 5."
-    )
-    projector_black: Share = setting(0.0, "Light of a pixel at code 0 over that at 255, below 1.")
-    display_delay_seconds: float = setting(
-        0.0, "Time from a picture's drawing to its light, in seconds.", ge=0, le=60
-    )
-    ambient: float = setting(0.0, "Radiance of other light in every camera pixel.", ge=0)
-    knock: tuple[Annotated[int, Field(ge=0)], Pixels, Pixels] | None = setting(
+    camera: CameraConfig | None = Field(
         None,
-        "A knock against the projector: exposures before it, and pixels by which the picture moves "
-        "down and to the right, such as [200, 0, 4]; null: none.",
+        description="True parameters of the camera, which a calibration should measure; null: "
+        "those of the sensor.",
+    )
+    projector_gamma: Gamma = Field(2.2, description="Exponent g of the projector, light ~ code^g.")
+    projector_black: Share = Field(
+        0.0, description="Light of a projector pixel at code 0, relative to code 255."
+    )
+    display_delay_seconds: float = Field(
+        0.0, description="Seconds from drawing a pattern to its light.", ge=0, le=60
+    )
+    ambient: float = Field(
+        0.0, description="Radiance of ambient light in every camera pixel.", ge=0
+    )
+    knock: tuple[Annotated[int, Field(ge=0)], Pixels, Pixels] | None = Field(
+        None,
+        description="A simulated knock against the projector: exposures before it, and the "
+        "movement of the picture down and to the right in pixels, such as [200, 0, 4]; null: none.",
     )
 
     @model_validator(mode="after")
-    def _scene_is_coaxial(self) -> Self:
+    def _check_scene_is_coaxial(self) -> Self:
         if not self.scene.is_coaxial:
-            raise ValueError("scene should be a coaxial one: a bench has one domain of rays")
+            raise ValueError("scene should be coaxial: a bench has one ray domain")
         if self.camera_corners is not None:
             views = math.prod(self.scene.view_grid)
             _check_corners("camera_corners", self.camera_corners, views)
@@ -126,70 +134,80 @@ class BenchConfig(Settings):
 class RigConfig(Settings):
     """All settings of a rig."""
 
-    kind: Literal["devices", "simulated"] = setting(
-        "devices", "devices: a projector and a camera, or the bench; simulated: a scene."
+    kind: Literal["devices", "simulated"] = Field(
+        "devices",
+        description="devices: a projector and a camera, or the bench; simulated: a simulated "
+        "scene.",
     )
     projector: ProjectorDriver = Field(
         default_factory=lambda: ProjectorDriver.model_validate({}),
-        description="The projector of a rig of devices.",
+        description="Projector of a rig of devices.",
     )
-    rays: tuple[Extent, Extent] | None = setting(
+    rays: tuple[Extent, Extent] | None = Field(
         None,
-        "Height and width of the ray domain without a calibration; null: a projector pixel a ray.",
+        description="Height and width of the ray domain without a calibration; null: a ray per "
+        "projector pixel.",
     )
     camera: CameraDriver = Field(
         default_factory=lambda: CameraDriver.model_validate({}),
-        description="The camera of a rig of devices.",
+        description="Camera of a rig of devices.",
     )
-    rig: RigDriver | None = setting(
-        None, "A rig as a whole, in place of projector and camera, or null."
+    rig: RigDriver | None = Field(
+        None,
+        description="A complete rig in place of a separate projector and camera; null: none.",
     )
     sensor: CameraConfig | None = Field(
         default_factory=CameraConfig,
-        description="The sensor: its exposures, and what is known of its noise. A calibration's "
-        "numbers take the place of these. null: exact radiance, of a simulated rig only.",
+        description="Exposures and noise of the sensor, unless a calibration measured them; "
+        "null: exact radiance, for a simulated rig only.",
     )
-    calibration: Text | None = setting(
-        None, "Folder of the rig's calibration, relative to where rfpipe runs, or null."
+    calibration: Text | None = Field(
+        None,
+        description="Folder of the rig's calibration, relative to the folder where rfpipe runs; "
+        "null: none.",
     )
     calibrate: CalibrationConfig = group_of(CalibrationConfig)
-    bench: BenchConfig | None = setting(
-        None, "The optical bench in software, in place of display, scene and camera."
+    bench: BenchConfig | None = Field(
+        None,
+        description="The optical bench in software, in place of display, scene and camera; null: "
+        "none.",
     )
-    scene: SerializeAsAny[SceneSettings] | None = setting(
-        None, "The scene of a simulated rig; null for a rig of devices."
+    scene: SerializeAsAny[SceneSettings] | None = Field(
+        None, description="Scene of a simulated rig; null: for a rig of devices."
     )
-    seed: int = setting(0, "Seed of the simulated noise.", ge=0)
-    seconds_per_pattern: float = setting(
-        2.0, "Time that a bracket takes about, in seconds, for estimates.", ge=0, le=3600
+    seed: int = Field(0, description="Seed of the simulated noise.", ge=0)
+    seconds_per_pattern: float = Field(
+        2.0,
+        description="Seconds that a bracket takes approximately, for forecasts.",
+        ge=0,
+        le=3600,
     )
 
     @model_validator(mode="after")
-    def _fits_its_kind(self) -> Self:
-        is_simulated, is_whole = self.kind == "simulated", self.rig is not None
-        why = "a rig as a whole" if is_whole else f"kind {self.kind}"
-        if is_simulated and not is_whole and self.scene is None:
-            raise ValueError(f"scene should be set with {why}")
-        if not is_simulated and not is_whole and self.sensor is None:
-            raise ValueError(f"sensor should be set with {why}, not null")
-        for name, is_none in (
-            ("scene", is_whole or not is_simulated),
-            ("bench", is_whole or is_simulated),
-            ("calibration", is_whole),
-        ):
-            if is_none and getattr(self, name) is not None:
-                raise ValueError(f"{name} should be null with {why}")
+    def _check_kind(self) -> Self:
+        is_simulated, is_complete = self.kind == "simulated", self.rig is not None
+        reason = "a complete rig" if is_complete else f"kind {self.kind}"
+        if is_simulated and not is_complete and self.scene is None:
+            raise ValueError(f"scene should be set with {reason}")
+        if not is_simulated and not is_complete and self.sensor is None:
+            raise ValueError(f"sensor should be set with {reason}, not null")
+        if self.scene is not None and (is_complete or not is_simulated):
+            raise ValueError(f"scene should be null with {reason}")
+        if self.bench is not None and (is_complete or is_simulated):
+            raise ValueError(f"bench should be null with {reason}")
+        if self.calibration is not None and is_complete:
+            raise ValueError(f"calibration should be null with {reason}")
         return self
 
     @model_validator(mode="after")
-    def _bench_fits_the_devices(self) -> Self:
+    def _check_devices_of_bench(self) -> Self:
         if self.bench is None:
             return self
-        drivers = self.projector.driver, self.camera.driver
-        if drivers[0] != "window" or self.camera.bench is None:
+        projector, camera = self.projector.driver, self.camera.driver
+        if projector != "window" or self.camera.bench is None:
             raise ValueError(
                 "projector.driver and camera.driver should be window and pylon with a bench, "
-                f"which drives them in software, not {drivers[0]} and {drivers[1]}"
+                f"which emulates them in software, not {projector} and {camera}"
             )
         sensor, true = self.sensor, self.bench.camera or self.sensor
         assert sensor is not None  # of a rig of devices

@@ -1,6 +1,6 @@
-"""The model of a run's settings: names, units, ranges and defaults.
+"""Model of a run's settings: names, units, ranges and defaults.
 
-Plain data only: the layers above build cameras, scenes and methods from it.
+It holds plain data only; the layers above build cameras, scenes and methods from it.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from rfpipe.config.base import (
     Text,
     group_of,
     merged,
-    mistake,
-    setting,
 )
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.capture import (
@@ -35,44 +33,44 @@ from rfpipe.config.capture import (
     StorageConfig,
     VerificationConfig,
 )
+from rfpipe.config.mistakes import ABOUT, mistake, mistake_error, relocated
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.provenance import fingerprint
 
-# Folders of a run's results that are no scene's.
-_OTHER_FOLDERS = {"catalogue", "report", "verified"}
+_RESERVED_FOLDERS = {"catalogue", "report", "verified"}
+"""Folders in a run's results that don't belong to a scene."""
 
 TARGET_MARGIN = 1.5
-"""Measured errors at most this many times a target meet it.
+"""Largest ratio of a measured error to the target error at which the target counts as met.
 
-Where a method ended at its target by its own estimate, errors of 96 pictures were at most 1.2 times
-the target on the open scenes of ``docs/benchmark``; the mean of nine pictures scatters more.
+Where a method stopped at its target by its own estimate, the errors of 96 pictures were at most 1.2
+times the target on the open scenes of ``docs/benchmark``; the mean of nine pictures scatters more.
 """
 
 SMALL_RAYS = 4000
-"""Rays up to which an acquisition is one job where the settings don't say what a job is.
+"""Largest number of rays at which an acquisition is one job by default.
 
 Starting a job takes 1.4 s of processor time: four scenes of 16 x 18 rays took 125 s as 80 jobs,
-32 s as 15. Five levels of five stages are 35 s of it; the work of all stages takes 11 s in the
-median at 2,304 rays (``processing_s`` of ``docs/benchmark``, ``auto`` for 1 %) and grows with the
-rays.
+32 s as 15. Starting the jobs of five levels with five stages takes 35 s. The work of all stages
+takes 11 s in the median at 2,304 rays (``processing_s`` of ``docs/benchmark``, ``auto`` for 1 %)
+and grows with the rays.
 """
 
-# Those of a run that names none, in the order of its report.
 DEFAULT_METHODS = ("near_far", "symmetric", "dual")
+"""Methods of a run that names none, in the order of its report."""
 
-# Options that no scene has of its own, of the groups that a scene may have of its own.
-_OF_THE_RUN = {"capture": ("rig",), "resources": ("jobs", "captures"), "storage": ("keep_at",)}
+_RUN_ONLY = {"capture": ("rig",), "resources": ("jobs", "captures"), "storage": ("keep_at",)}
+"""Options that no scene can override, in groups that a scene can override."""
 
-
-# Settings of a capture that neither shape a result nor describe one.
-_NOT_SHAPING = {
+_WITHOUT_EFFECT_ON_RESULTS = {
     *("batch_patterns", "keep_raw", "when_patterns_change"),
     *("url", "token_file", "patience_seconds", "placing"),
 }
+"""Settings of the group ``capture`` that neither change a result nor describe one."""
 
 
-def _scenes_or_a_collection(schema: dict[str, Any]) -> None:
-    """Say in a JSON schema that scenes may stand in a collection, which is read before."""
+def _allow_collection(schema: dict[str, Any]) -> None:
+    """State in a JSON schema that a collection may take the place of scenes."""
     schema["anyOf"] = [{"required": [name]} for name in ("scenes", "collection")]
     del schema["required"]
 
@@ -80,120 +78,127 @@ def _scenes_or_a_collection(schema: dict[str, Any]) -> None:
 class Config(Settings):
     """All settings of a run."""
 
-    model_config = ConfigDict(json_schema_extra=_scenes_or_a_collection)
+    model_config = ConfigDict(json_schema_extra=_allow_collection)
 
-    seed: int = setting(1, "Seed of the captures' noise, an integer.", ge=0)
+    seed: int = Field(1, description="Seed of the simulated noise.", ge=0)
     scenes: dict[SectionName, SerializeAsAny[SceneSettings]] = Field(
         min_length=1,
-        description="The scenes by name: lower-case letters, digits and _.",
+        description="The scenes by name; a name consists of lower-case letters, digits and _.",
     )
-    collection: Text | None = setting(
-        None, "A CSV file whose rows are scenes, too (docs/collections.md); or null."
+    collection: Text | None = Field(
+        None,
+        description="CSV file with further scenes, one per row (docs/collections.md); null: none.",
     )
-    rigs: dict[SectionName, dict[str, Any]] = setting(
-        {}, "Settings that the scenes before one rig share, as in {studio: {camera: {bits: 14}}}."
+    rigs: dict[SectionName, dict[str, Any]] = Field(
+        {},
+        description="Settings that the scenes of one rig share, as in {studio: {camera: {bits: "
+        "14}}}.",
     )
     methods: MethodSections = Field(
         default_factory=lambda: dict.fromkeys(DEFAULT_METHODS),
         validate_default=True,
-        description="Methods to acquire each scene with, each with its options, as in {symmetric: "
-        "{}}.",
+        description="Methods that acquire each scene, with their options, as in {symmetric: {}}.",
     )
     camera: CameraConfig | None = Field(
         default_factory=CameraConfig,
-        description="The simulated or offline rig's camera; null for exact radiance.",
+        description="Camera of a simulated or offline rig; null: exact radiance.",
     )
     capture: CaptureConfig = group_of(CaptureConfig)
     merge: MergeConfig = group_of(MergeConfig)
-    normalization: Normalization = setting(
+    normalization: Normalization = Field(
         "per_channel",
-        "Scaling of a level to the floodlit image [B.2]; total_energy is the thesis'.",
+        description="Scaling of a level to the floodlit image [B.2]: per_channel, total_energy "
+        "(as in the thesis) or none.",
     )
     verification: VerificationConfig = group_of(VerificationConfig)
     offline: OfflineConfig = group_of(OfflineConfig)
-    rig_file: Text | None = setting(
-        None, "Settings of the rig that 'rfpipe run calibrate' calibrates, or null."
+    rig_file: Text | None = Field(
+        None, description="Settings file of the rig for 'rfpipe run calibrate'; null: none."
     )
     storage: StorageConfig = group_of(StorageConfig)
     resources: ResourcesConfig = group_of(ResourcesConfig)
-    notify: Command | None = setting(
-        None, "Command for a run's end, with RFPIPE_STATUS (done, failed) and RFPIPE_LOG; or null."
+    notify: Command | None = Field(
+        None,
+        description="Command at the end of a run, with the environment variables RFPIPE_STATUS "
+        "(done, failed) and RFPIPE_LOG; null: none.",
     )
     report: ReportConfig = group_of(ReportConfig)
 
     def methods_of(self, scene: str) -> dict[str, MethodSettings]:
-        """Methods to acquire a scene with, and their options: its own, or those of the run."""
+        """Return the methods of a scene with their options: those of the scene or of the run."""
         return self.scenes[scene].methods or self.methods
 
     @cached_property
-    def _base(self) -> dict[str, Any]:
-        """All settings but the scenes, to be put others over."""
+    def _without_scenes(self) -> dict[str, Any]:
+        """All settings except the scenes, as a base for overrides."""
         return self.model_dump(exclude={"scenes", "collection", "rigs"})
 
     @cached_property
-    def _by_overrides(self) -> dict[str, Config]:
+    def _checked_overrides(self) -> dict[str, Config]:
+        """Cache of overridden settings by the fingerprint of the overrides."""
         return {}
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy, which finds anew what is derived from the settings."""
+        """Return a copy without the values that are cached from these settings."""
         copied = super().model_copy(update=update, deep=deep)
-        for derived in ("_base", "_by_overrides", "acquisitions", "jobs_and_reason"):
+        for derived in ("_without_scenes", "_checked_overrides", "acquisitions", "jobs_and_reason"):
             copied.__dict__.pop(derived, None)
         return copied
 
     def of_scene(self, scene: str) -> Config:
-        """Return the settings that hold for a scene alone: its own over its rig's over the run's.
+        """Return the settings of one scene: the run's, overridden by its rig's and its own.
 
         Raises
         ------
         ValidationError
-            When these are wrong.
+            When the overrides are wrong.
         """
         about = self.scenes[scene]
         rig = self.rigs[about.rig] if about.rig else {}
         if not rig and not about.settings:
             return self
         overrides = merged(rig, about.settings)
-        # scenes that share these settings share what is checked of them
-        key, cache = fingerprint(overrides), self._by_overrides
+        # scenes with equal overrides share the validation
+        key, cache = fingerprint(overrides), self._checked_overrides
         if key not in cache:
-            cache[key] = self._with(scene, overrides)
+            cache[key] = self._overridden(scene, overrides)
         return cache[key].model_copy(update={"scenes": {scene: about}})
 
-    def _with(self, scene: str, own: Mapping[str, Any]) -> Config:
-        """Return settings of one scene, with others put over those of the run."""
+    def _overridden(self, scene: str, overrides: Mapping[str, Any]) -> Config:
+        """Return the settings of one scene with overrides of the run's settings."""
         names = ", ".join(sorted(OWN_TO_SCENES))
         problems = [
             mistake(f"can't be set for a scene; expected settings among {names}", name)
-            for name in own
+            for name in overrides
             if name not in OWN_TO_SCENES
         ] + [
-            mistake("can't be set for a scene: it holds for a whole run", group, option)
-            for group, options in _OF_THE_RUN.items()
+            mistake("can't be set for a scene: it applies to the whole run", group, option)
+            for group, options in _RUN_ONLY.items()
             for option in options
-            if isinstance(own.get(group), Mapping) and option in own[group]
+            if isinstance(overrides.get(group), Mapping) and option in overrides[group]
         ]
         if problems:
             raise ValidationError.from_exception_data("settings", problems)
-        alone = self.scenes[scene].model_copy(update={"settings": {}, "rig": None})
-        return Config.model_validate(merged({**self._base, "scenes": {scene: alone}}, own))
+        plain_scene = self.scenes[scene].model_copy(update={"settings": {}, "rig": None})
+        base = {**self._without_scenes, "scenes": {scene: plain_scene}}
+        return Config.model_validate(merged(base, overrides))
 
     @property
     def verification_pictures(self) -> int:
-        """Pictures that verify each acquisition, 0 for none."""
+        """Number of verification pictures of each acquisition, 0 for none."""
         count = self.verification.pictures
         return self.capture.precautions.verification_pictures if count is None else count
 
     @property
     def divides_out_drift(self) -> bool:
-        """Whether images are divided by the lamp's brightness."""
+        """True if images are divided by the lamp's brightness."""
         divides = self.merge.divide_out_drift
         return self.capture.precautions.divide_out_drift if divides is None else divides
 
     def bound_of(self, scene: str, method: str) -> float | None:
-        """Return the mean error above which an acquisition fails the run; None for none.
+        """Return the mean error above which an acquisition fails the run; None for no limit.
 
-        The error is measured by pictures for verification, or else the method's estimate.
+        The error is that of the verification pictures, or without these the method's estimate.
         """
         of_scene = self.of_scene(scene)
         bound = of_scene.verification.fail_above
@@ -205,27 +210,27 @@ class Config(Settings):
 
     @property
     def title(self) -> str:
-        """The report's title."""
-        many = len(self.scenes)
-        of = f"{many} scenes" if many > 1 else next(iter(self.scenes))
-        return self.report.title or f"Light transport of {of}"
+        """Title of the report."""
+        count = len(self.scenes)
+        scenes = f"{count} scenes" if count > 1 else next(iter(self.scenes))
+        return self.report.title or f"Light transport of {scenes}"
 
     @property
     def has_report(self) -> bool:
-        """Whether the run ends with a report."""
+        """True if the run ends with a report."""
         page = self.report.page
         return self.collection is None if page is None else page
 
     @property
     def jobs(self) -> Literal["stage", "acquisition"]:
-        """What a job of the workflow is."""
+        """Work of one job of the workflow: a stage or an acquisition."""
         return self.jobs_and_reason[0]
 
     @cached_property
     def jobs_and_reason(self) -> tuple[Literal["stage", "acquisition"], str]:
-        """What a job of the workflow is, and why, for messages. No result depends on it."""
+        """Work of one job, and the reason as a clause for messages; no result depends on it."""
         if self.resources.jobs is not None:
-            return self.resources.jobs, "as resources.jobs says"
+            return self.resources.jobs, "as set by resources.jobs"
         if self.collection:
             return "acquisition", "as in every collection"
         if any(self.of_scene(scene).capture.placing for scene in self.scenes):
@@ -240,8 +245,8 @@ class Config(Settings):
             )
         return "stage", f"since a scene has {rays:,} rays"
 
-    def shaping(self) -> dict[str, Any]:
-        """Return all settings as plain data but those that shape no result."""
+    def result_settings(self) -> dict[str, Any]:
+        """Return the settings that influence or describe results, as plain data."""
         return self.model_dump(
             mode="json",
             exclude={
@@ -250,24 +255,24 @@ class Config(Settings):
                 "rig_file": True,
                 "collection": True,
                 "scenes": {"__all__": {"about"}},
-                "capture": _NOT_SHAPING,
+                "capture": _WITHOUT_EFFECT_ON_RESULTS,
                 "storage": {"keep_at"},
             },
         )
 
     @cached_property
     def acquisitions(self) -> list[tuple[str, str]]:
-        """Scene and method of every acquisition."""
+        """Scene and method of each acquisition."""
         return [(scene, method) for scene in self.scenes for method in self.methods_of(scene)]
 
     @model_validator(mode="before")
     @classmethod
-    def _scenes_have_methods(cls, settings: Any) -> Any:
-        """Put the options of a scene's methods over those of the run's."""
+    def _merge_method_options(cls, settings: Any) -> Any:
+        """Merge the options of a scene's methods into those of the run's methods."""
         if not isinstance(settings, Mapping):
             return settings
         if settings.get("collection") and "scenes" not in settings:
-            raise ValueError("collection is read by load_config and parse_config alone")
+            raise ValueError("collection is only read by load_config and parse_config")
         scenes, run = settings.get("scenes"), settings.get("methods")
         if not isinstance(scenes, Mapping) or not isinstance(run, Mapping):
             return settings
@@ -275,94 +280,105 @@ class Config(Settings):
         for name, scene in scenes.items():
             methods = scene.get("methods") if isinstance(scene, Mapping) else None
             if isinstance(methods, Mapping):
-                of_run = {method: run.get(method) or {} for method in methods}
+                base = {method: run.get(method) or {} for method in methods}
                 options = {method: {} if it is None else it for method, it in methods.items()}
-                filled[name] = {**scene, "methods": merged(of_run, options)}
+                filled[name] = {**scene, "methods": merged(base, options)}
         return {**settings, "scenes": filled}
 
     @model_validator(mode="after")
-    def _scenes_have_folders_and_rigs(self) -> Self:
-        first: dict[str, tuple[str, str]] = {}
+    def _check_folders_and_rigs(self) -> Self:
+        acquisition_of_page: dict[str, tuple[str, str]] = {}
         for scene, method in self.acquisitions:
             page = f"{scene}_{method}"
-            other, by = first.setdefault(page, (scene, method))
+            first = acquisition_of_page.setdefault(page, (scene, method))
             rig = self.scenes[scene].rig
-            if scene in _OTHER_FOLDERS:
-                raise ValueError(
-                    f"scenes.{scene} should be called otherwise: results/{scene} is the folder of "
-                    "something else"
+            if scene in _RESERVED_FOLDERS:
+                raise mistake_error(
+                    f"this name is reserved, since rfpipe writes other files to results/{scene}; "
+                    "rename the scene",
+                    "scenes",
+                    scene,
                 )
-            if other != scene:
-                raise ValueError(
-                    f"scenes.{scene} should be called otherwise, or its method: by {method} its "
-                    f"page would be {page}, as that of {other} by {by} is"
+            if first != (scene, method):
+                raise mistake_error(
+                    f"by {method} it has the same page, {page}, as scenes.{first[0]} by "
+                    f"{first[1]}; rename one of the scenes or methods",
+                    "scenes",
+                    scene,
                 )
             if rig is not None and rig not in self.rigs:
-                raise ValueError(
-                    f"scenes.{scene}.rig is {rig!r}; the settings' rigs are: "
-                    f"{', '.join(self.rigs) or 'none'}. Add it to rigs, or leave it out"
+                raise mistake_error(
+                    f"is {rig!r}; the section rigs has {', '.join(self.rigs) or 'no entries'}. "
+                    "Add it there, or remove this setting",
+                    *("scenes", scene, "rig"),
+                    kind=ABOUT,
                 )
         return self
 
     @model_validator(mode="after")
-    def _own_settings_are_settings(self) -> Self:
+    def _check_overrides(self) -> Self:
         first = next(iter(self.scenes))
-        rigs = {("rigs", name): partial(self._with, first, rig) for name, rig in self.rigs.items()}
+        rigs = {
+            ("rigs", name): partial(self._overridden, first, rig) for name, rig in self.rigs.items()
+        }
         scenes = {
             ("scenes", name, "settings"): partial(self.of_scene, name)
             for name, scene in self.scenes.items()
             if scene.rig or scene.settings
         }
-        for checks in (rigs, scenes):  # a wrong rig's scenes are no further mistakes
+        for checks in (rigs, scenes):  # the mistakes of a rig aren't repeated for its scenes
             problems = []
-            for place, check in checks.items():
+            for location, check in checks.items():
                 try:
                     check()
                 except ValidationError as error:
-                    problems += [
-                        mistake(self._message(it), *place, *it["loc"], of=it)
-                        for it in error.errors()
-                    ]
+                    fields = Config.model_fields
+                    problems += [relocated(it, fields, *location) for it in error.errors()]
             if problems:
                 raise ValidationError.from_exception_data("settings", problems)
         return self
 
     @model_validator(mode="after")
-    def _scenes_fit_the_rig(self) -> Self:
-        kind, many = self.capture.rig, len(self.scenes) > 1
-        placed = [name for name in self.scenes if self.of_scene(name).capture.placing]
-        if many and (
-            kind == "offline" or (kind == "remote" and len(placed) < len(self.scenes) - 1)
-        ):
-            raise ValueError(
-                f"scenes should be one with capture.rig {kind}, not {len(self.scenes)}: a rig sees "
-                "one at a time; give each settings of its own, or, with a remote one, set "
-                "capture.placing, a command that puts each in its place"
-            )
+    def _check_scenes_fit_the_rig(self) -> Self:
+        self._check_number_of_scenes()
         for name, scene in self.scenes.items():
-            if scene.is_captured and kind == "simulated":
-                raise ValueError(
-                    f"capture.rig should be remote or offline for scenes.{name}, which is a real "
-                    "scene, not a simulated one"
+            if scene.is_captured and self.capture.rig == "simulated":
+                raise mistake_error(
+                    "capture.rig should be remote or offline for a real scene; it is simulated",
+                    "scenes",
+                    name,
                 )
             for method, section in self.methods_of(name).items():
-                if section.subject.needs_coaxial_rig and not scene.is_coaxial:
-                    raise ValueError(
-                        f"scenes.{name}.methods should be methods for any rig, such as {{dual: "
-                        f"{{}}}}: {method} needs a coaxial one, whose camera and projector share "
-                        "their rays"
+                if section.plugin.needs_coaxial_rig and not scene.is_coaxial:
+                    raise mistake_error(
+                        f"{method} needs a coaxial rig, whose camera and projector share their "
+                        "rays; choose methods for any rig, such as {dual: {}}",
+                        *("scenes", name, "methods"),
                     )
             camera = self.of_scene(name).camera
             bayer = None if camera is None else camera.bayer
             if bayer is not None and scene.channels != 3 and not scene.is_captured:
-                raise ValueError(
-                    f"camera.bayer {bayer} needs scenes of 3 channels, but "
-                    f"scenes.{name}.channels is {scene.channels}; set it to 3, or bayer to null"
+                raise mistake_error(
+                    f"is {scene.channels}; set it to 3, or camera.bayer, which is {bayer}, to null",
+                    *("scenes", name, "channels"),
+                    kind=ABOUT,
                 )
         return self
 
+    def _check_number_of_scenes(self) -> None:
+        """Raise ValueError for several scenes in front of a rig, unless a command places them."""
+        kind, count = self.capture.rig, len(self.scenes)
+        placed = sum(bool(self.of_scene(name).capture.placing) for name in self.scenes)
+        if count == 1 or kind == "simulated" or (kind == "remote" and placed >= count - 1):
+            return
+        raise ValueError(
+            f"scenes should contain one scene with capture.rig {kind}, not {count}: a rig captures "
+            "one at a time. Write a settings file for each scene, or, for a remote rig, set "
+            "capture.placing, a command that puts each scene in its place"
+        )
+
     @model_validator(mode="after")
-    def _pictures_can_be_taken(self) -> Self:
+    def _check_verification(self) -> Self:
         if self.verification.fail_above is not None and not self.verification_pictures:
             raise ValueError(
                 "verification.pictures should be 1 to 96 with verification.fail_above; this run "
@@ -374,4 +390,4 @@ class Config(Settings):
 OWN_TO_SCENES = frozenset(Config.model_fields) - {
     *("collection", "methods", "notify", "report", "rig_file", "rigs", "scenes")
 }
-"""Groups of a run's settings that a scene may have of its own."""
+"""Groups of a run's settings that a scene can override."""

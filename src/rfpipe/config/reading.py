@@ -1,9 +1,8 @@
-"""Reading files of settings, YAML and tables: what can't be meant is an error with its place."""
+"""Reading of settings files, YAML and tables; ambiguous or repeated entries are errors."""
 
 from __future__ import annotations
 
 import csv
-import difflib
 import io
 import re
 from collections.abc import Iterator, Mapping
@@ -19,11 +18,14 @@ from rfpipe.config.base import merged
 from rfpipe.config.model import OWN_TO_SCENES
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import ConfigError, InputError
+from rfpipe.text import similar_names
 
 _FOLDER = re.compile(r"(?!(con|prn|aux|nul|(com|lpt)[0-9])$)[a-z][a-z0-9_]{0,99}")
+"""Name of a scene that is valid as a folder's name, on Windows, too."""
+
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
-_MORE_THAN_ONE_NUMBER = re.compile(r"[-+]?(0[0-9_]+|[0-9][0-9_]*(:[0-9]{1,2})+(\.[0-9_]*)?)")
-"""Octal with a leading zero, and sixties with colons: 010 is 8 and 1:30 is 90 in YAML 1.1."""
+_AMBIGUOUS_NUMBER = re.compile(r"[-+]?(0[0-9_]+|[0-9][0-9_]*(:[0-9]{1,2})+(\.[0-9_]*)?)")
+"""Octal and sexagesimal numbers of YAML 1.1, in which 010 is 8 and 1:30 is 90."""
 
 
 def read_yaml(path: str | Path) -> object:
@@ -32,8 +34,8 @@ def read_yaml(path: str | Path) -> object:
     Raises
     ------
     ConfigError
-        When it can't be read, is empty, isn't UTF-8 or YAML, has a key twice or one that is no
-        text, or holds what may be meant as one of two numbers: with its place.
+        When the file can't be read, is empty, isn't UTF-8 or YAML, has a key twice or a key that
+        isn't a text, or contains an ambiguous number such as 010.
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -54,7 +56,7 @@ def read_yaml(path: str | Path) -> object:
 
 
 def _unreadable(path: Path, error: OSError) -> str:
-    """Describe why a settings file can't be read; names alike in its folder are suggested."""
+    """Describe why a settings file can't be read; suggest files with similar names."""
     if path.is_dir():
         return f"{path}: is a folder; name a settings file, such as {path / 'config.yaml'}"
     if not isinstance(error, FileNotFoundError):
@@ -62,38 +64,37 @@ def _unreadable(path: Path, error: OSError) -> str:
     folder = path.parent
     if not folder.is_dir():
         return f"there is no file {path}: there is no folder {folder}"
-    names = [each.name for each in sorted(folder.iterdir()) if each.suffix in (".yaml", ".yml")]
-    close = difflib.get_close_matches(path.name, names, n=3)
-    here = f" in {Path.cwd()}" if not path.is_absolute() else ""
-    meant = f"; did you mean {' or '.join(str(folder / name) for name in close)}?" if close else ""
-    return f"there is no file {path}{here}{meant}"
+    names = [file.name for file in sorted(folder.iterdir()) if file.suffix in (".yaml", ".yml")]
+    similar = [str(folder / name) for name in similar_names(path.name, names, count=3)]
+    in_folder = f" in {Path.cwd()}" if not path.is_absolute() else ""
+    suggestion = f"; did you mean {' or '.join(similar)}?" if similar else ""
+    return f"there is no file {path}{in_folder}{suggestion}"
 
 
 def parse_yaml(text: str) -> Any:
-    """Read YAML as settings files have it; raises yaml.YAMLError with the place."""
+    """Parse YAML by the strict rules for settings files; yaml.YAMLError names line and column."""
     return yaml.load(text, Loader=_Loader)
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML's safe loader, stricter."""
+    """YAML's safe loader, without repeated keys and ambiguous numbers."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = set()
         for key_node, _ in node.value:
             key = str(key_node.value)
             if key in keys:
-                raise _wrong(f"the key {key!r} stands twice; remove one", key_node.start_mark)
+                raise _yaml_error(f"the key {key!r} appears twice; remove one", key_node.start_mark)
             keys.add(key)
         return super().construct_mapping(node, deep)
 
     def checked_scalar(self, node: yaml.ScalarNode) -> Any:
-        """Construct a number or a text, unless it could be meant as one of two numbers."""
+        """Construct a number or a text; reject ambiguous numbers."""
         text = str(node.value)
-        if node.style is None and _MORE_THAN_ONE_NUMBER.fullmatch(text):
-            raise _wrong(
-                f"{text} may be meant as one of two numbers: a leading 0 means octal in YAML, and "
-                "colons sixties. Write a decimal number without them, or put it in quotes if it "
-                "is a text",
+        if node.style is None and _AMBIGUOUS_NUMBER.fullmatch(text):
+            raise _yaml_error(
+                f"{text} is ambiguous: in YAML, a leading 0 means an octal number and colons mean "
+                "base 60. Write a decimal number without them, or quotes around a text",
                 node.start_mark,
             )
         return yaml.SafeLoader.yaml_constructors[node.tag](self, node)
@@ -103,15 +104,24 @@ for _kind in ("int", "float", "str", "timestamp"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.checked_scalar)
 
 
-def _wrong(what: str, mark: yaml.Mark | None) -> yaml.constructor.ConstructorError:
+def _yaml_error(what: str, mark: yaml.Mark | None) -> yaml.constructor.ConstructorError:
     return yaml.constructor.ConstructorError(None, None, what, mark)
 
 
 @dataclass(frozen=True)
 class Collection:
-    """The scenes of a table, each with its settings and its place in the file (``line 3``).
+    """Scenes of a table.
 
-    `problems` are what is wrong with the table itself, each with its place.
+    Attributes
+    ----------
+    file : Path
+        The table.
+    scenes : dict
+        Settings of each scene by its name.
+    places : dict
+        Line of each scene in the file, such as ``line 3``.
+    problems : list of str
+        Mistakes in the table itself, each with its place.
     """
 
     file: Path
@@ -123,22 +133,28 @@ class Collection:
 def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
     """Read the scenes of a CSV file.
 
-    It has commas, semicolons or tabs, in UTF-8 or UTF-16, and a header that names settings. A scene
-    that sets options of some methods and chooses none has the run's. Problems are every row whose
-    name is missing, stands twice or fits no folder, which goes on as ``line_3`` so that its other
-    mistakes are found; cells without a column, those that aren't YAML though they begin with a
-    bracket, and names of files that aren't there. ConfigError when the file can't be read.
+    The file has commas, semicolons or tabs, in UTF-8 or UTF-16, and a header that names settings.
+    A scene that sets options of methods without choosing methods has those of the run.
+
+    Problems are rows whose name is missing, repeated or unsuitable for a folder; cells without a
+    column; cells that begin with a bracket and aren't YAML; and names of files that don't exist. A
+    row without a valid name is read as ``line_3``, so that its other mistakes are reported as well.
+
+    Raises
+    ------
+    ConfigError
+        When the file can't be read or has no scenes.
     """
     collection = Collection(file)
     for place, row in _csv_rows(file):
         wrong = []
         name = row.pop("name", "")
-        if unfit := _unfit(name, collection.places):
-            wrong.append(unfit)
+        if problem := _problem_of_name(name, collection.places):
+            wrong.append(problem)
             name = place.replace(" ", "_")
         collection.places[name] = place
-        if astray := row.pop("", None):
-            wrong.append(f"{astray!r} stands in a column without name")
+        if unnamed_cell := row.pop("", None):
+            wrong.append(f"{unnamed_cell!r} is in a column without a name; name the column")
         values = {}
         for column, cell in row.items():
             try:
@@ -147,26 +163,26 @@ def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
                 wrong.append(f"{column}: {' '.join(str(error).split())}")
         collection.scenes[name] = _scene(values, methods)
         wrong += _missing_files(values)
-        collection.problems.extend(f"{file}: {place}: {each}" for each in wrong)
+        collection.problems.extend(f"{file}: {place}: {problem}" for problem in wrong)
     if not collection.places:
-        raise ConfigError(f"{file}: has no scenes; expected a row for each")
+        raise ConfigError(f"{file}: has no scenes; expected a row for each scene")
     return collection
 
 
 def _missing_files(row: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with the files that a scene's settings name."""
+    """Return a message for each file that a scene's settings name and that doesn't exist."""
     options: tuple[str, ...] = ()
-    with suppress(InputError):  # no such kind, which the model says
+    with suppress(InputError):  # the model reports an unknown kind
         options = SceneSettings.model_of(str(row.get("kind"))).files
     return [
-        f"{option} is {row[option]!r}, which isn't there"
+        f"{option} is {row[option]!r}; there is no such file"
         for option in options
         if isinstance(row.get(option), str) and not Path(row[option]).exists()
     ]
 
 
 def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the filled cells of each row of a CSV file by column, and the row's line."""
+    """Yield the line of each row of a CSV file, and its non-empty cells by column."""
     try:
         content = file.read_bytes()
         is_wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
@@ -186,12 +202,13 @@ def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, str]]]:
     line, header = filled[0] if filled else (1, [])
     twice = {column for column in header if column and header.count(column) > 1}
     if "name" not in header or twice:
-        expected = f"{', '.join(sorted(twice))} stands twice" if twice else "has no column 'name'"
-        raise ConfigError(f"{file}: line {line}: the header {expected}; it is {header}")
+        repeated = f"has {', '.join(sorted(twice))} twice"
+        problem = repeated if twice else "has no column 'name'"
+        raise ConfigError(f"{file}: line {line}: the header {problem}; it is {header}")
     for line, cells in filled[1:]:
-        named = dict(zip(header, cells, strict=False))
-        named[""] = next(filter(None, cells[len(header) :]), named.get("", ""))
-        row = {column: cell for column, cell in named.items() if cell}
+        cell_of = dict(zip(header, cells, strict=False))
+        cell_of[""] = next(filter(None, cells[len(header) :]), cell_of.get("", ""))
+        row = {column: cell for column, cell in cell_of.items() if cell}
         if delimiter == ";":
             row |= {
                 column: _DECIMAL_COMMA.sub(".", cell)
@@ -202,28 +219,27 @@ def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, str]]]:
 
 
 def _scene(row: Mapping[str, Any], methods: Mapping[str, object]) -> dict[str, Any]:
-    """Return a scene's settings as the model takes them; those of the run are its ``settings``."""
+    """Return a row as the settings of a scene; settings of the run become its ``settings``."""
     scene = _nested(row)
     if "methods" in scene:
         options = scene["methods"]
-        chosen = row.get("methods") or dict.fromkeys(methods)
-        names: dict[str, Any] = {name: {} for name in chosen}
-        scene["methods"] = merged(names, options) if isinstance(options, Mapping) else names
+        sections: dict[str, Any] = {name: {} for name in row.get("methods") or methods}
+        scene["methods"] = merged(sections, options) if isinstance(options, Mapping) else sections
     overrides = {name: scene.pop(name) for name in OWN_TO_SCENES - {"seed"} if name in scene}
     return merged(scene, {"settings": overrides}) if overrides else scene
 
 
 def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings in groups: ``{"camera.bits": 12}`` as ``{"camera": {"bits": 12}}``."""
+    """Nest dotted names: ``{"camera.bits": 12}`` becomes ``{"camera": {"bits": 12}}``."""
     tree: dict[str, Any] = {}
-    for name, value in sorted(row.items()):  # methods before options of some
+    for name, value in sorted(row.items()):  # methods before methods.dual.tolerance
         parts = name.split(".", 1) if name.startswith("about.") else name.split(".")
         tree = merged(tree, reduce(lambda inner, part: {part: inner}, reversed(parts), value))
     return tree
 
 
 def _value(text: str, column: str) -> Any:
-    """Return a cell as the setting takes it: a text, which the model reads, or YAML."""
+    """Return the value of a cell: parsed YAML, or a text that the model parses."""
     if column.startswith("about."):
         return text
     if text in ("null", "~"):
@@ -233,15 +249,15 @@ def _value(text: str, column: str) -> Any:
     return re.split(r"[;,\s]+", text) if column == "methods" else text
 
 
-def _unfit(name: str, places: Mapping[str, str]) -> str | None:
-    """Return why a name is none for a scene and its folder, or None."""
+def _problem_of_name(name: str, places: Mapping[str, str]) -> str | None:
+    """Return the reason why a scene's name is invalid, or None."""
     if not name:
         return "the scene has no name; give it one, such as bowl_1"
     if name in places:
-        return f"the name {name} stands in {places[name]} as well; change one"
+        return f"the name {name} is also in {places[name]}; change one of the two"
     if _FOLDER.fullmatch(name):
         return None
     return (
-        f"the name {name[:110]!r} is not fit for a folder; expected a lower-case letter, then at "
-        "most 99 such, digits and _, as in item_3; other names can stand in about.title"
+        f"the name {name[:110]!r} is unsuitable for a folder; expected a lower-case letter and at "
+        "most 99 more letters, digits and _, as in item_3. Other names can go to about.title"
     )

@@ -1,4 +1,4 @@
-"""What settings know of any scene; a kind's own options lie beside the kind."""
+"""Settings that all scenes have; the options of a kind of scene are defined beside it."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from pydantic import Field
 
 from rfpipe import plugins
 from rfpipe.config.base import (
-    Described,
     Extent,
     MethodSections,
+    PluginSettings,
     SectionName,
     Text,
     ViewCount,
-    setting,
 )
 
 
@@ -25,10 +24,11 @@ class Choice(NamedTuple):
     Attributes
     ----------
     setting : str
+        Name of the setting.
     value : object
-        In plain data.
+        The value as plain data.
     reason : str
-        Why, as a clause.
+        Reason for the choice, as a clause.
     """
 
     setting: str
@@ -36,15 +36,15 @@ class Choice(NamedTuple):
     reason: str
 
 
-class SceneSettings(Described):
+class SceneSettings(PluginSettings):
     """The settings of a scene of any kind, a simulated or a real one.
 
     Attributes
     ----------
     is_captured : bool
-        Whether it is a real scene, before a real rig, without ground truth.
+        True for a real scene in front of a real rig, without ground truth.
     files : tuple of str
-        Options that name a file or folder which must be there before a run begins.
+        Options that name a file or folder which has to exist before a run begins.
     """
 
     group: ClassVar[str] = plugins.SCENES
@@ -53,43 +53,49 @@ class SceneSettings(Described):
     files: ClassVar[tuple[str, ...]] = ()
 
     kind: Text = Field(
-        description="Kind of scene, one that 'rfpipe settings scenes' lists, or a class of your "
+        description="Kind of scene: one that 'rfpipe settings scenes' lists, or a class of your "
         "own as module:Class or file.py:Class.",
     )
-    shape: tuple[Extent, Extent] = setting(
-        (62, 70), "Rays of the rig, or of each view: height and width, 1 to 4096 each."
+    shape: tuple[Extent, Extent] = Field(
+        (62, 70), description="Height and width of the ray domain, or of each view, in rays."
     )
-    channels: Literal[1, 3] = setting(3, "Colour channels: 1 (grey) or 3 (RGB).")
-    methods: MethodSections | None = setting(
-        None, "Methods of this scene, with options that differ from the run's; null: the run's."
+    channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
+    methods: MethodSections | None = Field(
+        None,
+        description="Methods of this scene, with the options that differ from the run's; null: "
+        "those of the run.",
     )
-    rig: SectionName | None = setting(
-        None, "The one of the settings' rigs that it stands before; null: the run's."
+    rig: SectionName | None = Field(
+        None,
+        description="Entry of the section rigs whose settings apply to this scene; null: none.",
     )
-    settings: dict[str, Any] = setting(
-        {}, "Settings of the run, other for this scene; they win over its rig's."
+    settings: dict[str, Any] = Field(
+        {},
+        description="Settings of the run that differ for this scene; they override those of its "
+        "rig.",
     )
-    about: dict[str, Any] = setting({}, "Facts for the catalogue, such as {number: 1992.14.3}.")
+    about: dict[str, Any] = Field(
+        {}, description="Facts for the catalogue, such as {number: 1992.14.3}."
+    )
 
     @classmethod
     def of(cls, kind: str, **options: Any) -> Self:
-        """Return the settings of a scene of some kind.
+        """Return the settings of a scene of a kind.
 
         Raises
         ------
         ValidationError
-            When there is no such kind, it lacks an option, or one is out of range.
+            When there is no such kind, or an option is missing or out of range.
         """
         return cls.model_validate({"kind": kind, **options})
 
-    def itself(self) -> dict[str, Any]:
-        """Return as plain data what is true of it, however and before whatever it is acquired."""
-        other = {"methods", "rig", "settings", "about"}
-        return self.model_dump(mode="json", exclude=other)
+    def scene_options(self) -> dict[str, Any]:
+        """Return the options that describe the scene itself, not its acquisition, as plain data."""
+        return self.model_dump(mode="json", exclude={"methods", "rig", "settings", "about"})
 
     @property
     def simulation_bytes(self) -> int:
-        """Bytes that a simulated scene takes, as far as that is known before it is made."""
+        """Memory of a simulated scene in bytes, as far as known before it is built."""
         return 0
 
     @property
@@ -104,45 +110,46 @@ class SceneSettings(Described):
 
     @property
     def view_grid(self) -> tuple[int, int]:
-        """Rows and columns of the array of views, (1, 1) of a single pair."""
+        """Rows and columns of the array of views; (1, 1) for a single pair."""
         return 1, 1
 
     @property
     def is_light_field(self) -> bool:
-        """Whether either side of the rig is an array of views, be it of a single one."""
+        """True if either side of the rig is an array of views, even of one view."""
         return max(len(self.ray_shape), len(self.camera_ray_shape)) > 2
 
     @property
     def is_coaxial(self) -> bool:
-        """Whether camera and projector share their rays."""
+        """True if camera and projector share their rays."""
         return self.camera_ray_shape == self.ray_shape
 
     @property
     def has_truth(self) -> bool:
-        """Whether its light under any pattern is known, to compare with."""
+        """True if the exact picture under any pattern is known."""
         return not self.is_captured
 
     @property
     def choices(self) -> list[Choice]:
-        """Values of the settings that are null and depend on the scene."""
+        """Values chosen for settings that are null and depend on the scene."""
         return []
 
     @property
     def omissions(self) -> list[str]:
-        """Sentences on the light that the simulation leaves out, though the scene has it."""
+        """Sentences about light in the scene that the simulation omits."""
         return []
 
     @property
     def obstacles(self) -> list[str]:
-        """Sentences on what the simulation needs and this machine lacks, with the remedy."""
+        """Sentences about missing requirements of the simulation, each with the remedy."""
         return []
 
 
 class Views(SceneSettings):
-    """A scene before a planar array of coaxial projectors and cameras, or before a single pair."""
+    """A scene in front of a planar array of coaxial projector-camera pairs, or of one pair."""
 
-    views: tuple[ViewCount, ViewCount] | None = setting(
-        None, "Rows and columns of an array of coaxial pairs [5.2]; null: a single pair."
+    views: tuple[ViewCount, ViewCount] | None = Field(
+        None,
+        description="Rows and columns of an array of coaxial pairs [5.2]; null: a single pair.",
     )
 
     @property
@@ -157,10 +164,10 @@ class Views(SceneSettings):
 
 
 class AnyRig(Views):
-    """A scene before any rig, one whose camera stands aside of the projector, too."""
+    """A scene in front of any rig, coaxial or with the camera beside the projector."""
 
-    camera_shape: tuple[Extent, Extent] | None = setting(
-        None, "Height and width of the camera's rays, 1 to 4096 each; null: a coaxial rig."
+    camera_shape: tuple[Extent, Extent] | None = Field(
+        None, description="Height and width of the camera's ray domain; null: a coaxial rig."
     )
 
     @property
@@ -170,5 +177,5 @@ class AnyRig(Views):
 
     @property
     def is_coaxial(self) -> bool:
-        """Whether camera and projector share their rays."""
+        """True if camera and projector share their rays."""
         return self.camera_shape is None

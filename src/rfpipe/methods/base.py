@@ -14,7 +14,8 @@ from pydantic import Field, ValidationError
 
 from rfpipe import plugins
 from rfpipe.blocks import RayDomain
-from rfpipe.config.base import Fraction, MethodSettings, explained
+from rfpipe.config.base import Fraction, MethodSettings
+from rfpipe.config.mistakes import mistake_lines
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
@@ -277,5 +278,5 @@ def options_of(method: Method[Any], **options: Any) -> Options:
     try:
         return method.Options.model_validate(options)
     except ValidationError as error:
-        lines = explained(error)
+        lines = mistake_lines(error)
         raise InputError("\n".join(f"{method.name}: {line}" for line in lines)) from None

@@ -82,14 +82,14 @@ class CameraModel(Sensor):
     def __post_init__(self) -> None:
         from pydantic import ValidationError
 
-        from rfpipe.config.base import explained
         from rfpipe.config.camera import CameraConfig
+        from rfpipe.config.mistakes import mistake_lines
 
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
         try:
             CameraConfig.model_validate(settings)
         except ValidationError as error:
-            raise InputError(f"camera: {explained(error)[0]}") from None
+            raise InputError(f"camera: {mistake_lines(error)[0]}") from None
 
     @property
     def white_level(self) -> int:

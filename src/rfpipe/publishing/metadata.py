@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date
@@ -12,10 +11,12 @@ from typing import Annotated, Any
 import yaml
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from rfpipe.config.base import Settings, explained
+from rfpipe.config.base import Settings
+from rfpipe.config.mistakes import mistake_lines
 from rfpipe.config.reading import read_yaml
-from rfpipe.errors import InputError
+from rfpipe.errors import InputError, UnsuitableValueError
 from rfpipe.store.files import write_atomically
+from rfpipe.text import similar_names
 from rfpipe.version import __version__
 
 CITATION_FILE = "publication.yaml"
@@ -64,20 +65,20 @@ def check_digit(digits: str) -> str:
 
 
 def _orcid(text: str) -> str:
-    """Return an ORCID iD as it is; ValueError when it is none, or a digit is wrong."""
+    """Return an ORCID iD unchanged; UnsuitableValueError if its form or check digit is wrong."""
     if _ORCID.fullmatch(text) is None:
-        raise ValueError("should be four groups of four digits, of which the last may be X")
+        raise UnsuitableValueError("be four groups of four digits, of which the last may be X")
     expected = check_digit(text[:-1].replace("-", ""))
     if text[-1] != expected:
-        raise ValueError(
-            f"should end in {expected}, the check digit of the digits before it: one of its digits "
+        raise UnsuitableValueError(
+            f"end in {expected}, the check digit of the digits before it: one of its digits "
             "is wrong, or two are exchanged"
         )
     return text
 
 
 def _licence(text: str) -> str:
-    """Return a licence's address, or its name as the SPDX list has it; ValueError for others."""
+    """Return a licence's address, or its name in the SPDX list; UnsuitableValueError for others."""
     from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
     if re.fullmatch(r"https?://\S+", text):
@@ -90,9 +91,9 @@ def _licence(text: str) -> str:
         return name
     spelt = {licence.lower(): licence for licence in _LICENCES}
     key = re.sub(r"[^a-z0-9.]+", "-", text.lower())
-    close = difflib.get_close_matches(key, spelt, n=1, cutoff=0.5)
-    meant = f" (did you mean {spelt[close[0]]}?)" if close else ""
-    raise ValueError(f"should be the name of one licence of the SPDX list{meant}")
+    suggestions = [spelt[name] for name in similar_names(key, spelt, cutoff=0.5)]
+    suggestion = f" (did you mean {suggestions[0]}?)" if suggestions else ""
+    raise UnsuitableValueError(f"be the name of one licence of the SPDX list{suggestion}")
 
 
 def _matching(pattern: re.Pattern[str], expected: str) -> AfterValidator:
@@ -100,7 +101,7 @@ def _matching(pattern: re.Pattern[str], expected: str) -> AfterValidator:
 
     def check(text: str) -> str:
         if pattern.fullmatch(text) is None:
-            raise ValueError(f"should be {expected}")
+            raise UnsuitableValueError(f"be {expected}")
         return text
 
     return AfterValidator(check)
@@ -202,7 +203,7 @@ def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
     try:
         citation = Citation.model_validate(entries)
     except ValidationError as error:
-        lines = [f"{path}: {line}" for line in explained(error)]
+        lines = [f"{path}: {line}" for line in mistake_lines(error)]
         raise InputError("\n".join(lines)) from None
     data = citation.model_dump(mode="json", exclude_none=True)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=98)

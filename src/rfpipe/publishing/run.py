@@ -183,7 +183,7 @@ def settings_of(run: Run, config: Path | None) -> dict[str, Any] | None:
         return run.settings
     path = config.absolute()
     with chdir(run.folder):  # to which the settings' own paths are relative
-        return load_config(path).shaping()
+        return load_config(path).result_settings()
 
 
 def settings_file(shaping: dict[str, Any]) -> bytes:

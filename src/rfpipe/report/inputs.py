@@ -171,7 +171,7 @@ class Inputs:
     @cached_property
     def _subjects(self) -> dict[str, Any]:
         sections = (self.config.methods_of(scene).items() for scene in self.config.scenes)
-        return {name: section.subject for group in sections for name, section in group}
+        return {name: section.plugin for group in sections for name, section in group}
 
     def title(self, method: str) -> str:
         """Return a method's name in words, with its section's where that is another."""
@@ -223,7 +223,7 @@ def _unused(wished: str, others: Sequence[str], used: set[str]) -> str:
 
 def _without_seeds(config: Config, scene: str) -> str:
     """Return a fingerprint of all that shapes the results of a scene except its seeds."""
-    shaping = config.of_scene(scene).shaping()
+    shaping = config.of_scene(scene).result_settings()
     of_scene = {**shaping.pop("scenes")[scene], "seed": None, "settings": None}
     methods = {name: one.model_dump() for name, one in config.methods_of(scene).items()}
     return fingerprint([{**shaping, "seed": None}, {**of_scene, "methods": None}, methods])

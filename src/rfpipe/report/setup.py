@@ -17,7 +17,7 @@ from rfpipe.rigs.settings import flat
 def setup_section(inputs: Inputs) -> Section:
     """Settings, with what scenes choose for those that are null, and versions."""
     names = ["setting", "value"]
-    shaping = inputs.config.shaping()
+    shaping = inputs.config.result_settings()
     shaping = _without_idle_methods(shaping, {run.method for run in inputs.runs})
     about = "As config/all.yaml describes them; methods that did not run are left out."
     if inputs.config.capture.rig == "remote":
@@ -96,7 +96,7 @@ def _with_values(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def provenance_of(inputs: Inputs) -> dict[str, Any]:
     """Return plain data that tells a report's origin."""
-    shaping = inputs.config.shaping()
+    shaping = inputs.config.result_settings()
     return {
         "versions": _versions(inputs),
         "seed": inputs.config.seed,

@@ -219,7 +219,7 @@ class _Connection:
         try:
             check_server(url)
         except ValueError as error:
-            raise InputError(f"url is {url!r}; it {error}") from None
+            raise InputError(f"url is {url!r}; it should {error}") from None
         if not 0 <= patience_seconds < float("inf"):
             raise InputError(f"patience_seconds is {patience_seconds}; expected at least 0")
         self._url = url.rstrip("/")

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from rfpipe import plugins
-from rfpipe.config.base import shown
+from rfpipe.config.mistakes import yaml_text
 from rfpipe.provenance import source_digest
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
         if name.endswith(_CODE):
             lines.append(f"{name} changed")
         else:
-            lines.append(f"{name} was {shown(old)}, is now {shown(new)}")
+            lines.append(f"{name} was {yaml_text(old)}, is now {yaml_text(new)}")
     if len(lines) > _MOST_LINES:
         lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more"]
     return lines

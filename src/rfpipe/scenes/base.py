@@ -102,7 +102,7 @@ def scene_from_config(settings: SceneSettings) -> Scene:
 
     Raises InputError for a captured scene, of which no light transport is known.
     """
-    made: Scene = settings.subject.make(settings)
+    made: Scene = settings.plugin.make(settings)
     return made
 
 

@@ -270,5 +270,5 @@ def rig_of(config: Config, scene: str) -> dict[str, Any]:
     if config.capture.rig == "offline":
         offline = of_scene.offline.model_dump(mode="json")
         return {"by": "pictures", "rig": {"offline": offline, **camera, **_rays(about)}}
-    rig = {"scene": about.itself(), **camera, "seed": of_scene.seed}
+    rig = {"scene": about.scene_options(), **camera, "seed": of_scene.seed}
     return {"by": "simulation", "rig": rig}
