@@ -97,10 +97,10 @@ def test_lists_have_decimal_commas_where_semicolons_part_cells(tmp_path: Path) -
 
 HEAD = "name,kind,surfaces"
 MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
-    ("name,kind\na,plane\na,plane\n", "line 3: the name a stands in line 2"),
+    ("name,kind\na,plane\na,plane\n", "line 3: the name a is also in line 2"),
     (
         "name,kind\nVase-3,plane\n1992.3,plane\nSch\u00fcssel,plane\n,plane\nnul,plane\n",
-        "line 2: the name 'Vase-3' is not fit for a folder; expected a lower-case letter",
+        "line 2: the name 'Vase-3' is unsuitable for a folder; expected a lower-case letter",
         "line 3: the name '1992.3'",
         "line 4: the name 'Sch\u00fcssel'",
         "line 5: the scene has no name",
@@ -113,39 +113,39 @@ MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
     ),
     (  # all kinds of mistakes in one go
         "name,kind,file,camera.exposure\nA,matrix,no\na,plane,,3\na,plane,,,7\nb,pla,[2\n",
-        "line 2: the name 'A' is not fit for a folder",
+        "line 2: the name 'A' is unsuitable for a folder",
         "line 2: file is 'no', which isn't there",
         "line 4: the name a stands in line 3",
-        "line 4: '7' stands in a column without",
+        "line 4: '7' is in a column without",
         "line 5: file: while parsing a flow sequence",
         "line 5: scenes.b: 'pla' is unknown",
         "line 3: scenes.a.settings.camera.exposure is unknown; did you mean exposures?",
     ),
     (
         f"{HEAD},shape\na,plane,white,0 x 3\nb,plane,white,2 x 2\n",
-        "line 2: scenes.a.shape[0] is 0; it should be greater",
+        "line 2: scenes.a.shape[0] is 0; it should be at least 1",
     ),
     ("name,kind\na,pla\n", "line 2: scenes.a: 'pla' is unknown"),
     (
         'name,kind,about.note\na,plane,"two\nlines"\nb,plane,1,2\n',
-        "line 4: '2' stands in a column without",
+        "line 4: '2' is in a column without",
     ),
-    ("name,kind,name\n", "line 1: the header name stands twice"),
+    ("name,kind,name\n", "line 1: the header has name twice"),
     ('name,kind\na,"pla\n', "can't be read as a table: "),
     (b"name,kind,about.x\na,plane,caf\xe9\n", "can't be read as a table: 'utf-8' codec"),
     ("name,kind\n", "has no scenes; expected a row for each"),
-    ("name,kind,file\na,matrix,nowhere\n", "line 2: file is 'nowhere', which isn't there"),
+    ("name,kind,file\na,matrix,nowhere\n", "line 2: file is 'nowhere'; there is no such file"),
     (
         f"{HEAD},capture.rig\na,plane,white,remote\n",
         "line 2: scenes.a.settings.capture.rig: can't be set for a",
     ),
-    (f"{HEAD}\nreport,plane,white\n", "line 2: scenes.report should be called"),
+    (f"{HEAD}\nreport,plane,white\n", "line 2: scenes.report: this name is reserved"),
     (b"PK\x03\x04\x14\x00", "line 1: the header has no column 'name'"),
 ]
 
 
 @pytest.mark.parametrize("case", MISTAKES)
-def test_every_mistake_is_told_with_its_line(
+def test_every_mistake_is_reported_with_its_line(
     tmp_path: Path, case: tuple[str | bytes, *tuple[str, ...]]
 ) -> None:
     told = refusal(tmp_path, case[0])
@@ -175,10 +175,10 @@ def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
     assert scenes["b"].about == {"title": "[Jug] with {handle", "from": "null"}
 
 
-def test_a_wrong_rig_and_a_missing_file_are_told(tmp_path: Path) -> None:
+def test_a_wrong_rig_and_a_missing_file_are_reported(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,rig\na,plane,white,studio\n"
     (told,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
-    assert told.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be less than or")
+    assert told.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be at most 16")
     (tmp_path / "run.yaml").write_text("collection: gone.csv\n")
     with pytest.raises(ConfigError, match=f"no file gone.csv nor {tmp_path}/gone.csv"):
         load_config(tmp_path / "run.yaml")

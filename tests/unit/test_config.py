@@ -99,7 +99,7 @@ methods: {symmetric: {tolerance: yes}} -> tolerance is true; it should not be tr
 methods: {dual: {patterns: 9}} -> dual.patterns is unknown; Known here: method, noise_significance,
 methods: [dual] -> methods is ['dual']; it should be a section for each method, as in {dual: {}}
 methods: {Dual!: {method: dual}} -> methods.Dual! is 'Dual!'; it should match the pattern
-camera: {exposures: [15, 125]} -> exposures[1] is 125; it should be at most 60. (Exposure times .* seconds
+camera: {exposures: [15, 125]} -> exposures[1] is 125; it should be at most 60. (Exposure times
 camera: {exposures: [1.0, 0.1]} -> camera: exposures is (1.0, 0.1); it should ascend
 camera: {black_level_counts: 255, bits: 8} -> camera: black_level_counts is 255; .* 255 at 8 bits
 capture: 3 -> capture is 3; it should be a group of 'key: value' settings
@@ -112,11 +112,11 @@ scenes: {a: {kind: plane, shpae: 8 x 8}} -> scenes.a.shpae is unknown; did you m
 scenes: {a: {kind: wedge, surfaces: white}} -> scenes.a: kind wedge .* 2 surfaces (left, right), not
 {camera: {bayer: RGGB}, scenes: {a: {kind: plane, channels: 1}}} -> scenes.a.channels is 1; set it
 scenes: {a: {kind: room, methods: {}}} -> scenes.a.methods is {}
-scenes: {a: {kind: captured, shape: 4 x 5}} -> scenes.a: capture.rig should be remote or offline
+scenes: {a: {kind: captured, shape: 4 x 5}} -> a: capture.rig should be remote or
 {scenes: {a: &a {kind: captured}, b: *a}, capture: {rig: remote}} -> scenes .* capture.rig remote
 {scenes: {a: &a {kind: captured}, b: *a}, capture: {rig: offline}} -> scenes .* capture.rig offline
-{scenes: {a: {kind: captured, camera_shape: 6 x 7}},capture: {rig: remote}} -> scenes.a.methods: .* any rig
-scenes: {a: {kind: plane, surfaces: [white], projector: {position: [1, 0, 0]}}} -> scenes.a.methods: .* any rig
+{scenes: {a: {kind: captured, camera_shape: 6 x 7}},capture: {rig: remote}} -> a.methods: .* rig
+scenes: {a: {kind: plane, surfaces: [white], projector: {position: [1, 0, 0]}}} -> a.methods: .* rig
 scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is unknown
 """
 

@@ -91,7 +91,7 @@ def test_the_default_file_holds_the_defaults() -> None:
          "projector.driver: 'windw' is unknown; did you mean window? Expected one of dlpc900, "),
         ({"camera": {"driver": "arvis", "options": {"serial": "1"}}}, "did you mean aravis?"),
         ({"scenes": {}, "methods": {}, "seed": 1},
-         "contains the settings of a run (scenes, methods), not those of a rig. Give the rig's file: one"),
+         "the settings of a run (scenes, methods), not those of a rig. Give the rig's file: one"),
         ({"scenes": {}, "methods": {}, "rig_file": "mine.yaml"}, "this run's is mine.yaml"),
         ({"bench": {"camera": {"bits": 8}}}, "bench.camera.bits and bench.camera.bayer should be"),
         ({"calibrate": {"period_pixels": 10}}, "period_pixels is 10; it should be a multiple of 4"),

@@ -55,7 +55,7 @@ LIGHT_FIELD = {
     ("settings", "message"),
     [
         ("methods: {dual: {tolerence: 1e-3}}", "dual.tolerence is unknown; did you mean"),
-        ("seed: 1\nseed: 2", "the key 'seed' stands twice"),
+        ("seed: 1\nseed: 2", "the key 'seed' appears twice"),
     ],
 )
 def test_a_mistake_in_the_settings_ends_the_run_before_it_begins(
