@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.harness import write
-from rfpipe.calibration.bench import Bench
-from rfpipe.calibration.black import measure_dark
+from rfpipe.calibration.context import StepContext
+from rfpipe.calibration.dark import measure_dark
 from rfpipe.calibration.responses import measure_linearity
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.config import CalibrationConfig
@@ -92,8 +92,8 @@ class Wall:
 
 def linearity(wall: Wall) -> Findings:
     """Do the steps dark and linearity."""
-    bench = Bench(wall, wall, CalibrationConfig(), None, {}, lambda _: nullcontext())
-    return measure_linearity(replace(bench, results={"dark": measure_dark(bench)}))
+    context = StepContext(wall, wall, CalibrationConfig(), None, {}, lambda _: nullcontext())
+    return measure_linearity(replace(context, findings={"dark": measure_dark(context)}))
 
 
 def rows(seeds: int) -> Iterator[dict[str, Any]]:

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
+from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.run import calibrate_rig
 from rfpipe.cli import app
 from rfpipe.config import parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError

@@ -20,7 +20,8 @@ from tests.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 from typer.testing import CliRunner
 
 from rfpipe.calibration import latency
-from rfpipe.calibration.folder import CalibrationFolder, calibrate
+from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.run import calibrate
 from rfpipe.cli import app
 from rfpipe.config import CalibrationConfig, RigConfig, SceneSettings
 from rfpipe.pictures import read_picture

@@ -7,7 +7,7 @@ import pytest
 from tests.device.test_bench import RAYS, bench, settings
 
 from rfpipe.calibration import latency
-from rfpipe.calibration.bench import Bench
+from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.latency import PICTURES, measure_latency
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
@@ -25,8 +25,10 @@ def measured(delay: float, settle: float, *, is_covered: bool = False):  # type:
     with closing(projector), closing(camera):
         if is_covered:
             projector.show_now = lambda picture: None  # type: ignore[attr-defined]
-        bench = Bench(projector, camera, CalibrationConfig(), None, {}, lambda _: nullcontext())
-        return projector, measure_latency(bench)
+        context = StepContext(
+            projector, camera, CalibrationConfig(), None, {}, lambda _: nullcontext()
+        )
+        return projector, measure_latency(context)
 
 
 def test_a_quick_display_is_good() -> None:
@@ -49,7 +51,7 @@ def test_a_slow_display_is_found_and_what_to_set() -> None:
 
 def test_a_projector_that_is_covered_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.5)
-    with pytest.raises(CaptureError, match="doesn't tell a white picture from a black one"):
+    with pytest.raises(CaptureError, match="not brighter than black ones"):
         measured(0, 0, is_covered=True)
 
 

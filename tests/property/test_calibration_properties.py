@@ -81,7 +81,7 @@ def test_resampling_inverts_what_the_camera_mixes(
     assert (area <= layout.pixels_of_ray * (1 + 1e-9)).all()
     camera = shares @ light
     rays = fit.resampling.matrix @ camera
-    seen = fit.resampling.seen.ravel()
+    seen = fit.resampling.visible.ravel()
     assert seen.any()
     bound = fit.leak[seen] * light.max() + 1e-4
     assert (np.abs(rays - light)[seen] <= bound).all()

@@ -12,13 +12,9 @@ import pytest
 from tests.rigs.calibration_bench import CAMERA, GAMMA, Bench, brighter, wedge_bench
 
 from rfpipe.calibration import latency
-from rfpipe.calibration.folder import (
-    STEPS,
-    CalibrationFolder,
-    calibrate,
-    calibrate_rig,
-    finish,
-)
+from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.run import calibrate, calibrate_rig, finish
+from rfpipe.calibration.steps import STEPS
 from rfpipe.config import CalibrationConfig, RigConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.report.calibration import _steadiness, build_calibration_report
@@ -63,7 +59,7 @@ def test_a_calibration_finds_the_bench(calibrated: Any) -> None:
     light = np.linspace(0, 1, 256) ** GAMMA
     assert np.abs(found.projector_response - light).max() < 3e-3
     assert np.array_equal(found.layout.ray_of_pixel, bench.path.layout.ray_of_pixel)
-    assert found.resampling.seen.all()
+    assert found.resampling.visible.all()
     assert set(found.facts) == set(STEPS)
     standings = {name: facts["standing"] for name, facts in found.facts.items()}
     assert set(standings.values()) <= {"good", "unknown"}, standings
@@ -104,7 +100,7 @@ def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
         run()
     done = [name for name in STEPS if folder.is_done(name)]
     assert done == ["latency", "steadiness", "scene", "dark", "linearity"]
-    with pytest.raises(StoreError, match="light isn't done"):
+    with pytest.raises(StoreError, match="light isn't complete"):
         finish(folder, SETTINGS)
     dark = folder.manifest("dark").stat().st_mtime_ns
     left[0] = 1000
@@ -118,13 +114,13 @@ def test_what_a_change_concerns_is_done_anew_and_damage_is_found(tmp_path: Path)
     _, folder, run = begun(tmp_path)
     only = ["steadiness", "scene", "dark", "linearity"]
     run(only)
-    first = {name: folder.made_for(name) for name in only}
+    first = {name: folder.conditions(name) for name in only}
     run(only, tolerance=0.05)
-    assert folder.made_for("dark") == first["dark"]
-    assert folder.made_for("linearity") != first["linearity"]
+    assert folder.conditions("dark") == first["dark"]
+    assert folder.conditions("linearity") != first["linearity"]
     for changed in ({"sensor": brighter(CAMERA, 2.0)}, {"seed": 1}):
         run(only, wedge_bench(RAYS, **changed), tolerance=0.05)
-        assert folder.made_for("dark") != first["dark"]
+        assert folder.conditions("dark") != first["dark"]
     write_arrays(folder.store("dark"), {"black": np.zeros(3)}, {})
     with pytest.raises(IntegrityError, match="remove both"):
         folder.read("dark")
@@ -144,7 +140,7 @@ def test_a_rig_that_is_not_coaxial_has_no_rays(tmp_path: Path) -> None:
     run(coaxial=False)
     assert load(folder.path).layout is None
     assert set(folder.verdicts()) == set(STEPS) - {"rays", "symmetry"}
-    with pytest.raises(InputError, match="none of this rig's"):
+    with pytest.raises(InputError, match="is unknown for this rig"):
         run(["symmetry"], coaxial=False)
 
 

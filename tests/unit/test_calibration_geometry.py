@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from tests.rigs.calibration_bench import CAMERA, Bench, surface_bench, wedge_bench
 
-from rfpipe.calibration.bench import Bench as Steps
-from rfpipe.calibration.black import measure_dark
+from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.correspondence import (
     SmoothMap,
     find_views,
@@ -18,6 +17,7 @@ from rfpipe.calibration.correspondence import (
     maps_of_views,
     measure_correspondence,
 )
+from rfpipe.calibration.dark import measure_dark
 from rfpipe.calibration.rays import RayFit, fit_rays, measure_rays
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig
@@ -30,16 +30,16 @@ from rfpipe.scenes.relighting import relighting_patterns
 HOMOGRAPHY = np.array([[4.1, 0.12, 3.0], [-0.2, 3.9, 5.0], [2e-4, -1e-4, 1.0]])
 
 
-def steps_of(bench: Bench, **settings: object) -> Steps:
+def context_of(bench: Bench, **settings: object) -> StepContext:
     """A bench with its black level measured, and a projector of linear light."""
     config = CalibrationConfig(dark_frames=4, **settings)
-    steps = Steps(bench.projector, bench.camera, config, None, {}, lambda _: nullcontext())
+    context = StepContext(bench.projector, bench.camera, config, None, {}, lambda _: nullcontext())
     light = Findings(Verdict("good", ""), {}, {"light": np.linspace(0, 1, 256)})
-    return replace(steps, found={"dark": measure_dark(steps), "light": light})
+    return replace(context, findings={"dark": measure_dark(context), "light": light})
 
 
 def correspondence_of(bench: Bench, **settings: object) -> Findings:
-    return measure_correspondence(steps_of(bench, **settings))
+    return measure_correspondence(context_of(bench, **settings))
 
 
 def map_of(found: Findings) -> SmoothMap:
@@ -102,9 +102,9 @@ def test_a_map_is_robust_knows_its_error_and_bends_with_the_lens() -> None:
 
 
 def test_too_few_points_make_no_map() -> None:
-    with pytest.raises(CaptureError, match="30 or more"):
+    with pytest.raises(CaptureError, match="a map needs 30"):
         fit_map(np.zeros((5, 2)), np.zeros((5, 2)))
-    with pytest.raises(CaptureError, match="span no plane"):
+    with pytest.raises(CaptureError, match="don't span a plane"):
         fit_map(np.zeros((40, 2)), np.zeros((40, 2)))
 
 
@@ -135,7 +135,7 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
     smooth = map_of(correspondence_of(bench))
     layout = ProjectorLayout.grid((144, 160), (16, 16))
     half: RayFit = fit_rays([smooth], layout, (24, 54))  # the camera's upper half
-    seen = half.resampling.seen
+    seen = half.resampling.visible
     assert 100 < seen.sum() < 156
     assert seen[:6].all()
     assert not seen[9:].any()
@@ -147,9 +147,9 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
 
 
 def test_too_coarse_a_camera_leaks_and_says_so() -> None:
-    steps = steps_of(wedge_bench(camera=(20, 22)), period_pixels=32)
-    seen = {"correspondence": measure_correspondence(steps)}
-    found = measure_rays(replace(steps, rays=(16, 16), found=seen))
+    context = context_of(wedge_bench(camera=(20, 22)), period_pixels=32)
+    seen = {"correspondence": measure_correspondence(context)}
+    found = measure_rays(replace(context, rays=(16, 16), findings=seen))
     assert found["leak"].max() > 0.02
     assert found["largest_noise"] > 1.2
     assert found.verdict.standing == "poor"
@@ -174,18 +174,18 @@ def test_views_of_an_array_are_found_and_rectified() -> None:
     error = np.hypot(*(mapped[view, np.arange(len(view))] - true[seen]).T)
     assert error.mean() < 0.1
     fit = fit_rays(maps, layout, (144, 144))
-    assert fit.resampling.seen.all()
+    assert fit.resampling.visible.all()
     assert fit.leak.max() < 0.01
 
 
 def test_views_that_are_not_there_are_said() -> None:
     bench = surface_bench((4, 8, 8), (128, 128), (96, 96), (2, 2))
-    steps = steps_of(bench, views=(2, 2))
-    found = measure_correspondence(steps)
-    with pytest.raises(CaptureError, match="4 views are told apart"):
+    context = context_of(bench, views=(2, 2))
+    found = measure_correspondence(context)
+    with pytest.raises(CaptureError, match="has 4 separate views"):
         find_views(found, (3, 3))
     with pytest.raises(CaptureError, match="too many"):
-        measure_rays(replace(steps, rays=(100, 100), found={"correspondence": found}))
+        measure_rays(replace(context, rays=(100, 100), findings={"correspondence": found}))
 
 
 def test_a_mosaic_is_calibrated_by_the_sum_of_its_colours() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.rigs.calibration_bench import flat_frames, uneven
 
-from rfpipe.calibration.black import measure_dark
+from rfpipe.calibration.dark import measure_dark
 from rfpipe.calibration.responses import (
     measure_light,
     measure_linearity,
@@ -40,17 +40,17 @@ class FlatBench:
         noise: float = 0.0,
         **settings: Any,
     ) -> None:
-        self.model, self.found = camera, dict[str, Findings]()
+        self.model, self.findings = camera, dict[str, Findings]()
         self.seen, self.bend, self.seed, self.noise = seen, bend, seed, noise
         self.settings = CalibrationConfig(**{"dark_frames": 6, "levels": 6, **settings})
 
     @staticmethod
-    def flat(weight: float) -> float:
+    def flat_picture(weight: float) -> float:
         return weight
 
-    def take(self, weights: list[float], **_: bool) -> Iterator[np.ndarray]:
+    def brackets(self, weights: list[float], count: int, **_: bool) -> Iterator[np.ndarray]:
         for index, weight in enumerate(weights):
-            image, key = self.seen(index, weight), (len(weights), index)
+            image, key = self.seen(index, weight), (count, index)
             yield self.bend(flat_frames(self.model, image, 1, key, self.seed)[0])
 
     def radiance(self, weights: list[float]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -70,7 +70,7 @@ def measured(
 ) -> Findings:
     seen = more.pop("seen", lambda _, weight: weight * light)
     bench = FlatBench(camera, seen, **more)
-    bench.found["dark"] = dark_of(camera, shape=light.shape, seed=bench.seed, bend=bench.bend)
+    bench.findings["dark"] = dark_of(camera, shape=light.shape, seed=bench.seed, bend=bench.bend)
     return measure(bench)
 
 
@@ -206,7 +206,7 @@ def test_light_that_flickers_adds_no_noise_and_speckle_does() -> None:
     assert found["electrons_per_count"] == pytest.approx(CAMERA.electrons_per_count, rel=0.05)
     verdict = transfer_of(CAMERA, seen=speckles).verdict
     assert verdict.standing == "poor"
-    assert "misses that of photons" in verdict.text
+    assert "deviates from photon noise" in verdict.text
 
 
 def test_saturation_below_full_scale_is_found() -> None:
@@ -252,7 +252,7 @@ def test_a_response_that_is_no_power_law_is_said() -> None:
 
     found = linearity_of(CAMERA, bend=bend)
     assert found.verdict.standing == "poor"
-    assert "no power law" in found.verdict.text
+    assert "a power law doesn't describe" in found.verdict.text
     assert found["response_gamma"] == 1
 
 
@@ -285,7 +285,7 @@ def test_the_projectors_response_is_found(gamma: float) -> None:
 def test_a_projector_that_drifts_falls_or_hardly_rises_is_said_to() -> None:
     every, true = np.arange(256), np.linspace(0, 1, 256) ** 2.2
     assert "warm up" in light_of(true, drift=0.05).verdict.text
-    assert "Light falls at code 128" in light_of(np.where(every == 128, 0, true)).verdict.text
+    assert "light falls at code 128" in light_of(np.where(every == 128, 0, true)).verdict.text
     assert "codes differ" in light_of((every > 250).astype(float)).verdict.text
     with pytest.raises(CaptureError, match="no camera pixel is lit"):
         light_of(np.zeros(256))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tests.rigs.calibration_bench import CAMERA, wedge_bench
 
-from rfpipe.calibration.bench import Bench
-from rfpipe.calibration.folder import STEPS
+from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.mosaic import ORDERS, mosaic_of
+from rfpipe.calibration.steps import STEPS
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.config import CalibrationConfig
 from rfpipe.photometry.demosaic import mosaic
@@ -67,8 +67,8 @@ def scene_of(said: str, true: str, *, has_colours: bool) -> Findings:
     projector = bench.projector
     if not has_colours:
         projector.show_colour = None  # type: ignore[assignment,method-assign]
-    step = Bench(projector, camera, CalibrationConfig(), None, {}, lambda _: nullcontext())
-    return STEPS["scene"].measure(step)
+    context = StepContext(projector, camera, CalibrationConfig(), None, {}, lambda _: nullcontext())
+    return STEPS["scene"].measure(context)
 
 
 @pytest.mark.slow

@@ -106,7 +106,11 @@ def test_statistics_of_dark_frames_that_pass_by() -> None:
     dark = DarkFrames()
     for first, last in ((0, 1), (1, 4), (4, 7)):
         dark.add(frames[first:last])
-    assert (dark.count, dark.least.shape, dark.least.dtype) == (7, frames.shape[1:], frames.dtype)
+    assert (dark.count, dark.smallest.shape, dark.smallest.dtype) == (
+        7,
+        frames.shape[1:],
+        frames.dtype,
+    )
     np.testing.assert_array_equal(dark.mean, frames.mean(axis=0, dtype=np.float64))
     expected = frames.var(axis=0, ddof=1, dtype=np.float64)
     np.testing.assert_allclose(dark.variance, expected, rtol=1e-12)

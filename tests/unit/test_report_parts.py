@@ -13,7 +13,7 @@ import pytest
 from tests.results.report_folders import WEDGE
 
 from rfpipe import acquire
-from rfpipe.calibration.folder import STEPS
+from rfpipe.calibration.steps import STEPS
 from rfpipe.config import Config
 from rfpipe.relighting import picture_errors, picture_squares
 from rfpipe.report import errors, glance, leaves, setup, text

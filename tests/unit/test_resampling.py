@@ -87,8 +87,8 @@ def test_an_unseen_ray_is_no_light_and_stops_nothing() -> None:
     assert merged.radiance[:, 1, 1].tolist() == [[0], [0]]
     assert merged.variance[:, 1, 1].tolist() == [[0], [0]]
     check_floodlit(merged.radiance, merged.variance)
-    assert not sensor.resampling.seen[1, 1]
-    assert sensor.resampling.seen.sum() == 11
+    assert not sensor.resampling.visible[1, 1]
+    assert sensor.resampling.visible.sum() == 11
     merger = estimate_references(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
     assert merger.floodlit.shape == (*SHAPE, 1)
 
@@ -136,5 +136,5 @@ def test_sensors_come_back_from_their_description(sensor) -> None:
 
 def test_wrong_descriptions_are_refused() -> None:
     sensor = ResampledSensor(CAMERA, random_resampling())
-    with pytest.raises(InputError, match="another calibration"):
+    with pytest.raises(InputError, match="different calibrations"):
         sensor_from_description(sensor.describe(), random_resampling(seed=1).arrays())

@@ -14,7 +14,9 @@ from typer.testing import CliRunner
 
 from rfpipe import provenance
 from rfpipe.calibration import folder as calibration_folder
-from rfpipe.calibration.folder import STEPS, CalibrationFolder, calibrate
+from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.run import calibrate
+from rfpipe.calibration.steps import STEPS
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.cli import app
 from rfpipe.config import RigConfig, parse_rig_config, read_yaml
@@ -136,8 +138,8 @@ class Calibrated:
     def write(self) -> None:
         """Write what a rig is built from, as the last part of a calibration does."""
         settings: dict[str, Any] = {}
-        for made_for in filter(None, map(self.folder.made_for, STEPS)):
-            settings |= made_for.settings
+        for conditions in filter(None, map(self.folder.conditions, STEPS)):
+            settings |= conditions.settings
         write_calibration(self.folder.path, Calibration(settings=settings))
 
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from tests.workflow.harness import Workflow
 
-from rfpipe.calibration.folder import STEPS
+from rfpipe.calibration.steps import STEPS
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from tests.workflow.harness import TINY, Workflow
 from tests.workflow.stagewise import CAMERA, FaultyRig, damage, left, matrix_rig
 from tests.workflow.stagewise import acquire as acquire_matrix
 
-from rfpipe.calibration.folder import CalibrationFolder, MadeFor
+from rfpipe.calibration.folder import CalibrationFolder, StepConditions
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import IntegrityError
 from rfpipe.storage.checking import check
@@ -280,7 +280,7 @@ def test_a_run_heals_what_it_finds_damaged_and_shows_no_pattern(
 
 def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     folder = CalibrationFolder(tmp_path / "calibration")
-    measured = MadeFor({"sensor.bits": 12}, {}, {})
+    measured = StepConditions({"sensor.bits": 12}, {}, {})
     folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), measured)
     folder.write("light", Findings(Verdict("good", ""), {"a": 1}, {"light": np.ones(9)}), measured)
     assert check(folder.path).findings == []

@@ -2,7 +2,7 @@
 
 if SETTINGS.rig_file is not None:
 
-    from rfpipe.calibration.folder import settings_of_step, steps_of
+    from rfpipe.calibration.steps import settings_of_step, steps_of
     from rfpipe.config import load_rig_config
 
     RIG = load_rig_config(SETTINGS.rig_file)

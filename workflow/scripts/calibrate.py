@@ -1,6 +1,7 @@
 from pathlib import Path
 
-from rfpipe.calibration.folder import CalibrationFolder, finish
+from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.run import finish
 from rfpipe.config import CalibrationConfig
 from rfpipe.jobs.job import start
 from rfpipe.report.calibration import build_calibration_report

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from rfpipe.calibration.folder import calibrate_rig
+from rfpipe.calibration.run import calibrate_rig
 from rfpipe.config import RigConfig
 from rfpipe.jobs.job import Progress, start
 

@@ -1,4 +1,4 @@
-"""Which projector point each camera pixel looks at, the smooth maps behind it, views, and blur."""
+"""Correspondence of camera pixels and projector points: decoding, smooth maps, views, and blur."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.bench import Bench
+from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
 from rfpipe.gray_code import gray_bits, gray_code, gray_number
@@ -21,23 +21,23 @@ Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LEAST_POINTS = 30
-"""Points of correspondence that a map is fitted to, at least."""
+"""Smallest number of points to which a map is fitted."""
 
 _CELLS = 4
-# Cells of the Gray code a period: half a cell and one misread neighbour are still less than the
-# half period up to which the phase is unwrapped rightly.
+# Cells of the Gray code per period. Half a cell and one misread neighbour are less than half a
+# period, within which the phase is unwrapped correctly.
 
-_STEPS = 6  # sinusoids a period: harmonics up to the fourth don't bend the phase
-_COARSER = 2  # period of the second sinusoids over that of the first; both tell the blur
-_WEAK = 3.0  # standard deviations below which a bit is not told from its inverse
-_INLIER = 4.0  # robust deviations up to which a point belongs to the map
+_STEPS = 6  # sinusoids per period: harmonics up to the fourth don't change the phase
+_COARSER = 2  # ratio of the periods of the second and the first sinusoids, to measure the blur
+_WEAK = 3.0  # standard deviations below which a bit and its inverse are indistinguishable
+_INLIER = 4.0  # robust deviations up to which a point is an inlier of the map
 
 
 @dataclass(frozen=True)
 class AxisCode:
-    """The pictures that tell one coordinate of the projector: Gray code, and sinusoids.
+    """Structured light that encodes one projector coordinate: Gray code, and sinusoids.
 
-    A coordinate counts pixels from the picture's edge: a pixel's middle lies at a half.
+    A coordinate counts pixels from the picture's edge: the centre of the first pixel is at 0.5.
     """
 
     extent: int
@@ -45,11 +45,11 @@ class AxisCode:
 
     @property
     def bits(self) -> int:
-        """Bits of the Gray code, whose cells are a quarter of a period."""
+        """Number of bits of the Gray code, whose cells are a quarter of a period."""
         return max(1, gray_bits(-(-self.extent // (self.period // _CELLS))))
 
     def lines(self) -> list[Float]:
-        """Return the weights along the axis of each picture: bits, each inverted; sinusoids."""
+        """Weights of each picture along the axis: bits, each with its inverse; sinusoids."""
         pixel = np.arange(self.extent)
         cell = pixel // (self.period // _CELLS)
         lines = []
@@ -62,16 +62,20 @@ class AxisCode:
         return lines
 
     def decode(self, images: Double, variance: Double) -> dict[str, NDArray[Any]]:
-        """Return arrays (...) over the camera's pixels, for images (pictures, ...) under `lines`.
+        """Decode the coordinate of each camera pixel from images under `lines`.
+
+        Parameters
+        ----------
+        images, variance : ndarray of float64, shape (pictures, ...)
 
         Returns
         -------
-        dict
-            ``coordinate``; ``error``, its standard error by the noise; ``modulation``, amplitude
-            of the sinusoids over its error; ``contrast``, amplitude over that of twice the period,
-            1 where neither blur nor the pixel's extent takes any (indirect light is smooth, and has
-            no share in either); ``valid``, where the sinusoids rise above the noise of as many
-            pixels, at most one bit is weak and the coordinate lies on the projector.
+        dict of ndarray, shape (...)
+            ``coordinate``; ``error``, its standard error; ``modulation``, amplitude of the
+            sinusoids over their noise; ``contrast``, amplitude relative to the amplitude at twice
+            the period, 1 without blur (indirect light is smooth and modulates neither); ``valid``,
+            where the modulation is significant, at most one bit is weak and the coordinate lies on
+            the projector.
         """
         split = 2 * self.bits
         bright, inverse = images[:split:2], images[1:split:2]
@@ -86,9 +90,9 @@ class AxisCode:
         with np.errstate(divide="ignore", invalid="ignore"):
             modulation = np.where(noise > 0, amplitude / noise, np.inf)
             contrast = np.where(smooth > _WEAK * noise, amplitude / smooth, 0)
-        # an error of more than a period means nothing
+        # limited to one period, beyond which an error has no meaning
         error = self.period / np.maximum(2 * np.pi * modulation, 1)
-        # noise alone gives amplitudes up to about sqrt(2 log n)
+        # the largest of n amplitudes of pure noise is about sqrt(2 log n)
         least = _WEAK + np.sqrt(2 * np.log(max(amplitude.size, 2)))
         valid = (modulation > least) & (amplitude > 0) & (weak <= 1)
         valid &= (coordinate >= 0) & (coordinate <= self.extent)
@@ -98,27 +102,25 @@ class AxisCode:
         }  # fmt: skip
 
     def _wave(self, images: Double) -> tuple[Double, Double]:
-        """Return amplitude and phase of sinusoids shifted step by step, (steps, ...)."""
+        """Amplitude and phase of a phase-shifted sinusoid, from images (steps, ...)."""
         turn = np.exp(2j * np.pi * np.arange(_STEPS) / _STEPS)
         wave = np.tensordot(turn, images, 1) * 2 / _STEPS
         return np.abs(wave), np.angle(wave)
 
 
-def measure_correspondence(bench: Bench) -> Findings:
-    """Show structured light, that tells x and then y, and decode it.
-
-    Most of where the projector's own light falls should be decoded.
+def measure_correspondence(context: StepContext) -> Findings:
+    """Show structured light for x and y, and decode it.
 
     Returns
     -------
     Findings
-        Arrays (Hc, Wc): ``x`` and ``y``, projector pixels from its upper left corner;
-        ``error`` and ``modulation``, those of the worse axis; ``contrast`` (2, Hc, Wc); ``valid``.
+        Arrays (Hc, Wc): ``x`` and ``y`` in projector pixels from its upper left corner; ``error``
+        and ``modulation`` of the worse axis; ``contrast`` (2, Hc, Wc); ``valid``.
     """
-    shape, settings = bench.projector.shape, bench.settings
+    shape, settings = context.projector.shape, context.settings
     codes = [AxisCode(extent, settings.period_pixels) for extent in shape[::-1]]
     lines = [code.lines() for code in codes]
-    images = bench.radiance(
+    images = context.radiance(
         [
             np.broadcast_to(np.expand_dims(line, axis), shape)
             for axis, along in enumerate(lines)
@@ -128,12 +130,12 @@ def measure_correspondence(bench: Bench) -> Findings:
     )
     decoded = []
     for code, along in zip(codes, lines, strict=True):
-        taken = zip(*(next(images) for _ in along), strict=True)
-        decoded.append(code.decode(*(np.stack(part) for part in taken)))
+        radiance, variance = zip(*(next(images) for _ in along), strict=True)
+        decoded.append(code.decode(np.stack(radiance), np.stack(variance)))
     x, y = decoded
     valid = x["valid"] & y["valid"]
     error = np.maximum(x["error"], y["error"]).astype(np.float32)
-    lit = bench.found["scene"]["lit"] if "scene" in bench.found else valid
+    lit = context.findings["scene"]["lit"] if "scene" in context.findings else valid
     is_few, of_lit = valid.sum() < 100, float(valid[lit].mean()) if lit.any() else 1.0
     facts = {
         "projector_shape": list(shape),
@@ -155,27 +157,28 @@ def measure_correspondence(bench: Bench) -> Findings:
 
 
 def points_of(correspondence: Findings) -> Double:
-    """Return the projector points (Hc, Wc, 2), as (x, y), of a measured correspondence."""
+    """Projector points (x, y) of a measured correspondence, float64 (Hc, Wc, 2)."""
     return np.stack([correspondence["x"], correspondence["y"]], axis=-1, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothMap:
-    """A homography from camera to projector, and the lens distortion that it leaves.
+    """A homography from camera to projector with a polynomial for lens distortion.
 
-    Both take points (x, y) in pixels from a picture's upper left corner.
+    Points are (x, y) in pixels from a picture's upper left corner.
 
     Attributes
     ----------
     homography : ndarray of float64, shape (3, 3)
     distortion : ndarray of float64, shape (10, 2)
-        Coefficients of a polynomial of degree 3 in normalised camera coordinates, added to it.
+        Coefficients of a polynomial of degree 3 in normalised camera coordinates, which is added to
+        the homography.
     centre, scale : ndarray of float64, shape (2,); float
-        Of these coordinates.
+        Origin and unit of the normalised coordinates.
     rms : float
-        Distance of a measured inlier from the map, in projector pixels.
+        RMS distance of the inliers from the map, in projector pixels.
     error : float
-        Mean standard error of the map itself at its points, in projector pixels.
+        Mean standard error of the map at its points, in projector pixels.
     """
 
     homography: Double
@@ -186,34 +189,34 @@ class SmoothMap:
     error: float
 
     def __call__(self, points: Double) -> Double:
-        """Return the projector's points (..., 2) of camera points (..., 2)."""
+        """Map camera points (..., 2) to projector points (..., 2)."""
         bent = _terms((points - self.centre) / self.scale) @ self.distortion
         return apply_homography(self.homography, points) + bent
 
 
 def map_of_pixels(correspondence: Findings, inside: Mask) -> SmoothMap:
-    """Fit the map from camera to projector to some of the camera's pixels."""
+    """Fit the map from camera to projector to the camera pixels in the mask `inside`."""
     from scipy.ndimage import binary_erosion, binary_fill_holes
 
-    # at the edge of what is lit blur moves the light's centre inwards, which looks like distortion;
-    # holes are no edges
+    # at the outer edge of the lit area, blur shifts the light's centroid inwards, which resembles
+    # lens distortion
     filled = binary_fill_holes(inside)
-    margins = (inside & binary_erosion(filled, iterations=margin) for margin in range(6, 0, -1))
+    masks = (inside & binary_erosion(filled, iterations=margin) for margin in range(6, 0, -1))
     least = max(4 * LEAST_POINTS, 0.25 * inside.sum())
-    inner = next((one for one in margins if one.sum() >= least), inside)
-    here, there = pixel_middles(inside.shape), points_of(correspondence)
-    return fit_map(here[inside], there[inside], inner[inside])
+    inner = next((mask for mask in masks if mask.sum() >= least), inside)
+    camera, projector = pixel_middles(inside.shape), points_of(correspondence)
+    return fit_map(camera[inside], projector[inside], inner[inside])
 
 
 def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> SmoothMap:
-    """Fit a smooth map to points, robust against up to half of them being wrong.
+    """Fit a smooth map to points; up to half of the points may be outliers.
 
     Parameters
     ----------
     camera, projector : ndarray of float64, shape (n, 2)
-        Points that belong together, n at least `LEAST_POINTS`.
+        Corresponding points, n at least `LEAST_POINTS`.
     trusted : ndarray of bool, shape (n,), optional
-        Points that distortion is judged by; None for all.
+        Points to which the distortion is fitted; None for all.
 
     Raises
     ------
@@ -222,48 +225,52 @@ def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> S
 
     Notes
     -----
-    Camera and projector of a coaxial rig share their centre: whatever the scene's depth, a
-    homography joins their pictures, up to the lenses' distortion. A polynomial is added where it
-    predicts points that it wasn't fitted to.
+    Camera and projector of a coaxial rig have a common centre of projection, so that a homography
+    relates their pictures for any depth of the scene, apart from the lenses' distortion. A
+    polynomial for the distortion is added where it predicts held-out points better.
     """
     import cv2
 
     if len(camera) < LEAST_POINTS:
         raise CaptureError(
-            f"{len(camera)} points of correspondence; a map needs {LEAST_POINTS} or more"
+            f"only {len(camera)} camera pixels have a projector point; a map needs {LEAST_POINTS} "
+            "or more. Check focus and exposures of the step correspondence"
         )
     matrix, _ = cv2.findHomography(camera, projector, cv2.LMEDS)
     if matrix is None:
-        raise CaptureError("the points of correspondence span no plane; check the structured light")
+        raise CaptureError(
+            "the decoded projector points don't span a plane; check the projector's picture and "
+            "the step correspondence"
+        )
     inlier = _inliers(projector - apply_homography(np.asarray(matrix), camera))
     homography = np.asarray(cv2.findHomography(camera[inlier], projector[inlier], 0)[0], np.float64)
     centre = camera.mean(axis=0)
     scale = float(np.abs(camera - centre).max())
-    rest = projector - apply_homography(homography, camera)
-    # lenses bend lines by far more than the noise of a pixel: look at all but gross errors
-    near = np.flatnonzero(_inliers(rest, 3 * _INLIER) & (True if trusted is None else trusted))
+    residual = projector - apply_homography(homography, camera)
+    # distortion exceeds the noise of a pixel by far: exclude gross errors only
+    near = np.flatnonzero(_inliers(residual, 3 * _INLIER) & (True if trusted is None else trusted))
     terms = _terms((camera - centre) / scale)
     distortion, parameters = np.zeros((terms.shape[1], 2)), homography.size - 1
     halves = near[::2], near[1::2]
     if len(near) > 10 * terms.shape[1]:
-        left = [
-            rest[test] - terms[test] @ np.linalg.lstsq(terms[train], rest[train])[0]
+        held_out = [
+            residual[test] - terms[test] @ np.linalg.lstsq(terms[train], residual[train])[0]
             for train, test in (halves, halves[::-1])
         ]
-        # a gain of a fifth is more than chance
-        if np.square(np.concatenate(left)).mean() < 0.8**2 * np.square(rest[near]).mean():
-            distortion = np.asarray(np.linalg.lstsq(terms[near], rest[near])[0], np.float64)
-            rest, parameters = rest - terms @ distortion, parameters + distortion.size
-            inlier = _inliers(rest)
+        # the residual has to decrease by 20 %, more than by chance
+        if np.square(np.concatenate(held_out)).mean() < 0.8**2 * np.square(residual[near]).mean():
+            distortion = np.asarray(np.linalg.lstsq(terms[near], residual[near])[0], np.float64)
+            residual, parameters = residual - terms @ distortion, parameters + distortion.size
+            inlier = _inliers(residual)
     count = int(inlier.sum())
-    rms = float(np.sqrt(np.square(rest[inlier]).sum(axis=1).mean()))
-    # the mean over the fitted points of the fit's own variance is rms^2 parameters / (2 n)
+    rms = float(np.sqrt(np.square(residual[inlier]).sum(axis=1).mean()))
+    # the variance of the fit, averaged over the fitted points, is rms^2 parameters / (2 n)
     error = rms * float(np.sqrt(parameters / (2 * count)))
     return SmoothMap(homography, distortion, centre, scale, rms, error)
 
 
 def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> float:
-    """Measure the blur of lens and projector as that of a Gaussian, the same all over the picture.
+    """Fit the blur of camera and projector by a Gaussian, uniform over the picture.
 
     Returns
     -------
@@ -272,9 +279,10 @@ def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> float:
 
     Notes
     -----
-    A Gaussian of deviation s takes ``exp(-2 pi^2 s^2 / P^2)`` of the amplitude of stripes of period
-    P, a pixel's extent a ``sinc(a / P)``. The amplitude at P over that at 2 P needs neither the
-    surface's albedo nor the indirect light, which stripes don't modulate.
+    A Gaussian of deviation s multiplies the amplitude of stripes of period P by
+    ``exp(-2 pi^2 s^2 / P^2)``, a pixel of extent a by ``sinc(a / P)``. The ratio of the amplitudes
+    at P and 2 P depends neither on the surface's albedo nor on indirect light, which stripes don't
+    modulate.
     """
     measured, valid = points_of(correspondence), correspondence["valid"]
     period = float(correspondence["period_pixels"])
@@ -284,15 +292,15 @@ def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> float:
         ahead = to_projector(points + right) - to_projector(points - right)
         below = to_projector(points + down) - to_projector(points - down)
         step = np.sqrt(np.square(ahead) + np.square(below))
-        off = np.linalg.norm(measured - to_projector(points), axis=-1)
-        own = valid & (off < step.max(axis=-1))
+        distance = np.linalg.norm(measured - to_projector(points), axis=-1)
+        near = valid & (distance < step.max(axis=-1))
         for axis, contrast in enumerate(correspondence["contrast"]):
-            chosen = own & (contrast > 0)
+            chosen = near & (contrast > 0)
             extents = np.stack([ahead[chosen, axis], below[chosen, axis], np.ones(chosen.sum())])
             sharp, coarse = (np.sinc(extents / p).prod(axis=0) for p in (period, _COARSER * period))
-            lost = np.log(sharp / coarse / contrast[chosen])
+            loss = np.log(sharp / coarse / contrast[chosen])
             factor = 2 * np.pi**2 * (1 - _COARSER**-2) / period**2
-            squares.append(lost / factor / np.square(step[chosen, axis]))
+            squares.append(loss / factor / np.square(step[chosen, axis]))
     values = np.concatenate(squares)
     if not values.size:
         return 0.0
@@ -303,15 +311,19 @@ def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> float:
 
 
 def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadrilateral]:
-    """Find the quadrilaterals that views light, as mirrors cut the camera's picture.
+    """Find the projector's quadrilaterals of several views, as seen by mirrors.
 
-    Views are rows and columns of an array, as they lie on the projector.
+    Parameters
+    ----------
+    correspondence : Findings
+    views : (int, int)
+        Rows and columns of the array of views on the projector.
 
     Returns
     -------
     list of Quadrilateral
         Row by row: (x, y) of the upper left, upper right, lower right and lower left corner, in
-        projector pixels. Each is what the camera sees of a view, a little less.
+        projector pixels. Each covers the part of the view that the camera sees, less a margin.
 
     Raises
     ------
@@ -324,16 +336,16 @@ def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadril
     valid = correspondence["valid"]
     known = np.where(valid[..., None], points, np.nan)
     steps = np.max([np.abs(slope) for slope in np.gradient(known, axis=(0, 1))], axis=(0, -1))
-    # coordinates jump from view to view
+    # coordinates are discontinuous between views
     jumps = steps > 6 * np.nanmedian(steps) if np.isfinite(steps).any() else False
-    parts, found = label(valid & ~jumps)
-    sizes = np.bincount(parts.ravel(), minlength=found + 1)[1:]
+    parts, part_count = label(valid & ~jumps)
+    sizes = np.bincount(parts.ravel(), minlength=part_count + 1)[1:]
     large = np.count_nonzero(sizes >= LEAST_POINTS)
     if large < count:
         raise CaptureError(
-            f"{large} views are told apart in the camera's picture; expected {views[0]} x "
-            f"{views[1]}. Leave dark gaps between the mirrors' pictures, or give the views' "
-            "corners in the settings"
+            f"the camera's picture has {large} separate views; expected {views[0]} x {views[1]}. "
+            "Leave dark gaps between the mirrors' pictures, or set the views' corners "
+            "(calibrate.corners)"
         )
     quads = [_corners(points[parts == part]) for part in np.argsort(sizes)[::-1][:count] + 1]
     middle = np.mean(quads, axis=1)
@@ -343,7 +355,7 @@ def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadril
 
 
 def maps_of_views(correspondence: Findings, corners: Sequence[Quadrilateral]) -> list[SmoothMap]:
-    """Fit the map from camera to projector of each view, to the pixels that look into it."""
+    """Fit the map from camera to projector of each view, to the pixels inside its corners."""
     maps = []
     for quad in corners:
         to_unit = np.linalg.inv(homography((1, 1), quad))
@@ -354,10 +366,9 @@ def maps_of_views(correspondence: Findings, corners: Sequence[Quadrilateral]) ->
 
 
 def _corners(points: Double) -> Double:
-    """Return the corners (4, 2) of the quadrilateral that points (n, 2) fill, moved inwards.
+    """Corners (4, 2) of the quadrilateral that points (n, 2) fill, moved inwards by 2 %.
 
-    The corners are the points farthest out along the diagonals of the bounding box, stray ones
-    left out.
+    The corners are the extreme points along the diagonals of the bounding box, without outliers.
     """
     low, high = np.percentile(points, [0.5, 99.5], axis=0)
     margin = 0.02 * (high - low)
@@ -375,6 +386,6 @@ def _inliers(residual: Double, deviations: float = _INLIER) -> Mask:
 
 
 def _terms(points: Double) -> Double:
-    """Return the polynomial's terms at points (..., 2): (..., 10)."""
+    """Terms of a polynomial of degree 3 at points (..., 2), shape (..., 10)."""
     x, y = points[..., 0], points[..., 1]
     return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=-1)

@@ -16,10 +16,10 @@ ORDERS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the photosites (0, 0), (0, 1), (1, 0) and (1, 1)."""
 
 _COLOURS = "RGB"
-_EQUAL = 0.03  # log ratio of two greens, at most
-_UNEQUAL = 0.06  # log ratio of two photosites, at least, that are no greens
-_SURE = 5.0  # standard errors of a ratio
-_CLEARER = 1.1  # light at the photosites of the best order over that of the next one
+_EQUAL = 0.03  # largest log ratio of two greens
+_UNEQUAL = 0.06  # smallest log ratio of a red and a blue photosite
+_SIGNIFICANCE = 5.0  # standard errors of a ratio
+_CLEARER = 1.1  # light at the photosites of the best order, relative to the next best order
 _LEAST_CELLS = 25
 
 
@@ -29,9 +29,9 @@ class Mosaic(NamedTuple):
     Attributes
     ----------
     orders : tuple of str
-        Orders that fit: all four where nothing is known, two where only the greens are.
+        Orders that fit: one, two where only the greens are known, or all four.
     evidence : str
-        Measurement that shows it.
+        Description of the measurement.
     """
 
     orders: tuple[str, ...]
@@ -39,7 +39,7 @@ class Mosaic(NamedTuple):
 
 
 def mosaic_of(white: Double, colours: Double | None) -> Mosaic:
-    """Return the order of a mosaic's colours.
+    """Find the order of a mosaic's colours.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ def mosaic_of(white: Double, colours: Double | None) -> Mosaic:
 
     Notes
     -----
-    Both greens of a cell of 2 x 2 photosites count alike in any light; red and blue seldom do. A
-    red picture is brightest where red is.
+    Both greens of a cell of 2 x 2 photosites have equal counts in any light; red and blue seldom
+    have. A red picture is brightest at the red photosites.
     """
     if colours is not None:
         light = np.array([[np.nanmean(site) for site in _sites(picture)] for picture in colours])
@@ -72,41 +72,42 @@ def mosaic_of(white: Double, colours: Double | None) -> Mosaic:
 
 
 def _by_greens(white: Double) -> Mosaic:
-    """Return the orders whose greens are alike in a white picture."""
+    """Find the orders whose greens are equal in a white picture."""
     sites = _sites(white)
     off, off_error = _log_ratio(sites[1], sites[2])
     on, on_error = _log_ratio(sites[0], sites[3])
-    for alike, error, different, its_error, orders, names in (
+    for green, green_error, colour, colour_error, orders, names in (
         (off, off_error, on, on_error, ORDERS[:2], "(0, 0) and (1, 1)"),
         (on, on_error, off, off_error, ORDERS[2:], "(0, 1) and (1, 0)"),
     ):
-        is_alike = abs(alike) < _EQUAL and error < _EQUAL
-        if is_alike and abs(different) > max(_UNEQUAL, _SURE * its_error):
-            share = float(np.exp(abs(different)) - 1)
+        is_equal = abs(green) < _EQUAL and green_error < _EQUAL
+        if is_equal and abs(colour) > max(_UNEQUAL, _SIGNIFICANCE * colour_error):
+            share = float(np.exp(abs(colour)) - 1)
             return Mosaic(
                 orders,
-                f"the photosites {names} of a cell differ by {share:.0%}, the others by "
-                f"{np.exp(abs(alike)) - 1:.1%}: these are the greens",
+                f"the photosites {names} of a cell differ by {share:.0%}, the other two by "
+                f"{np.exp(abs(green)) - 1:.1%}, which must be the greens",
             )
-    return Mosaic(ORDERS, "the greens cannot be told from red and blue")
+    return Mosaic(ORDERS, "the greens cannot be distinguished from red and blue")
 
 
 def _sites(picture: Double) -> list[Double]:
-    """Return the photosites (0, 0), (0, 1), (1, 0) and (1, 1) of all cells."""
+    """Counts at the photosites (0, 0), (0, 1), (1, 0) and (1, 1) of all cells."""
     height, width = (extent - extent % 2 for extent in picture.shape)
-    whole = picture[:height, :width]
-    return [whole[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    cells = picture[:height, :width]
+    return [cells[row::2, column::2] for row in (0, 1) for column in (0, 1)]
 
 
-def _log_ratio(one: Double, other: Double) -> tuple[float, float]:
-    """Return the median log ratio of two photosites, and its error; infinite if unknown."""
-    lit = np.isfinite(one) & np.isfinite(other) & (one > 0) & (other > 0)
+def _log_ratio(first: Double, second: Double) -> tuple[float, float]:
+    """Median log ratio of two photosites, and its standard error, infinite if unknown."""
+    lit = np.isfinite(first) & np.isfinite(second) & (first > 0) & (second > 0)
     if lit.sum() < _LEAST_CELLS:
         return 0.0, np.inf
-    bright = lit & (one + other > np.median((one + other)[lit]))
-    ratio = np.log(one[bright] / other[bright])
+    total = first + second
+    bright = lit & (total > np.median(total[lit]))
+    ratio = np.log(first[bright] / second[bright])
     spread = MAD_TO_DEVIATION * float(np.median(np.abs(ratio - np.median(ratio))))
-    # the median's standard error is 1.2533 times the mean's
+    # the standard error of a median is 1.2533 times that of a mean
     return float(np.median(ratio)), 1.2533 * spread / np.sqrt(ratio.size)
 
 
@@ -117,12 +118,12 @@ def mosaic_facts(
     colours: NDArray[Any] | None,
     white_level: int,
 ) -> dict[str, Any]:
-    """Return the facts of a mosaic, for the verdict of the step scene.
+    """Compare the order of a mosaic's colours with the settings, for the step scene.
 
     Parameters
     ----------
     bayer : str
-        Order that the settings say.
+        Order in the settings.
     black, white : ndarray, shape (E, H, W)
         Counts of the all-off and of the white picture.
     colours : ndarray, shape (3, E, H, W), optional
@@ -139,11 +140,11 @@ def mosaic_facts(
         frame = bracket[at].astype(np.float64)
         return np.where(frame >= limit, np.nan, frame - black[at])
 
-    shown = None if colours is None else np.stack([light(bracket) for bracket in colours])
-    found = mosaic_of(light(white), shown)
+    primaries = None if colours is None else np.stack([light(bracket) for bracket in colours])
+    measured = mosaic_of(light(white), primaries)
     return {
         "bayer": bayer,
-        "bayer_orders": " or ".join(found.orders),
-        "bayer_evidence": found.evidence,
-        "is_other_order": int(bayer not in found.orders),
+        "bayer_orders": " or ".join(measured.orders),
+        "bayer_evidence": measured.evidence,
+        "is_other_order": int(bayer not in measured.orders),
     }

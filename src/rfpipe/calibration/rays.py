@@ -1,4 +1,4 @@
-"""The rays of a coaxial rig: where they lie on the projector, and which camera pixels make them."""
+"""Rays of a coaxial rig: their pixels on the projector, and their weights of camera pixels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.calibration.bench import Bench
+from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.correspondence import (
     SmoothMap,
     find_views,
@@ -30,31 +30,29 @@ if TYPE_CHECKING:
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_DOUBT = 0.02
-# Mixing of a camera pixel, as the share of it that looks at other rays, at which its error by an
-# imperfect map equals that of pixels that look at one ray.
+_MIXING = 0.02
+# Share of a camera pixel on other rays at which errors of the map double the pixel's error.
 
-_RIDGE = 1e-4  # of the mean diagonal: what rays can't be told apart from is not amplified for ever
-_LEAST_SHARE = 1e-3  # of a camera pixel that rays must have for it to be looked at
-_CHUNK = 4096  # patches solved at once
+_RIDGE = 1e-4  # regularization, relative to the mean diagonal: limits the amplification of noise
+_LEAST_SHARE = 1e-3  # smallest area of a camera pixel on rays with which the pixel is used
+_CHUNK = 4096  # number of patches in one batch of linear systems
 
 
 @dataclass(frozen=True, eq=False)
 class RayFit:
-    """A resampling, with how well it tells rays apart.
+    """A resampling to rays, and its quality.
 
     Attributes
     ----------
     layout : ProjectorLayout
-        As given, but dark where the camera doesn't see the ray.
+        The given layout; rays that the camera doesn't see are dark.
     resampling : Resampling
     leak : ndarray of float64, shape (N,)
-        Light of other rays in each ray, as the sum of magnitudes per unit of their light, if the
-        map is right.
+        Light of other rays in each ray: sum of magnitudes per unit of light, for an exact map.
     noise : ndarray of float64, shape (N,)
-        Standard deviation of a ray over that of a camera pixel.
+        Standard deviation of a ray, relative to a camera pixel.
     pixels : ndarray of float64, shape (N,)
-        Camera pixels a ray.
+        Camera pixels per ray.
     """
 
     layout: ProjectorLayout
@@ -64,8 +62,8 @@ class RayFit:
     pixels: Double
 
 
-def measure_rays(bench: Bench) -> Findings:
-    """Find the rays of a rig; of the tolerance, half is for light that leaks.
+def measure_rays(context: StepContext) -> Findings:
+    """Find the rays of a rig; half of the tolerance is allowed for light that leaks between rays.
 
     Returns
     -------
@@ -77,8 +75,8 @@ def measure_rays(bench: Bench) -> Findings:
     CaptureError
         When the camera sees none of the rays, or a ray has no projector pixel.
     """
-    correspondence, settings = bench.found["correspondence"], bench.settings
-    display, rays = bench.projector.shape, bench.rays
+    correspondence, settings = context.findings["correspondence"], context.settings
+    display, rays = context.projector.shape, context.rays
     valid, corners = correspondence["valid"], settings.corners
     if settings.views is not None and corners is None:
         corners = tuple(find_views(correspondence, settings.views))  # type: ignore[arg-type]
@@ -86,7 +84,7 @@ def measure_rays(bench: Bench) -> Findings:
         layout = ProjectorLayout.grid(display, rays or display)
         maps = [map_of_pixels(correspondence, valid)]
     else:
-        # as many rays a view as the smallest view has projector pixels a side
+        # the number of rays along a side is the number of projector pixels of the smallest view
         sides = np.linalg.norm(np.roll(corners, -1, axis=1) - np.array(corners), axis=-1)
         wide, tall = np.maximum(sides.reshape(-1, 2).min(axis=0).astype(int), 1)
         shape = (len(corners), *(rays or (int(tall), int(wide))))
@@ -94,8 +92,9 @@ def measure_rays(bench: Bench) -> Findings:
         maps = maps_of_views(correspondence, corners)
     if unlit := np.count_nonzero(layout.pixels_of_ray == 0):
         raise CaptureError(
-            f"{unlit} of {layout.pixels_of_ray.size} rays have no projector pixel; "
-            f"{layout.shape[-2:]} rays a view are too many for its place on the projector"
+            f"{unlit} of {layout.pixels_of_ray.size} rays have no projector pixel, since "
+            f"{layout.shape[-2:]} rays per view are too many for a view's area on the projector. "
+            "Set fewer rays"
         )
     blur = fit_blur(correspondence, maps)
     fit = fit_rays(maps, layout, valid.shape, blur)
@@ -107,23 +106,23 @@ def measure_rays(bench: Bench) -> Findings:
     facts = {
         "shape": list(layout.shape),
         "corners": None if corners is None else [list(map(list, quad)) for quad in corners],
-        "map_rms_pixels": max(one.rms for one in maps),
-        "map_error_pixels": max(one.error for one in maps),
-        **_judged(fit, blur, settings.tolerance),
+        "map_rms_pixels": max(smooth.rms for smooth in maps),
+        "map_error_pixels": max(smooth.error for smooth in maps),
+        **_quality(fit, blur, settings.tolerance),
     }
     return Findings.of("rays", facts, arrays)
 
 
-def _judged(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
-    """Return how rays are seen and mixed, by a blur of so many pixels or by their size."""
-    seen, leak = fit.resampling.seen, float(np.percentile(fit.leak, 99))
-    pixels = float(np.median(fit.pixels[seen.ravel()]))
-    # a ray that few pixels see alone has up to twice a pixel's noise; four times is too much
+def _quality(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
+    """Count visible rays, and rate their mixing: ``mixed`` is acceptable up to 1."""
+    visible, leak = fit.resampling.visible, float(np.percentile(fit.leak, 99))
+    pixels = float(np.median(fit.pixels[visible.ravel()]))
+    # a ray with few pixels of its own has up to twice a pixel's noise; four times is too much
     mixed = max(leak / (tolerance / 2), float(fit.noise.max()) / 4)
     return {
-        "count": seen.size,
-        "unseen_rays": int((~seen).sum()),
-        "unseen_share": float((~seen).mean()),
+        "count": visible.size,
+        "unseen_rays": int((~visible).sum()),
+        "unseen_share": float((~visible).mean()),
         "pixels_a_ray": pixels,
         "blur_pixels": blur,
         "leak": leak,
@@ -135,21 +134,21 @@ def _judged(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
 def coverage(
     maps: Sequence[SmoothMap], layout: ProjectorLayout, camera_shape: tuple[int, int]
 ) -> tuple[csr_array[Any], Double]:
-    """Return the share of each camera pixel that looks at each ray, and what is seen of each.
+    """Compute the share of each camera pixel's area on each ray.
 
     Returns
     -------
     shares : csr_array of float64, shape (camera pixels, rays)
-        Exact areas: each pixel's outline, cut by the projector pixels of each ray.
-    seen : ndarray of float64, shape (rays,)
-        Area of each ray that camera pixels look at, in projector pixels.
+        Exact areas: each pixel's outline, clipped by the projector pixels of each ray.
+    area : ndarray of float64, shape (rays,)
+        Area of each ray inside camera pixels, in projector pixels.
     """
     from scipy.sparse import coo_array
 
     domain, count = RayDomain(layout.shape), prod(layout.shape)
     y, x = np.mgrid[: camera_shape[0] + 1, : camera_shape[1] + 1].astype(np.float64)
     rays = layout.ray_of_pixel.ravel()
-    found = []
+    parts = []
     for view, to_projector in zip(range(domain.views), maps, strict=True):
         corners = to_projector(np.stack([x, y], axis=-1))
         for row in range(camera_shape[0]):
@@ -158,10 +157,10 @@ def coverage(
             outlines = np.stack([above[:-1], above[1:], below[1:], below[:-1]], axis=1)
             column, target, share, area = overlaps(outlines, layout.display_shape)
             ray = rays[target]
-            own = (ray != DARK) & (domain.view_of(ray) == view)
+            in_view = (ray != DARK) & (domain.view_of(ray) == view)
             pixel = row * camera_shape[1] + column
-            found.append([part[own] for part in (pixel, ray, share, area)])
-    pixel, ray, share, area = (np.concatenate(part) for part in zip(*found, strict=True))
+            parts.append([values[in_view] for values in (pixel, ray, share, area)])
+    pixel, ray, share, area = (np.concatenate(values) for values in zip(*parts, strict=True))
     shape = (prod(camera_shape), count)
     shares = coo_array((share, (pixel, ray)), shape=shape).tocsr()
     return shares, np.asarray(np.bincount(ray, area, count), np.float64)
@@ -170,25 +169,27 @@ def coverage(
 def overlaps(
     outlines: Double, shape: tuple[int, int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Double, Double]:
-    """Cut outlines on a picture by its pixels.
+    """Intersect quadrilaterals with the pixels of a picture.
 
     Parameters
     ----------
     outlines : ndarray of float64, shape (n, 4, 2)
-        (x, y) of corners, in turn; those that aren't finite are left out.
+        (x, y) of the corners in turn; outlines with corners that aren't finite are ignored.
     shape : (int, int)
+        Height and width of the picture.
 
     Returns
     -------
     outline, pixel : ndarray of int64, shape (m,)
         Indices of outlines and pixels that overlap.
     share, area : ndarray of float64, shape (m,)
-        Of the overlap, over the outline's area, and in pixels.
+        Area of the overlap, relative to the outline, and in pixels.
 
     Notes
     -----
-    The area left of u and above v is the integral of ``min(y, v) dx`` along the outline up to
-    ``x = u``, by its sides; that of a pixel is made of those at its four corners.
+    ``S(u, v)``, the area of the outline left of u and above v, is the integral of ``min(y, v) dx``
+    along the outline up to ``x = u``, summed over its sides. The area in a pixel is the second
+    difference of S at the pixel's four corners.
     """
     inside = np.isfinite(outlines).all(axis=(1, 2))
     low, high = outlines.min(axis=1), outlines.max(axis=1)
@@ -200,28 +201,33 @@ def overlaps(
     first = np.maximum(np.floor(low[chosen]), 0).astype(np.int64)
     last = np.minimum(np.ceil(high[chosen]), shape[::-1]).astype(np.int64)
     wide, tall = (last - first).max(axis=0)
-    left = first[:, 0, None, None] + np.arange(wide + 1)[None, None]
-    top = first[:, 1, None, None] + np.arange(tall + 1)[None, :, None]
-    sums = np.zeros((len(chosen), tall + 1, wide + 1))
-    for side in range(4):
-        (x0, y0), (x1, y1) = (
-            outlines[chosen, at % 4].T[..., None, None] for at in (side, side + 1)
-        )
-        run = np.where(x1 == x0, 1, x1 - x0)
-        begin, end = np.minimum(x0, left), np.minimum(x1, left)
-        a, b = (y0 + (x - x0) * (y1 - y0) / run - top for x in (begin, end))
-        under, over = np.minimum(a, 0), np.minimum(b, 0)
-        # of the way from a to b, the part below zero
-        part = np.divide(over - under, b - a, out=np.ones_like(a), where=b != a)
-        sums += (end - begin) * (top + part * (under + over) / 2)
-    areas = np.abs(np.diff(np.diff(sums, axis=1), axis=2))
-    (x, y), (u, v) = outlines[chosen].T, np.roll(outlines[chosen], -1, axis=1).T
-    whole = np.abs((x * v - u * y).sum(axis=0)) / 2
-    within = (left[..., :-1] < last[:, 0, None, None]) & (top[:, :-1] < last[:, 1, None, None])
-    index, row, column = np.nonzero(within & (areas > 1e-9 * whole[:, None, None]))
+    u = first[:, 0, None, None] + np.arange(wide + 1)[None, None]
+    v = first[:, 1, None, None] + np.arange(tall + 1)[None, :, None]
+    areas = np.abs(np.diff(np.diff(_area_before(outlines[chosen], u, v), axis=1), axis=2))
+    (x0, y0), (x1, y1) = outlines[chosen].T, np.roll(outlines[chosen], -1, axis=1).T
+    total = np.abs((x0 * y1 - x1 * y0).sum(axis=0)) / 2
+    within = (u[..., :-1] < last[:, 0, None, None]) & (v[:, :-1] < last[:, 1, None, None])
+    index, row, column = np.nonzero(within & (areas > 1e-9 * total[:, None, None]))
     area = areas[index, row, column]
     pixel = (first[index, 1] + row) * shape[1] + first[index, 0] + column
-    return chosen[index], pixel, area / whole[index], area
+    return chosen[index], pixel, area / total[index], area
+
+
+def _area_before(outlines: Double, u: NDArray[np.int64], v: NDArray[np.int64]) -> Double:
+    """Signed area of outlines (n, 4, 2) left of u (n, 1, w) and above v (n, h, 1): (n, h, w)."""
+    sums = np.zeros((len(outlines), v.shape[1], u.shape[2]))
+    for side in range(4):
+        (x0, y0), (x1, y1) = (
+            outlines[:, corner % 4].T[..., None, None] for corner in (side, side + 1)
+        )
+        run = np.where(x1 == x0, 1, x1 - x0)
+        begin, end = np.minimum(x0, u), np.minimum(x1, u)
+        a, b = (y0 + (x - x0) * (y1 - y0) / run - v for x in (begin, end))
+        a_above, b_above = np.minimum(a, 0), np.minimum(b, 0)
+        # fraction of the way from a to b that is below zero
+        fraction = np.divide(b_above - a_above, b - a, out=np.ones_like(a), where=b != a)
+        sums += (end - begin) * (v + fraction * (a_above + b_above) / 2)
+    return sums
 
 
 def fit_rays(
@@ -230,12 +236,12 @@ def fit_rays(
     camera_shape: tuple[int, int],
     blur: float = 0.0,
 ) -> RayFit:
-    """Find the weights with which camera pixels make up rays.
+    """Compute the weights of camera pixels in each ray.
 
     Parameters
     ----------
     maps : sequence of SmoothMap
-        From the camera to the projector, one for each view of the layout.
+        Maps from camera to projector, one for each view of the layout.
     layout : ProjectorLayout
     camera_shape : (int, int)
     blur : float
@@ -248,115 +254,122 @@ def fit_rays(
 
     Notes
     -----
-    A camera pixel that looks at two rays sees light of both. Averaged by area, the light of a lit
-    ray would leak into its neighbours; direct light is so strong that a leak of a few per cent
-    drowns what there is to measure. So the weights R invert the coverage A, ``R A = 1``: of all
-    that do, those of least error, ``R = (A^T W A)^-1 A^T W``. W is small for pixels that look at
-    several rays, whose shares an imperfect map gets wrong; where each ray has pixels of its own,
-    the weights are their mean, to within little. Rays are solved together with their neighbours
-    alone.
+    A camera pixel across two rays receives light of both. If pixels were averaged by area, the
+    light of a lit ray would leak into its neighbours, and direct light is so strong that a leak of
+    a few percent exceeds the indirect light. Therefore, the weights R invert the coverage A,
+    ``R A = 1``; among all inverses, the weighted least-squares solution is
+    ``R = (A^T W A)^-1 A^T W``. W is small for pixels across several rays, whose shares depend on
+    errors of the map. Where each ray has pixels of its own, R is close to their mean. Each ray is
+    solved together with its neighbours only.
     """
     from scipy.sparse import csr_array, diags_array
 
     shares, area = coverage(maps, layout, camera_shape)
-    seen = area > 0.5 * np.maximum(layout.pixels_of_ray, 1)
-    if not seen.any():
+    visible = area > 0.5 * np.maximum(layout.pixels_of_ray, 1)
+    if not visible.any():
         raise CaptureError(
-            "the camera sees none of the rays; check their place on the projector, and the "
-            "correspondence"
+            "the camera sees none of the rays; check their position on the projector "
+            "(calibrate.corners), and the step correspondence"
         )
     if blur > 0:
         shares = csr_array(blurring(camera_shape, blur) @ shares)
-    used, past_of_ray = _with_past(shares)
-    largest = used.max(axis=1).toarray().ravel()
-    weight = np.where(largest > 0, _DOUBT**2 / (1 - np.minimum(largest, 1) + _DOUBT) ** 2, 0)
-    weighted = csr_array(used.T @ diags_array(weight))
-    patches = _patches(layout.shape, seen, 3 if blur > 0 else 2)
-    inverse = _local_inverse(csr_array(weighted @ used), patches, past_of_ray)
+    coverage_matrix, outside_of_ray = _with_outside(shares)
+    largest = coverage_matrix.max(axis=1).toarray().ravel()
+    weight = np.where(largest > 0, _MIXING**2 / (1 - np.minimum(largest, 1) + _MIXING) ** 2, 0)
+    weighted = csr_array(coverage_matrix.T @ diags_array(weight))
+    patches = _patches(layout.shape, visible, 3 if blur > 0 else 2)
+    inverse = _local_inverse(csr_array(weighted @ coverage_matrix), patches, outside_of_ray)
     matrix = csr_array(inverse @ weighted)
-    # a ten-thousandth of a row's largest weight is none
+    # drop weights below 1e-4 of a row's largest one
     least = 1e-4 * np.repeat(abs(matrix).max(axis=1).toarray().ravel(), np.diff(matrix.indptr))
     matrix.data[np.abs(matrix.data) < least] = 0
     matrix = normalised(matrix)
-    dark = np.append(~seen, True)[layout.ray_of_pixel]
+    dark = np.append(~visible, True)[layout.ray_of_pixel]
     ray_of_pixel = np.where(dark, DARK, layout.ray_of_pixel).astype(np.int32)
     mixing = csr_array(matrix @ shares)
-    own = mixing.diagonal()
-    leak = np.asarray(abs(mixing).sum(axis=1)) - np.abs(own) + np.abs(1 - own) * seen
+    diagonal = mixing.diagonal()
+    off_diagonal = np.asarray(abs(mixing).sum(axis=1)) - np.abs(diagonal)
+    leak = off_diagonal + np.abs(1 - diagonal) * visible
     return RayFit(
         replace(layout, ray_of_pixel=ray_of_pixel),
         Resampling(layout.shape, camera_shape, matrix),
-        np.where(seen, leak, 0),
+        np.where(visible, leak, 0),
         np.sqrt(np.asarray(matrix.power(2).sum(axis=1))),
         np.asarray(shares.sum(axis=0)),
     )
 
 
 def blurring(shape: tuple[int, int], blur: float) -> csr_array[Any]:
-    """Return a Gaussian blur of a picture as a matrix (H W, H W); past its edge all is dark."""
+    """Matrix (H W, H W) of a Gaussian blur; the picture is 0 beyond its edges."""
     from scipy.linalg import toeplitz
     from scipy.sparse import csr_array, kron
     from scipy.special import ive
 
     reach = 1 + int(np.ceil(4 * blur))
-    # Lindeberg's discrete Gaussian: its variance is exact, where sampled ones' is less
+    # Lindeberg's discrete Gaussian has the exact variance; a sampled one has less
     weights = ive(np.arange(reach + 1), blur**2)
     weights /= 2 * weights.sum() - weights[0]
     rows, columns = (toeplitz(np.pad(weights, (0, extent))[:extent]) for extent in shape)
     return csr_array(kron(csr_array(rows), csr_array(columns), format="csr"))
 
 
-def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64]]:
-    """Add what lies past the rays as unknowns: one beside each ray at the edge, and its column.
+def _with_outside(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64]]:
+    """Add unknowns for the area outside the rays, one next to each ray at the edge.
 
-    Without them, rays at the edge would be taken for darker than they are, by what the pixels that
-    they share with the dark outside see of it. Columns are -1 of rays without, and after the last.
+    Without them, the light of rays at the edge would be underestimated, since their camera pixels
+    extend into the dark outside.
+
+    Returns
+    -------
+    coverage : csr_array of float64, shape (camera pixels, rays + unknowns)
+    outside_of_ray : ndarray of int64, shape (rays + 1,)
+        Column of the unknown next to each ray; -1 without one, and as the last entry.
     """
     from scipy.sparse import coo_array, csr_array, diags_array, hstack
 
     total = np.asarray(shares.sum(axis=1))
-    looking = total > _LEAST_SHARE
-    kept = csr_array(diags_array(looking.astype(np.float64)) @ shares)
-    mixed = np.flatnonzero(looking & (total < 1 - _LEAST_SHARE))
-    nearest = np.asarray(kept[mixed].argmax(axis=1)).ravel()
+    used = total > _LEAST_SHARE
+    used_shares = csr_array(diags_array(used.astype(np.float64)) @ shares)
+    mixed = np.flatnonzero(used & (total < 1 - _LEAST_SHARE))
+    nearest = np.asarray(used_shares[mixed].argmax(axis=1)).ravel()
     edge, column = np.unique(nearest, return_inverse=True)
-    past = coo_array((1 - total[mixed], (mixed, column)), shape=(len(total), len(edge)))
-    of_ray = np.full(shares.shape[1] + 1, -1)
-    of_ray[edge] = shares.shape[1] + np.arange(len(edge))
-    return csr_array(hstack([kept, past.tocsr()], format="csr")), of_ray
+    outside = coo_array((1 - total[mixed], (mixed, column)), shape=(len(total), len(edge)))
+    outside_of_ray = np.full(shares.shape[1] + 1, -1)
+    outside_of_ray[edge] = shares.shape[1] + np.arange(len(edge))
+    return csr_array(hstack([used_shares, outside.tocsr()], format="csr")), outside_of_ray
 
 
-def _patches(shape: tuple[int, ...], seen: Mask, radius: int) -> NDArray[np.int64]:
-    """Return the rays around each seen one, itself first; -1 past the edge or where not seen."""
-    index = np.where(seen, np.arange(seen.size), -1).reshape(RayDomain(shape).stack_shape)
+def _patches(shape: tuple[int, ...], visible: Mask, radius: int) -> NDArray[np.int64]:
+    """Rays in a square around each visible ray, the ray itself first; -1 for no visible ray."""
+    index = np.where(visible, np.arange(visible.size), -1).reshape(RayDomain(shape).stack_shape)
     padded = np.pad(index, ((0, 0), (radius, radius), (radius, radius)), constant_values=-1)
     side = 2 * radius + 1
     windows = np.lib.stride_tricks.sliding_window_view(padded, (side, side), axis=(1, 2))
-    return np.roll(windows.reshape(-1, side * side)[seen], -(side * side // 2), axis=1)
+    return np.roll(windows.reshape(-1, side * side)[visible], -(side * side // 2), axis=1)
 
 
 def _local_inverse(
-    normal: csr_array[Any], patches: NDArray[np.int64], past_of_ray: NDArray[np.int64]
+    normal: csr_array[Any], patches: NDArray[np.int64], outside_of_ray: NDArray[np.int64]
 ) -> csr_array[Any]:
-    """Return the rays' rows of the inverse of ``A^T W A``, each solved on a patch of rays."""
+    """Rows of the inverse of ``A^T W A`` for all rays, each solved on a patch of rays."""
     from scipy.sparse import coo_array
 
     ridge = _RIDGE * float(normal.diagonal()[patches[:, 0]].mean())
-    past = past_of_ray[patches]
-    at_edge = (past >= 0).any(axis=1)
+    outside = outside_of_ray[patches]
+    at_edge = (outside >= 0).any(axis=1)
     rows, columns, values = [], [], []
-    for group in (patches[~at_edge], np.hstack([patches, past])[at_edge]):
+    for group in (patches[~at_edge], np.hstack([patches, outside])[at_edge]):
         for patch in np.array_split(group, 1 + len(group) // _CHUNK):
-            there, size = patch >= 0, patch.shape[1]
-            both = there[:, :, None] & there[:, None, :]
+            exists, size = patch >= 0, patch.shape[1]
+            pairs = exists[:, :, None] & exists[:, None, :]
             row, column = np.broadcast_arrays(patch[:, :, None], patch[:, None, :])
-            local = np.zeros(both.shape)
-            local[both] = np.asarray(normal[row[both], column[both]]).ravel()
-            local[:, range(size), range(size)] += np.where(there, ridge, 1.0)
-            solved = np.linalg.solve(local, np.eye(size)[:, :1])
-            rows.append(np.broadcast_to(patch[:, :1], patch.shape)[there])
-            columns.append(patch[there])
-            values.append(solved[..., 0][there])
-    at = np.concatenate(rows), np.concatenate(columns)
-    shape = (len(past_of_ray) - 1, normal.shape[1])
-    return coo_array((np.concatenate(values), at), shape=shape).tocsr()
+            local = np.zeros(pairs.shape)
+            local[pairs] = np.asarray(normal[row[pairs], column[pairs]]).ravel()
+            local[:, range(size), range(size)] += np.where(exists, ridge, 1.0)
+            solution = np.linalg.solve(local, np.eye(size)[:, :1])
+            rows.append(np.broadcast_to(patch[:, :1], patch.shape)[exists])
+            columns.append(patch[exists])
+            values.append(solution[..., 0][exists])
+    indices = np.concatenate(rows), np.concatenate(columns)
+    shape = (len(outside_of_ray) - 1, normal.shape[1])
+    return coo_array((np.concatenate(values), indices), shape=shape).tocsr()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.bench import Bench, camera_model
+from rfpipe.calibration.context import StepContext, camera_model
 from rfpipe.calibration.verdicts import Findings, Standing, Verdict
 from rfpipe.provenance import generator
 from rfpipe.rigs.check_pictures import (
@@ -48,28 +48,30 @@ def probe_pictures(shape: tuple[int, int], period: int) -> NDArray[np.float32]:
 
 
 def take_check_pictures(
-    bench: Bench, kinds: Sequence[int], series: int, wait: float = 0
+    context: StepContext, kinds: Sequence[int], series: int, wait: float = 0
 ) -> list[CheckPicture]:
     """Take check pictures of the given kinds, in this order.
 
     `wait` is a time in seconds between display and exposure, in addition to the projector's wait.
     """
-    displayed = probe_pictures(bench.projector.shape, bench.settings.period_pixels)
+    displayed = probe_pictures(context.projector.shape, context.settings.period_pixels)
     pictures = []
-    brackets = bench.take([displayed[kind] for kind in kinds], wait=wait)
+    brackets = context.brackets((displayed[kind] for kind in kinds), len(kinds), wait=wait)
     for kind, frames in zip(kinds, brackets, strict=True):
         pictures.append(CheckPicture(kind, series, time.time(), thinned(frames)))
     return pictures
 
 
-def probe(bench: Bench, wait: float = 0) -> tuple[list[CheckPicture], References, list[Fault]]:
+def probe(
+    context: StepContext, wait: float = 0
+) -> tuple[list[CheckPicture], References, list[Fault]]:
     """Take a series of check pictures; return it, its references and the faults that it shows."""
-    pictures = take_check_pictures(bench, _SERIES, 0, wait)
-    references = References.of(pictures, camera_model(bench.camera))
+    pictures = take_check_pictures(context, _SERIES, 0, wait)
+    references = References.of(pictures, camera_model(context.camera))
     return pictures, references, diagnose(pictures, references, CALIBRATION)
 
 
-def measure_steadiness(bench: Bench) -> Findings:
+def measure_steadiness(context: StepContext) -> Findings:
     """Measure how much light and picture change while one pattern is shown repeatedly.
 
     Returns
@@ -79,7 +81,7 @@ def measure_steadiness(bench: Bench) -> Findings:
         ``gain`` of the lit pictures, (K, E), and ``judged`` (E,), the exposures on which the
         verdict is based. References are empty where the pattern is not visible.
     """
-    pictures, references, faults = probe(bench)
+    pictures, references, faults = probe(context)
     if not references.has_light:
         nothing = {"references": np.empty(0), "gain": np.empty((0, len(references.exposures)))}
         return Findings.of("steadiness", {"is_seen": 0}, nothing)
@@ -114,30 +116,32 @@ def with_faults(findings: Findings, faults: Sequence[Fault]) -> Findings:
     return replace(findings, verdict=Verdict(standing, text))
 
 
-def references_of(bench: Bench) -> References | None:
+def references_of(context: StepContext) -> References | None:
     """References of the step steadiness; None where it is not done or had no light."""
-    steady = bench.found.get("steadiness")
-    if steady is None or "references" not in steady.arrays or not steady["references"].size:
+    steady = context.findings.get("steadiness")
+    if steady is None or not steady.arrays or not steady["references"].size:
         return None
-    model = camera_model(bench.camera)
+    model = camera_model(context.camera)
     return References(
         steady["references"], steady["noise"], tuple(model.exposures), saturated_from(model),
         steady["taken_at"],
     )  # fmt: skip
 
 
-def with_check_pictures(bench: Bench, measure: Callable[[Bench], Findings]) -> Findings:
+def with_check_pictures(
+    context: StepContext, measure: Callable[[StepContext], Findings]
+) -> Findings:
     """Measure a step between two series of check pictures.
 
     A fault that they show replaces the verdict, which would describe a consequence of the fault.
     Drift of the lamp is appended to the verdict: steps that depend on it have a limit of their own.
     """
-    references = references_of(bench)
+    references = references_of(context)
     if references is None:
-        return measure(bench)
-    before = take_check_pictures(bench, _ENCLOSING_SERIES, 1)
-    findings = measure(bench)
-    after = take_check_pictures(bench, _ENCLOSING_SERIES, 2)
+        return measure(context)
+    before = take_check_pictures(context, _ENCLOSING_SERIES, 1)
+    findings = measure(context)
+    after = take_check_pictures(context, _ENCLOSING_SERIES, 2)
     faults = diagnose([*before, *after], references, CALIBRATION)
     drift = [fault.sentence for fault in faults if fault.kind == "drift"]
     findings = with_faults(findings, [fault for fault in faults if fault.kind != "drift"])

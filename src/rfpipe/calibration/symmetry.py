@@ -1,6 +1,6 @@
-"""How far a rig is from coaxial: whether light goes from camera to projector as it comes (2.10).
+"""Symmetry test: deviation of the transport of a coaxial rig from ``T = T^T`` (2.10).
 
-By random patterns that are shown for that.
+It is estimated from pictures of random patterns.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.bench import Bench
+from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.verdicts import Findings, with_error
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import Sensor
@@ -21,38 +21,47 @@ from rfpipe.rigs.layout import ProjectorLayout
 Double = NDArray[np.float64]
 
 CONFIDENCE = 2.0
-"""Standard errors that a verdict leaves to chance."""
+"""Standard errors on either side of the estimate within which a verdict is uncertain."""
 
-_LEAST = float(np.finfo(np.float64).tiny)  # where there is no light at all
+_LEAST = float(np.finfo(np.float64).tiny)  # avoids dividing by zero without any light
 
 
-class Pictures(NamedTuple):
-    """Radiance and variance (count, N, C) under random signs (count, N), lit where one is 1."""
+class SignPictures(NamedTuple):
+    """Pictures under patterns of random signs; a ray is lit where its sign is 1.
+
+    Attributes
+    ----------
+    signs : ndarray of float64, shape (count, N)
+        -1 or 1.
+    radiance, variance : ndarray of float64, shape (count, N, C)
+    """
 
     signs: Double
     radiance: Double
     variance: Double
 
 
-Taken = tuple[Double, Double, Pictures]
+SymmetryImages = tuple[Double, Double, SignPictures]
 """The floodlit image and its variance, (N, C), and pictures under random signs."""
 
 
 def random_signs(shape: tuple[int, ...], count: int, seed: int) -> Double:
-    """Return patterns of random signs, (count, *shape), values -1 and 1."""
+    """Draw patterns of random signs, float64 (count, *shape), values -1 and 1."""
     return np.asarray(generator(seed, 1).integers(0, 2, (count, *shape)) * 2.0 - 1, np.float64)
 
 
-def measure_symmetry(floodlit: Double, variance: Double, pictures: Pictures) -> tuple[float, float]:
-    """Return the relative error that asymmetry brings to a relit picture, and its standard error.
+def measure_symmetry(
+    floodlit: Double, variance: Double, pictures: SignPictures
+) -> tuple[float, float]:
+    """Estimate the relative error of relit pictures due to asymmetry, and its standard error.
 
     Notes
     -----
     With signs s and pictures ``c(s) = T s = 2 T p - T 1``, each pair gives
     ``s2^T T s1 - s1^T T s2 = s2^T K s1`` with ``K = T - T^T``. With independent signs for each ray
-    in s2 its mean square is ``||K s1||^2``, whatever s1: random, or all ones. Symmetric
-    photography stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` is off by
-    ``K p / 2``. The noise's own share of the mean squares is subtracted.
+    in s2, its mean square is ``||K s1||^2`` for any s1: random, or all ones. Symmetric photography
+    stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` has the error ``K p / 2``.
+    The expected mean square of the noise is subtracted.
     """
     count = len(pictures.signs)
     images = 2 * pictures.radiance - floodlit
@@ -60,36 +69,35 @@ def measure_symmetry(floodlit: Double, variance: Double, pictures: Pictures) -> 
     ahead = np.einsum("in,nc->ic", pictures.signs, floodlit) - images.sum(axis=1)
     of_ones = _mean_square(ahead, noise + variance.sum(axis=0), count)
     forward = np.einsum("jn,inc->ijc", pictures.signs, images)
-    one, two = np.triu_indices(count, 1)
-    difference = forward[one, two] - forward[two, one]
-    of_signs = _mean_square(difference, noise[one] + noise[two], count)
+    first, second = np.triu_indices(count, 1)
+    difference = forward[first, second] - forward[second, first]
+    of_signs = _mean_square(difference, noise[first] + noise[second], count)
     light = np.square(pictures.radiance).sum(axis=1) - pictures.variance.sum(axis=1)
     unit = max(16 * float(light.sum(axis=1).mean()), _LEAST)
     square = (of_ones[0] + of_signs[0]) / unit
     error = float(np.hypot(of_ones[1], of_signs[1])) / unit
-    # a square below zero is noise; far from zero half the relative error of the square, near
-    # it what the error alone would be the square of
+    # standard error of the square root: error / (2 root) for a large root, sqrt(error) near zero
     predicted = float(np.sqrt(max(square, 0.0)))
     return predicted, min(float(np.sqrt(error)), error / max(2 * predicted, _LEAST))
 
 
 def _mean_square(difference: Double, noise: Double, count: int) -> tuple[float, float]:
-    """Return the mean square of pairs (n, C) without the noise's share, and its standard error.
+    """Mean square of differences (n, C) less their variance `noise`, and its standard error.
 
-    `count` independent patterns made the pairs.
+    `count` is the number of independent patterns in the pairs.
     """
     squares = (difference**2 - noise).sum(axis=1)
-    # where nothing but noise is left, its squares spread by twice their variance
+    # the square of pure noise has twice the squared variance of the noise as its variance
     least = np.sqrt(2 * np.square(noise).sum(axis=1).mean())
     spread = max(float(squares.std(ddof=1)), float(least))
     return float(squares.mean()), spread / float(np.sqrt(min(len(squares), count)))
 
 
 def symmetry_patterns(signs: Double, references: int) -> NDArray[np.bool_]:
-    """Return the lit rays of each picture, (n, *shape).
+    """Lit rays of each picture of the test, bool (n, *shape).
 
-    `references` times no ray; then random rays, with all rays before, between and after them, as
-    `is_white_picture` says, so that they show the lamp's drift.
+    First `references` black patterns, then the random patterns, with white ones before, between and
+    after them (see `is_white_picture`), which measure the drift of the lamp.
     """
     is_white = is_white_picture(len(signs), references)
     lit = np.ones((len(is_white), *signs.shape[1:]), bool)
@@ -98,19 +106,22 @@ def symmetry_patterns(signs: Double, references: int) -> NDArray[np.bool_]:
 
 
 def is_white_picture(count: int, references: int) -> NDArray[np.bool_]:
-    """Test which pictures are white, of `count` random ones and two white ones at least."""
+    """Positions of the white pictures, evenly distributed among `count` random ones, bool (n,).
+
+    There are `references` white pictures, and at least two.
+    """
     whites = max(2, references)
-    places = np.rint(np.linspace(0, count + whites - 1, whites)).astype(np.int64)
-    return np.isin(np.arange(count + whites), places)
+    positions = np.rint(np.linspace(0, count + whites - 1, whites)).astype(np.int64)
+    return np.isin(np.arange(count + whites), positions)
 
 
 def merged_pictures(
     brackets: Iterable[NDArray[Any]], sensor: Sensor, signs: Double, references: int
-) -> tuple[Taken, float]:
+) -> tuple[SymmetryImages, float]:
     """Merge brackets (E, ...) under the patterns of `symmetry_patterns`, for `measure_symmetry`.
 
-    Brightness is that of the first white picture: the change of the lamp until each picture, by the
-    white pictures around it, is divided out. Also returns the largest change.
+    The change of the lamp since the first white picture, interpolated between white pictures, is
+    divided out. The largest relative change is returned, too.
     """
     remaining = iter(brackets)
     black = np.mean([next(remaining) for _ in range(references)], axis=0).astype(np.float32)
@@ -118,26 +129,26 @@ def merged_pictures(
     merged = [merge(frames[None]) for frames in remaining]
     radiance, variance = (
         np.concatenate(images).astype(np.float64).reshape(len(merged), -1, images[0].shape[-1])
-        for images in ([one.radiance for one in merged], [one.variance for one in merged])
+        for images in ([m.radiance for m in merged], [m.variance for m in merged])
     )
     is_white = is_white_picture(len(signs), references)
     light = lamp_light(radiance[is_white].sum(axis=(1, 2)), np.flatnonzero(is_white), len(is_white))
     radiance /= light[:, None, None]
     variance /= np.square(light)[:, None, None]
     floodlit = radiance[is_white].mean(axis=0), variance[is_white].mean(axis=0) / is_white.sum()
-    pictures = Pictures(signs.reshape(len(signs), -1), radiance[~is_white], variance[~is_white])
+    pictures = SignPictures(signs.reshape(len(signs), -1), radiance[~is_white], variance[~is_white])
     return (*floodlit, pictures), float(np.abs(light - 1).max())
 
 
 def lamp_light(white: Double, places: NDArray[np.int64], count: int) -> Double:
-    """Return the lamp's light at each of `count` pictures, relative to the first white one.
+    """Interpolate the lamp's light at each of `count` pictures, relative to the first white one.
 
     Parameters
     ----------
     white : ndarray of float64, shape (n,)
         Light of the white pictures.
     places : ndarray of int64, shape (n,)
-        Their places, ascending.
+        Positions of the white pictures, ascending.
     count : int
     """
     if white[0] <= 0:
@@ -146,24 +157,24 @@ def lamp_light(white: Double, places: NDArray[np.int64], count: int) -> Double:
     return np.asarray(np.maximum(light, _LEAST))
 
 
-def measure_rig(bench: Bench) -> Findings:
-    """Show random patterns on the rays; judge their pictures."""
-    arrays, settings = bench.found["rays"].arrays, bench.settings
+def measure_rig(context: StepContext) -> Findings:
+    """Show random patterns on the calibrated rays, and test the symmetry of the transport."""
+    arrays, settings = context.findings["rays"].arrays, context.settings
     layout, resampling = ProjectorLayout.from_arrays(arrays), Resampling.from_arrays(arrays)
     signs = random_signs(layout.shape, settings.symmetry_patterns, 0)
-    lit = list(symmetry_patterns(signs, settings.dark_frames))
-    brackets = bench.take(lit, linear=True, drawn=layout.picture)
-    sensor = ResampledSensor(bench.model, resampling)
-    taken, drift = merged_pictures(brackets, sensor, signs, settings.dark_frames)
-    return symmetry_findings(taken, drift, settings.tolerance)
+    lit = symmetry_patterns(signs, settings.dark_frames)
+    brackets = context.brackets(map(layout.picture, lit), len(lit), linear=True)
+    sensor = ResampledSensor(context.model, resampling)
+    images, drift = merged_pictures(brackets, sensor, signs, settings.dark_frames)
+    return symmetry_findings(images, drift, settings.tolerance)
 
 
-def symmetry_findings(taken: Taken, drift: float, tolerance: float) -> Findings:
-    """Predict the error that asymmetry makes in relit pictures, which `tolerance` is for.
+def symmetry_findings(images: SymmetryImages, drift: float, tolerance: float) -> Findings:
+    """Compare the error of relit pictures due to asymmetry with `tolerance`.
 
-    `drift` is the change of the lamp's light that was divided out.
+    `drift` is the largest relative change of the lamp's light, which was divided out.
     """
-    error, standard_error = measure_symmetry(*taken)
+    error, standard_error = measure_symmetry(*images)
     facts = {
         "tolerance": tolerance,
         "drift": drift,

@@ -67,7 +67,8 @@ def calibrate(
     """
     import logging
 
-    from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
+    from rfpipe.calibration.folder import CalibrationFolder
+    from rfpipe.calibration.run import calibrate_rig
     from rfpipe.config import load_rig_config
     from rfpipe.jobs.job import Progress
     from rfpipe.output import check_folder, check_no_run, checked_output
@@ -85,7 +86,7 @@ def calibrate(
     folder = CalibrationFolder(path)
     before, is_complete = folder.written_at(), False
     try:
-        calibrate_rig(config, path, step, Progress, again=again)
+        calibrate_rig(config, path, step, Progress, repeat=again)
         is_complete = True
     finally:
         if is_complete or folder.written_at() != before:

@@ -47,15 +47,15 @@ class DarkFrames:
     ----------
     count : int
         Brackets seen.
-    least, most : ndarray, shape (E, ...)
+    smallest, largest : ndarray, shape (E, ...)
         The smallest and the largest value of each sample, in the brackets' dtype.
     """
 
     def __init__(self) -> None:
         self.count = 0
         self._first = self._total = self._squares = np.zeros(0)
-        self.least: NDArray[Any] = np.zeros(0)
-        self.most: NDArray[Any] = np.zeros(0)
+        self.smallest: NDArray[Any] = np.zeros(0)
+        self.largest: NDArray[Any] = np.zeros(0)
 
     @classmethod
     def of(cls, frames: NDArray[Any]) -> DarkFrames:
@@ -70,11 +70,14 @@ class DarkFrames:
             if not self.count:
                 self._first = bracket.astype(np.float64)
                 self._total, self._squares = np.zeros((2, *bracket.shape))
-                self.least = self.most = bracket
+                self.smallest = self.largest = bracket
             self._total += bracket
             # about the first one, so that a high black level doesn't drown its noise
             self._squares += np.square(bracket - self._first)
-            self.least, self.most = np.minimum(self.least, bracket), np.maximum(self.most, bracket)
+            self.smallest, self.largest = (
+                np.minimum(self.smallest, bracket),
+                np.maximum(self.largest, bracket),
+            )
             self.count += 1
 
     @property
@@ -134,9 +137,9 @@ def find_hot(dark: DarkFrames) -> Mask:
 
 def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
     """Find photosites that hold one count in all frames of each exposure, and can't by chance."""
-    constant: Mask = (dark.least == dark.most) & (floodlit_frames == dark.least)
+    constant: Mask = (dark.smallest == dark.largest) & (floodlit_frames == dark.smallest)
     # a black level at the converter's lower end cuts the noise off
-    constant &= ~((dark.least == 0) & (np.median(dark.least) == 0))
+    constant &= ~((dark.smallest == 0) & (np.median(dark.smallest) == 0))
     stuck: Mask = np.asarray(constant.all(axis=0))
     if dark.count < 2:
         return np.zeros_like(stuck)

@@ -1,4 +1,4 @@
-"""From camera pixels to rays: resampling merged images, and the sensor that does so."""
+"""Resampling of merged images from camera pixels to rays, and a sensor that applies it."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float32]
 
-LEAST_LEFT = 0.1
-"""A ray whose defective pixels had more than all but this share of its weight has none left."""
+LEAST_WEIGHT = 0.1
+"""Smallest weight of a ray's pixels without defects, of 1, with which the ray is still visible."""
 
 _PREFIX = "resampling_"
 
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """What share each camera pixel has in each ray.
+    """Weights of the camera's pixels in each ray.
 
-    A ray that the camera doesn't see has no weights: its radiance is 0 with a variance of 0, which
-    is exactly no light. It is never significant, and it stops nothing. For ``T`` to stay symmetric
-    it must not be lit, either: a calibrated layout leaves its projector pixels dark.
+    A ray that the camera doesn't see has no weights: its radiance and variance are 0, so that it is
+    never significant. For ``T`` to be symmetric, it must not be lit, either: a calibrated layout
+    keeps its projector pixels dark.
 
     Parameters
     ----------
     shape : tuple of int
-        The rays, see `RayDomain`.
+        Shape of the ray domain, see `RayDomain`.
     camera_shape : tuple of int
-        The camera's pixels, (Hc, Wc).
+        Shape of the camera's frames, (Hc, Wc).
     matrix : csr_array of float32, shape (rays, camera pixels)
-        Both in row-major order. Each row sums to 1, or is empty where a ray is not seen. Weights
-        may be negative, where neighbouring rays share camera pixels.
+        Both in row-major order. Each row sums to 1, or is empty for a ray that is not visible.
+        Weights may be negative where neighbouring rays share camera pixels.
     """
 
     shape: tuple[int, ...]
@@ -54,25 +54,25 @@ class Resampling:
     matrix: csr_array[Any]
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
-        """Whether the camera sees a ray, shape `shape`."""
+    def visible(self) -> NDArray[np.bool_]:
+        """Mask of the rays that the camera sees, shape `shape`."""
         return np.asarray(np.diff(self.matrix.indptr) > 0).reshape(self.shape)
 
     def without(self, pixels: NDArray[np.bool_]) -> Resampling:
-        """Return a resampling that takes nothing from some camera pixels (bool, `camera_shape`).
+        """Exclude camera pixels, given as a mask of shape `camera_shape`.
 
-        Each ray's other pixels take over. A ray that has none left is not seen.
+        The weights of a ray's remaining pixels are scaled up; a ray with too few is not visible.
         """
         from scipy.sparse import csr_array, diags_array
 
-        kept = csr_array(self.matrix @ diags_array((~pixels.ravel()).astype(np.float32)))
-        kept.eliminate_zeros()
-        enough = np.asarray(kept.sum(axis=1)) >= LEAST_LEFT
-        kept = csr_array(diags_array(enough.astype(np.float32)) @ kept)
-        return replace(self, matrix=normalised(kept))
+        weights = csr_array(self.matrix @ diags_array((~pixels.ravel()).astype(np.float32)))
+        weights.eliminate_zeros()
+        enough = np.asarray(weights.sum(axis=1)) >= LEAST_WEIGHT
+        weights = csr_array(diags_array(enough.astype(np.float32)) @ weights)
+        return replace(self, matrix=normalised(weights))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what `from_arrays` needs, to be stored."""
+        """Arrays for storage; see `from_arrays`."""
         return {
             f"{_PREFIX}shape": np.array(self.shape, np.int32),
             f"{_PREFIX}camera_shape": np.array(self.camera_shape, np.int32),
@@ -83,7 +83,7 @@ class Resampling:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Resampling:
-        """Return the resampling whose `arrays` these are."""
+        """Restore a resampling from its `arrays`."""
         from scipy.sparse import csr_array
 
         shape, camera, starts, pixels, weights = (
@@ -101,7 +101,7 @@ class Resampling:
 
 
 def normalised(matrix: csr_array[Any]) -> csr_array[Any]:
-    """Scale the rows of weights to sum to 1; empty rows stay empty. float32."""
+    """Scale each row of weights to a sum of 1, float32; empty rows stay empty."""
     weights = matrix.astype(np.float64)
     weights.eliminate_zeros()
     sums = np.asarray(weights.sum(axis=1))
@@ -112,7 +112,7 @@ def normalised(matrix: csr_array[Any]) -> csr_array[Any]:
 
 @dataclass(frozen=True, eq=False)
 class ResampledSensor(Sensor):
-    """A camera whose merged images are resampled to rays; its frames stay those of the camera."""
+    """A camera whose merged images are resampled to rays; its frames are not."""
 
     sensor: CameraModel
     resampling: Resampling
@@ -128,22 +128,23 @@ class ResampledSensor(Sensor):
         return self.sensor.frame_dtype
 
     def frame_shape(self, camera_shape: tuple[int, ...], channels: int) -> tuple[int, ...]:  # noqa: ARG002
-        """Shape of one bracket: that of the camera behind the rays, whatever their shape."""
+        """Shape of one bracket of the camera, which doesn't depend on the rays."""
         return self.sensor.frame_shape(self.resampling.camera_shape, channels)
 
     def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> NDArray[Any]:  # noqa: ARG002
-        """Raise InputError: from rays there is no way back to the camera's pixels."""
+        """Raise InputError, since rays can't be converted to camera pixels."""
         raise InputError(
-            f"{picture_name(key)}: a resampled sensor of {self.resampling.shape} rays can't be "
-            f"exposed to a picture {np.shape(radiance)}; its frames come from a camera"
+            f"{picture_name(key)}: a resampled sensor of {self.resampling.shape} rays can't "
+            f"simulate frames of radiance of shape {np.shape(radiance)}; take frames with the "
+            "camera, or use its CameraModel"
         )
 
     def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
-        """Return what merges brackets (B, E, Hc, Wc[, C]) of the camera to rays (B, *rays, C).
+        """Prepare a merge of brackets (B, E, Hc, Wc[, C]) to radiance of rays (B, *rays, C).
 
-        Photosites are merged as grey pixels, then one matrix fills in the mosaic and resamples: the
-        noise that the filling spreads over neighbours counts once. Neighbouring rays that share a
-        pixel share its noise; the variance is each ray's own.
+        Photosites are merged as grey pixels; then one matrix both demosaics and resamples, so that
+        noise which demosaicing spreads over neighbours is counted once. Neighbouring rays with a
+        common pixel have correlated noise; the variance is that of each single ray.
         """
         has_mosaic = self.sensor.bayer is not None
         black = np.asarray(black)
@@ -167,7 +168,7 @@ class ResampledSensor(Sensor):
         return resampled
 
     def without(self, pixels: NDArray[np.bool_]) -> ResampledSensor:
-        """Return a sensor that takes nothing from defective pixels; see `Resampling.without`."""
+        """Exclude defective camera pixels; see `Resampling.without`."""
         return replace(self, resampling=self.resampling.without(pixels))
 
     def describe(self) -> dict[str, Any]:
@@ -180,32 +181,33 @@ class ResampledSensor(Sensor):
         }
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what `sensor_from_description` needs beside the description."""
+        """Arrays that `sensor_from_description` needs together with the description."""
         return self.resampling.arrays()
 
     @cached_property
     def matrices(self) -> list[csr_array[Any]]:
-        """From photosites to rays, one for each channel of a mosaic; one for all without."""
+        """Matrices from photosites to rays: one per channel of a mosaic, or one for all."""
         matrix = self.resampling.matrix
         if self.sensor.bayer is None:
             return [matrix]
-        return [matrix @ each for each in filling(self.resampling.camera_shape, self.sensor.bayer)]
+        shape = self.resampling.camera_shape
+        return [matrix @ colour for colour in filling(shape, self.sensor.bayer)]
 
     @cached_property
     def squares(self) -> list[csr_array[Any]]:
-        """The same with squared weights, for the variance."""
+        """Matrices with squared weights, for the variance."""
         return [matrix.power(2) for matrix in self.matrices]
 
 
 def sensor_from_description(
     description: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None
 ) -> Sensor:
-    """Return the sensor of a description, given a resampled sensor's `arrays`.
+    """Restore a sensor from its description, and from its `arrays` if it is resampled.
 
     Raises
     ------
     InputError
-        When the description is none of a known sensor, or the arrays are of another.
+        When the kind of sensor is unknown, or the arrays belong to another sensor.
     """
     kind = description.get("kind")
     if kind == "exact":
@@ -219,7 +221,8 @@ def sensor_from_description(
     resampling = Resampling.from_arrays(arrays or {})
     if not isinstance(camera, CameraModel) or resampling.digest() != description["resampling"]:
         raise InputError(
-            f"the arrays of a resampling to {resampling.shape} rays are not those of the sensor "
-            f"described (digest {description['resampling']}): they are of another calibration"
+            f"the arrays of the resampling to {resampling.shape} rays have the digest "
+            f"{resampling.digest()}; the sensor's description has {description['resampling']}. "
+            "They belong to different calibrations: use the arrays of the same one"
         )
     return ResampledSensor(camera, resampling)

@@ -98,7 +98,7 @@ class BracketMerger:
         if not isinstance(self.sensor, ResampledSensor):
             return self.defects.mask
         assert isinstance(self._sensor_without_defects, ResampledSensor)
-        return self.sensor.resampling.seen & ~self._sensor_without_defects.resampling.seen
+        return self.sensor.resampling.visible & ~self._sensor_without_defects.resampling.visible
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import (
     CONFIDENCE,
-    Pictures,
+    SignPictures,
     measure_symmetry,
     random_signs,
 )
@@ -202,7 +202,7 @@ def measure_asymmetry(
         np.stack([references.floodlit, references.floodlit_variance])
     )
     signs = random_signs(references.floodlit.shape[:-1], count, seed=0)
-    pictures = Pictures(signs.reshape(count, -1), radiance, variance)
+    pictures = SignPictures(signs.reshape(count, -1), radiance, variance)
     error, standard_error = measure_symmetry(floodlit, floodlit_variance, pictures)
     # Light from a masked pixel is missing in one direction only; this is the largest such error.
     masked = _MASKED * float(np.mean(~np.isfinite(references.floodlit_variance)))
@@ -220,7 +220,7 @@ def read_asymmetry(storage: AcquisitionFolder) -> Asymmetry | None:
     return Asymmetry(facts["error"], facts["standard_error"], facts["place"], facts["excess"])
 
 
-def _excess(pictures: Pictures, floodlit: Double) -> float:
+def _excess(pictures: SignPictures, floodlit: Double) -> float:
     """Return the light of pictures beyond that expected, relative to the floodlit image's.
 
     On a coaxial rig ``1^T T p = p^T T 1``. Returns 0 unless the excess is significant.
@@ -233,7 +233,7 @@ def _excess(pictures: Pictures, floodlit: Double) -> float:
     return mean if abs(mean) > max(_MIN_EXCESS, _EXCESS_SIGNIFICANCE * deviation) else 0.0
 
 
-def _place(signs: Double, pictures: Pictures, floodlit: Double) -> str:
+def _place(signs: Double, pictures: SignPictures, floodlit: Double) -> str:
     """Describe a displacement of the pictures; "" for none, and for a light field."""
     if signs.ndim != 3:
         return ""

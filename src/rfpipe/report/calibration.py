@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.folder import STEPS, CalibrationFolder
-from rfpipe.calibration.sight import sight_picture
+from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.scene import scene_image
+from rfpipe.calibration.steps import STEPS
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import StoreError
 from rfpipe.report.drawing import Map, draw, new_figure, plain_numbers, shared_legend
@@ -126,7 +127,7 @@ def _steadiness(one: Findings) -> Figure:
 
 
 def _scene(one: Findings) -> Figure:
-    picture = sight_picture(*(one[name] for name in ("white", "saturated", "dark", "lit")))
+    picture = scene_image(*(one[name] for name in ("white", "saturated", "dark", "lit")))
     sight = Map(picture, "white, less black")
     dark = Map(one["black"], "all off", scale="counts")
     focus = Map(one["focus"], "contrast of stripes", scale="contrast")

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from rfpipe.calibration.folder import STEPS
+from rfpipe.calibration.steps import STEPS
 from rfpipe.report.drawing import Drawn, draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Block, Column, Illustration, Section, Table, table_of

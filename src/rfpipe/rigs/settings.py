@@ -23,7 +23,7 @@ RAYS = "rays"
 SETTLE = "projector.options.settle_seconds"
 
 _WITHOUT_EFFECT: Any = {
-    "calibrate": True,  # added step by step, see `rfpipe.calibration.folder`
+    "calibrate": True,  # added step by step, see `rfpipe.calibration.run`
     "calibration": True,
     "seconds_per_pattern": True,  # for estimates
     "bench": {"knock"},  # an event: rehearsed after the calibration

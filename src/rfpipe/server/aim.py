@@ -19,8 +19,8 @@ from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from numpy.typing import NDArray
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from rfpipe.calibration.bench import camera_model
-from rfpipe.calibration.sight import measure_sight, sight_picture, sight_pictures
+from rfpipe.calibration.context import camera_model
+from rfpipe.calibration.scene import measure_scene, scene_image, scene_patterns
 from rfpipe.errors import RfpipeError
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 from rfpipe.server.run import bound_socket, local_config
@@ -174,14 +174,14 @@ class Watch:
     def _look_once(self, projector: Projector, camera: Camera) -> None:
         """Take the pictures of a look; leave it where the page is closed meanwhile."""
         taken = []
-        for index, shown in enumerate(sight_pictures(projector.shape, self._period)):
+        for index, shown in enumerate(scene_patterns(projector.shape, self._period)):
             taken.append(bracket_of(projector, camera, shown, f"picture {index}"))
             if self._stopping.is_set():
                 return
         model = camera_model(camera)
-        sight = measure_sight(taken, model.exposures, model.white_level, self._period)
+        sight = measure_scene(taken, model.exposures, model.white_level, self._period)
         lit, dark = sight["lit"], sight["dark"]
-        picture = sight_picture(sight["white"], sight["saturated"], dark, lit)
+        picture = scene_image(sight["white"], sight["saturated"], dark, lit)
         proposal = ", ".join(f"{one:g}" for one in sight["proposed_exposures_s"])
         facts = {
             "standing": sight.verdict.standing,

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rfpipe.calibration.folder import STEPS
+from rfpipe.calibration.steps import STEPS
 from rfpipe.rigs.calibrated import FACTS
 from rfpipe.storage.files import FILES, VERIFICATION_FOLDER, VERIFICATION_MANIFEST, with_followers
 from rfpipe.storage.run_record import RUN_RECORD, rerun_command
