@@ -183,7 +183,7 @@ def test_a_bracket_is_proposed_that_suits_a_dim_projector_and_the_room(
 
 @pytest.mark.parametrize(
     ("lamp", "room", "said"),
-    [(0.0, 0.0, "No stripes of the projector"), (1.0, 5.0, "The all-off picture itself")],
+    [(0.0, 0.0, "sees no stripes of the projector"), (1.0, 5.0, "The all-off picture saturates")],
 )
 def test_without_a_signal_there_is_a_report_all_the_same(
     tmp_path: Path, lamp: float, room: float, said: str, monkeypatch: pytest.MonkeyPatch
