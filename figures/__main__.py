@@ -64,9 +64,9 @@ def unknown(script: str) -> str:
 
 def _check() -> None:
     """End with a line that says what to install where physically based scenes can't be traced."""
-    from rfpipe.mitsuba.variant import lacking_llvm
+    from rfpipe.mitsuba.variant import missing_llvm
 
-    missing = lacking_llvm("make figures")
+    missing = missing_llvm("make figures")
     if missing is not None:
         sys.exit(f"figures: {missing}")
 

@@ -19,7 +19,7 @@ import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import ConfigError, StoreError
-from rfpipe.publishing.keep import Kept, keep
+from rfpipe.publishing.keep import UploadSummary, keep
 from rfpipe.publishing.run import find_run
 from rfpipe.store import addresses, open_arrays, write_arrays
 from rfpipe.store.addresses import Bucket
@@ -57,7 +57,7 @@ def run(tmp_path: Path) -> Path:
     return write_run(tmp_path / "run", *SCENES)
 
 
-def kept(run: Path, address: str) -> Kept:
+def kept(run: Path, address: str) -> UploadSummary:
     found = keep(find_run(run), address)
     assert not list(run.rglob(".keep*"))
     return found

@@ -74,7 +74,7 @@ def chosen(settings: MitsubaOptions) -> dict:
 def test_null_is_what_the_materials_of_a_file_need(tmp_path: Path, name: str, rig: str) -> None:
     material, caustics, bounces = MATERIALS[name]
     settings = of_ball(tmp_path, material, *([ASIDE] if rig == "aside" else []))
-    light = settings.followed
+    light = settings.light
     assert (light.caustics, light.bounces) == (caustics, bounces)
     projectors = "coaxial" if rig == "coaxial" else "the file's"
     expected = {"projectors": projectors, "bounces": bounces, "caustics": caustics}
@@ -89,9 +89,9 @@ def test_glass_in_a_group_of_shapes_counts_and_unused_glass_does_not(tmp_path: P
     group = f"<shape type='shapegroup' id='group'>{ball(GLASS)}</shape>"
     shown = "<shape type='instance'><ref id='group'/></shape>"
     in_group = options(tmp_path, file_of(tmp_path, LOOKING, FLOOR, group, shown))
-    assert (in_group.followed.caustics, in_group.followed.bounces) == (True, 10)
+    assert (in_group.light.caustics, in_group.light.bounces) == (True, 10)
     unused = GLASS.replace("<bsdf", "<bsdf id='unused'", 1)
-    assert not of_ball(tmp_path, MATT, unused).followed.caustics
+    assert not of_ball(tmp_path, MATT, unused).light.caustics
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_glass_in_a_group_of_shapes_counts_and_unused_glass_does_not(tmp_path: P
 )
 def test_what_the_settings_say_is_followed_and_is_no_choice(tmp_path, given, value) -> None:
     settings = of_ball(tmp_path, GLASS, bounces=4, **given)
-    assert (settings.followed.caustics, settings.followed.bounces) == (value, 4)
+    assert (settings.light.caustics, settings.light.bounces) == (value, 4)
     assert set(chosen(settings)) == {"projectors"}
 
 
@@ -111,7 +111,7 @@ def test_direct_light_alone_has_no_caustics(tmp_path: Path) -> None:
 
 OMISSIONS = {  # material, options, words of the sentence that names the ball; "" for no sentence
     "caustics": (GLASS, {"caustics": False}, "caustics is false"),
-    "followed": (GLASS, {}, ""),
+    "light": (GLASS, {}, ""),
     "sharp metal": (bsdf("roughconductor", alpha=0.001), {}, "alpha"),
     "sharp in one direction": (bsdf("roughconductor", alpha_u=0.001, alpha_v=0.2), {}, ""),
     "sharp glass": (bsdf("roughdielectric", alpha=0.01), {}, "alpha"),
@@ -122,7 +122,7 @@ OMISSIONS = {  # material, options, words of the sentence that names the ball; "
     "sharp, direct light": (bsdf("roughconductor", alpha=0.001), {"bounces": 1}, ""),
     "rough": (bsdf("roughconductor", alpha=0.1), {}, ""),
     "fog": (bsdf("null") + FOG, {}, ""),
-    "glass with fog": (GLASS + FOG, {}, "boundary of a medium"),
+    "glass with fog": (GLASS + FOG, {}, "boundary of the medium"),
 }  # fmt: skip
 
 
@@ -137,7 +137,7 @@ def test_light_that_is_left_out_is_named(tmp_path: Path, name: str) -> None:
 def test_a_heterogeneous_medium_is_refused(tmp_path: Path) -> None:
     settings = of_ball(tmp_path, bsdf("null") + CLOUD)
     with pytest.raises(InputError, match=r"own: ball .*heterogeneous.*make it homogeneous"):
-        _ = settings.followed
+        _ = settings.light
 
 
 @pytest.mark.parametrize("name", WORLDS)

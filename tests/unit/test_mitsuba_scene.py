@@ -93,8 +93,8 @@ def test_a_file_without_projector_is_coaxial_and_its_transport_symmetric(tmp_pat
         ({"parts": (LOOKING,)}, "no shape"),
         ({"parts": (LOOKING.replace("<lookat", "<scale x='-1' y='1' z='1'/><lookat"),)}, "mirrors"),
         # looks away, or stands within a block
-        ({"projectors": [{"origin": (0, 0, 4), "target": (0, 0, 9)}]}, "no light comes back"),
-        ({"cameras": [{"origin": (-0.33, -0.4, -0.28), "target": (0, 0, 9)}]}, "no light comes"),
+        ({"projectors": [{"origin": (0, 0, 4), "target": (0, 0, 9)}]}, "no light reaches"),
+        ({"cameras": [{"origin": (-0.33, -0.4, -0.28), "target": (0, 0, 9)}]}, "no light reaches"),
         ({"cameras": [{"origin": (0, 0, 0), "target": (0, 2, 0)}]}, "another point to look at"),
     ],
 )
@@ -162,7 +162,7 @@ def test_the_newest_llvm_that_mitsuba_can_use(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "libLLVM-15.so.1").touch()
-    monkeypatch.setattr(variant, "_PLACES", (f"{tmp_path}/libLLVM*",))
+    monkeypatch.setattr(variant, "_PATTERNS", (f"{tmp_path}/libLLVM*",))
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     assert variant.usable_llvm() is None
     (tmp_path / "libLLVM.so.19.1").touch()

@@ -14,8 +14,8 @@ from rfpipe.mitsuba.parts import (
     lettering,
     matt,
     mirror,
-    painted,
     sheet,
+    textured,
 )
 from rfpipe.mitsuba.rendering import hits
 from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
@@ -27,7 +27,7 @@ from rfpipe.scenes.sight import Pinhole
 
 SIZE = 12
 AHEAD = view((0, 0, 3), (0, 0, 0), 20)
-LETTER = painted(lettering(["F"]))
+LETTER = textured(lettering(["F"]))
 
 
 pytestmark = pytest.mark.needs("llvm")
@@ -132,7 +132,7 @@ def test_the_first_row_of_a_texture_is_on_top(tmp_path: Path) -> None:
     picture = np.full((64, 64, 3), 0.1, dtype=np.float32)
     picture[:32] = 0.8  # above
     picture[:, :32, 0] = 0.5  # red, at the left
-    plane = sheet((0, 0, 0), (0.6, 0, 0), (0, 0.6, 0), painted(picture))
+    plane = sheet((0, 0, 0), (0.6, 0, 0), (0, 0.6, 0), textured(picture))
     seen = flood(scene_of(tmp_path, world(plane), bounces=1))
     assert seen[:3, 6:, 1].mean() > 5 * seen[-3:, 6:, 1].mean()
     assert seen[:, :3, 0].mean() == pytest.approx(0.5, rel=0.03)
@@ -174,7 +174,7 @@ def test_a_mirror_throws_a_pattern_as_from_behind_it(tmp_path: Path) -> None:
     ones = np.ones((1, SIZE * SIZE))
     with (
         pytest.warns(UserWarning, match="caustics is false"),
-        pytest.raises(InputError, match="no light comes back"),
+        pytest.raises(InputError, match="no light reaches"),
     ):
         without.apply(ones)
 
@@ -199,7 +199,7 @@ def test_a_mirror_shows_what_it_throws_light_on_as_from_behind_it(tmp_path: Path
     assert entries[apart > 1].sum() < 1e-3 * entries.sum()
     assert entries[apart == 0].sum() > 0.6 * entries.sum()
     too_short = scene_of(tmp_path, world(MIRROR, WHITE, bounces=2, caustics=True))
-    with pytest.raises(InputError, match="no light comes back"):
+    with pytest.raises(InputError, match="no light reaches"):
         too_short.apply(np.ones((1, SIZE * SIZE)))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rfpipe.mitsuba.parts import matt, turned
+from rfpipe.mitsuba.parts import lathe, matt
 from rfpipe.mitsuba.world import load_scene
 from rfpipe.mitsuba.worlds import WORLDS
 
@@ -43,7 +43,7 @@ def test_each_view_of_a_world_sees_something(name: str) -> None:
 
 
 def test_a_turned_body_is_closed_and_its_outside_away_from_the_axis() -> None:
-    can = turned((1, 2, 3), [(0, 0), (0.5, 0), (0.5, 2), (0, 2)], matt(0.5))
+    can = lathe((1, 2, 3), [(0, 0), (0.5, 0), (0.5, 2), (0, 2)], matt(0.5))
     corners = can["vertices"][can["faces"]].astype(np.float64)
     volume = np.linalg.det(corners - [1, 2, 3]).sum() / 6
     assert volume == pytest.approx(np.pi * 0.5**2 * 2, rel=2e-3)

@@ -23,7 +23,7 @@ from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import source_digest
-from rfpipe.publishing.metadata import Citation, check_digit, kept_values
+from rfpipe.publishing.metadata import Citation, check_digit, stored_values
 from rfpipe.publishing.publication import encoded
 from rfpipe.publishing.publication import publish as publish_run
 from rfpipe.publishing.run import find_run
@@ -130,7 +130,7 @@ def test_licence_and_creators_are_asked_for_once(run: Path) -> None:
         ({"creators": ["Doe, Jane; 000-0002"]}, "ORCID iD such as"),
         (
             {"creators": ["Doe, Jane; 0000-0002-1825-0096"]},
-            "0096'; it should end in 7",
+            "0096'; it should end in the check digit 7",
         ),
         ({"creators": ["Doe, Jane; 0000-0002-1852-0097"]}, "two are exchanged"),
         ({"doi": "zenodo.12"}, "doi is .*should be 10.*such as 10"),
@@ -261,7 +261,7 @@ def test_code_that_did_not_make_the_results_is_refused(case: str, run: Path) -> 
     file.write_text("x = 1  # a remark changes no result\n")
     published(run, *GIVEN)
     for text, says in (
-        ("x = 2", ["isn't the code that made results/desk/dual", "restore", "rfpipe run"]),
+        ("x = 2", ["was edited after it made results/desk/dual", "restore", "rfpipe run"]),
         ("x =", [", line 1: isn't Python", "restore"]),
     ):
         file.write_text(text)
@@ -309,9 +309,9 @@ def test_nothing_that_stands_there_is_lost(run: Path, tmp_path: Path) -> None:
     home = tmp_path / "home"
     home.mkdir()
     (home / "thesis.txt").touch()
-    with pytest.raises(InputError, match="didn't make"):
+    with pytest.raises(InputError, match="is not a publication"):
         published(run, "-o", home, "--overwrite")
-    with pytest.raises(InputError, match="lies among the results"):
+    with pytest.raises(InputError, match="is within the results"):
         published(run, "-o", run / "results/crate.zip")
     assert (home / "thesis.txt").exists()
     assert (run / "publication.zip").read_bytes() == before
@@ -331,7 +331,7 @@ def test_an_interrupted_publication_leaves_the_one_before(
         add(self, name, source)
 
     monkeypatch.setattr(Writer, "add", interrupted)
-    citation = Citation.model_validate(kept_values(run) | {"version": "2.0.0"})
+    citation = Citation.model_validate(stored_values(run) | {"version": "2.0.0"})
     with pytest.raises(KeyboardInterrupt):
         publish_run(find_run(run), citation, run / name, overwrite=True)
     assert contents(run / name) == before

@@ -16,7 +16,7 @@ from tests.services.browsers import opened, wait_until
 
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image
-from rfpipe.viewer import Compared, View, write_view
+from rfpipe.viewer import Comparison, View, write_view
 
 SHAPE = (20, 24)
 
@@ -24,8 +24,8 @@ SHAPE = (20, 24)
 @pytest.fixture(scope="module")
 def symmetric(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of scene IV, compared with near/far acquisition."""
-    compared = Compared(transport_of("near_far"), "near/far")
-    view = View(transport_of("symmetric"), "Scene IV <small>", compared=compared)
+    comparison = Comparison(transport_of("near_far"), "near/far")
+    view = View(transport_of("symmetric"), "Scene IV <small>", comparison=comparison)
     return write_view(view, tmp_path_factory.mktemp("page") / "scene.html").page
 
 
@@ -311,8 +311,10 @@ def test_a_page_without_room_has_the_last_level_and_a_picture_to_compare_with(
     chromium: Any, tmp_path: Path
 ) -> None:
     transport = transport_of("symmetric")
-    compared = Compared(transport.relight(np.ones(SHAPE)), "the truth")
-    written = write_view(View(transport, "Large", compared=compared), tmp_path / "big.html", 1000)
+    comparison = Comparison(transport.relight(np.ones(SHAPE)), "the truth")
+    written = write_view(
+        View(transport, "Large", comparison=comparison), tmp_path / "big.html", 1000
+    )
     assert written.levels == [transport.last_level]
     page = opened(chromium, written.page, "#tool=flood&difference=true")
     settled(page)
@@ -333,6 +335,6 @@ def test_the_kernel_is_that_of_its_source() -> None:
 
 
 def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
-    compared = Compared(transport_of("one channel"), "other")
+    comparison = Comparison(transport_of("one channel"), "other")
     with pytest.raises(InputError, match="transports of the same rig"):
-        write_view(View(transport_of("symmetric"), "", compared=compared), tmp_path / "a.html")
+        write_view(View(transport_of("symmetric"), "", comparison=comparison), tmp_path / "a.html")

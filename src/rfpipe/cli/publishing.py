@@ -66,7 +66,7 @@ def publish(
     and more to edit. Without a terminal, give --license and --creator.
     """
     from rfpipe.output import checked_output
-    from rfpipe.publishing.metadata import CITATION_FILE, kept_values, write_citation
+    from rfpipe.publishing.metadata import CITATION_FILE, stored_values, write_citation
     from rfpipe.publishing.publication import publish as write
     from rfpipe.publishing.run import find_run
 
@@ -74,7 +74,7 @@ def publish(
         checked_output("publish", output)
     run = find_run(folder)
     facts = {"title": run.title, "published": date.today()}
-    values: dict[str, Any] = facts | kept_values(run.folder)
+    values: dict[str, Any] = facts | stored_values(run.folder)
     values |= {"license": license_} if license_ else {}
     values |= {"creators": creator} if creator else {}
     for name, question in _QUESTIONS.items():

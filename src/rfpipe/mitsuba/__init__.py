@@ -1,1 +1,1 @@
-"""Physically based scenes by Mitsuba 3: the kind of scene ``mitsuba``, an extra of rfpipe."""
+"""Physically based scenes, traced by Mitsuba 3: the kind of scene ``mitsuba``."""

@@ -1,6 +1,6 @@
-"""What all that Mitsuba traces has in common: pinholes, how paths begin and end, and their sums.
+"""Pinholes, the start of paths, Russian roulette and sums of light, for all tracers.
 
-For the vectorised variant of Mitsuba: arguments are arrays of Dr.Jit.
+Arguments are Dr.Jit arrays of a vectorised variant of Mitsuba.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from numpy.typing import NDArray
 from rfpipe.mitsuba.views import Side
 
 
-class Look(NamedTuple):
-    """Points as views see them.
+class Projection(NamedTuple):
+    """Points projected into the pictures of views.
 
     Attributes
     ----------
-    seen : Bool
-        Whether the point is within the picture, ahead; it may be hidden.
+    inside : Bool
+        True where the point projects into the picture; it may still be occluded.
     pixel : UInt32
-        The pixel, in the ray domain of all views; 0 where it isn't seen.
+        Pixel in the ray domain of all views; 0 outside the picture.
     origin : Point3f
-        Where the view stands.
+        Position of the view.
     flux : Float
-        ``1 / (cos^3 d^2)``, d being the distance, cos that of the angle to the optical axis: what
-        falls on a unit of area across the line of sight, if a unit of area of the image plane at
-        distance 1 sends, or takes, one.
+        ``1 / (cos^3 d^2)`` for a distance d and the cosine of the angle to the optical axis: flux
+        per area perpendicular to the line of sight, for unit flux per area of the image plane at
+        distance 1.
     """
 
-    seen: Any
+    inside: Any
     pixel: Any
     origin: Any
     flux: Any
 
 
 class Pinholes:
-    """The pinholes of a side, on the tracer's side."""
+    """The pinholes of one side of the rig, as Dr.Jit arrays."""
 
     def __init__(self, side: Side) -> None:
         self.side, self.count = side, len(side.pinholes)
@@ -48,7 +48,7 @@ class Pinholes:
         self._frames = mi.Float(np.array(frames, dtype=np.float32).ravel())
 
     def rays(self, pixel: Any, within: Any) -> Any:
-        """Return rays through pixels of all views, at places (Point2f) within them, 0 to 1."""
+        """Return rays through pixels of all views, at positions (Point2f) in [0, 1) within them."""
         (height, width), pitch = self.side.shape, self.side.pitch
         view = pixel // (height * width)
         inside = pixel - view * (height * width)
@@ -58,64 +58,64 @@ class Pinholes:
         y = (mi.Float(row) + within.y - height / 2) * pitch
         return mi.Ray3f(mi.Point3f(origin), dr.normalize(right * x + down * y + ahead))
 
-    def look(self, sample: Any, point: Any) -> Look:
-        """Look points up in the picture of a view picked by a random number, any as likely."""
+    def project(self, sample: Any, point: Any) -> Projection:
+        """Project points into a view selected uniformly by a random number."""
         view = dr.minimum(mi.UInt32(sample * self.count), self.count - 1)
         (height, width), pitch = self.side.shape, self.side.pitch
         right, down, ahead, origin = self._frame(view)
-        way = mi.Vector3f(point) - origin
-        depth = dr.dot(way, ahead)
-        column = width / 2 + dr.dot(way, right) / (depth * pitch)
-        row = height / 2 + dr.dot(way, down) / (depth * pitch)
-        mask = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        offset = mi.Vector3f(point) - origin
+        depth = dr.dot(offset, ahead)
+        column = width / 2 + dr.dot(offset, right) / (depth * pitch)
+        row = height / 2 + dr.dot(offset, down) / (depth * pitch)
+        inside = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         pixel = view * math.prod(self.side.shape) + mi.UInt32(row) * width + mi.UInt32(column)
-        flux = dr.norm(way) / (depth * depth * depth)
-        return Look(mask, dr.select(mask, pixel, 0), mi.Point3f(origin), flux)
+        flux = dr.norm(offset) / (depth * depth * depth)
+        return Projection(inside, dr.select(inside, pixel, 0), mi.Point3f(origin), flux)
 
     def _frame(self, view: Any) -> list[Any]:
-        """Return vectors to the right, down and ahead, and the origins, of views."""
+        """Return the right, down and forward axes and the origins of views."""
         entries = [dr.gather(mi.Float, self._frames, view * 12 + k) for k in range(12)]
         return [mi.Vector3f(*entries[k : k + 3]) for k in range(0, 12, 3)]
 
 
 class Sums:
-    """Sums of light for some rows, or columns, of a transport matrix.
+    """Sums of light for consecutive rows, or columns, of a transport matrix.
 
-    In double precision, so that the order in which threads add hardly matters.
+    Double precision makes the order of additions by threads negligible.
 
     Parameters
     ----------
     first, count
-        The pixels whose rows, or columns, they are, in the order of their ray domain.
-    others
-        Number of pixels on the other side.
+        First pixel, and number of pixels, whose rows or columns these are.
+    length
+        Number of pixels on the opposite side: the length of each row or column.
     """
 
-    def __init__(self, first: int, count: int, others: int) -> None:
-        self.first, self.count, self.others = first, count, others
-        self._values = dr.zeros(mi.Float64, count * others * 3)
+    def __init__(self, first: int, count: int, length: int) -> None:
+        self.first, self.count, self.length = first, count, length
+        self._values = dr.zeros(mi.Float64, count * length * 3)
 
-    def add(self, own: Any, other: Any, colour: Any, active: Any) -> None:
-        """Add colours for `own` pixels, counted from the first, and `other` ones."""
-        at = (own * self.others + other) * 3
+    def add(self, row: Any, column: Any, colour: Any, active: Any) -> None:
+        """Add colours to entries; `row` counts from the first pixel."""
+        entry = (row * self.length + column) * 3
         for channel in range(3):
             value = mi.Float64(colour[channel])
-            dr.scatter_reduce(dr.ReduceOp.Add, self._values, value, at + channel, active)
+            dr.scatter_reduce(dr.ReduceOp.Add, self._values, value, entry + channel, active)
 
     def flush(self) -> None:
-        """Let what was added take place."""
+        """Evaluate all pending additions."""
         dr.eval(self._values)
 
     def to_numpy(self) -> NDArray[np.float64]:
-        """Return the sums, float64 (count, others, 3)."""
+        """Return the sums, float64 (count, length, 3)."""
         values: NDArray[np.float64] = self._values.numpy()
-        return values.reshape(self.count, self.others, 3)
+        return values.reshape(self.count, self.length, 3)
 
 
 class Rig(NamedTuple):
-    """Mitsuba's scene of surfaces between two sides, and the most vertices of a path of light.
+    """A scene of Mitsuba between cameras and projectors, and the maximum vertices of a path.
 
-    The scene's own emitters play no part; 1 vertex is direct light alone.
+    Emitters of the scene are ignored. With 1 vertex, only direct light is traced.
     """
 
     scene: Any
@@ -127,9 +127,9 @@ class Rig(NamedTuple):
 def begin(
     pinholes: Pinholes, first: int, count: int, samples: int, seed: int
 ) -> tuple[Any, Any, Any]:
-    """Begin paths, `samples` for each of `count` pixels from a first one on.
+    """Start `samples` paths through each of `count` pixels from `first` on.
 
-    Returns which of these pixels it is, counted from the first, rays, and random numbers.
+    Returns the pixels' indices relative to `first`, the rays, and the random number generator.
     """
     lanes = count * samples
     row = dr.arange(mi.UInt32, lanes) // samples
@@ -140,18 +140,18 @@ def begin(
     return row, pinholes.rays(pixel, sampler.next_2d()), sampler
 
 
-def survival(weight: Any, done: Any) -> Any:
-    """Probability that a path goes on (Russian roulette: dim ones may end from 4 bounces on)."""
-    return dr.select(done >= 4, dr.clip(dr.max(weight), 0.05, 0.95), mi.Float(1))
+def survival(weight: Any, bounces: Any) -> Any:
+    """Probability that a path continues: Russian roulette by weight after 4 bounces."""
+    return dr.select(bounces >= 4, dr.clip(dr.max(weight), 0.05, 0.95), mi.Float(1))
 
 
-def is_bent(sample: Any) -> Any:
-    """Tell whether a surface turned light as a mirror or a lens does."""
+def is_specular(sample: Any) -> Any:
+    """Test whether a sampled direction is that of a smooth mirror or lens."""
     kind = sample.sampled_type
     reflected = mi.has_flag(kind, mi.BSDFFlags.DeltaReflection)
     return reflected | mi.has_flag(kind, mi.BSDFFlags.DeltaTransmission)
 
 
-def is_unbent(sample: Any) -> Any:
-    """Tell whether light passed a boundary straight on, which counts as no bounce."""
+def passes_straight(sample: Any) -> Any:
+    """Test whether light passed a boundary without refraction, which is not counted as a bounce."""
     return mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)

@@ -1,9 +1,9 @@
-"""Light that a scene's materials call for, by the flags of their BSDFs.
+"""Choice of the tracing parameters by the flags of a scene's BSDFs.
 
-A BSDF with a delta lobe, such as a mirror's or a smooth boundary's of glass, turns light into a
-single direction: no path from the camera is connected with the projector by it, so that the light
-is followed from the projector (`rfpipe.mitsuba.caustics`). Flags hold for nested BSDFs, too: masks,
-blends, bumps, two sides.
+A BSDF with a delta lobe, such as that of a mirror or a smooth glass surface, deflects light in a
+single direction: it can't connect a path from the camera with the projector, so that this light is
+traced from the projector (`rfpipe.mitsuba.caustics`). Flags include those of nested BSDFs, such as
+masks, blends and two-sided BSDFs.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from rfpipe.config import Choice
 from rfpipe.errors import InputError
 from rfpipe.mitsuba.variant import load_mitsuba
 
-# Vertices of a path that are worth following. More than 6 add 0.02 % of all light to a matt ball on
-# a floor, 0.6 % to a box with blocks, 0.1 % to a mirror ball. A ball of glass lacks 0.5 % at 6 and
-# 0.01 % at 10, two shells of glass 2.4 % and 0.3 %; a ball of fog 3.5 % at 6, 0.2 % at 24.
+# Maximum number of vertices of a path. More than 6 add 0.02 % of all light for a matt ball on a
+# floor, 0.6 % for a box with blocks, 0.1 % for a mirror ball. For a glass ball, 0.5 % are missing
+# at 6 and 0.01 % at 10; for two glass shells 2.4 % and 0.3 %; for a ball of fog 3.5 % at 6
+# and 0.2 % at 24.
 _MATT_BOUNCES, _GLASS_BOUNCES, _BODY_BOUNCES = 6, 10, 48
-# Paths hardly ever meet a sharper lobe. At 4,096 paths a pixel, the floor and wall behind a ball of
-# rough glass are 4.5 % off at alpha 0.1, 14 % at 0.03, 41 % at 0.01; what a rough mirror throws is
-# missing at 0.0001.
+# Paths rarely hit a sharper lobe. At 4,096 paths per pixel, the floor and wall behind a ball of
+# rough glass have errors of 4.5 % at alpha 0.1, 14 % at 0.03 and 41 % at 0.01; caustics of a rough
+# mirror are missing at 0.0001.
 _SHARPEST_ALPHA = 0.05
-_NAMED = 3  # surfaces that a sentence names
+_MAX_LISTED = 3  # surfaces in a sentence
 
 
 class Surface(NamedTuple):
@@ -37,11 +38,11 @@ class Surface(NamedTuple):
     flags : int
         Flags of its BSDF, see Mitsuba's `BSDFFlags`.
     alpha : float or None
-        Roughness of its sharpest glossy lobe; None where it has none that is known.
+        Roughness of its sharpest glossy lobe; None if unknown or without one.
     is_filled : bool
-        Whether it bounds a medium.
+        True if it bounds a medium.
     is_graded : bool
-        Whether that medium is heterogeneous.
+        True if that medium is heterogeneous.
     """
 
     name: str
@@ -51,31 +52,31 @@ class Surface(NamedTuple):
     is_graded: bool
 
     def has(self, *names: str) -> bool:
-        """Test its BSDF for any of the named flags."""
+        """Test whether the BSDF has any of these flags."""
         flags = load_mitsuba().BSDFFlags
         return any(self.flags & int(getattr(flags, name)) for name in names)
 
     @property
     def is_smooth(self) -> bool:
-        """True of mirrors, lenses and smooth coats: a lobe is a single direction."""
+        """True for mirrors, lenses and smooth coatings: a lobe is a single direction."""
         return self.has("DeltaReflection", "DeltaTransmission")
 
     @property
     def refracts(self) -> bool:
-        """True where light passes through it, bent by a smooth or a rough boundary."""
+        """True if it refracts light, at a smooth or rough boundary."""
         return self.has("DeltaTransmission", "GlossyTransmission")
 
     @property
     def is_sharp(self) -> bool:
-        """True where it has a glossy lobe that paths hardly ever meet."""
+        """True if it has a glossy lobe that paths rarely hit."""
         return self.alpha is not None and self.alpha < _SHARPEST_ALPHA
 
 
 def surfaces_of(scene: Any) -> list[Surface]:
-    """Return the surfaces of a loaded scene, also those in groups of shapes."""
+    """List the surfaces of a loaded scene, including those in groups of shapes."""
     mi = load_mitsuba()
     nodes = mi.traverse(scene).hierarchy
-    groups = "Instance", "ShapeGroupPlugin"  # their shapes are nodes, too
+    groups = "Instance", "ShapeGroupPlugin"  # their shapes are listed as well
     return [
         _surface(shape)
         for shape in nodes
@@ -96,7 +97,7 @@ def _surface(shape: Any) -> Surface:
 
 
 def _sharpest(bsdf: Any) -> float | None:
-    """Return the least roughness alpha of a BSDF's lobes, of two directions the larger one."""
+    """Return the smallest roughness alpha of a BSDF's lobes; anisotropic: the larger of two."""
     lobes: dict[str, float] = {}
     parameters = load_mitsuba().traverse(bsdf)
     for key in parameters.keys():  # noqa: SIM118 - not a mapping: iterating it fails
@@ -104,64 +105,65 @@ def _sharpest(bsdf: Any) -> float | None:
         if name not in {"alpha", "alpha_u", "alpha_v", "roughness"}:
             continue
         rough = float(np.min(np.asarray(parameters[key])))
-        alpha = rough**2 if name == "roughness" else rough  # as the principled BSDF has it
+        alpha = rough**2 if name == "roughness" else rough  # of the principled BSDF
         lobe = ".".join(nested)
         lobes[lobe] = max(alpha, lobes.get(lobe, 0.0))
     return min(lobes.values(), default=None)
 
 
 def check_traceable(surfaces: list[Surface], name: str) -> None:
-    """Raise InputError where a surface bounds a heterogeneous medium, which isn't traced."""
+    """Raise InputError if a surface bounds a heterogeneous medium, which can't be traced."""
     graded = [surface.name for surface in surfaces if surface.is_graded]
     if graded:
         raise InputError(
-            f"scene {name}: {_named(graded)} is filled with a heterogeneous medium, which isn't "
-            "traced; make it homogeneous, or leave it out"
+            f"scene {name}: {_list(graded)} is filled with a heterogeneous medium, which "
+            "can't be traced; make it homogeneous, or remove it"
         )
 
 
 def choose_bounces(surfaces: list[Surface]) -> Choice:
-    """Choose the vertices of a path of light that are followed."""
+    """Choose the maximum number of vertices of a path."""
     bodies = [surface.name for surface in surfaces if surface.is_filled]
     if bodies:
-        reason = f"light is scattered within {_named(bodies)}"
+        reason = f"light is scattered within {_list(bodies)}"
         return Choice("bounces", _BODY_BOUNCES, reason)
     glass = [surface.name for surface in surfaces if surface.refracts]
     if glass:
-        return Choice("bounces", _GLASS_BOUNCES, f"light is refracted by {_named(glass)}")
+        return Choice("bounces", _GLASS_BOUNCES, f"light is refracted by {_list(glass)}")
     return Choice("bounces", _MATT_BOUNCES, "no surface refracts light, and none bounds a medium")
 
 
 def choose_caustics(surfaces: list[Surface], bounces: int) -> Choice:
-    """Choose whether light that mirrors and lenses throw is followed from the projector."""
+    """Choose whether to trace light from the projector through mirrors and lenses."""
     smooth = [surface.name for surface in surfaces if surface.is_smooth]
     if not smooth:
         return Choice("caustics", False, "no surface is a smooth mirror or lens")
     if bounces == 1:
-        return Choice("caustics", False, "bounces is 1: direct light alone")
-    reason = f"light is reflected or refracted smoothly by {_named(smooth)}"
+        return Choice("caustics", False, "bounces is 1: direct light only")
+    reason = f"light is reflected or refracted smoothly by {_list(smooth)}"
     return Choice("caustics", True, reason)
 
 
 def omissions_of(surfaces: list[Surface], bounces: int, *, caustics: bool) -> list[str]:
-    """Return, a sentence each, what light of a scene isn't recorded as it is."""
+    """Describe the light of a scene that isn't recorded correctly, one sentence per cause."""
     smooth = [surface.name for surface in surfaces if surface.is_smooth]
     sharp = [surface.name for surface in surfaces if surface.is_sharp]
     clear = [it.name for it in surfaces if it.is_filled and it.has("DeltaTransmission")]
     missing = smooth and bounces > 1 and not caustics
     sentences = {
-        f"light that {_named(smooth)} throws on other surfaces is missing, and the transport of a "
-        "coaxial rig not symmetric, as caustics is false: set it to null or true": missing,
-        f"light that {_named(sharp)} throws on other surfaces is met by chance alone, and noisy "
-        "or missing: make the material smooth (without roughness), or its alpha at least "
-        f"{_SHARPEST_ALPHA:g}": sharp and bounces > 1,
-        f"light within {_named(clear)} is not traced as it is: the boundary of a medium must be "
+        f"caustics of {_list(smooth)} are missing, and the transport of a coaxial rig isn't "
+        "symmetric, since caustics is false: set it to null or true": missing,
+        f"caustics of {_list(sharp)} are noisy or missing, since its lobe is too sharp: make the "
+        f"material smooth (without roughness), or its alpha at least {_SHARPEST_ALPHA:g}": (
+            sharp and bounces > 1
+        ),
+        f"light within {_list(clear)} isn't traced correctly: make the boundary of the medium "
         "rough or of type null": clear,
     }
     return [sentence for sentence, applies in sentences.items() if applies]
 
 
-def _named(names: list[str]) -> str:
-    """Name some surfaces, the first ones of many."""
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+def _list(names: list[str]) -> str:
+    """Join the names of the first surfaces, with the number of further ones."""
+    more = len(names) - _MAX_LISTED
+    return ", ".join(names[:_MAX_LISTED]) + (f" and {more} more" if more > 0 else "")

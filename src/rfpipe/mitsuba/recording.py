@@ -1,11 +1,10 @@
-"""Recording a scene's transport matrix once, in pieces, on disk.
+"""Recording of a scene's transport matrix on disk, in pieces.
 
-The matrix is traced twice, with other random numbers; the mean is kept, and what the halves differ
-by tells its noise. Pieces are rows that were traced from the camera and, for caustics, columns that
-were traced from the projector. They are written as they are done, so that a recording that was
-stopped goes on. A product with the matrix goes through them all once. On a coaxial rig it is that
-with ``(T + T^T) / 2``: light goes either way alike (2.10), so this is nearer to the truth by a
-square root of two.
+The matrix is traced twice with half of the samples each; the mean is stored, and the difference of
+the halves estimates its noise. Pieces are rows, traced from the camera, and for caustics columns,
+traced from the projector. They are written one by one, so an interrupted recording continues. On a
+coaxial rig, where ``T = T^T`` (2.10), products use ``(T + T^T) / 2``, whose noise is smaller by a
+factor of the square root of two.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from rfpipe.store.manifest import read_manifest, write_manifest
 
 Double = NDArray[np.float64]
 
-_DENSE_BYTES = 192 * 2**20  # of sums that are traced at a time
+_DENSE_BYTES = 192 * 2**20  # of sums traced at a time
 _PIECE_BYTES = 192 * 2**20  # of entries, before compression
 _MANIFEST = "matrix.json"
 _WAIT_SECONDS = 1.0
@@ -40,16 +39,16 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB (I
 
 
 class Piece(NamedTuple):
-    """Some rows of a recorded matrix, or some columns, in memory.
+    """Consecutive rows or columns of a recorded matrix, in memory.
 
     Attributes
     ----------
     by_row : bool
-        Whether they are rows, of camera pixels, or columns, of projector pixels.
+        True for rows, of camera pixels; False for columns, of projector pixels.
     first, last : int
-        The first pixel, and the one after the last.
+        Pixels [first, last).
     entries : tuple of csr_array
-        A matrix a channel, float32, (last - first, pixels of the other side).
+        A matrix per channel, float32, (last - first, pixels of the opposite side).
     """
 
     by_row: bool
@@ -58,9 +57,9 @@ class Piece(NamedTuple):
     entries: tuple[Any, ...]
 
     def add_product(self, weights: Double, share: float, by_row: bool, out: Double) -> None:
-        """Add the share of its product with weights (N, b) to radiance (M, b, C).
+        """Add the product with weights (N, b), times `share`, to radiance (M, b, C).
 
-        Its entries count as rows, or as columns, of the matrix.
+        `by_row` uses the entries as rows of the matrix, else as columns.
         """
         for channel, matrix in enumerate(self.entries):
             if by_row:
@@ -71,22 +70,22 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded matrix on disk, and what is known of its noise.
+    """A recorded matrix on disk, with its noise.
 
     Attributes
     ----------
     folder : Path
     pieces : tuple of (str, int, int)
-        Of each piece: ``rows`` or ``columns``, its first pixel, and the one after its last.
+        ``rows`` or ``columns``, first pixel and last pixel plus one, of each piece.
     coaxial : bool
-        Whether the matrix is the mean of what was traced and its transpose.
+        True if the matrix is the mean of the traced matrix and its transpose.
     noise : dict of str to dict
-        Of the picture ``half_lit``: the standard error of radiance, relative to the picture's norm,
-        over the `whole` and where no direct light falls (`unlit`).
+        For the picture ``half_lit``: standard error of radiance relative to the picture's norm, of
+        the `whole` picture and of pixels without direct light (`unlit`).
     scale : float
-        What entries are multiplied by.
+        Factor for all entries.
     versions : dict of str to str
-        Of all that it was made with.
+        Versions of the software used.
     """
 
     folder: Path
@@ -96,28 +95,30 @@ class Recording:
     scale: float
     versions: dict[str, str]
 
-    def read(self, channels: int) -> list[Piece]:
-        """Read all pieces, with the scale; of one channel, their luminance."""
-        return [self._piece(*piece, channels) for piece in self.pieces]
+    def read(self, shape: tuple[int, int], channels: int) -> list[Piece]:
+        """Read all scaled pieces of a matrix of this shape (M, N).
 
-    def _piece(self, kind: str, first: int, last: int, channels: int) -> Piece:
-        bundle = open_arrays(_place(self.folder, kind, first))
+        For one channel, entries are luminances.
+        """
+        lengths = {"rows": shape[1], "columns": shape[0]}
+        return [
+            self._piece(kind, first, (last - first, lengths[kind]), channels)
+            for kind, first, last in self.pieces
+        ]
+
+    def _piece(self, kind: str, first: int, shape: tuple[int, int], channels: int) -> Piece:
+        bundle = open_arrays(_piece_path(self.folder, kind, first))
         values = bundle.read("values")
         if channels == 1:
             values = _LUMINANCE @ values.reshape(3, -1)
         values = values.reshape(channels, -1) * np.float32(self.scale)
-        shared = bundle.read("columns"), bundle.read("starts")
-        shape = last - first, bundle.attributes["others"]
-        return Piece(
-            kind == "rows",
-            first,
-            last,
-            tuple(csr_array((each, *shared), shape=shape) for each in values),
-        )
+        pattern = bundle.read("columns"), bundle.read("starts")
+        entries = tuple(csr_array((channel, *pattern), shape=shape) for channel in values)
+        return Piece(kind == "rows", first, first + shape[0], entries)
 
 
 def product(pieces: list[Piece], coaxial: bool, weights: Double, rays: int) -> Double:
-    """Return radiance (rays, b, C) of the recorded matrix under weights (N, b)."""
+    """Multiply the recorded matrix by weights (N, b): radiance (rays, b, C)."""
     out = np.zeros((rays, weights.shape[1], len(pieces[0].entries)))
     for piece, share, by_row in _terms(pieces, coaxial):
         piece.add_product(weights, share, by_row, out)
@@ -125,17 +126,17 @@ def product(pieces: list[Piece], coaxial: bool, weights: Double, rays: int) -> D
 
 
 def dense(pieces: list[Piece], coaxial: bool, channel: int, shape: tuple[int, int]) -> Double:
-    """Return one channel of the recorded matrix, of a shape (M, N)."""
+    """Build one channel of the recorded matrix, of a shape (M, N), as a dense array."""
     out = np.zeros(shape)
     for piece, share, by_row in _terms(pieces, coaxial):
         block = share * piece.entries[channel].toarray().astype(np.float64)
-        own = out if by_row else out.T
-        own[piece.first : piece.last] += block
+        rows = out if by_row else out.T
+        rows[piece.first : piece.last] += block
     return out
 
 
 def _terms(pieces: list[Piece], coaxial: bool) -> Iterator[tuple[Piece, float, bool]]:
-    """Yield what the matrix is the sum of: shares of pieces, as rows or as columns."""
+    """Yield the terms of the matrix: pieces, factors, and True for rows, False for columns."""
     for piece in pieces:
         if coaxial:
             yield piece, 0.5, True
@@ -145,7 +146,7 @@ def _terms(pieces: list[Piece], coaxial: bool) -> Iterator[tuple[Piece, float, b
 
 
 def is_recorded(folder: Path) -> bool:
-    """Whether a folder holds a complete recording."""
+    """Test whether a folder has a complete recording."""
     return (folder / _MANIFEST).exists()
 
 
@@ -158,14 +159,14 @@ def record(
     *,
     coaxial: bool,
 ) -> Recording:
-    """Record the transport of the scene that `scene` returns, or find the recording in the folder.
+    """Record the transport of the scene that `scene` returns, unless the folder has it already.
 
-    Another process that wants it waits for the one that makes it.
+    Waits while another process records it.
 
     Raises
     ------
     InputError
-        When no light comes back to the camera.
+        When no light reaches the camera.
     StoreError
         When the disk is full or the folder isn't writable.
     """
@@ -182,8 +183,8 @@ def record(
                 write_manifest(manifest, facts)
     facts = read_manifest(manifest)
     pieces = tuple((kind, first, last) for kind, first, last in facts["pieces"])
-    told = (facts[name] for name in ("coaxial", "noise", "scale", "versions"))
-    return Recording(folder, pieces, *told)
+    properties = (facts[name] for name in ("coaxial", "noise", "scale", "versions"))
+    return Recording(folder, pieces, *properties)
 
 
 def _record(
@@ -194,40 +195,14 @@ def _record(
     from rfpipe.mitsuba.tracing import Tracer
 
     tracer = Tracer(scene, camera, projector, light)
-    coaxial = coaxial and tracer.is_whole
+    coaxial = coaxial and tracer.is_symmetric
+    pieces = [("rows", *part) for part in _cut(camera.rays, projector.rays, light.samples)]
+    if light.caustics:
+        parts = _cut(projector.rays, camera.rays, light.samples)
+        pieces += [("columns", *part) for part in parts]
     half_lit = np.zeros((len(projector.pinholes), *projector.shape))
     half_lit[..., : projector.shape[1] // 2] = 1
-    pattern = half_lit.reshape(-1, 1)
-    pieces = [("rows", *run) for run in _cut(camera.rays, projector.rays, light.samples)]
-    if light.caustics:
-        runs = _cut(projector.rays, camera.rays, light.samples)
-        pieces += [("columns", *run) for run in runs]
-    entries, unlit = 0, []
-    halves = np.zeros((2, camera.rays, 3))
-    with steps("recording light", len(pieces)):
-        for kind, first, last in pieces:
-            path = _place(folder, kind, first)
-            try:
-                bundle = open_arrays(path)
-            except (StoreError, IntegrityError):
-                arrays = _traced(tracer, kind, first, last, pattern, coaxial)
-                write_arrays(path, arrays, {"others": tracer.others(kind)})
-                bundle = open_arrays(path)
-            entries += bundle.shape("columns")[0]
-            halves += bundle.read("half_lit")
-            unlit.append(bundle.read("unlit"))
-            step()
-    if not entries:
-        raise InputError(
-            "no light comes back to the camera: nothing that it sees is lit by the projector; turn "
-            "them towards the same part of the scene, and look whether one stands within a body"
-        )
-    one, other = halves
-    dark = np.concatenate(unlit)
-    noise = {
-        "whole": _relative(one - other, one + other),
-        "unlit": _relative((one - other)[dark], (one + other)[dark]),
-    }
+    noise = _trace_pieces(tracer, pieces, folder, half_lit.reshape(-1, 1), coaxial=coaxial)
     return {
         "pieces": pieces,
         "coaxial": coaxial,
@@ -238,47 +213,83 @@ def _record(
     }
 
 
-def _place(folder: Path, kind: str, first: int) -> Path:
-    """Where a piece is."""
+def _trace_pieces(
+    tracer: Any,
+    pieces: list[tuple[str, int, int]],
+    folder: Path,
+    pattern: Double,
+    *,
+    coaxial: bool,
+) -> dict[str, float]:
+    """Write all pieces; return the relative noise of the picture of a pattern (N, 1)."""
+    entries, unlit, halves = 0, [], np.zeros((2, tracer.length("columns"), 3))
+    with steps("recording light", len(pieces)):
+        for kind, first, last in pieces:
+            path = _piece_path(folder, kind, first)
+            try:
+                bundle = open_arrays(path)
+            except (StoreError, IntegrityError):
+                write_arrays(path, _trace_piece(tracer, kind, first, last, pattern, coaxial), {})
+                bundle = open_arrays(path)
+            entries += bundle.shape("columns")[0]
+            halves += bundle.read("half_lit")
+            unlit.append(bundle.read("unlit"))
+            step()
+    if not entries:
+        raise InputError(
+            "no light reaches the camera: the projector lights nothing that the camera sees; turn "
+            "them towards the same part of the scene, and check that neither is within a body"
+        )
+    dark = np.concatenate(unlit)
+    difference, total = halves[0] - halves[1], halves[0] + halves[1]
+    return {
+        "whole": _relative(difference, total),
+        "unlit": _relative(difference[dark], total[dark]),
+    }
+
+
+def _piece_path(folder: Path, kind: str, first: int) -> Path:
+    """Path of the arrays of a piece."""
     return folder / f"{kind}_{first:08d}.zarr"
 
 
-def _cut(count: int, others: int, samples: int) -> list[tuple[int, int]]:
-    """Cut rows or columns into pieces that fit into memory; a path adds an entry or two.
+def _cut(count: int, length: int, samples: int) -> list[tuple[int, int]]:
+    """Divide `count` rows or columns into pieces [first, last) that fit into memory.
 
-    Returns the first of each, and the one after its last.
+    A row has at most `length` entries, and about two per path.
     """
-    length = max(1, _PIECE_BYTES // (16 * min(others, 2 * samples)))
-    return [(first, min(first + length, count)) for first in range(0, count, length)]
+    size = max(1, _PIECE_BYTES // (16 * min(length, 2 * samples)))
+    return [(first, min(first + size, count)) for first in range(0, count, size)]
 
 
-def _traced(
+def _trace_piece(
     tracer: Any, kind: str, first: int, last: int, pattern: Double, coaxial: bool
 ) -> dict[str, NDArray[Any]]:
-    """Trace the rows or columns of a piece: its entries, and what the halves make of a pattern.
+    """Trace the rows or columns of a piece.
 
     Returns
     -------
     dict of ndarray
-        ``values`` (3, entries), ``columns`` (entries,), ``starts`` (rows + 1,), ``half_lit``
-        (2, M, 3) of both halves, ``unlit`` (rows, 3): where no direct light falls; none of columns.
+        ``values`` (3, entries), ``columns`` (entries,), ``starts`` (rows + 1,); ``half_lit``
+        (2, M, 3): products of both halves with the pattern; ``unlit`` (rows, 3): True where no
+        direct light falls, empty for columns.
     """
-    trace, others = getattr(tracer, kind), tracer.others(kind)
-    length = max(1, _DENSE_BYTES // (others * 3 * 8))
+    trace = tracer.rows if kind == "rows" else tracer.columns
+    length, camera_rays = tracer.length(kind), tracer.length("columns")
+    size = max(1, _DENSE_BYTES // (length * 3 * 8))
     parts, unlit = [], []
-    seen = tracer.others("columns")
-    half_lit = np.zeros((2, seen, 3), np.float32)
-    for start in range(first, last, length):
-        end = min(start + length, last)
+    half_lit = np.zeros((2, camera_rays, 3), np.float32)
+    for start in range(first, last, size):
+        end = min(start + size, last)
         traced = [trace(half, start, end) for half in (0, 1)]
         rows, columns = np.nonzero((traced[0] + traced[1]).any(axis=2))
         starts = np.searchsorted(rows, np.arange(end - start + 1))
         values = [np.moveaxis(half[rows, columns], 1, 0) for half in traced]
-        for half, own in enumerate(values):
-            shape = end - start, others
-            entries = tuple(csr_array((each, columns, starts), shape=shape) for each in own)
+        for half, colours in enumerate(values):
+            shape = end - start, length
+            entries = tuple(csr_array((c, columns, starts), shape=shape) for c in colours)
             piece = Piece(kind == "rows", start, end, entries)
-            half_lit[half] += product([piece], coaxial, pattern, seen)[:, 0]
+            half_lit[half] += product([piece], coaxial, pattern, camera_rays)[:, 0]
         parts.append(((values[0] + values[1]) / 2, columns, np.diff(starts)))
         if kind == "rows":
             direct = tracer.direct(start, end)
@@ -294,6 +305,6 @@ def _traced(
 
 
 def _relative(difference: Double, total: Double) -> float:
-    """Length of a difference beside a total; 0 where there is no light."""
-    length = float(np.linalg.norm(total))
-    return float(np.linalg.norm(difference)) / length if length else 0.0
+    """Norm of a difference relative to that of a total; 0 without light."""
+    norm = float(np.linalg.norm(total))
+    return float(np.linalg.norm(difference)) / norm if norm else 0.0

@@ -1,4 +1,4 @@
-"""The kind of scene ``mitsuba``: any materials, any light, as ground truth of a simulated rig."""
+"""The kind of scene ``mitsuba``: physically based light transport for a simulated rig."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rfpipe.mitsuba.materials import (
     surfaces_of,
 )
 from rfpipe.mitsuba.recording import Piece, Recording, dense, is_recorded, product, record
-from rfpipe.mitsuba.variant import lacking_llvm
+from rfpipe.mitsuba.variant import missing_llvm
 from rfpipe.mitsuba.views import Side, View
 from rfpipe.mitsuba.world import Light, World, load_scene, world_of_file
 from rfpipe.mitsuba.worlds import WORLDS
@@ -38,12 +38,12 @@ _SET, _DECLARED = "set", "declared with the scene"
 
 
 class MitsubaOptions(SceneSettings):
-    """A physically based scene, and the light that is followed in it."""
+    """A physically based scene, and the parameters of tracing its light."""
 
     scene: str = Field(
         min_length=1,
-        description=f"Which scene: one of {', '.join(WORLDS)}; or a file of Mitsuba 3, .xml. Its "
-        "sensors and lights but for projectors are left out.",
+        description=f"The scene: {', '.join(WORLDS)}; or an .xml file of Mitsuba 3, whose "
+        "emitters except projectors are ignored.",
     )
     projector_shape: tuple[Extent, Extent] | None = Field(
         None,
@@ -51,38 +51,36 @@ class MitsubaOptions(SceneSettings):
         "the camera's.",
     )
     cameras: tuple[View, ...] | None = Field(
-        None, min_length=1, description="Where the cameras stand; null for the scene's own."
+        None, min_length=1, description="Positions of the cameras; null for those of the scene."
     )
     projectors: tuple[View, ...] | None = Field(
         None,
         min_length=1,
-        description="Where the projectors stand; null: the scene's own, or with the cameras.",
+        description="Positions of the projectors; null: those of the scene, or of the cameras.",
     )
-    samples: int = Field(
-        16384, ge=2, le=2**20, description="Paths of light a pixel, 2 to 1,048,576."
-    )
+    samples: int = Field(16384, ge=2, le=2**20, description="Paths per pixel, 2 to 1,048,576.")
     bounces: int | None = Field(
         None,
         ge=1,
         le=64,
-        description="Surfaces or scatterings of a path of light at most; null: what the scene "
-        "needs, of a file 6, 10 with bodies of glass, 48 with translucent ones.",
+        description="Maximum number of reflections and scatterings of a path, 1 to 64; null: chosen "
+        "by the scene, for a file 6, or 10 with refraction, or 48 with translucent bodies.",
     )
     caustics: bool | None = Field(
         None,
-        description="Whether to follow light by mirrors or lenses; null: what the scene needs, "
-        "true where any surface is a smooth mirror or lens.",
+        description="true: trace light that mirrors and lenses throw on surfaces; null: chosen for "
+        "the scene, true if any surface is a smooth mirror or lens.",
     )
     seed: int = Field(0, ge=0, description="Seed of textures or paths of light, 0 or more.")
     cache: str = Field(
         "results/recorded",
         min_length=1,
-        description="Folder that recorded matrices are kept in, relative to the working folder.",
+        description="Folder of recorded matrices, relative to the working folder.",
     )
 
     @cached_property
     def world(self) -> World:
-        """The scene; raises InputError when there is none of this name, or the file is none."""
+        """The scene; raises InputError for an unknown name or an invalid file."""
         if self.scene in WORLDS:
             return WORLDS[self.scene]
         path = Path(self.scene)
@@ -94,20 +92,20 @@ class MitsubaOptions(SceneSettings):
         return world_of_file(path)
 
     @property
-    def followed(self) -> Light:
-        """The light that is followed."""
+    def light(self) -> Light:
+        """Parameters of tracing."""
         return Light(self._bounces.value, self.samples, self._caustics.value, self.seed)
 
     @cached_property
     def surfaces(self) -> list[Surface]:
-        """The scene's surfaces; raises InputError where it can't be loaded, or not be traced."""
+        """The scene's surfaces; raises InputError if it can't be loaded or traced."""
         surfaces = surfaces_of(load_scene(self.world))
         check_traceable(surfaces, self.world.name)
         return surfaces
 
     @cached_property
     def _bounces(self) -> Choice:
-        """The setting `bounces`, or what the scene chooses for it."""
+        """The setting `bounces`, or the value chosen for the scene."""
         if self.bounces is not None:
             return Choice("bounces", self.bounces, _SET)
         if self.world.bounces is not None:
@@ -116,7 +114,7 @@ class MitsubaOptions(SceneSettings):
 
     @cached_property
     def _caustics(self) -> Choice:
-        """The setting `caustics`, or what the scene chooses for it."""
+        """The setting `caustics`, or the value chosen for the scene."""
         if self.caustics is not None:
             return Choice("caustics", self.caustics, _SET)
         if self.world.caustics is not None:
@@ -125,38 +123,38 @@ class MitsubaOptions(SceneSettings):
 
     @property
     def _projectors(self) -> Choice:
-        """The setting `projectors`, or what a file chooses for it."""
+        """The setting `projectors`, or the choice made by a file."""
         if self.projectors is not None or self.scene in WORLDS:
             return Choice("projectors", self.projectors, _SET)
         if self.cameras is not None:
-            return Choice("projectors", "coaxial", "cameras is set: they stand there, too")
+            return Choice("projectors", "coaxial", "cameras is set, and projectors isn't")
         if self.world.projectors is None:
             return Choice("projectors", "coaxial", "the file has no emitter of type projector")
         return Choice("projectors", "the file's", "its first emitter of type projector")
 
     @property
     def choices(self) -> list[Choice]:
-        """Values of the settings that are null and depend on the scene."""
+        """Values chosen for settings that are null."""
         choices = self._projectors, self._bounces, self._caustics
         return [choice for choice in choices if choice.reason != _SET]
 
     @property
     def omissions(self) -> list[str]:
-        """Sentences on the light that isn't recorded, though the scene has it."""
-        light = self.followed
+        """Sentences on light of the scene that isn't recorded correctly."""
+        light = self.light
         return omissions_of(self.surfaces, light.bounces, caustics=light.caustics)
 
     @property
     def obstacles(self) -> list[str]:
-        """Sentences on what recording needs and this machine lacks, unless it was recorded."""
+        """Sentences on missing software for recording; none if it is recorded already."""
         if MitsubaScene(self).is_recorded:
             return []
-        obstacle = lacking_llvm(f"scene {self.world.name}")
+        obstacle = missing_llvm(f"scene {self.world.name}")
         return [] if obstacle is None else [obstacle]
 
     @property
     def is_coaxial(self) -> bool:
-        """Whether camera and projector share their rays."""
+        """True if camera and projector share their rays."""
         return self.projectors is None and (
             self.cameras is not None or self.world.projectors is None
         )
@@ -187,32 +185,32 @@ class MitsubaOptions(SceneSettings):
 
     @property
     def view_grid(self) -> tuple[int, int]:
-        """One row of as many views as there are cameras."""
+        """Rows and columns of views: one row of all cameras."""
         return 1, len(self.camera_side.pinholes)
 
     @model_validator(mode="after")
     def _can_be_made(self) -> Self:
         if self.is_coaxial and self.projector_shape not in {None, self.shape}:
             raise ValueError(
-                f"projector_shape is {self.projector_shape}; a rig whose projectors stand where "
-                "its cameras stand has one shape: leave it out, or name projectors"
+                f"projector_shape is {self.projector_shape}; a coaxial rig has one shape for "
+                "cameras and projectors: remove projector_shape, or set projectors"
             )
         return self
 
 
 class MitsubaScene(Scene):
-    """A physically based scene of Mitsuba 3: any materials, any light."""
+    """A physically based scene, traced by Mitsuba 3."""
 
     Options: ClassVar[type[SceneSettings]] = MitsubaOptions
 
     def __init__(self, options: MitsubaOptions) -> None:
-        self.options, self.world, self.light = options, options.world, options.followed
+        self.options, self.world, self.light = options, options.world, options.light
         self.camera, self.projector = options.camera_side, options.projector_side
         self.coaxial = options.is_coaxial
         super().__init__(self.camera.domain, self.projector.domain, options.channels)
 
     def describe(self) -> dict[str, Any]:
-        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        """Plain data of everything that determines the transport, for fingerprints."""
         return {
             "scene": "mitsuba",
             "world": self.world.describe(),
@@ -226,13 +224,13 @@ class MitsubaScene(Scene):
 
     @cached_property
     def recording(self) -> Recording:
-        """The recorded matrix; recorded now, unless it was before."""
+        """The recorded matrix; recorded at the first access."""
         sides = self.camera, self.projector
-        return record(self._loaded, *sides, self.light, self._folder, coaxial=self.coaxial)
+        return record(self._load, *sides, self.light, self._folder, coaxial=self.coaxial)
 
     @property
     def is_recorded(self) -> bool:
-        """True where the matrix was recorded before."""
+        """True if the matrix is recorded already."""
         return is_recorded(self._folder)
 
     @property
@@ -243,11 +241,12 @@ class MitsubaScene(Scene):
 
     @property
     def recorded(self) -> dict[str, Any]:
-        """The recording's grain and versions, see `Scene.recorded`."""
+        """Noise and software versions of the recording, see `Scene.recorded`."""
         return {"grain": self.recording.noise["half_lit"], "versions": self.recording.versions}
 
-    def _loaded(self) -> Any:
-        obstacle = lacking_llvm(f"scene {self.world.name}")
+    def _load(self) -> Any:
+        """Load the scene for tracing, with warnings about light that isn't recorded."""
+        obstacle = missing_llvm(f"scene {self.world.name}")
         if obstacle is not None:
             raise InputError(obstacle)
         for sentence in self.options.omissions:
@@ -257,10 +256,10 @@ class MitsubaScene(Scene):
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape).
 
-        Raises InputError where no light comes back to the camera, or it can't be recorded here.
+        Raises InputError where no light reaches the camera, or LLVM is missing.
         """
         return apply_in_batches(
-            self._recorded,
+            self._radiance,
             patterns,
             self.projector_shape,
             self.channels,
@@ -268,16 +267,16 @@ class MitsubaScene(Scene):
             padded=False,
         )
 
-    def _recorded(self, weights: Double) -> Double:
-        """Radiance (M, B, C) of patterns (N, B), by the recorded matrix."""
+    def _radiance(self, weights: Double) -> Double:
+        """Multiply the recorded matrix by patterns (N, B): radiance (M, B, C)."""
         return product(self._pieces, self.recording.coaxial, weights, self.camera.rays)
 
     @cached_property
     def _pieces(self) -> list[Piece]:
         """The recorded matrix in memory."""
-        return self.recording.read(self.channels)
+        return self.recording.read((self.camera.rays, self.projector.rays), self.channels)
 
     def dense(self, channel: int = 0) -> Double:
-        """The whole matrix (M, N) of one channel."""
+        """The full matrix (M, N) of one channel."""
         shape = self.camera.rays, self.projector.rays
         return dense(self._pieces, self.recording.coaxial, channel, shape)

@@ -1,4 +1,4 @@
-"""Rows and columns of a transport matrix, traced by Mitsuba."""
+"""Tracing rows and columns of a transport matrix with Mitsuba."""
 
 from __future__ import annotations
 
@@ -19,62 +19,62 @@ from rfpipe.provenance import generator
 
 Double = NDArray[np.float64]
 
-_LANES = 2**20  # paths at a time
-_CHAINS = 2**18  # of mirrors and lenses, from all camera pixels
-_MOST_CHAINS, _LEAST_CHAINS = 256, 16  # a pixel
-_DIRECT_SAMPLES = 32  # a pixel, to tell where direct light falls
+_LANES = 2**20  # paths traced at a time
+_CHAINS = 2**18  # specular chains from all camera pixels
+_MAX_CHAINS, _MIN_CHAINS = 256, 16  # per pixel
+_DIRECT_SAMPLES = 32  # per pixel, to find which pixels direct light reaches
 
 
 class Tracer:
-    """Traces pieces of the matrix of one scene of Mitsuba's, rig and kind of light.
+    """Tracer of parts of the transport matrix of a scene.
 
     Attributes
     ----------
-    is_whole : bool
-        Whether each path is followed both ways, so that the matrix of a coaxial rig is symmetric:
-        no mirror or lens is there, or caustics are followed.
+    is_symmetric : bool
+        True if the matrix of a coaxial rig is symmetric: without specular surfaces, or with
+        caustics, every path is traced in both directions.
     """
 
     def __init__(self, scene: Any, camera: Side, projector: Side, light: Light) -> None:
         self._rig = Rig(scene, Pinholes(camera), Pinholes(projector), light.bounces)
         self._light = light
         surfaces = surfaces_of(scene)
-        through = any(surface.is_filled or surface.has("Null") for surface in surfaces)
-        self._trace_rows = trace_volumes if through else trace_paths
-        self._bends = any(surface.is_smooth for surface in surfaces)
-        self.is_whole = light.caustics or not self._bends
+        has_media = any(surface.is_filled or surface.has("Null") for surface in surfaces)
+        self._trace_rows = trace_volumes if has_media else trace_paths
+        self._has_specular = any(surface.is_smooth for surface in surfaces)
+        self.is_symmetric = light.caustics or not self._has_specular
         self._ends: dict[int, Ends | None] = {}
 
-    def others(self, kind: str) -> int:
-        """Length of ``rows``, or of ``columns``, in pixels."""
+    def length(self, kind: str) -> int:
+        """Length of ``rows`` or ``columns`` in pixels."""
         sides = {"rows": self._rig.projector, "columns": self._rig.camera}
         return sides[kind].side.rays
 
     def rows(self, half: int, first: int, last: int) -> Double:
-        """Trace rows [first, last) of one half: float64 (last - first, N, 3)."""
+        """Trace rows [first, last) with half of the samples: float64 (last - first, N, 3)."""
         trace = partial(self._trace_rows, self._rig)
-        return self._traced(trace, self._light.samples, "rows", 2 * half, first, last)
+        return self._trace(trace, self._light.samples, "rows", 2 * half, first, last)
 
     def columns(self, half: int, first: int, last: int) -> Double:
-        """Trace what caustics add to columns [first, last) of one half: (last - first, M, 3)."""
+        """Trace caustics in columns [first, last) with half of the samples: (columns, M, 3)."""
         if half not in self._ends:
-            self._ends[half] = self._chain_ends(half) if self._bends else None
+            self._ends[half] = self._chain_ends(half) if self._has_specular else None
         trace = partial(trace_particles, self._rig, ends=self._ends[half])
-        return self._traced(trace, self._light.samples, "columns", 2 * half + 1, first, last)
+        return self._trace(trace, self._light.samples, "columns", 2 * half + 1, first, last)
 
     def direct(self, first: int, last: int) -> Double:
-        """Trace rows [first, last) of direct light alone, roughly."""
+        """Trace rows [first, last) of direct light only, with few samples."""
         trace = partial(self._trace_rows, self._rig._replace(bounces=1))
-        return self._traced(trace, 2 * _DIRECT_SAMPLES, "rows", 4, first, last)
+        return self._trace(trace, 2 * _DIRECT_SAMPLES, "rows", 4, first, last)
 
     def _chain_ends(self, half: int) -> Ends | None:
-        """Trace what the camera sees by mirrors and lenses, if anything."""
-        chains = np.clip(_CHAINS // self._rig.camera.side.rays, _LEAST_CHAINS, _MOST_CHAINS)
+        """Trace specular chains from the camera; None if no chain reaches a diffuse surface."""
+        chains = np.clip(_CHAINS // self._rig.camera.side.rays, _MIN_CHAINS, _MAX_CHAINS)
         seed = int(generator(self._light.seed, 2 * half + 5).integers(2**31))
         ends = trace_chains(self._rig, 4 ** int(np.log2(chains) / 2), seed)
         return Ends(ends) if len(ends.pixel) else None
 
-    def _traced(
+    def _trace(
         self,
         trace: Callable[[Sums, int, int], None],
         samples: int,
@@ -83,16 +83,13 @@ class Tracer:
         first: int,
         last: int,
     ) -> Double:
-        """Trace half of the samples of some pixels: float64 (last - first, others, 3)."""
-        sums = Sums(first, last - first, self.others(kind))
-        passed = 4 ** int(np.log2(min(samples // 2, max(1, _LANES // sums.count))) / 2)
-        passes = -(-(samples // 2) // passed)
-        for index in range(passes):
-            trace(
-                sums,
-                passed,
-                int(generator(self._light.seed, stream, first, index).integers(2**31)),
-            )
+        """Trace half of the samples of some pixels: float64 (last - first, length, 3)."""
+        sums = Sums(first, last - first, self.length(kind))
+        batch = 4 ** int(np.log2(min(samples // 2, max(1, _LANES // sums.count))) / 2)
+        n_batches = -(-(samples // 2) // batch)
+        for index in range(n_batches):
+            seed = int(generator(self._light.seed, stream, first, index).integers(2**31))
+            trace(sums, batch, seed)
             sums.flush()
-        mean: Double = sums.to_numpy() / (passed * passes)
+        mean: Double = sums.to_numpy() / (batch * n_batches)
         return mean

@@ -1,7 +1,7 @@
-"""Mitsuba 3, which is an extra, with the variant that this machine can run.
+"""Mitsuba 3, an optional dependency, with a variant that runs on this machine.
 
-Mitsuba's LLVM variants end the whole process where they find an LLVM that they can't use, so the
-library's version is looked at before one is chosen.
+Mitsuba's LLVM variants abort the process if the LLVM library is unusable, so its version is checked
+before a variant is selected.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from rfpipe.errors import InputError, installing
 
 _VARIABLE = "DRJIT_LIBLLVM_PATH"
 # Dr.Jit 1.5 refuses LLVM 14 and crashes with 15 and 16; it ran with 19 and 22.
-_LEAST_LLVM = 19
-_PLACES = (
+_MIN_LLVM = 19
+_PATTERNS = (
     "/usr/lib/*-linux-gnu*/libLLVM*.so*",
     "/usr/lib/llvm-*/lib/libLLVM*.so*",
     "/usr/lib64/libLLVM*.so*",
@@ -31,10 +31,10 @@ _PLACES = (
 
 @cache
 def load_mitsuba() -> Any:
-    """Return the module of Mitsuba 3, its variant chosen.
+    """Import Mitsuba 3 and select its variant, unless one is selected already.
 
-    The vectorised one where a usable LLVM is found, else the scalar one, which is slow. A variant
-    that was chosen before stays. Raises InputError when Mitsuba isn't installed.
+    The variant is vectorised if a usable LLVM is installed, else scalar, which is slow. Raises
+    InputError when Mitsuba isn't installed.
     """
     library = usable_llvm()
     if library is not None:
@@ -51,43 +51,43 @@ def load_mitsuba() -> Any:
     return mitsuba
 
 
-def lacking_llvm(what: str) -> str | None:
-    """Return a sentence on what needs LLVM and how to get it, None where LLVM can be used here.
+def missing_llvm(purpose: str) -> str | None:
+    """Explain how to install LLVM for a purpose; None where a usable LLVM is installed.
 
-    Mitsuba's scalar variant can render pictures, but not trace the transport between pixels. That
-    of pictures has their noise: an asymmetry of 14 to 21 % by 64 paths a pixel, of 3 to 6 % by 16
-    times as many.
+    Mitsuba's scalar variant renders pictures, but can't trace the transport between pixels. A
+    transport assembled from pictures has their noise: an asymmetry of 14 to 21 % with 64 paths per
+    pixel, of 3 to 6 % with 1024.
     """
     if usable_llvm() is not None:
         return None
     return (
-        f"{what} needs the library LLVM, version {_LEAST_LLVM} or later, which isn't here: on "
-        f"Debian, apt-get install libllvm{_LEAST_LLVM}; elsewhere name its file in the "
-        f"environment variable {_VARIABLE}"
+        f"{purpose} needs the library LLVM, version {_MIN_LLVM} or later, which isn't installed: "
+        f"on Debian, apt-get install libllvm{_MIN_LLVM}; elsewhere set the environment variable "
+        f"{_VARIABLE} to its file"
     )
 
 
 def usable_llvm() -> Path | None:
-    """Return the newest LLVM library here that Mitsuba's LLVM variants run with, or None.
+    """Return the newest installed LLVM library that Mitsuba's LLVM variants support, or None.
 
-    Where the environment variable DRJIT_LIBLLVM_PATH names one, it is that or none.
+    The environment variable DRJIT_LIBLLVM_PATH limits the search to one file.
     """
-    named = os.environ.get(_VARIABLE)
-    places = (path for pattern in _PLACES for path in Path("/").glob(pattern[1:]))
-    versions = {path: _version(path) for path in ([Path(named)] if named else places)}
-    usable = sorted((version, path) for path, version in versions.items() if version >= _LEAST_LLVM)
+    configured = os.environ.get(_VARIABLE)
+    installed = (path for pattern in _PATTERNS for path in Path("/").glob(pattern[1:]))
+    versions = {path: _version(path) for path in ([Path(configured)] if configured else installed)}
+    usable = sorted((version, path) for path, version in versions.items() if version >= _MIN_LLVM)
     return usable[-1][1] if usable else None
 
 
 def variant_versions() -> dict[str, str]:
-    """Return the versions of Mitsuba, Dr.Jit and LLVM that trace here."""
+    """Versions of Mitsuba, Dr.Jit and LLVM on this machine."""
     library = usable_llvm()
     packages = {name: metadata.version(name) for name in ("drjit", "mitsuba")}
     return packages | ({} if library is None else {"llvm": str(_version(library))})
 
 
 def _version(library: Path) -> int:
-    """Major version of an LLVM library, by its name or that of its link's target; 0 if unknown."""
+    """Major version of an LLVM library, from its file name or its link's target; 0 if unknown."""
     for path in (library, library.resolve()):
         match = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path.name)
         if match:

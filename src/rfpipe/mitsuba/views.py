@@ -1,4 +1,4 @@
-"""Where the cameras and the projectors of a physically based scene stand."""
+"""Positions of the cameras and projectors of a physically based scene."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from rfpipe.scenes.sight import Pinhole
 
 
 class View(Settings):
-    """A pinhole's place."""
+    """Position and orientation of a pinhole camera or projector."""
 
-    origin: tuple[float, float, float] = Field(description="Where it stands, in scene units.")
-    target: tuple[float, float, float] = Field(description="At what it looks, in scene units.")
+    origin: tuple[float, float, float] = Field(description="Position in scene units.")
+    target: tuple[float, float, float] = Field(
+        description="Point on its optical axis, in scene units."
+    )
     up: tuple[float, float, float] = Field(
-        (0.0, 1.0, 0.0), description="What is up in its picture, a direction."
+        (0.0, 1.0, 0.0), description="Direction that is up in its picture."
     )
     degrees: float = Field(
-        40.0, gt=0, lt=180, description="Field of view across its width, in degrees, 0 to 180."
+        40.0, gt=0, lt=180, description="Horizontal field of view in degrees, 0 to 180."
     )
 
     def pinhole(self, shape: tuple[int, int]) -> Pinhole:
-        """Return the pinhole with a picture of height and width in pixels."""
+        """Build the pinhole with a picture of this height and width in pixels."""
         width = 2 * math.tan(math.radians(self.degrees) / 2)
         return Pinhole(shape, self.origin, self.target, self.up, width)
 
@@ -38,12 +40,12 @@ class View(Settings):
 
 @dataclass(frozen=True)
 class Side:
-    """The pinholes of one side of a rig, which a ray domain (V, H, W), or (H, W), counts through.
+    """The pinholes of all cameras, or of all projectors, of a rig.
 
     Raises
     ------
     InputError
-        If there is none, or their pixels differ in number or size.
+        If there are none, or if their pixels differ in number or size.
     """
 
     pinholes: tuple[Pinhole, ...]
@@ -57,12 +59,12 @@ class Side:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Height and width of each view."""
+        """Height and width of each view in pixels."""
         return self.pinholes[0].shape
 
     @property
     def pitch(self) -> float:
-        """Side of a pixel at distance 1."""
+        """Width of a pixel on the image plane at distance 1."""
         return self.pinholes[0].pitch
 
     @property

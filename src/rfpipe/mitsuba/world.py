@@ -1,4 +1,4 @@
-"""A physically based scene as Mitsuba 3 describes it, apart from the rig that looks at it."""
+"""Descriptions of physically based scenes, and loading them with Mitsuba 3."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from rfpipe.mitsuba.variant import load_mitsuba
 from rfpipe.mitsuba.views import View
 from rfpipe.provenance import fingerprint
 
-# Within which light counts as that of a place which the camera sees by mirrors and lenses, relative
-# to the footprint of a pixel there.
+# Radius within which light is merged with the end of a specular chain from the camera, relative to
+# the footprint of its pixel there.
 MERGING_RADIUS = 0.5
 
 
 class Light(NamedTuple):
-    """What light is followed, and how long.
+    """Parameters of tracing light.
 
     Attributes
     ----------
     bounces : int
-        Most vertices of a path between projector and camera, at least 1: direct light alone.
+        Maximum number of vertices between projector and camera; 1 is direct light only.
     samples : int
-        Paths a pixel, at least 2: half of them for either half.
+        Paths per pixel, at least 2; each half of the recording has half of them.
     caustics : bool
-        Whether light that the projector sends by mirrors and lenses is followed, too.
+        True to trace light from the projector through mirrors and lenses.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
     """
 
     bounces: int
@@ -48,24 +48,23 @@ class Light(NamedTuple):
 
 @dataclass(frozen=True)
 class World:
-    """A scene, the places of cameras and projectors before it, and the light that it needs.
+    """A scene with its cameras, projectors and the parameters of tracing that it needs.
 
     Attributes
     ----------
     name : str
     build : callable
-        Returns the scene as a dict of Mitsuba's, in plain data: `to_world` as a list of four rows,
+        Returns the scene as a dict for Mitsuba in plain data: `to_world` as a list of four rows,
         `bitmap` as an array float32 (H, W, 3), a shape of type `mesh` with `vertices` float32
-        (n, 3), `faces` uint32 (m, 3) and `bsdf`. Its sensors and emitters are left out.
+        (n, 3), `faces` uint32 (m, 3) and `bsdf`. Sensors and emitters are ignored.
     cameras : tuple of View
     projectors : tuple of View, or None
-        None of a coaxial rig, whose projectors stand where its cameras stand.
+        None for a coaxial rig, whose projectors coincide with its cameras.
     bounces : int, optional
-        Vertices of a path of light from projector to camera that are worth following; None leaves
-        it to the materials.
+        Maximum number of vertices of a path; None: chosen by the materials.
     caustics : bool, optional
-        Whether mirrors or lenses throw light on surfaces, which is followed from the projector;
-        None leaves it to the materials.
+        True to trace light from the projector through mirrors and lenses; None: chosen by the
+        materials.
     """
 
     name: str
@@ -76,21 +75,21 @@ class World:
     caustics: bool | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints: the scene alone."""
+        """Plain data of the scene for fingerprints."""
         description = {**self.build(), "path": None}
         return {"name": self.name, "digest": fingerprint(description)}
 
 
 def world_of_file(path: Path) -> World:
-    """Return the scene of a file of Mitsuba's (XML).
+    """Read the scene of an XML file of Mitsuba.
 
-    Its first perspective sensor is the camera, its first emitter of type projector the projector;
-    without one the rig is coaxial.
+    The first perspective sensor is the camera, and the first emitter of type projector the
+    projector; without a projector, the rig is coaxial.
 
     Raises
     ------
     InputError
-        When the file can't be read or is no scene, or has no perspective sensor.
+        When the file can't be read, isn't a scene, or has no perspective sensor.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -98,10 +97,10 @@ def world_of_file(path: Path) -> World:
         raise InputError(f"{path}: the scene can't be read: {error}") from error
     description: dict[str, Any] = {"type": "scene", "path": str(path.resolve()), "text": text}
     _, state = _parsed(description, str(path))
-    named = {str(node.props["filename"]) for node in state.nodes if "filename" in node.props}
-    description["files"] = {  # digests of its meshes and pictures
+    filenames = {str(node.props["filename"]) for node in state.nodes if "filename" in node.props}
+    description["files"] = {  # digests of meshes and textures
         name: fingerprint(np.frombuffer((path.parent / name).read_bytes(), np.uint8))
-        for name in sorted(named)
+        for name in sorted(filenames)
         if (path.parent / name).is_file()
     }
     camera, projector = (
@@ -110,36 +109,38 @@ def world_of_file(path: Path) -> World:
     )
     if not camera:
         raise InputError(
-            f"{path}: the scene has no sensor of type perspective; expected one, which the camera "
-            "takes its place and field of view from"
+            f"{path}: the scene has no sensor of type perspective, which defines position and "
+            "field of view of the camera; add one"
         )
     return World(path.stem, lambda: description, camera, projector or None)
 
 
 def load_scene(world: World) -> Any:
-    """Return Mitsuba's scene of a world: its shapes, without emitters.
+    """Load the shapes of a world with Mitsuba, without emitters.
 
-    Raises InputError with what Mitsuba said where Mitsuba can't make it.
+    Raises InputError with Mitsuba's message where Mitsuba can't load it.
     """
     mi = load_mitsuba()
     config, state = _parsed(world.build(), world.name)
-    # what a rig brings along, or what asks for a renderer of another kind
-    left_out = mi.ObjectType.Emitter, mi.ObjectType.Sensor, mi.ObjectType.Integrator
-    gone = {index for index, node in enumerate(state.nodes) if node.type in left_out}
+    # the rig replaces emitters and sensors, the tracer the integrator
+    replaced = mi.ObjectType.Emitter, mi.ObjectType.Sensor, mi.ObjectType.Integrator
+    removed = {index for index, node in enumerate(state.nodes) if node.type in replaced}
     for node in state.nodes:
         for key in list(node.props):
             kind = node.props.type(key)
-            if kind == mi.Properties.Type.ResolvedReference and node.props[key].index() in gone:
+            if kind == mi.Properties.Type.ResolvedReference and node.props[key].index() in removed:
                 del node.props[key]
     with _mitsuba_errors(world.name):
         scene = mi.parser.instantiate(config, state)
     if not scene.shapes():
-        raise InputError(f"scene {world.name}: there is no shape in it, so no light comes back")
+        raise InputError(
+            f"scene {world.name} has no shapes, so no light reaches the camera; add shapes"
+        )
     return scene
 
 
 def _parsed(description: dict[str, Any], name: str) -> tuple[Any, Any]:
-    """Let Mitsuba parse a description, each shape for itself."""
+    """Parse a description with Mitsuba, without merging shapes."""
     mi = load_mitsuba()
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = False
@@ -154,20 +155,20 @@ def _parsed(description: dict[str, Any], name: str) -> tuple[Any, Any]:
 
 @contextmanager
 def _mitsuba_errors(name: str) -> Iterator[None]:
-    """Turn what Mitsuba raises into an InputError that names the scene."""
+    """Convert errors of Mitsuba to an InputError that names the scene."""
     try:
         yield
     except (RuntimeError, TypeError, ValueError, KeyError) as error:
         raise InputError(
-            f"scene {name}: Mitsuba can't make it: {error}; correct the scene, or install the "
-            "plugin that it names"
+            f"scene {name}: Mitsuba can't load it: {error}; correct the scene, or install the "
+            "plugin that it needs"
         ) from error
 
 
 def _view_of(node: Any, path: Path) -> View:
-    """Return the view of a sensor or a projector."""
-    placed = node.props.get("to_world", None)
-    matrix = np.eye(4) if placed is None else np.array(placed.matrix, np.float64).reshape(4, 4)
+    """Build the view of a sensor or a projector."""
+    to_world = node.props.get("to_world", None)
+    matrix = np.eye(4) if to_world is None else np.array(to_world.matrix, np.float64).reshape(4, 4)
     if node.props.get("fov_axis", "x") != "x":
         raise InputError(
             f"{path}: the fov_axis of {node.props.plugin_name()} is {node.props['fov_axis']}; "
@@ -183,13 +184,13 @@ def _view_of(node: Any, path: Path) -> View:
     if not np.allclose(view.pinhole((1, 1)).axes[0], -left, atol=1e-4):
         raise InputError(
             f"{path}: to_world of {node.props.plugin_name()} mirrors, scales or shears; expected a "
-            "turn and a move, such as a lookat"
+            "rotation and a translation, such as a lookat"
         )
     return view
 
 
 def _for_mitsuba(mi: Any, value: Any, key: str = "") -> Any:
-    """Turn plain data into what Mitsuba takes: matrices of `to_world`, pictures, meshes."""
+    """Convert plain data to objects of Mitsuba: matrices of `to_world`, bitmaps, meshes."""
     if isinstance(value, dict) and value.get("type") == "mesh":
         return _mesh(mi, value)
     if isinstance(value, dict):
@@ -202,7 +203,7 @@ def _for_mitsuba(mi: Any, value: Any, key: str = "") -> Any:
 
 
 def _mesh(mi: Any, described: dict[str, Any]) -> Any:
-    """Return a mesh of `vertices` (n, 3), `faces` (m, 3) and a `bsdf`, its normals smooth."""
+    """Build a mesh of `vertices` (n, 3), `faces` (m, 3) and a `bsdf`, with smooth normals."""
     vertices, faces = described["vertices"], described["faces"]
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(_for_mitsuba(mi, described["bsdf"]))

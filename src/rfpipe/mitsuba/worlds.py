@@ -1,7 +1,7 @@
-"""Physically based scenes of our own, each by name; docs/scenes.md says what each tests.
+"""Physically based scenes by name; docs/scenes.md describes the purpose of each.
 
-Lengths are in scene units: x to the right, y up, z towards the viewer. Geometry and textures are
-code: each scene is a function of its name that returns the parts of it.
+Lengths are in scene units: x to the right, y up, z towards the viewer. Each scene is a function
+that returns its parts.
 """
 
 from __future__ import annotations
@@ -14,40 +14,40 @@ from rfpipe.mitsuba.parts import (
     Part,
     Vector,
     ball,
-    blots,
     body,
     both_sides,
     box,
     checks,
+    discs,
     glass,
     gloss,
+    lathe,
     lettering,
     matt,
     metal,
     mirror,
-    painted,
     pillar,
     sheet,
-    turned,
+    textured,
 )
 from rfpipe.mitsuba.views import View
 from rfpipe.mitsuba.world import World
 
 WORLDS: dict[str, World] = {}
-"""All of them by name."""
+"""All scenes by name."""
 
 _WHITE, _RED, _GREEN = (0.75, 0.72, 0.68), (0.57, 0.06, 0.05), (0.12, 0.4, 0.1)
 
 
 def view(origin: Vector, target: Vector, degrees: float, up: Vector = (0, 1, 0)) -> View:
-    """Return a view of a field of view in degrees."""
+    """A view with a horizontal field of view in degrees."""
     return View.model_validate({"origin": origin, "target": target, "up": up, "degrees": degrees})
 
 
 def aside(degrees: float, distance: float, target: Vector, rise: float, field: float) -> View:
-    """Return a view some degrees to the right of the z axis through its target.
+    """A view rotated to the right about the vertical axis through its target.
 
-    It stands at a distance from the vertical through the target, and rises above it; `field` is its
+    `distance` is measured from that axis, `rise` is the height above the target, and `field` the
     field of view in degrees.
     """
     turn = float(np.radians(degrees))
@@ -63,27 +63,34 @@ def _world(
     bounces: int = 6,
     caustics: bool = False,
 ) -> Callable[[Callable[[], Part]], None]:
-    """Add a scene under its function's name, with its rig and the light that it needs."""
+    """Register a scene under its function's name, with its rig and tracing parameters."""
 
     def add(build: Callable[[], Part]) -> None:
         name = build.__name__
-        lamps = None if projectors is None else tuple(projectors)
+        projector_views = None if projectors is None else tuple(projectors)
         WORLDS[name] = World(
-            name, lambda: {"type": "scene", **build()}, tuple(cameras), lamps, bounces, caustics
+            name,
+            lambda: {"type": "scene", **build()},
+            tuple(cameras),
+            projector_views,
+            bounces,
+            caustics,
         )
 
     return add
 
 
-def _walls(left: tuple[float, ...] = _WHITE, right: tuple[float, ...] = _WHITE) -> Part:
-    """Return the five walls of a box from -1 to 1, open towards the viewer."""
+def _walls(
+    left_colour: tuple[float, ...] = _WHITE, right_colour: tuple[float, ...] = _WHITE
+) -> Part:
+    """The five walls of a box from -1 to 1, open towards the viewer."""
     white = matt(*_WHITE)
     return {
         "floor": sheet((0, -1, 0), (1, 0, 0), (0, 0, -1), white),
         "ceiling": sheet((0, 1, 0), (1, 0, 0), (0, 0, 1), white),
         "back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), white),
-        "left": sheet((-1, 0, 0), (0, 0, -1), (0, 1, 0), matt(*left)),
-        "right": sheet((1, 0, 0), (0, 0, 1), (0, 1, 0), matt(*right)),
+        "left": sheet((-1, 0, 0), (0, 0, -1), (0, 1, 0), matt(*left_colour)),
+        "right": sheet((1, 0, 0), (0, 0, 1), (0, 1, 0), matt(*right_colour)),
     }
 
 
@@ -108,7 +115,7 @@ def two_blocks() -> Part:
 
 @_world([_BOX_VIEW], [aside(35, 1.6, (0, -0.1, 0), 0.35, 84)])  # in front of the open side
 def two_blocks_aside() -> Part:
-    """The same with shadows that the camera sees: entries without direct light."""
+    """The scene two_blocks with shadows visible to the camera: entries without direct light."""
     return WORLDS["two_blocks"].build()
 
 
@@ -116,7 +123,7 @@ def two_blocks_aside() -> Part:
 def glossy_metal() -> Part:
     """Highlights and blurred reflections: gloss and rough metal in a box."""
     return _walls() | {
-        "floor": sheet((0, -1, 0), (1, 0, 0), (0, 0, -1), painted(checks(8, 8))),
+        "floor": sheet((0, -1, 0), (1, 0, 0), (0, 0, -1), textured(checks(8, 8))),
         "plastic": ball((-0.5, -0.62, 0.25), 0.38, gloss(0.08, 0.5, 0.05, 0.04)),
         "copper": ball((0.42, -0.65, 0.4), 0.35, metal(0.3, 0.93, 0.6, 0.45)),
         "steel": box((0.05, -0.45, -0.45), (0.55, 1.1, 0.4), 28, metal(0.25, 0.75, 0.76, 0.78)),
@@ -125,10 +132,10 @@ def glossy_metal() -> Part:
 
 @_world([view((0, 0.4, 3.9), (0.05, -0.4, 0), 31)], caustics=True)
 def mirror_beside() -> Part:
-    """A mirror beside an object: far pixels that see one surface, light thrown back on it."""
-    letters = painted(lettering(["EG", "SR"]))
+    """A mirror beside a block: distant pixels see the same surface, and a caustic falls on it."""
+    letters = textured(lettering(["EG", "SR"]))
     return {
-        "floor": sheet((0, -1, 0), (1.6, 0, 0), (0, 0, -1.6), painted(checks(12, 12))),
+        "floor": sheet((0, -1, 0), (1.6, 0, 0), (0, 0, -1.6), textured(checks(12, 12))),
         "back": sheet((0, 0, -1.6), (1.6, 0, 0), (0, 1, 0), matt(0.6, 0.62, 0.66)),
         "mirror": sheet((0.75, -0.4, -0.2), (0.4, 0, 0.37), (0, 0.6, 0), mirror()),
         "block": box((-0.4, -0.55, 0.1), (0.9, 0.9, 0.5), 53, matt(0.1, 0.25, 0.5)),
@@ -143,8 +150,8 @@ def mirror_beside() -> Part:
     caustics=True,
 )
 def right_angles() -> Part:
-    """A box before a mirror that the camera sees edge on, and the projector in full [Fig. 3.10]."""
-    letters = painted(lettering(["EGSR", "DUAL"], ink=(0.5, 0.05, 0.05)))
+    """A box in front of a mirror, seen edge-on by the camera, not by the projector [Fig. 3.10]."""
+    letters = textured(lettering(["EGSR", "DUAL"], ink=(0.5, 0.05, 0.05)))
     return {
         "floor": sheet((0, -1, 0), (2, 0, 0), (0, 0, -2), matt(0.65, 0.62, 0.55)),
         "back": sheet((0, -0.3, -1.3), (1.3, 0, 0), (0, 0.7, 0), matt(0.5, 0.55, 0.65)),
@@ -158,7 +165,7 @@ def right_angles() -> Part:
 
 
 def _table() -> Part:
-    """A floor, and a wall behind it."""
+    """A floor with a wall behind it."""
     return {
         "floor": sheet((0, -1, 0), (3, 0, 0), (0, 0, -3), matt(0.72, 0.7, 0.66)),
         "back": sheet((0, 0.4, -1.3), (3, 0, 0), (0, 1.4, 0), matt(0.45, 0.5, 0.6)),
@@ -170,7 +177,7 @@ _TABLE_VIEW = view((-0.25, 1.7, 3.6), (-0.25, -0.55, 0), 33)
 
 @_world([_TABLE_VIEW], [aside(50, 3.3, (0.0, -0.6, 0), 1.9, 33)], bounces=10, caustics=True)
 def glass_ball() -> Part:
-    """A caustic that the camera sees directly: a ball of glass."""
+    """A glass ball with a caustic that the camera sees directly."""
     return _table() | {
         "ball": ball((0.15, -0.55, 0), 0.44, glass()),
         "block": box((-0.85, -0.8, -0.75), (0.4, 0.4, 0.4), 20, matt(0.6, 0.2, 0.1)),
@@ -179,34 +186,34 @@ def glass_ball() -> Part:
 
 @_world([_TABLE_VIEW], [aside(60, 3.5, (-0.05, -0.5, 0), 0.9, 33)], bounces=10, caustics=True)
 def bottle() -> Part:
-    """Caustics of a bottle of water, and refraction in its dual image [Fig. 3.2, 3.6]."""
+    """A bottle of water: caustics, and refraction in the dual image [Fig. 3.2, 3.6]."""
     shoulder = [
         (0.175 + 0.095 * np.cos(t), 0.75 + 0.3 * np.sin(t / 2)) for t in np.linspace(0.4, np.pi, 8)
     ]
     foot = [(0, 0), (0.24, 0), (0.27, 0.03), *((0.27, h) for h in np.linspace(0.1, 0.75, 6))]
-    neck = [(0.08, 1.12), (0.08, 1.3), (0.07, 1.32), (0, 1.32)]  # radii and heights, filled
+    neck = [(0.08, 1.12), (0.08, 1.3), (0.07, 1.32), (0, 1.32)]  # radii and heights, closed
     return _table() | {
-        "bottle": turned((0.2, -0.999, 0.1), [*foot, *shoulder, *neck], glass(1.4)),
+        "bottle": lathe((0.2, -0.999, 0.1), [*foot, *shoulder, *neck], glass(1.4)),
         "block": box((-0.85, -0.8, -0.75), (0.4, 0.4, 0.4), 20, matt(0.15, 0.35, 0.6)),
     }
 
 
 @_world([view((0, 1.9, 3.2), (0, -0.8, 0), 32)], bounces=10, caustics=True)
 def glass_and_ring() -> Part:
-    """Caustics within a mirror's ring, and a block of glass, lit and seen through.
+    """Caustics within a mirror ring, and a block of glass with a chessboard behind it.
 
-    A ball would be a cat's eye: lit and seen through it, its focus outshines all else.
+    A glass ball would be a retroreflector, whose focus is far brighter than all other light.
     """
     return _table() | {
         "ring": pillar((-0.5, -0.999, 0.1), 0.32, 0.5, both_sides(mirror())),
         "block": box((0.5, -0.74, 0.15), (0.55, 0.5, 0.4), 25, glass()),
-        "check": sheet((0.5, -0.3, -1.29), (0.6, 0, 0), (0, 0.3, 0), painted(checks(3, 6))),
+        "check": sheet((0.5, -0.3, -1.29), (0.6, 0, 0), (0, 0.3, 0), textured(checks(3, 6))),
     }
 
 
 @_world([_TABLE_VIEW], bounces=48)
 def translucent() -> Part:
-    """Bodies of marble and soap that glow where they aren't lit."""
+    """Translucent bodies of marble and soap: indirect light outside the lit area."""
     marble = body(ball((-0.3, -0.52, 0.1), 0.46, {}), 0.08, 0.0, 0.98, 0.95, 0.88)
     soap = body(box((0.5, -0.72, 0.35), (0.5, 0.52, 0.5), -25, {}), 0.12, 0.5, 0.85, 0.97, 0.9)
     return _table() | {"marble": marble, "soap": soap}
@@ -214,7 +221,7 @@ def translucent() -> Part:
 
 @_world([aside(turn, 3.6, (0, -0.05, 0), 0.6, 24) for turn in (0, 120)], bounces=48)
 def sweets() -> Part:
-    """Translucent balls in a tumbler that reflects a little, and bends nothing [Fig. 5.6]."""
+    """Translucent balls in a tumbler with weak reflections and no refraction [Fig. 5.6]."""
     red, green, yellow = (0.97, 0.35, 0.3), (0.45, 0.95, 0.4), (0.97, 0.9, 0.4)
     orange, white = (0.97, 0.65, 0.25), (0.96, 0.95, 0.92)
     places = (  # x, height above the floor, z, radius, colour
@@ -228,7 +235,7 @@ def sweets() -> Part:
         (0.2, 0.9, 0.09, 0.18, white),
         (0.0, 0.92, -0.24, 0.19, orange),
     )
-    letters = painted(lettering(["EGSR"]))
+    letters = textured(lettering(["EGSR"]))
     sheen = {"type": "mask", "opacity": 0.06, "sheen": both_sides(metal(0.1, 0.9))}
     return {
         "floor": sheet((0, -0.7, 0), (1.4, 0, 0), (0, 0, -1.4), matt(0.5, 0.48, 0.45)),
@@ -242,29 +249,29 @@ def sweets() -> Part:
 
 @_world([view((0.0, -0.3, 3.4), (0, -0.4, -0.6), 32)])
 def foreshortened() -> Part:
-    """Fine detail at grazing angles: print on a long floor, a pillar's rings, a wall's checks."""
+    """Fine texture at grazing angles on a long floor, a pillar and a wall."""
     text = ["LIGHT ", "RETURN", "ALONG ", "EITHER", "SIDE  "]
     rings = np.repeat(checks(24, 1, (0.5, 0.1, 0.08), (0.85, 0.83, 0.75)), 4, axis=1)
     return {
-        "floor": sheet((0, -1, -0.6), (1.1, 0, 0), (0, 0, -1.8), painted(lettering(text))),
-        "wall": sheet((-1.1, 0.5, -0.6), (0, 0, -1.8), (0, 1.5, 0), painted(checks(15, 40))),
+        "floor": sheet((0, -1, -0.6), (1.1, 0, 0), (0, 0, -1.8), textured(lettering(text))),
+        "wall": sheet((-1.1, 0.5, -0.6), (0, 0, -1.8), (0, 1.5, 0), textured(checks(15, 40))),
         "right": sheet((1.1, 0.5, -0.6), (0, 0, 1.8), (0, 1.5, 0), matt(0.4, 0.5, 0.6)),
         "back": sheet((0, 0.5, -2.4), (1.1, 0, 0), (0, 1.5, 0), matt(0.6, 0.6, 0.6)),
-        "pillar": pillar((0.6, -1, -1.0), 2.4, 0.2, painted(rings)),
+        "pillar": pillar((0.6, -1, -1.0), 2.4, 0.2, textured(rings)),
     }
 
 
 @_world([_BOX_VIEW])
 def venetian_blind() -> Part:
-    """Many thin edges, each a step of depth: slats before a window of colour."""
-    spots = blots(96, 3, [(0.75, 0.7, 0.5), (0.6, 0.1, 0.05), (0.05, 0.3, 0.5), (0.1, 0.4, 0.1)])
+    """Many thin depth edges: slats in front of a coloured wall."""
+    spots = discs(96, 3, [(0.75, 0.7, 0.5), (0.6, 0.1, 0.05), (0.05, 0.3, 0.5), (0.1, 0.4, 0.1)])
     tilt = np.radians(38)
     slat = (0.85, 0, 0), (0, 0.085 * np.sin(tilt), -0.085 * np.cos(tilt)), matt(0.5, 0.49, 0.45)
     slats = {
         f"slat_{k}": sheet((0, float(y), 0.1), *slat)
         for k, y in enumerate(np.linspace(-0.8, 0.8, 13))
     }
-    return _walls() | slats | {"back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), painted(spots))}
+    return _walls() | slats | {"back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), textured(spots))}
 
 
 _STILL_LIFE = (0.0, -0.55, 0.0)
@@ -273,16 +280,16 @@ _STILL_LIFE = (0.0, -0.55, 0.0)
 @_world(
     [aside(float(turn), 3.7, _STILL_LIFE, 1.6, 34) for turn in np.linspace(-70, 70, 80)],
     [aside(0, 3.7, _STILL_LIFE, 1.0, 34)],
-    bounces=1,  # so that the matrix stays small
+    bounces=1,  # keeps the matrix small
 )
 def still_life_arc() -> Part:
-    """Relighting from 80 places on an arc of 140 degrees, soft shadows [Fig. 3.9]."""
-    spots = blots(128, 7, [(0.75, 0.72, 0.62), (0.5, 0.35, 0.2), (0.2, 0.3, 0.45)])
+    """Relighting from 80 positions on an arc of 140 degrees, with soft shadows [Fig. 3.9]."""
+    spots = discs(128, 7, [(0.75, 0.72, 0.62), (0.5, 0.35, 0.2), (0.2, 0.3, 0.45)])
     vase = [(0.2 + 0.14 * np.sin(5.2 * h) * (1 - 0.5 * h), 1.1 * h) for h in np.linspace(0, 1, 16)]
-    dual = painted(lettering(["DUAL"]))
+    dual = textured(lettering(["DUAL"]))
     return {
-        "table": sheet((0, -1, 0), (1.9, 0, 0), (0, 0, -1.5), painted(spots)),
-        "vase": turned((-0.35, -1, -0.2), vase, both_sides(matt(0.2, 0.35, 0.6))),
+        "table": sheet((0, -1, 0), (1.9, 0, 0), (0, 0, -1.5), textured(spots)),
+        "vase": lathe((-0.35, -1, -0.2), vase, both_sides(matt(0.2, 0.35, 0.6))),
         "apple": ball((0.32, -0.76, 0.35), 0.24, gloss(0.15, 0.55, 0.06, 0.04)),
         "orange": ball((-0.2, -0.79, 0.55), 0.21, gloss(0.3, 0.75, 0.35, 0.03)),
         "book": box((0.5, -0.9, -0.3), (0.75, 0.2, 0.55), 20, matt(0.25, 0.45, 0.2)),
@@ -296,9 +303,9 @@ def still_life_arc() -> Part:
     bounces=3,
 )
 def views_3x3() -> Part:
-    """Parallax between near and far: three rows, from above, of three views, from the left."""
+    """Parallax between near and far: 3 x 3 views, from the top left, row by row."""
     return _walls(_RED, _GREEN) | {
-        "back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), painted(lettering(["FAR"]))),
+        "back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), textured(lettering(["FAR"]))),
         "near": ball((0.3, -0.6, 0.45), 0.4, gloss(0.1, 0.5, 0.35, 0.05)),
         "block": box((-0.4, -0.55, -0.1), (0.45, 0.9, 0.45), 30, matt(0.7, 0.68, 0.64)),
     }

@@ -1,1 +1,1 @@
-"""What leaves the lab: crates that can be cited, buckets, and reading from zips and addresses."""
+"""Publications of results: citable crates, and uploads to buckets."""

@@ -1,7 +1,7 @@
-"""Files of a user's own that a run's settings name: code of methods and scenes, scenes' data.
+"""User files that a run's settings name: code of methods and scenes, and data of scenes.
 
-A publication keeps them in `FOLDER`, each at its path in the run's folder, so that the settings
-find them where that folder's content is copied into a new run's folder.
+A publication has them in `FOLDER`, at their paths relative to the run's folder. The settings are
+valid in a new run's folder with a copy of this content.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.util import find_spec
 from os.path import commonpath
 from pathlib import Path
@@ -21,61 +21,60 @@ from rfpipe.provenance import source_digest
 from rfpipe.publishing.run import Acquisition, files_below
 
 FOLDER = "inputs"
-"""Folder of a publication."""
+"""Folder of the files in a publication."""
 
 OUTSIDE = "outside"
-"""Folder in it of files that don't lie in the run's folder."""
+"""Subfolder for files from outside the run's folder."""
 
 _CLASS = re.compile(r"(?P<file>.+\.py)?(?P<module>[A-Za-z_]\w*(\.\w+)*)?:[A-Za-z_]\w*")
 _INSTALLED = ("site-packages", "dist-packages")
 _OF_RFPIPE = "rfpipe"
-# Sections of settings whose values are names of classes and files of a user's own.
+# Sections of settings whose values may name a user's classes and files.
 _SECTIONS = ("scenes", "methods")
-# Options that name a class, and those that name a place to write to.
-_CLASSES, _WRITTEN = ("kind", "method"), ("cache",)
+# Options that name a class, and options that name an output folder.
+_CLASSES, _OUTPUTS = ("kind", "method"), ("cache",)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Inputs:
-    """Files of a user's own, and the settings that name them.
+    """User files of a publication, and the settings that name them.
 
     Attributes
     ----------
     settings : dict
-        Plain data; paths of files outside the run's folder are those of their copies.
+        Plain data; files outside the run's folder have the paths of their copies.
     files : dict of str to Path
         Files by their names in the publication.
     notes : list of str
-        What could not be taken along.
+        Files and modules that are missing in the publication, with the reason.
     classes : dict of str to Path
-        Files of the classes among them, by the setting that names the class.
+        Source files of classes, by the setting that names the class.
     """
 
     settings: dict[str, Any]
-    files: dict[str, Path] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    classes: dict[str, Path] = field(default_factory=dict)
+    files: dict[str, Path]
+    notes: list[str]
+    classes: dict[str, Path]
 
-    def check_made(self, acquisitions: Iterable[Acquisition]) -> None:
-        """Raise InputError where a class' file isn't the code that made an acquisition."""
+    def check_sources(self, acquisitions: Iterable[Acquisition]) -> None:
+        """Raise InputError where a class' file has changed since the acquisition."""
         for acquisition in acquisitions:
             scene, method = f"scenes.{acquisition.scene}", acquisition.method
-            places = {
+            settings = {
                 "scene": (f"{scene}.kind",),
                 "method": (f"{scene}.methods.{method}.method", f"methods.{method}.method"),
             }
             for role, digest in acquisition.facts.get("sources", {}).items():
-                file = next(filter(None, map(self.classes.get, places[role])), None)
+                file = next(filter(None, map(self.classes.get, settings[role])), None)
                 if file is not None and source_digest(file) != digest:
                     raise InputError(
-                        f"{file}: isn't the code that made {acquisition.name}: it was edited "
-                        "after that run. Run again with 'rfpipe run', or restore the file as it "
-                        "was, then publish"
+                        f"{file}: was edited after it made {acquisition.name}. Run again with "
+                        "'rfpipe run', or restore the file, then publish"
                     )
 
 
 def inputs_of(folder: Path, settings: dict[str, Any]) -> Inputs:
-    """Return the files that the settings of a run's scenes and methods name.
+    """Find the user files that the settings of a run's scenes and methods name.
 
     Parameters
     ----------
@@ -84,58 +83,60 @@ def inputs_of(folder: Path, settings: dict[str, Any]) -> Inputs:
     settings : dict
         Plain data.
     """
-    inputs = Inputs(dict(settings))
-    finder = _Finder(folder.resolve(), inputs)
-    for section in _SECTIONS:
-        if section in settings:
-            inputs.settings[section] = _replaced(settings[section], section, finder.replacement)
-    return inputs
+    finder = _Finder(folder.resolve())
+    published = {
+        section: _replaced(values, section, finder.replacement) if section in _SECTIONS else values
+        for section, values in settings.items()
+    }
+    return Inputs(published, finder.files, finder.notes, finder.classes)
 
 
 def _replaced(value: Any, place: str, replacement: Callable[[str, str], str]) -> Any:
-    """Return settings in which each text is replaced; `place` is its path in the settings."""
+    """Replace all texts in settings; `place` is the path of `value` in the settings."""
     if isinstance(value, dict):
         return {
-            key: each if key in _WRITTEN else _replaced(each, f"{place}.{key}", replacement)
-            for key, each in value.items()
+            key: item if key in _OUTPUTS else _replaced(item, f"{place}.{key}", replacement)
+            for key, item in value.items()
         }
     return replacement(place, value) if isinstance(value, str) else value
 
 
 class _Finder:
-    """Finds the files behind texts of settings, and adds them to the inputs of a publication."""
+    """Collects the files that texts of settings name; attributes as in `Inputs`."""
 
-    def __init__(self, folder: Path, inputs: Inputs) -> None:
+    def __init__(self, folder: Path) -> None:
+        self.files: dict[str, Path] = {}
+        self.notes: list[str] = []
+        self.classes: dict[str, Path] = {}
         self._folder = folder
-        self._inputs = inputs
         self._roots: dict[Path, str] = {}
 
     def replacement(self, place: str, text: str) -> str:
-        """Add the files that a text names; return the text for the published settings."""
+        """Add the files that a text names; return its replacement in the published settings."""
         if place.rpartition(".")[2] not in _CLASSES:
             return self._data(place, text)
         match = _CLASS.fullmatch(text)
-        if match is None:  # a name of rfpipe's own
+        if match is None:  # a name of rfpipe
             return text
         if match["file"]:
             file = self._folder / match["file"]
             if not file.is_file():
                 self._note(place, text, f"there is no file {match['file']} in {self._folder}")
                 return text
-            self._inputs.classes[place] = file
+            self.classes[place] = file
             return f"{self._code(file)}:{text.rpartition(':')[2]}"
         self._module(place, text, match["module"])
         file = self._folder.joinpath(*match["module"].split("."))
         for source in (file.with_suffix(".py"), file / "__init__.py"):
-            if source in self._inputs.files.values():
-                self._inputs.classes[place] = source
+            if source in self.files.values():
+                self.classes[place] = source
         return text
 
-    def _note(self, place: str, text: str, why: str) -> None:
-        self._inputs.notes.append(f"{place} is {text}: {why}")
+    def _note(self, place: str, text: str, reason: str) -> None:
+        self.notes.append(f"{place} is {text}: {reason}")
 
     def _data(self, place: str, text: str) -> str:
-        """Add a file or a folder of data, and the files that an XML scene names."""
+        """Add a file or Zarr folder of data, and the files that an XML scene names."""
         if "\n" in text or not text or not (self._folder / text).exists():
             return text
         path = (self._folder / text).resolve()
@@ -145,26 +146,26 @@ class _Finder:
             return text
         files = [path]
         if path.suffix.lower() == ".xml":
-            files += self._named_by(place, path)
+            files += self._referenced_files(place, path)
         return self._add(files, path)
 
-    def _named_by(self, place: str, scene: Path) -> list[Path]:
-        """Return the files that a scene of Mitsuba names: meshes, pictures, included scenes."""
-        found: list[Path] = []
+    def _referenced_files(self, place: str, scene: Path) -> list[Path]:
+        """List the files that a scene of Mitsuba names: meshes, textures, included scenes."""
+        files: list[Path] = []
         for text in _texts_of(scene):
             path = scene.parent / text
             if not path.is_file():
                 continue
             if Path(text).is_absolute():
                 self._note(place, text, f"{scene.name} names it by an absolute path")
-            elif (path := path.resolve()) not in found:
-                found.append(path)
+            elif (path := path.resolve()) not in files:
+                files.append(path)
                 if path.suffix.lower() == ".xml":
-                    found += self._named_by(place, path)
-        return found
+                    files += self._referenced_files(place, path)
+        return files
 
     def _add(self, paths: list[Path], named: Path) -> str:
-        """Add files that belong together; return the path of one of them from a run's folder."""
+        """Add related files; return the path of `named`, one of them, in the published settings."""
         root = self._folder
         if not all(path.is_relative_to(root) for path in paths):
             root = Path(commonpath([path.parent for path in paths]))
@@ -174,19 +175,19 @@ class _Finder:
         for path in paths:
             inside = "/".join(part for part in (name, path.relative_to(root).as_posix()) if part)
             if path.is_dir():
-                self._inputs.files |= dict(files_below(path, f"{FOLDER}/{inside}"))
+                self.files |= dict(files_below(path, f"{FOLDER}/{inside}"))
             else:
-                self._inputs.files[f"{FOLDER}/{inside}"] = path
+                self.files[f"{FOLDER}/{inside}"] = path
         return "/".join(part for part in (name, named.relative_to(root).as_posix()) if part)
 
     def _code(self, file: Path) -> str:
-        """Add a file of Python code, and the modules of the run's folder that it imports."""
+        """Add a Python file, and the modules in the run's folder that it imports."""
         for name in _imports(file):
             self._local_module(name)
         return self._add([file.resolve()], file.resolve())
 
     def _module(self, place: str, text: str, name: str) -> None:
-        """Add a module of the run's folder, or one found by Python that isn't installed."""
+        """Add a module in the run's folder or on Python's path, unless it is installed."""
         package = name.partition(".")[0]
         if package == _OF_RFPIPE or self._local_module(name):
             return
@@ -195,51 +196,51 @@ class _Finder:
         except (ImportError, ValueError):
             spec = None
         if spec is None or spec.origin is None:
-            self._note(place, text, f"there is no module {package} here")
+            self._note(place, text, f"there is no module {package} on this machine")
             return
         file = Path(spec.origin)
         if any(part in _INSTALLED for part in file.parts):
-            self._note(place, text, f"{package} is an installed package; install it there, too")
+            self._note(
+                place, text, f"{package} is an installed package; readers must install it, too"
+            )
             return
         home = file.parents[1] if file.name == "__init__.py" else file.parent
         self._add_module(home, package)
 
     def _local_module(self, name: str) -> bool:
-        """Add a module or package of the run's folder; return False where it has none."""
+        """Add a module or package in the run's folder; False if there is none of this name."""
         package = name.partition(".")[0]
-        file, whole = self._folder / f"{package}.py", self._folder / package
-        if not file.is_file() and not any(whole.glob("*.py")):
+        file, folder = self._folder / f"{package}.py", self._folder / package
+        if not file.is_file() and not any(folder.glob("*.py")):
             return False
         self._add_module(self._folder, package)
         return True
 
     def _add_module(self, home: Path, package: str) -> None:
-        """Add a module or package at the place where a run's folder has it, and its imports."""
-        file, whole = home / f"{package}.py", home / package
-        files = [file] if file.is_file() else [path for _, path in files_below(whole, "")]
+        """Add a module or package at its path relative to `home`, and local imports."""
+        file, folder = home / f"{package}.py", home / package
+        files = [file] if file.is_file() else [path for _, path in files_below(folder, "")]
         for path in files:
             name = f"{FOLDER}/{path.relative_to(home).as_posix()}"
-            if name not in self._inputs.files:
-                self._inputs.files[name] = path
-                if path.suffix == ".py":
-                    for each in _imports(path):
-                        self._local_module(each)
+            if name in self.files:
+                continue
+            self.files[name] = path
+            for module in _imports(path) if path.suffix == ".py" else ():
+                self._local_module(module)
 
 
 def _texts_of(scene: Path) -> Iterator[str]:
-    """Yield the texts of an XML file that may name files: values, and files that it includes."""
+    """Yield the attributes of an XML file that may name files: values and included files."""
     try:
-        elements = ElementTree.parse(scene).iter()
-        for element in elements:
-            for key in ("value", "filename"):
-                if element.get(key):
-                    yield str(element.get(key))
+        elements = list(ElementTree.parse(scene).iter())
     except ElementTree.ParseError:
         return
+    for element in elements:
+        yield from filter(None, (element.get("value"), element.get("filename")))
 
 
 def _imports(file: Path) -> Iterator[str]:
-    """Yield the names of the modules that a file of Python code imports.
+    """Yield the names of the modules that a Python file imports.
 
     Raises InputError where the file isn't Python.
     """
@@ -247,10 +248,10 @@ def _imports(file: Path) -> Iterator[str]:
         tree = ast.parse(file.read_bytes())
     except (SyntaxError, ValueError) as error:
         line = getattr(error, "lineno", None)
-        where = f"{file}, line {line}" if line else f"{file}"
+        place = f"{file}, line {line}" if line else f"{file}"
         raise InputError(
-            f"{where}: isn't Python: {getattr(error, 'msg', error)}; no results were made with it. "
-            "Mend the file and run again, or restore it as it was"
+            f"{place}: isn't Python: {getattr(error, 'msg', error)}. Correct the file and run "
+            "again, or restore it"
         ) from error
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):

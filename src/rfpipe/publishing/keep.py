@@ -1,19 +1,18 @@
-"""Keeping a run's results in a bucket: what somebody else reads, while captures stay at the rig.
+"""Upload of a run's results to a bucket; captured frames stay at the rig.
 
-An object is there as a whole or not at all. So each transport is one, a zip file that is read by
-ranges. A list of all objects with their SHA-256 tells what to skip when an interrupted upload goes
-on.
+Writing an object is atomic, so each transport is a single object: a zip file, read by ranges. A
+list of all objects with their SHA-256 in the bucket lets an interrupted upload skip complete ones.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rfpipe.publishing.run import Run, files_below
-from rfpipe.publishing.writing import Source, measured, write_zip
+from rfpipe.publishing.run import Acquisition, Run, files_below
+from rfpipe.publishing.writing import Source, digest_and_size, write_zip
 from rfpipe.store import StoreLock
 from rfpipe.store.addresses import Bucket
 from rfpipe.store.files import remove_tree
@@ -23,8 +22,8 @@ _SECONDS_BETWEEN_LISTS = 5.0
 
 
 @dataclass
-class Kept:
-    """Objects of a run in a bucket, and those that this call sent."""
+class UploadSummary:
+    """Numbers and bytes of a run's objects in a bucket, and of those sent by this upload."""
 
     address: str
     objects: int = 0
@@ -33,59 +32,70 @@ class Kept:
     nbytes_sent: int = 0
 
 
-def keep(run: Run, address: str, tell: Callable[[str], object] = lambda _: None) -> Kept:
-    """Bring a run's transports, relit pictures, manifests and report into a bucket.
+def keep(
+    run: Run, address: str, on_upload: Callable[[str], object] = lambda _: None
+) -> UploadSummary:
+    """Upload a run's transports, relit pictures, manifests and report to a bucket.
 
-    What is there already, and the same, isn't sent. May be cut off anywhere and called again.
+    Objects that are unchanged in the bucket are skipped. An interrupted upload can be repeated.
 
     Parameters
     ----------
     address : str
-        ``s3://bucket/folder``: of this run alone.
-    tell : callable, optional
-        Called with the name of each object that is sent.
+        ``s3://bucket/folder``, used by this run only.
+    on_upload : callable, optional
+        Called with the name of each object before it is sent.
 
     Raises
     ------
     InputError
-        When it is no such address.
+        When the address isn't that of a bucket.
     IntegrityError
-        When a transport is damaged, or isn't the one that its manifest is about.
+        When a transport is damaged, or its digest isn't that of its manifest.
     LockedError
-        When another process keeps this run.
+        When another process uploads this run.
     StoreError
-        When the bucket is missing or may not be written, or its server doesn't answer.
+        When the bucket is missing or read-only, or its server doesn't answer.
     """
     bucket = Bucket(address)
     folder = run.results / ".keep"
-    total = Kept(str(bucket))
     with StoreLock(folder):
         try:
-            listed = _List(bucket)
-            for name, source in _objects(run, folder):
-                digest, size = measured(source)
-                total.objects += 1
-                total.nbytes += size
-                if not listed.has(name, digest, size):
-                    tell(name)
-                    listed.send(name, source, digest)
-                    total.sent += 1
-                    total.nbytes_sent += size
-            listed.write()
+            return _upload(_objects(run, folder), bucket, on_upload)
         finally:
             remove_tree(folder)
-    return total
 
 
-class _List:
-    """The list of a bucket's objects, true at any moment: of what is sent it knows afterwards."""
+def _upload(
+    objects: Iterable[tuple[str, Source]], bucket: Bucket, on_upload: Callable[[str], object]
+) -> UploadSummary:
+    """Send new and changed objects, and the list of all."""
+    summary = UploadSummary(str(bucket))
+    stored = _ObjectList(bucket)
+    for name, source in objects:
+        digest, size = digest_and_size(source)
+        summary.objects += 1
+        summary.nbytes += size
+        if not stored.has(name, digest, size):
+            on_upload(name)
+            stored.send(name, source, digest)
+            summary.sent += 1
+            summary.nbytes_sent += size
+    stored.write()
+    return summary
+
+
+class _ObjectList:
+    """The list of a bucket's objects; it never lists an object that isn't complete."""
 
     def __init__(self, bucket: Bucket) -> None:
         self._bucket = bucket
         self._sizes = bucket.sizes()
         lines = (content_of(bucket / CHECKSUMS) or b"").decode(errors="replace").splitlines()
         self._written = {line[66:]: line[:64] for line in lines}
-        self.digests = {name: of for name, of in self._written.items() if name in self._sizes}
+        self.digests = {
+            name: digest for name, digest in self._written.items() if name in self._sizes
+        }
         self._time = time.monotonic()
 
     def has(self, name: str, digest: str, size: int) -> bool:
@@ -93,33 +103,39 @@ class _List:
 
     def send(self, name: str, source: Source, digest: str) -> None:
         if self.digests.pop(name, None) is not None:
-            self.write()  # nobody is told that the old one is there
+            self.write()  # without the object that is replaced
         self._bucket.put(name, source)
         self.digests[name] = digest
         if time.monotonic() - self._time > _SECONDS_BETWEEN_LISTS:
             self.write()
 
     def write(self) -> None:
-        """Bring the list into the bucket, where it isn't the one there."""
+        """Write the list to the bucket, if it changed."""
         if self.digests != self._written:
             lines = (f"{digest}  {name}\n" for name, digest in sorted(self.digests.items()))
             self._bucket.put(CHECKSUMS, "".join(lines).encode())
             self._written, self._time = dict(self.digests), time.monotonic()
 
 
-def _objects(run: Run, made: Path) -> Iterator[tuple[str, Source]]:
-    """Yield name and source of all objects; zip files are there until the next is asked for."""
-    for stage in ("transport", "relight"):
-        for entry in run.acquisitions:
-            store, manifest = f"{stage}.zarr", f"{stage}.json"
-            if (entry.folder / manifest).is_file():
-                if stage == "transport":
-                    entry.check()
-                files = [*files_below(entry.folder / store, store)]
-                write_zip(made / f"{stage}.zip", [*files, (manifest, entry.folder / manifest)])
-                yield f"{entry.name}/{stage}.zip", made / f"{stage}.zip"
+def _objects(run: Run, temporary: Path) -> Iterator[tuple[str, Source]]:
+    """Yield name and source of all objects; each zip file is replaced by the next one."""
+    for acquisition in run.acquisitions:
+        acquisition.check()
+        yield _zipped_store(acquisition, "transport", temporary)
+    for acquisition in run.acquisitions:
+        if (acquisition.folder / "relight.json").is_file():
+            yield _zipped_store(acquisition, "relight", temporary)
     manifests = [*run.manifests()]
     if manifests:
-        write_zip(made / "provenance.zip", manifests)
-        yield "provenance.zip", made / "provenance.zip"
+        write_zip(temporary / "provenance.zip", manifests)
+        yield "provenance.zip", temporary / "provenance.zip"
     yield from run.report_files()
+
+
+def _zipped_store(acquisition: Acquisition, stage: str, temporary: Path) -> tuple[str, Path]:
+    """Zip a stage's store and manifest; return the object's name, and the zip file."""
+    store, manifest = f"{stage}.zarr", f"{stage}.json"
+    files = [*files_below(acquisition.folder / store, store)]
+    output = temporary / f"{stage}.zip"
+    write_zip(output, [*files, (manifest, acquisition.folder / manifest)])
+    return f"{acquisition.name}/{stage}.zip", output

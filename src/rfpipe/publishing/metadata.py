@@ -1,4 +1,4 @@
-"""How a publication is cited: kept as YAML beside a run, told to people and to machines."""
+"""Citation of a publication, and its metadata in the formats of DataCite and RO-Crate."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from rfpipe.text import similar_names
 from rfpipe.version import __version__
 
 CITATION_FILE = "publication.yaml"
-"""Where a citation is kept, in the folder that holds a run's results."""
+"""File of the citation in a run's folder."""
 
 CRATE_FILE = "ro-crate-metadata.json"
 
-_UNPUBLISHED = ":unav"  # DataCite's word for what isn't known yet
+_UNPUBLISHED = ":unav"  # DataCite's value for unknown entries
 _LICENCES = (
     *("CC0-1.0", "CC-BY-4.0", "CC-BY-SA-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "CC-BY-ND-4.0"),
     *("CC-BY-NC-ND-4.0", "ODbL-1.0", "ODC-By-1.0", "PDDL-1.0", "CDLA-Permissive-2.0", "MIT"),
     *("Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "GPL-3.0-only", "GPL-3.0-or-later"),
     *("LGPL-3.0-or-later", "AGPL-3.0-or-later", "MPL-2.0", "EUPL-1.2", "ISC", "Unlicense"),
 )
-"""Licences that are suggested for a misspelt one; all others of the SPDX list are accepted."""
+"""Suggestions for misspelt licences; every licence of the SPDX list is accepted."""
 
 _ORCID = re.compile(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]")
 _DOI = re.compile(r"10\.\d{4,9}/\S+")
@@ -42,7 +42,7 @@ _PROFILES = {
     "https://w3id.org/workflowhub/workflow-ro-crate/1.0": "Workflow RO-Crate",
 }
 _SNAKEMAKE = "https://w3id.org/workflowhub/workflow-ro-crate#snakemake"
-# used here, and not in the context of RO-Crate 1.1
+# terms that the context of RO-Crate 1.1 lacks
 _TERMS = {
     "creditText": "http://schema.org/creditText",
     "sha256": "https://w3id.org/ro/terms/workflow-run#sha256",
@@ -52,11 +52,12 @@ Graph = dict[str, dict[str, Any]]
 
 
 def _bare(text: object) -> str:
+    """Remove the resolver's address from a DOI or an ORCID iD."""
     return re.sub(r"^(https://(doi|orcid)\.org/|doi:)", "", str(text))
 
 
 def check_digit(digits: str) -> str:
-    """Return the check digit of an ORCID iD's first 15 digits, by ISO 7064 MOD 11-2."""
+    """Compute the check digit of an ORCID iD's first 15 digits (ISO 7064 MOD 11-2)."""
     total = 0
     for digit in digits:
         total = 2 * (total + int(digit))
@@ -65,20 +66,19 @@ def check_digit(digits: str) -> str:
 
 
 def _orcid(text: str) -> str:
-    """Return an ORCID iD unchanged; UnsuitableValueError if its form or check digit is wrong."""
+    """Validate an ORCID iD and its check digit; UnsuitableValueError if it is wrong."""
     if _ORCID.fullmatch(text) is None:
         raise UnsuitableValueError("be four groups of four digits, of which the last may be X")
     expected = check_digit(text[:-1].replace("-", ""))
     if text[-1] != expected:
         raise UnsuitableValueError(
-            f"end in {expected}, the check digit of the digits before it: one of its digits "
-            "is wrong, or two are exchanged"
+            f"end in the check digit {expected}: a digit is wrong, or two are exchanged"
         )
     return text
 
 
 def _licence(text: str) -> str:
-    """Return a licence's address, or its name in the SPDX list; UnsuitableValueError for others."""
+    """Normalize a licence: an address, or a name of the SPDX list; else UnsuitableValueError."""
     from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
     if re.fullmatch(r"https?://\S+", text):
@@ -89,15 +89,15 @@ def _licence(text: str) -> str:
         name = ""
     if name and " " not in name and not name.startswith("LicenseRef-"):
         return name
-    spelt = {licence.lower(): licence for licence in _LICENCES}
+    names = {licence.lower(): licence for licence in _LICENCES}
     key = re.sub(r"[^a-z0-9.]+", "-", text.lower())
-    suggestions = [spelt[name] for name in similar_names(key, spelt, cutoff=0.5)]
+    suggestions = [names[name] for name in similar_names(key, names, cutoff=0.5)]
     suggestion = f" (did you mean {suggestions[0]}?)" if suggestions else ""
     raise UnsuitableValueError(f"be the name of one licence of the SPDX list{suggestion}")
 
 
 def _matching(pattern: re.Pattern[str], expected: str) -> AfterValidator:
-    """Return a validator of texts that match a pattern, which its message says in words."""
+    """Build a validator of a pattern; `expected` describes it in the message."""
 
     def check(text: str) -> str:
         if pattern.fullmatch(text) is None:
@@ -112,7 +112,7 @@ Bare = Annotated[str, BeforeValidator(_bare)]
 
 
 class Creator(Settings):
-    """One who is to be cited; read from ``Family, Given; ORCID; affiliation``, too."""
+    """A creator to be cited; also parsed from ``Family, Given; ORCID; affiliation``."""
 
     name: Line
     orcid: Annotated[Bare, AfterValidator(_orcid)] | None = Field(
@@ -122,10 +122,10 @@ class Creator(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_text(cls, given: object) -> object:
-        if not isinstance(given, str):
-            return given
-        parts = (part.strip() for part in given.split(";", 2))
+    def _from_text(cls, value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        parts = (part.strip() for part in value.split(";", 2))
         return {name: part for name, part in zip(cls.model_fields, parts, strict=False) if part}
 
     @property
@@ -135,17 +135,17 @@ class Creator(Settings):
 
     @property
     def kind(self) -> str:
-        """A person, by the comma of the name or the ORCID iD, or an organisation (schema.org)."""
+        """Type in schema.org: a name with a comma or an ORCID iD is that of a person."""
         return "Person" if "," in self.name or self.orcid else "Organization"
 
 
 class Citation(Settings):
-    """What a publication is cited by; `publisher` is the repository that keeps it."""
+    """The citation of a publication; `publisher` is the repository that hosts it."""
 
     title: Line
     description: Line = (
-        "Light transport between a projector and a camera, acquired with rfpipe, to be relit under "
-        "any pattern."
+        "Light transport between a projector and a camera, acquired with rfpipe, for relighting "
+        "with any pattern."
     )
     creators: tuple[Creator, ...] = Field(
         min_length=1, description="each as 'Family, Given; ORCID; affiliation'; or give --creator"
@@ -174,7 +174,7 @@ class Citation(Settings):
 
     @property
     def text(self) -> str:
-        """The citation on one line."""
+        """The citation in one line."""
         names = "; ".join(creator.name for creator in self.creators)
         publisher = "" if self.publisher == _UNPUBLISHED else f" {self.publisher}."
         return (
@@ -183,20 +183,20 @@ class Citation(Settings):
         ).rstrip()
 
 
-def kept_values(folder: Path) -> dict[str, Any]:
-    """Return what is kept of a citation in a run's folder, unchecked."""
+def stored_values(folder: Path) -> dict[str, Any]:
+    """Read the citation in a run's folder, without validation."""
     path = folder / CITATION_FILE
     values = read_yaml(path) if path.exists() else {}
     return values if isinstance(values, dict) else {str(values): ""}
 
 
 def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
-    """Keep a citation in a run's folder, so that nobody is asked again.
+    """Validate a citation and write it to a run's folder.
 
     Raises
     ------
     InputError
-        With all that is missing or wrong.
+        With a line for each missing or invalid entry.
     """
     path = folder / CITATION_FILE
     entries = {name: value for name, value in values.items() if value is not None}
@@ -208,13 +208,15 @@ def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
     data = citation.model_dump(mode="json", exclude_none=True)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=98)
     write_atomically(
-        path, f"# What 'rfpipe publish' cites this run by; edit it.\n{text}".encode(), resumes=False
+        path,
+        f"# Citation of this run for 'rfpipe publish'; may be edited.\n{text}".encode(),
+        resumes=False,
     )
     return citation
 
 
 def datacite(citation: Citation) -> dict[str, Any]:
-    """Return DataCite's metadata of a publication (schema 4.5)."""
+    """Build the DataCite metadata of a publication (schema 4.5)."""
     creators = []
     for creator in citation.creators:
         names: dict[str, Any] = {"name": creator.name}
@@ -250,64 +252,39 @@ def crate(
     outputs: Sequence[str],
     times: tuple[str, str],
 ) -> dict[str, Any]:
-    """Return the RO-Crate 1.1 metadata (JSON-LD): what each file is and how it came about.
+    """Build the RO-Crate 1.1 metadata (JSON-LD): a description of each file and of the run.
 
     Parameters
     ----------
     parts : mapping of str to mapping
         Properties of every file and folder, by name; the names of folders end in a slash.
     workflow : str, optional
-        Name of the workflow's main file. Without one rfpipe is what ran: a Process Run Crate.
+        Name of the workflow's main file. Without it, the crate is a Process Run Crate of rfpipe.
     settings, outputs : sequence of str
-        Names of what the run was given, and of what it made: of parts.
+        Names of the run's inputs and outputs, among the parts.
     times : tuple of str
-        When the run began and ended, ISO 8601.
+        Begin and end of the run, ISO 8601.
     """
     graph: Graph = {}
     files = [
         _add(graph, name, "Dataset" if name.endswith("/") else "File", **properties)
         for name, properties in parts.items()
     ]
-    creators = []
-    for number, creator in enumerate(citation.creators, 1):
-        person: dict[str, Any] = {"name": creator.name}
-        if creator.affiliation:
-            person["affiliation"] = _add(
-                graph, f"#affiliation-{number}", "Organization", name=creator.affiliation
-            )
-        creators.append(_add(graph, creator.url or f"#creator-{number}", creator.kind, **person))
-    instrument = _add(
+    creators = _add_creators(graph, citation)
+    rfpipe = _add(
         graph, "#rfpipe", "SoftwareApplication", name="rfpipe", softwareVersion=__version__
     )
-    root: dict[str, Any] = {
-        "name": citation.title,
-        "description": citation.description,
-        "datePublished": citation.published.isoformat(),
-        "version": citation.version,
-        "keywords": ", ".join(citation.keywords),
-        "creator": creators,
-        "author": creators,
-    }
+    root = _root_of(citation, creators)
+    instrument = rfpipe
     if workflow:
-        language = _add(graph, _SNAKEMAKE, "ComputerLanguage", name="Snakemake")
-        kinds = ("File", "SoftwareSourceCode", "ComputationalWorkflow")
-        extras = {"programmingLanguage": language, "hasPart": instrument}
-        instrument = _add(graph, workflow, kinds, **parts[workflow], **extras)
+        instrument = _add_workflow(graph, workflow, parts[workflow], rfpipe)
         root["mainEntity"] = instrument
     if citation.publisher != _UNPUBLISHED:
         root["publisher"] = _add(graph, "#publisher", "Organization", name=citation.publisher)
-    if citation.doi:
-        root["identifier"] = citation.doi_url
-    profiles = [
-        _add(graph, key, "CreativeWork", name=name, version=key.rpartition("/")[2])
-        for key, name in [*_PROFILES.items()][: None if workflow else 1]
-    ]
+    profiles = _add_profiles(graph, len(_PROFILES) if workflow else 1)
+    description = f"The licence {citation.license}."
     root["license"] = _add(
-        graph,
-        citation.license_url,
-        "CreativeWork",
-        name=citation.license,
-        description=f"The licence {citation.license}.",
+        graph, citation.license_url, "CreativeWork", name=citation.license, description=description
     )
     root["mentions"] = _add(
         graph,
@@ -322,14 +299,56 @@ def crate(
         result=[{"@id": name} for name in outputs],
     )
     root |= {"creditText": citation.text, "conformsTo": profiles, "hasPart": files}
-    about = _add(graph, "./", "Dataset", **root)
+    dataset = _add(graph, "./", "Dataset", **root)
     conforms = [{"@id": "https://w3id.org/ro/crate/1.1"}, *profiles[2:]]
-    _add(graph, CRATE_FILE, "CreativeWork", conformsTo=conforms, about=about)
+    _add(graph, CRATE_FILE, "CreativeWork", conformsTo=conforms, about=dataset)
     context = ["https://w3id.org/ro/crate/1.1/context", _TERMS]
     return {"@context": context, "@graph": [*graph.values()]}
 
 
+def _root_of(citation: Citation, creators: list[dict[str, str]]) -> dict[str, Any]:
+    """Build the properties of the root dataset that come from the citation."""
+    root: dict[str, Any] = {
+        "name": citation.title,
+        "description": citation.description,
+        "datePublished": citation.published.isoformat(),
+        "version": citation.version,
+        "keywords": ", ".join(citation.keywords),
+        "creator": creators,
+        "author": creators,
+    }
+    return root | ({"identifier": citation.doi_url} if citation.doi else {})
+
+
+def _add_creators(graph: Graph, citation: Citation) -> list[dict[str, str]]:
+    creators = []
+    for number, creator in enumerate(citation.creators, 1):
+        properties: dict[str, Any] = {"name": creator.name}
+        if creator.affiliation:
+            properties["affiliation"] = _add(
+                graph, f"#affiliation-{number}", "Organization", name=creator.affiliation
+            )
+        key = creator.url or f"#creator-{number}"
+        creators.append(_add(graph, key, creator.kind, **properties))
+    return creators
+
+
+def _add_workflow(
+    graph: Graph, name: str, properties: Mapping[str, Any], software: dict[str, str]
+) -> dict[str, str]:
+    language = _add(graph, _SNAKEMAKE, "ComputerLanguage", name="Snakemake")
+    kinds = ("File", "SoftwareSourceCode", "ComputationalWorkflow")
+    return _add(graph, name, kinds, **properties, programmingLanguage=language, hasPart=software)
+
+
+def _add_profiles(graph: Graph, count: int) -> list[dict[str, str]]:
+    return [
+        _add(graph, key, "CreativeWork", name=name, version=key.rpartition("/")[2])
+        for key, name in [*_PROFILES.items()][:count]
+    ]
+
+
 def _add(graph: Graph, key: str, kind: str | Sequence[str], **properties: Any) -> dict[str, str]:
-    """Add an entity, and return what refers to it."""
+    """Add an entity to the graph, and return a reference to it."""
     graph[key] = {"@id": key, "@type": kind, **properties}
     return {"@id": key}

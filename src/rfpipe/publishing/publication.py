@@ -1,4 +1,4 @@
-"""Publishing a run: all that goes into a crate, in the order in which it is read from afar."""
+"""Publication of a run as a crate, with files in the order in which they are read remotely."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ _FORMATS = {
     ".yaml": "application/yaml",
     ".zarr": "application/vnd+zarr",
 }
-# EXR files have the time of writing, which would change the bytes: that of the zip file's members.
+# Time in EXR files, for reproducible bytes: that of the zip file's members.
 _TIMELESS = {"DateTime": "1980:01:01 00:00:00"}
 
 
 class Published(NamedTuple):
-    """Files and bytes of a publication, and notes on what could not be taken along."""
+    """Numbers of files and bytes of a publication, and notes on missing user files."""
 
     files: int
     nbytes: int
@@ -62,27 +62,27 @@ def publish(
     config: Path | None = None,
     overwrite: bool = False,
 ) -> Published:
-    """Write a run's results as a crate, complete or not at all.
+    """Write a run's results as a crate, atomically and reproducibly.
 
-    Of equal results and citations the bytes are equal, too.
+    Equal results and citations give equal bytes.
 
     Parameters
     ----------
     output : Path
-        A zip file, where it ends so, or else a folder.
+        A zip file, if it ends in ``.zip``, else a folder.
     captured : bool
-        Publish the captured frames, too, and all that the stages made of them.
+        Include the captured frames and the results of all stages.
     config : Path, optional
-        The run's settings, where it has no report to take them from.
+        The run's settings, for a run without a report.
     overwrite : bool
-        Replace a publication that stands there.
+        Replace an existing publication.
 
     Raises
     ------
     InputError
-        When something else stands there, or the settings aren't the run's.
+        When the output exists, or user files have changed since the run.
     IntegrityError
-        When a transport is damaged, or isn't the one that its manifest is about.
+        When a transport is damaged, or its digest isn't that of its manifest.
     StoreError
         When the disk is full or the folder isn't writable.
     """
@@ -93,7 +93,7 @@ def publish(
     for acquisition in run.acquisitions:
         acquisition.check()
     if inputs is not None:
-        inputs.check_made(run.acquisitions)
+        inputs.check_sources(run.acquisitions)
     data = list(_data(run, captured=captured))
     if inputs is not None:
         data += [(SETTINGS, settings_file(inputs.settings)), *sorted(inputs.files.items())]
@@ -106,24 +106,21 @@ def publish(
 
 
 def _check_output(run: Run, output: Path, overwrite: bool) -> None:
-    """Never replace what wasn't published, nor anything unasked."""
+    """Raise InputError if writing the output would replace other files."""
     if output.resolve().is_relative_to(run.results.resolve()):
-        raise InputError(
-            f"{output}: lies among the results that are to be published; choose another"
-        )
+        raise InputError(f"{output}: is within the results to be published; give another --output")
     if output.exists() and not overwrite:
         raise InputError(
-            f"{output}: stands here already; give --overwrite to replace it, or another --output"
+            f"{output}: exists already; give --overwrite to replace it, or another --output"
         )
     if output.is_dir() and any(output.iterdir()) and not (output / CHECKSUMS).is_file():
         raise InputError(
-            f"{output}: is a folder that 'rfpipe publish' didn't make (it has no {CHECKSUMS}); "
-            "give another --output"
+            f"{output}: is not a publication, since it has no {CHECKSUMS}; give another --output"
         )
 
 
 def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
-    """Yield name and source of all that isn't made for the publication."""
+    """Yield name and source of all files of the run and its workflow."""
     for acquisition in run.acquisitions:
         yield from files_below(acquisition.folder / STORE_NAME, acquisition.store_name)
     for acquisition in run.acquisitions:
@@ -139,17 +136,17 @@ def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
 
 
 def _floodlit(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of an acquisition's picture under all light."""
+    """Yield name and content of an acquisition's floodlit image, as EXR and PNG."""
     folder = AcquisitionFolder(acquisition.folder)
     if folder.store(0, REFERENCE_IMAGES).exists():
         floodlit = folder.read(0, "merge", REFERENCE_IMAGES)[0]["floodlit"]
-        where = f"pictures/{acquisition.scene}/{acquisition.method}"
+        place = f"pictures/{acquisition.scene}/{acquisition.method}"
         for suffix in ("exr", "png"):
-            yield f"{where}/floodlit.{suffix}", encoded(floodlit, suffix)
+            yield f"{place}/floodlit.{suffix}", encoded(floodlit, suffix)
 
 
 def encoded(image: NDArray[Any], suffix: str) -> bytes:
-    """Return a picture, its views one above the other, as the bytes of a file: always the same."""
+    """Encode an image as reproducible bytes of a file, with its views in one picture."""
     picture = image.reshape(*RayDomain(image.shape[:-1]).picture_shape, image.shape[-1])
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"picture.{suffix}"
@@ -158,7 +155,7 @@ def encoded(image: NDArray[Any], suffix: str) -> bytes:
 
 
 def _add_metadata(writer: Writer, run: Run, citation: Citation) -> None:
-    """Write what is made for the publication: metadata, pages and, last, the manifest."""
+    """Write metadata, pages and, last, the list of checksums."""
     writer.add("datacite.json", _json(datacite(citation)))
     for name, page in _pages(run, citation, writer.written.keys()).items():
         writer.add(name, page)
@@ -172,7 +169,7 @@ def _json(data: dict[str, Any]) -> bytes:
 
 
 def _pages(run: Run, citation: Citation, names: Set[str]) -> dict[str, bytes]:
-    """Return what a reader sees first, by name: an example that runs, and pages about it."""
+    """Render the example program and the pages about the publication, by file name."""
     from jinja2 import Environment, PackageLoader, select_autoescape
 
     templates = Environment(
@@ -190,19 +187,21 @@ def _pages(run: Run, citation: Citation, names: Set[str]) -> dict[str, bytes]:
 
 
 def _crate(writer: Writer, run: Run, citation: Citation) -> dict[str, Any]:
-    """Describe all files but those of stores, which are described as wholes."""
+    """Build the crate's metadata; each store is described as one folder."""
     parts: dict[str, dict[str, str]] = {}
     for name, (digest, size) in writer.written.items():
         store, inside, _ = name.partition(".zarr/")
-        whole = f"{store}.zarr/" if inside else name
+        part = f"{store}.zarr/" if inside else name
         kind = mimetypes.guess_type(name)[0] or "text/plain"
-        parts[whole] = {"name": whole, "encodingFormat": _FORMATS.get(Path(whole).suffix, kind)}
+        parts[part] = {"name": part, "encodingFormat": _FORMATS.get(Path(part).suffix, kind)}
         if not inside:
-            parts[whole] |= {"contentSize": str(size), "sha256": digest}
+            parts[part] |= {"contentSize": str(size), "sha256": digest}
     del parts[_PREVIEW]
-    stores = {f"{acquisition.store_name}/": acquisition.about for acquisition in run.acquisitions}
-    for name, about in stores.items():
-        parts[name]["description"] = about
+    stores = {
+        f"{acquisition.store_name}/": acquisition.description for acquisition in run.acquisitions
+    }
+    for name, description in stores.items():
+        parts[name]["description"] = description
     return crate(
         citation,
         parts,

@@ -1,4 +1,4 @@
-"""What of a run is published, and under which names."""
+"""The files of a run, and their names in a publication."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from rfpipe.store.places import METADATA
 from rfpipe.transport.storage import STORE_NAME, transports_in
 
 SETTINGS = "settings.yaml"
-"""Under which the settings are published."""
+"""Name of the settings in a publication."""
 
-_TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # which stay at home
+_TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # logs aren't published
 
 
 @dataclass(frozen=True)
 class Acquisition:
-    """A scene acquired by a method: its folder, and the manifest of its transport."""
+    """A complete acquisition of a scene by a method; `facts` is its transport's manifest."""
 
     scene: str
     method: str
@@ -39,7 +39,7 @@ class Acquisition:
 
     @property
     def name(self) -> str:
-        """Folder in a publication."""
+        """Name of its folder in a publication."""
         return f"results/{self.scene}/{self.method}"
 
     @property
@@ -48,19 +48,19 @@ class Acquisition:
         return f"{self.name}/{STORE_NAME}"
 
     @property
-    def about(self) -> str:
-        """What its transport is, for people."""
+    def description(self) -> str:
+        """One-line description of the transport."""
         patterns = f"{self.facts['patterns']:,} patterns"
         return f"light transport of {self.scene} by {self.method}, {patterns} (zarr 3)"
 
     def check(self) -> None:
-        """Raise IntegrityError unless the transport is whole, and that of its manifest."""
+        """Verify the transport's data and its digest in the manifest, or raise IntegrityError."""
         store = self.folder / STORE_NAME
         bundle = open_arrays(store)
         if bundle.digest != self.facts["digest"]:
             raise IntegrityError(
                 f"{store}: has the digest {bundle.digest}; its manifest says "
-                f"{self.facts['digest']}. Run 'rfpipe verify', which tells what mends it"
+                f"{self.facts['digest']}. Run 'rfpipe verify' to find out how to repair it"
             )
         for name in bundle.names:
             bundle.read(name)
@@ -68,7 +68,7 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Run:
-    """A run's folder, which holds ``results``; its settings are None where it left no report."""
+    """A folder with ``results``; the settings are None if there is no report."""
 
     folder: Path
     acquisitions: list[Acquisition]
@@ -76,35 +76,35 @@ class Run:
 
     @property
     def results(self) -> Path:
-        """Where its results lie."""
+        """Folder of the results."""
         return self.folder / "results"
 
     @property
     def incomplete(self) -> list[str]:
-        """Scenes and methods whose acquisition has begun but has no transport yet."""
-        begun = {folder.parent for folder in self.results.glob("*/*/L00") if folder.is_dir()}
-        folders = begun - {acquisition.folder for acquisition in self.acquisitions}
+        """Acquisitions that have started but have no transport yet, as ``scene by method``."""
+        started = {folder.parent for folder in self.results.glob("*/*/L00") if folder.is_dir()}
+        folders = started - {acquisition.folder for acquisition in self.acquisitions}
         return sorted(f"{folder.parent.name} by {folder.name}" for folder in folders)
 
     @property
     def title(self) -> str:
-        """The report's title, if it was given one, or one made of the scenes' names."""
-        titled = (self.settings or {}).get("report", {}).get("title")
-        if titled:
-            return str(titled)
+        """The report's title in the settings, or a title with the scenes' names."""
+        title = (self.settings or {}).get("report", {}).get("title")
+        if title:
+            return str(title)
         names = [*dict.fromkeys(acquisition.scene for acquisition in self.acquisitions)]
         return f"Light transport of {', '.join(names[:6])}{' and more' * (len(names) > 6)}"
 
     @property
     def times(self) -> tuple[str, str]:
-        """When it began and ended, in UTC, as its manifests' files say."""
+        """Begin and end in UTC, by the modification times of its manifests."""
         files = [acquisition.folder / "transport.json" for acquisition in self.acquisitions]
         seconds = [file.stat().st_mtime for file in [*files, *dict(self.manifests()).values()]]
         first, last = (datetime.fromtimestamp(int(t), UTC) for t in (min(seconds), max(seconds)))
         return first.isoformat(), last.isoformat()
 
     def report_files(self) -> Iterator[tuple[str, Source]]:
-        """Yield name and source of the pages: report, viewers and catalogue."""
+        """Yield name and source of the pages of report, viewers and catalogue."""
         report = "results/report"
         if not (self.folder / report / "index.html").is_file():
             report += "/view"
@@ -116,23 +116,23 @@ class Run:
                 yield name, file
 
     def captured(self) -> Iterator[tuple[str, Path]]:
-        """Yield name and place of all that the acquisitions left but the transports."""
+        """Yield name and path of all files of the acquisitions except transports."""
         for acquisition in self.acquisitions:
             for name, file in files_below(acquisition.folder, acquisition.name):
                 if f"/{STORE_NAME}/" not in name and not name.endswith("/transport.json"):
                     yield name, file
 
     def manifests(self) -> Iterator[tuple[str, Path]]:
-        """Yield name and place of the stages' manifests, whose stores stay at home."""
+        """Yield name and path of the stages' manifests, whose stores aren't published."""
         for name, file in self.captured():
             if file.suffix == ".json" and ".zarr/" not in name:
                 yield name.replace("results/", "provenance/", 1), file
 
 
 def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
-    """Yield name and place of a folder's files but logs, in the order in which stores are read.
+    """Yield name and path of a folder's files except logs, in the order in which stores are read.
 
-    Metadata come before what they describe, so that few ranges of a zip file hold all of it.
+    Metadata precede data, so that few ranges of a zip file contain all metadata.
     """
     files = [file.relative_to(folder) for file in folder.rglob("*") if file.is_file()]
     for inside in sorted(files, key=lambda file: [(part != METADATA, part) for part in file.parts]):
@@ -142,25 +142,25 @@ def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
 
 
 def find_run(folder: Path) -> Run:
-    """Return the run of a folder, or of its ``results``; InputError when it has no transport."""
+    """Find the acquisitions of a run, by its folder or its ``results``; InputError if none."""
     folder = folder.resolve()
     if folder.name == "results":
         folder = folder.parent
     items = []
     for name in transports_in(folder / "results"):
         scene, method, *more = name.split("/")
-        if len(more) == 1:  # else a study's, not an acquisition's
-            place = folder / "results" / scene / method
-            items.append(Acquisition(scene, method, place, read_manifest(place / "transport.json")))
+        if len(more) == 1:  # deeper ones belong to studies
+            path = folder / "results" / scene / method
+            items.append(Acquisition(scene, method, path, read_manifest(path / "transport.json")))
     if not items:
         if packed_in(folder) or packed_in(folder / "results"):
             raise InputError(
-                f"{folder}: is a packed run; publish what 'rfpipe collection unpack' makes of it. "
-                "Or give the packed folder itself to others: rfpipe.open_collection reads it"
+                f"{folder}: is a packed run; unpack it by 'rfpipe collection unpack' and publish "
+                "the result, or share the packed folder itself, which rfpipe.open_collection reads"
             )
         raise InputError(
-            f"{folder}: has no results/<scene>/<method>/{STORE_NAME}; give the folder of a run, "
-            "in which 'results' lies, after the run is complete"
+            f"{folder}: has no results/<scene>/<method>/{STORE_NAME}; give the folder of a "
+            "complete run, which contains 'results'"
         )
     results = folder / "results/report/results.json"
     settings: dict[str, Any] | None = None
@@ -175,28 +175,28 @@ def find_run(folder: Path) -> Run:
 
 
 def settings_of(run: Run, config: Path | None) -> dict[str, Any] | None:
-    """Return the settings that shaped a run's results, of its report or else as given.
+    """Return the settings that affect a run's results, from its report or else a file.
 
-    What shapes no result (a server's address, a token's place, a command to notify) isn't in it.
+    Settings without effect on results, such as the server's address, are omitted.
     """
     if run.settings or config is None:
         return run.settings
     path = config.absolute()
-    with chdir(run.folder):  # to which the settings' own paths are relative
+    with chdir(run.folder):  # paths in settings are relative to it
         return load_config(path).result_settings()
 
 
-def settings_file(shaping: dict[str, Any]) -> bytes:
-    """Return the content of a file of settings."""
+def settings_file(settings: dict[str, Any]) -> bytes:
+    """Format settings as the content of a YAML file."""
     text = yaml.safe_dump(
-        _without_unset_methods(shaping), sort_keys=False, allow_unicode=True, width=98
+        _without_unset_methods(settings), sort_keys=False, allow_unicode=True, width=98
     )
-    return f"# All settings that shaped this run's results.\n{text}".encode()
+    return f"# All settings that affect this run's results.\n{text}".encode()
 
 
 def _without_unset_methods(value: Any) -> Any:
-    """Leave out each method section's empty name: as a section of the file it has one."""
+    """Remove the empty name of each method section, which a settings file doesn't need."""
     if not isinstance(value, dict):
         return value
-    values = {name: _without_unset_methods(of) for name, of in value.items()}
-    return {name: of for name, of in values.items() if of is not None or name != "method"}
+    values = {name: _without_unset_methods(item) for name, item in value.items()}
+    return {k: item for k, item in values.items() if item is not None or k != "method"}

@@ -1,4 +1,4 @@
-"""Writing a zip file or a folder: streamed, digested, whole or not at all."""
+"""Atomic writing of a zip file or a folder, with the digests of its files."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from rfpipe.store import StoreLock
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors
 
 Source = Path | bytes
-"""A file, or its content."""
+"""A file on disk, or the content of a file."""
 
 _BLOCK_BYTES = 2**20
-_LARGE = 2**31  # above, a zip entry needs 64-bit sizes, which must be said before it is written
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # of zip files: the time of writing would change the bytes
+_LARGE = 2**31  # larger zip entries need 64-bit sizes, which must be declared before writing
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # time of all zip entries, for reproducible bytes
 
 
 class Writer:
-    """Takes files into a zip file, where they lie as they are and are read by ranges, or a folder.
+    """Writer of files to a folder or a zip file, uncompressed so that ranges can be read.
 
     Attributes
     ----------
     written : dict of str to (str, int)
-        SHA-256 and bytes of every file, by its name.
+        SHA-256 and size in bytes of every file, by name.
     """
 
     def __init__(self, target: zipfile.ZipFile | Path) -> None:
@@ -38,11 +38,11 @@ class Writer:
         self._stores: set[str] = set()
 
     def add(self, name: str, source: Source) -> None:
-        """Write a file, a copy of another or some bytes; StoreError when it can't be."""
+        """Write a file, copied or from its content; StoreError if that fails."""
         if name in self.written:
-            raise InputError(f"{name}: stands twice in a publication")
+            raise InputError(f"{name}: occurs twice in a publication; rename one of the files")
         with self._opened(name, size_of(source)) as target:
-            self.written[name] = measured(source, target)
+            self.written[name] = digest_and_size(source, target)
 
     def _opened(self, name: str, size: int) -> IO[bytes]:
         if isinstance(self._target, Path):
@@ -50,19 +50,19 @@ class Writer:
             path.parent.mkdir(parents=True, exist_ok=True)
             return path.open("wb")
         store, separator, _ = name.partition(".zarr/")
-        if separator and store not in self._stores:  # a folder that is spoken of as a whole
+        if separator and store not in self._stores:  # the crate describes this folder
             self._stores.add(store)
             self._target.writestr(_entry(f"{store}.zarr/", (0o40755 << 16) | 0x10), b"")
         return self._target.open(_entry(name, 0o100644 << 16), "w", force_zip64=size >= _LARGE)
 
 
 def size_of(source: Source) -> int:
-    """Return the bytes of a file."""
+    """Size of a file in bytes."""
     return len(source) if isinstance(source, bytes) else source.stat().st_size
 
 
-def measured(source: Source, target: IO[bytes] | None = None) -> tuple[str, int]:
-    """Return SHA-256 and size of a file, and copy it."""
+def digest_and_size(source: Source, target: IO[bytes] | None = None) -> tuple[str, int]:
+    """Return SHA-256 and size in bytes of a file, and copy it to `target`, if given."""
     digest = hashlib.sha256()
     with storage_errors(source if isinstance(source, Path) else "", "reading"):
         opened: IO[bytes] = io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
@@ -83,20 +83,17 @@ def _entry(name: str, attributes: int) -> zipfile.ZipInfo:
 
 @contextmanager
 def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
-    """Write a zip file, where the name ends so, or else a folder, whole or not at all.
+    """Write a zip file, if the name ends in ``.zip``, or a folder, atomically.
 
-    It is written beside its place and, at the end, takes the place of what stands there.
+    It is written under a temporary name, and at the end replaces an existing file or folder.
     """
     new = hidden_sibling(output, "new")
     with StoreLock(output), storage_errors(output, "publishing", needed_bytes, resumes=False):
         remove_tree(new)
         try:
             if output.suffix.lower() == ".zip":
-                with new.open("wb") as file:
-                    with zipfile.ZipFile(file, "w") as archive:
-                        yield Writer(archive)
-                    file.flush()
-                    os.fsync(file.fileno())
+                with _zip_on_disk(new) as archive:
+                    yield Writer(archive)
             else:
                 new.mkdir(parents=True)
                 yield Writer(new)
@@ -108,8 +105,18 @@ def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
             raise
 
 
+@contextmanager
+def _zip_on_disk(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open a new zip file, which is flushed to the disk at the end."""
+    with path.open("wb") as file:
+        with zipfile.ZipFile(file, "w") as archive:
+            yield archive
+        file.flush()
+        os.fsync(file.fileno())
+
+
 def write_zip(output: Path, files: Iterable[tuple[str, Source]]) -> None:
-    """Write files by their names; the same files give the same bytes."""
+    """Write files to a zip file by name; equal files give equal bytes."""
     files = list(files)
     with writing(output, sum(size_of(source) for _, source in files)) as writer:
         for name, source in files:

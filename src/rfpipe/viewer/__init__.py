@@ -1,7 +1,7 @@
-"""Transports as pages that any browser opens: light them, and see what comes back."""
+"""Interactive pages that relight a transport in any browser."""
 
-from rfpipe.viewer.build import Compared, View, Written, write_view
+from rfpipe.viewer.build import Comparison, View, WrittenPage, write_view
 from rfpipe.viewer.lowering import lower
 from rfpipe.viewer.stored import write_acquisition
 
-__all__ = ["Compared", "View", "Written", "lower", "write_acquisition", "write_view"]
+__all__ = ["Comparison", "View", "WrittenPage", "lower", "write_acquisition", "write_view"]

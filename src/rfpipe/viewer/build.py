@@ -1,4 +1,4 @@
-"""Writing a transport's page, one file."""
+"""Writing the page of a transport as a single HTML file."""
 
 from __future__ import annotations
 
@@ -19,26 +19,25 @@ from rfpipe.output import OUTPUTS, suffix_of, write_atomically
 from rfpipe.transport.base import Transport
 from rfpipe.transport.filling import looks_coaxial
 from rfpipe.viewer.lowering import lower
-from rfpipe.viewer.program import Packed, pack_array, pack_program
+from rfpipe.viewer.program import Packed, Program, pack_array, pack_program
 
-LARGEST = 30 * 10**6
-"""Bytes of data, as the page holds them, up to which it has other levels than the last."""
+MAX_BYTES = 30 * 10**6
+"""Default limit of data in a page, in bytes, for including coarse levels."""
 
 _SCRIPTS = ("light.js", "picture.js", "engine.js", "state.js", "controls.js", "app.js")
 _BASE64 = 4 / 3
 
 
 @dataclass(frozen=True)
-class Compared:
-    """What a transport is compared with.
+class Comparison:
+    """A transport or picture for comparison with a view's transport.
 
     Attributes
     ----------
     light : Transport or ndarray
-        Another transport between the same rays; or a picture ``(*camera_shape[, channels])`` in the
-        transport's radiance, under whatever light it was taken.
+        A transport between the same rays, or a picture ``(*camera_shape[, channels])`` of radiance
+        under any light.
     name : str
-        What it is called.
     """
 
     light: Transport | NDArray[Any]
@@ -47,128 +46,127 @@ class Compared:
 
 @dataclass(frozen=True)
 class View:
-    """What a page shows.
+    """Content of a page.
 
     Attributes
     ----------
     transport : Transport
     title : str
-        Its heading.
-    about : sequence of (str, str)
-        Facts that its foot lists.
-    compared : Compared, optional
+        Heading of the page.
+    facts : sequence of (str, str)
+        Names and values in the footer.
+    comparison : Comparison, optional
     """
 
     transport: Transport
     title: str
-    about: Sequence[tuple[str, str]] = ()
-    compared: Compared | None = None
+    facts: Sequence[tuple[str, str]] = ()
+    comparison: Comparison | None = None
 
 
 @dataclass(frozen=True)
-class Written:
-    """What was written.
-
-    Attributes
-    ----------
-    page : Path
-        The file to open.
-    nbytes : int
-    levels : list of int
-        The levels that can be chosen.
-    """
+class WrittenPage:
+    """Path and size of a written page, and the levels that can be selected in it."""
 
     page: Path
     nbytes: int
     levels: list[int]
 
 
-def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
-    """Write a page that lights a transport, for any browser, without anything from elsewhere.
+def write_view(view: View, output: Path, max_bytes: int = MAX_BYTES) -> WrittenPage:
+    """Write a self-contained page that relights a transport in any browser.
 
     Parameters
     ----------
     view : View
     output : Path
         The HTML file.
-    largest : int
-        Bytes of data up to which it has the coarse levels, too, as many as fit beside the last.
+    max_bytes : int
+        Limit of data in bytes; the page includes as many coarse levels as fit, and always the last.
 
     Returns
     -------
-    Written
+    WrittenPage
 
     Raises
     ------
     InputError
-        If what it is compared with has other rays or channels, or the name doesn't end in .html.
+        If the comparison has different rays or channels, or the name doesn't end in .html.
     StoreError
-        If it can't be written.
+        If the page can't be written.
     """
     suffix_of(output, OUTPUTS["view"])
     transport = view.transport
-    program = lower(transport, transport.known_levels)
-    beside = _compared(view)
-    room = largest / _BASE64 - (beside.nbytes if beside else 0)
-    chosen, whole = program.levels[-1:], pack_program(program.seen_at(program.levels[-1:]))
-    for level in program.levels[:-1]:
-        more = sorted([*chosen, level])
-        packed = pack_program(program.seen_at(more))
-        if packed.nbytes > room:
-            break
-        chosen, whole = more, packed
-    light = beside.manifest if beside else {}
+    comparison = None if view.comparison is None else _pack_comparison(transport, view.comparison)
+    limit = max_bytes / _BASE64 - (comparison.nbytes if comparison else 0)
+    levels, packed = _pack_levels(lower(transport, transport.known_levels), limit)
+    light = comparison.manifest if comparison else {}
     manifest = {
-        **whole.manifest,
+        **packed.manifest,
         "white": _white_of(transport),
         "coaxial": looks_coaxial(transport),
         "name": output.stem,
         "other": light if "operations" in light else None,
-        "still": light if "operations" not in light and beside else None,
+        "still": light if "operations" not in light and comparison else None,
     }
-    held = {"l": whole, **({"c": beside} if beside else {})}
-    embedded = {
+    embedded = {"l": packed, **({"c": comparison} if comparison else {})}
+    blobs = {
         f"{name}{index}": b64encode(blob).decode()
-        for name, packed in held.items()
-        for index, blob in enumerate(packed.blobs)
+        for name, data in embedded.items()
+        for index, blob in enumerate(data.blobs)
     }
-    text = _render(view, manifest, embedded).encode()
+    text = _render(view, manifest, blobs).encode()
     write_atomically(output, text, resumes=False)
-    return Written(output, len(text), chosen)
+    return WrittenPage(output, len(text), levels)
 
 
-def _compared(view: View) -> Packed | None:
-    """Return what the page holds of a transport or, as one array, of a picture to compare with."""
-    if view.compared is None:
-        return None
-    transport, light = view.transport, view.compared.light
+def _pack_levels(program: Program, max_bytes: float) -> tuple[list[int], Packed]:
+    """Pack the last level, and as many of the coarsest levels as fit."""
+    blobs: dict[str, bytes] = {}
+    levels = program.levels[-1:]
+    packed = pack_program(program.restricted_to(levels), blobs)
+    for level in program.levels[:-1]:
+        more = sorted([*levels, level])
+        larger = pack_program(program.restricted_to(more), blobs)
+        if larger.nbytes > max_bytes:
+            break
+        levels, packed = more, larger
+    return levels, packed
+
+
+def _pack_comparison(transport: Transport, comparison: Comparison) -> Packed:
+    """Pack a transport for comparison, or a picture as a single array."""
+    light = comparison.light
     if isinstance(light, Transport):
         expected, actual = (
-            (each.camera_shape, each.projector_shape, each.channels) for each in (transport, light)
+            (item.camera_shape, item.projector_shape, item.channels) for item in (transport, light)
         )
         if expected != actual:
             raise InputError(
-                f"{view.compared.name}: is between rays and channels {actual} (camera, projector, "
-                f"channels), the transport between {expected}; compare transports of the same rig"
+                f"{comparison.name}: has camera, projector and channels {actual}, the transport "
+                f"has {expected}; compare transports of the same rig"
             )
         return pack_program(lower(light))
     shape = (*transport.camera_shape, transport.channels)
     try:
         picture = np.broadcast_to(np.asarray(light, np.float32).reshape(*shape[:-1], -1), shape)
     except ValueError as error:
-        raise InputError(f"{view.compared.name}: is no picture of {shape}: {error}") from error
+        raise InputError(
+            f"{comparison.name}: isn't a picture of shape {shape}: {error}; compare a picture of "
+            "the camera's size"
+        ) from error
     return Packed({"arrays": [{"level": 0}]}, [pack_array(np.moveaxis(picture, -1, 0))])
 
 
 def _white_of(transport: Transport) -> float:
-    """Return the radiance that a page shows as white: all but 0.5 % of the floodlit picture."""
+    """Radiance displayed as white: the 99.5th percentile of the floodlit image."""
     floodlit = transport.relight(np.ones(transport.projector_shape, np.float32))
     white = float(np.percentile(floodlit, 99.5))
     return white if white > 0 else float(floodlit.max()) or 1.0
 
 
-def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> str:
-    """Return the page's text."""
+def _render(view: View, manifest: dict[str, Any], blobs: dict[str, str]) -> str:
+    """Render the page as HTML."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -179,23 +177,22 @@ def _render(view: View, manifest: dict[str, Any], embedded: dict[str, str]) -> s
 
     kernel = files("rfpipe.viewer").joinpath("kernel/kernels.wasm").read_bytes()
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    compared = view.compared
     return environment.from_string(source("page.html.j2")).render(
         title=view.title,
-        about=view.about,
-        compared=compared.name if compared else "nothing",
+        facts=view.facts,
+        comparison=view.comparison.name if view.comparison else "nothing",
         has_views=RayDomain(view.transport.projector_shape).views > 1,
         style=Markup(source("style.css")),
         script=Markup(source(*_SCRIPTS)),
         worker=_in_script(source("kernels.js", "worker.js")),
         manifest=_in_script(manifest),
         kernel=b64encode(kernel).decode(),
-        blobs=embedded.items(),
+        blobs=blobs.items(),
     )
 
 
 def _in_script(value: Any) -> Any:
-    """Return data as JavaScript that can stand in a page."""
+    """Encode data as JavaScript for embedding in HTML."""
     from markupsafe import Markup
 
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=True)

@@ -1,13 +1,15 @@
-"""From a transport of any kind to a program."""
+"""Compilation of transports to programs of linear operations."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.errors import InputError
@@ -39,123 +41,147 @@ from rfpipe.viewer.smooth import pyramid
 
 __all__ = ["lower"]
 
-# Values a channel of an operation that workers may share out among them.
+# Maximum number of values per channel in an operation that is distributed among workers.
 _SHARE = 2**17
 
 
 def lower(transport: Transport, levels: Sequence[int] | None = None) -> Program:
-    """Return the program of a transport, as known after some levels or at its last.
+    """Compile a transport to a program, truncated to some levels or at its last level.
 
     Parameters
     ----------
     transport : Transport
-        Of any kind of rfpipe's.
+        Of any class in rfpipe.
     levels : sequence of int, optional
-        In rising order.
+        In ascending order.
 
     Raises
     ------
     InputError
-        If there is no such level, or the transport is of no kind that is known here.
+        If a level doesn't exist, or the transport's class isn't supported.
     """
-    builder = Builder(transport)
+    program = _ProgramBuilder(transport)
     for level in [transport.last_level] if levels is None else levels:
-        builder.begin_level(level)
+        program.levels.append(level)
         counts: Counter[str] = Counter()
-        for part, name in _parts(transport.truncate(level)):
+        for component, name in _components(transport.truncate(level)):
             counts[name] += 1
-            builder.begin_part(name, counts[name])
-            _lower_part(builder, part)
-    return builder.program()
+            _lower_component(PartBuilder(program, level, name, counts[name]), component)
+    return program.build()
 
 
-class Builder:
-    """A program while it is made, level by level; what two levels share is in it once."""
+class _ProgramBuilder:
+    """Operations, buffers and chains of a program; those shared by levels are stored once."""
 
     def __init__(self, transport: Transport) -> None:
-        shapes = transport.camera_shape, transport.projector_shape
-        self._program = Program(*shapes, transport.channels)
-        self._program.buffers = [math.prod(shapes[1]), math.prod(shapes[0])]
+        self._shapes = transport.camera_shape, transport.projector_shape
+        self._channels = transport.channels
+        self._sizes = [math.prod(transport.projector_shape), math.prod(transport.camera_shape)]
         self._buffers: dict[tuple[Any, ...], int] = {}
         self._chains: dict[tuple[Any, ...], int] = {}
-        self._known: dict[tuple[Any, ...], Operation] = {}
+        self._operations: dict[tuple[Any, ...], Operation] = {}
+        self.levels: list[int] = []
 
-    def begin_level(self, level: int) -> None:
-        """Go on with what is seen at another level."""
-        self._level = level
-        self._program.levels.append(level)
+    def chain(self, key: tuple[Any, ...]) -> int:
+        """Return the number of a chain."""
+        return self._chains.setdefault(key, len(self._chains))
 
-    def begin_part(self, name: str, number: int) -> None:
-        """Go on with another part, the `number`th of its name."""
-        self._part, self._number = name, number
-
-    def begin_chain(self, name: str, *, is_common: bool = False) -> None:
-        """Go on with operations that feed each other; their buffers have names of their own.
-
-        A chain may be common to parts that agree in all of it but what they name as theirs.
-        """
-        self._key = ("", 0, name) if is_common else (self._part, self._number, name)
-        self._chain = self._chains.setdefault(self._key, len(self._chains))
-        self._step, self._was_shared = 0, False
-
-    def buffer(self, name: str, size: int) -> int:
-        """Return the chain's buffer of that name and size."""
-        key = (*self._key, name, size)
+    def buffer(self, key: tuple[Any, ...], size: int) -> int:
+        """Return the number of a buffer."""
         if key not in self._buffers:
-            self._buffers[key] = len(self._program.buffers)
-            self._program.buffers.append(size)
+            self._buffers[key] = len(self._sizes)
+            self._sizes.append(size)
         return self._buffers[key]
 
-    def add(
-        self, kind: Kind, source: int, target: int, arrays: Mapping[str, Any], **more: Any
-    ) -> None:
-        """Add an operation to the chain."""
-        is_shared = more.get("shared", False)
-        self._step += not (is_shared and self._was_shared)
-        self._was_shared = is_shared
-        kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        digests = {name: digest_of_array(array) for name, array in kept.items()}
-        about = {"chain": self._chain, "part": self._part if is_shared else self._key[0], **more}
-        identity = (kind, source, target, *digests.items(), *sorted(about.items()))
-        if identity not in self._known:
-            made = Operation(kind, source, target, kept, digests, [], step=self._step, **about)
-            self._known[identity] = made
-            self._program.operations.append(made)
-        levels = self._known[identity].levels
-        if self._level not in levels:
-            levels.append(self._level)
+    def add(self, operation: Operation, level: int) -> None:
+        """Add an operation at a level; equal operations of several levels become one."""
+        levels = self._operations.setdefault(operation.identity, operation).levels
+        if level not in levels:
+            levels.append(level)
 
-    def csr(self, source: int, target: int, matrix: Any, **more: Any) -> None:
-        """Add a sparse matrix of scipy's; values of several channels ``(C, entries)`` if given."""
-        values = more.pop("values", matrix.data[None])
+    def build(self) -> Program:
+        """Return the program, with operations in the order of chains and steps."""
+        operations = sorted(self._operations.values(), key=lambda op: (op.chain, op.step))
+        return Program(*self._shapes, self._channels, self.levels, self._sizes, operations)
+
+
+@dataclass(frozen=True)
+class PartBuilder:
+    """Builder of one part of a program at one level; `number` counts parts of the same name."""
+
+    program: _ProgramBuilder
+    level: int
+    name: str
+    number: int
+
+    def chain(self, name: str, *, is_common: bool = False) -> Chain:
+        """Start a chain of operations that feed each other.
+
+        A common chain is shared by parts in which all its operations except shared ones agree.
+        """
+        part, number = ("", 0) if is_common else (self.name, self.number)
+        return Chain(self, (part, number, name))
+
+
+class Chain:
+    """Builder of a chain of operations; its buffers have their own names."""
+
+    def __init__(self, part: PartBuilder, key: tuple[str, int, str]) -> None:
+        self._part, self._key = part, key
+        self._number = part.program.chain(key)
+        self._step, self._previous_shared = 0, False
+
+    def buffer(self, name: str, size: int) -> int:
+        """Return the number of the chain's buffer of this name and size."""
+        return self._part.program.buffer((*self._key, name, size), size)
+
+    def add(
+        self, kind: Kind, source: int, target: int, arrays: Mapping[str, Any], **options: Any
+    ) -> None:
+        """Append an operation; consecutive shared operations form one step."""
+        is_shared = options.get("shared", False)
+        self._step += not (is_shared and self._previous_shared)
+        self._previous_shared = is_shared
+        contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        operation = Operation(
+            kind,
+            source,
+            target,
+            contiguous,
+            {name: digest_of_array(array) for name, array in contiguous.items()},
+            [],
+            chain=self._number,
+            step=self._step,
+            part=self._part.name if is_shared else self._key[0],
+            **options,
+        )
+        self._part.program.add(operation, self._part.level)
+
+    def csr(self, source: int, target: int, matrix: Any, **options: Any) -> None:
+        """Append a sparse matrix of SciPy; `values` (C, entries) replace its data."""
+        values = options.pop("values", matrix.data[None])
         arrays = {
             "counts": np.diff(matrix.indptr).astype(np.int32),
             "columns": matrix.indices.astype(np.int32),
             "values": values.astype(np.float32),
         }
-        self.add("csr", source, target, arrays, **more)
-
-    def program(self) -> Program:
-        """Return what was made, in order."""
-        self._program.operations.sort(key=lambda each: (each.chain, each.step))
-        return self._program
+        self.add("csr", source, target, arrays, **options)
 
 
-def _parts(transport: Transport) -> Iterator[tuple[Transport, str]]:
-    """Yield what a transport is the sum of, each with its name; sums of sums flat."""
-    if not isinstance(transport, SumTransport):
-        if isinstance(transport, FootprintTransport):
-            yield transport, "direct"
-        else:
-            yield transport, "all"
-        return
-    for part in transport.parts:
-        for inner, name in _parts(part):
-            yield inner, _name_of(inner) if name == "all" else name
+def _components(transport: Transport) -> Iterator[tuple[Transport, str]]:
+    """Yield the terms of a sum, flattened, with the names of their parts."""
+    if isinstance(transport, FootprintTransport):
+        yield transport, "direct"
+    elif not isinstance(transport, SumTransport):
+        yield transport, "all"
+    else:
+        for part in transport.parts:
+            for component, name in _components(part):
+                yield component, _part_name(component) if name == "all" else name
 
 
-def _name_of(part: Transport) -> str:
-    """Name a part of a sum by what it tells of light."""
+def _part_name(part: Transport) -> str:
+    """Name a term of a sum by the light that it models."""
     if isinstance(part, LowRankTransport):
         return "direct" if part.rank == 0 else "rows filled"
     if isinstance(part, MultiscaleTransport):
@@ -163,61 +189,59 @@ def _name_of(part: Transport) -> str:
     return "residual"
 
 
-def _lower_part(builder: Builder, part: Transport) -> None:
-    for known, lowered in _LOWERED.items():
-        if isinstance(part, known):
-            builder.begin_chain(part.kind)
-            lowered(builder, part)
+def _lower_component(part: PartBuilder, component: Transport) -> None:
+    for kind, lower_kind in _LOWERED.items():
+        if isinstance(component, kind):
+            lower_kind(part, component)
             return
     raise InputError(
-        f"a {type(part).__name__} can't be shown by the viewer; expected one of "
-        f"{', '.join(known.__name__ for known in _LOWERED)}, or a sum of them"
+        f"the viewer doesn't support a {type(component).__name__}; expected one of "
+        f"{', '.join(kind.__name__ for kind in _LOWERED)}, or a sum of them"
     )
 
 
-def _lower_hierarchical(builder: Builder, transport: HierarchicalTransport) -> None:
-    """Rays into tree order, in which a block is one run; leaves; and back."""
+def _lower_hierarchical(part: PartBuilder, transport: HierarchicalTransport) -> None:
+    """Permute rays into tree order, where a block is contiguous, apply leaves, permute back."""
+    chain = part.chain(transport.kind)
     tree, rays = transport.tree, transport.tree.domain.size
-    light, received = builder.buffer("light", rays), builder.buffer("received", rays)
+    light, received = chain.buffer("light", rays), chain.buffer("received", rays)
     order = {"index": tree.order.astype(np.int32)}
-    builder.add("gather", PROJECTOR, light, order)
+    chain.add("gather", PROJECTOR, light, order)
     for leaves in transport.stored_leaf_sets:
         lengths = np.diff(leaf_offsets(tree, leaves))
-        chosen = np.arange(len(leaves))
+        index = np.arange(len(leaves))
         for run in runs(lengths, _SHARE):
-            few = leaves.subset(tree, (chosen >= run.start) & (chosen < run.stop))
-            _add_leaves(builder, tree, few, light, received)
-    builder.add("gather", received, CAMERA, order, transposed=True)
+            batch = leaves.subset(tree, (index >= run.start) & (index < run.stop))
+            _add_leaves(chain, tree, batch, light, received)
+    chain.add("gather", received, CAMERA, order, transposed=True)
 
 
-def _add_leaves(
-    builder: Builder, tree: BlockTree, leaves: LeafSet, light: int, received: int
-) -> None:
+def _add_leaves(chain: Chain, tree: BlockTree, leaves: LeafSet, light: int, received: int) -> None:
     if leaves.level == tree.n_levels - 1:
         arrays = {"first": leaves.block_a, "second": leaves.block_b, "values": leaves.values}
-        builder.add("pairs", light, received, arrays, shared=True)
+        chain.add("pairs", light, received, arrays, shared=True)
         return
-    # factors that a store hasn't rounded take 16 bits here: 1e-5 of their values
+    # unrounded factors are quantized to 16 bits, with a relative error of 1e-5
     number_format = "uint16" if leaves.scales is None else leaves.values.dtype.name
     packed = pack_leaves(tree, leaves, number_format)  # type: ignore[arg-type]
     sizes = np.diff(tree.starts[leaves.level]).astype(np.int32)
-    builder.add("leaves", light, received, {"sizes": sizes, **packed}, shared=True)
+    chain.add("leaves", light, received, {"sizes": sizes, **packed}, shared=True)
 
 
-def _lower_multilevel(builder: Builder, transport: MultilevelTransport) -> None:
-    """Each level: means of the light over nodes, and what pixels see of each."""
+def _lower_multilevel(part: PartBuilder, transport: MultilevelTransport) -> None:
+    """At each level, average the light over nodes, and apply the pixels' responses to nodes."""
     from scipy.sparse import csr_array
 
     tree, pixels = transport.tree, math.prod(transport.camera_shape)
     for pairs, spread in transport.spread_pairs():
-        builder.begin_chain(f"level {pairs.level}")
+        chain = part.chain(f"level {pairs.level}")
         shares = spread.shares[0]
-        nodes = builder.buffer("nodes", shares.shape[0])
-        # shares have one structure in all channels, of which none stores its zeros apart
+        nodes = chain.buffer("nodes", shares.shape[0])
+        # all channels of the shares have the same sparsity pattern
         columns = tree.order[shares.indices]
         matrix = csr_array((shares.data, columns, shares.indptr), shape=shares.shape)
         values = np.stack([plane.data for plane in spread.shares])
-        builder.csr(PROJECTOR, nodes, matrix, values=values)
+        chain.csr(PROJECTOR, nodes, matrix, values=values)
         order = np.argsort(spread.node, kind="stable")
         counts = np.bincount(spread.node, minlength=shares.shape[0])
         ends = np.append(0, np.cumsum(counts))
@@ -228,124 +252,130 @@ def _lower_multilevel(builder: Builder, transport: MultilevelTransport) -> None:
                  ends[run.start : run.stop + 1] - ends[run.start]),
                 shape=(run.stop - run.start, pixels),
             )  # fmt: skip
-            builder.csr(
+            chain.csr(
                 nodes, CAMERA, responses, values=pairs.values[:, entries], source_at=run.start,
                 transposed=True, shared=True,
             )  # fmt: skip
 
 
-def _lower_dense(builder: Builder, transport: DenseTransport) -> None:
+def _lower_dense(part: PartBuilder, transport: DenseTransport) -> None:
+    chain = part.chain(transport.kind)
     rows, columns = transport.matrix.shape[1:]
     step = max(1, 2 * _SHARE // columns)
     for first in range(0, rows, step):
         arrays = {"values": transport.matrix[:, first : first + step]}
-        builder.add("dense", PROJECTOR, CAMERA, arrays, target_at=first, shared=True)
+        chain.add("dense", PROJECTOR, CAMERA, arrays, target_at=first, shared=True)
 
 
-def _lower_low_rank(builder: Builder, transport: LowRankTransport) -> None:
-    """The diagonal, and the terms."""
+def _lower_low_rank(part: PartBuilder, transport: LowRankTransport) -> None:
+    """Apply the diagonal, and ``L diag(s) R^T``."""
     arrays = transport.pack()[0]
     if "diagonal" in arrays:
-        builder.add("scale", PROJECTOR, CAMERA, {"values": arrays["diagonal"]})
+        diagonal = {"values": arrays["diagonal"]}
+        part.chain(transport.kind).add("scale", PROJECTOR, CAMERA, diagonal)
     right = arrays.get("right", arrays["left"])
     if count := transport.rank:
-        builder.begin_chain("terms")
-        shares, strengths = builder.buffer("shares", count), builder.buffer("terms", count)
-        builder.add("dense", PROJECTOR, shares, {"values": right})
-        builder.add("scale", shares, strengths, {"values": arrays["strengths"]})
-        builder.add("dense", strengths, CAMERA, {"values": arrays["left"]}, transposed=True)
+        chain = part.chain("terms")
+        shares, strengths = chain.buffer("shares", count), chain.buffer("terms", count)
+        chain.add("dense", PROJECTOR, shares, {"values": right})
+        chain.add("scale", shares, strengths, {"values": arrays["strengths"]})
+        chain.add("dense", strengths, CAMERA, {"values": arrays["left"]}, transposed=True)
 
 
-def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
-    """``F B S B^T F``, with B by the pyramid of its scales."""
+def _lower_multiscale(part: PartBuilder, transport: MultiscaleTransport) -> None:
+    """Apply ``F B S B^T F``, where B is computed by a pyramid over its scales."""
     arrays, basis = transport.pack()[0], transport.basis
     rays = math.prod(transport.camera_shape)
-    # near and far range go by the same functions, of which each worker needs one pyramid
-    same = digest_of(arrays["functions"], arrays["factor"])
-    builder.begin_chain(f"functions {same}", is_common=True)
-    light, received = builder.buffer("light", rays), builder.buffer("received", rays)
-    given, taken = builder.buffer("given", len(basis)), builder.buffer("taken", len(basis))
-    steps, places = pyramid(basis)
-    builder.add("scale", PROJECTOR, light, {"values": arrays["factor"]})
+    # near and far range use the same functions, so that each worker needs one pyramid
+    digest = digest_of(arrays["functions"], arrays["factor"])
+    chain = part.chain(f"functions {digest}", is_common=True)
+    light, received = chain.buffer("light", rays), chain.buffer("received", rays)
+    source, target = (chain.buffer(name, len(basis)) for name in ("source", "target"))
+    steps, placements = pyramid(basis)
+    chain.add("scale", PROJECTOR, light, {"values": arrays["factor"]})
     grids = [light]
     for octave, step in enumerate(steps):
-        grids.append(builder.buffer(f"grid {octave}", step.shape[1]))
-        builder.csr(grids[-2], grids[-1], step, transposed=True)
-    for octave, start, index in places:
-        builder.add("gather", grids[octave], given, {"index": index}, target_at=start)
+        grids.append(chain.buffer(f"grid {octave}", step.shape[1]))
+        chain.csr(grids[-2], grids[-1], step, transposed=True)
+    for octave, start, index in placements:
+        chain.add("gather", grids[octave], source, {"index": index}, target_at=start)
     first, second = arrays["pairs"]
     order = np.lexsort((second, first))
     for start in range(0, len(order), _SHARE):
         run = order[start : start + _SHARE]
-        coupled = {"first": first[run], "second": second[run], "values": arrays["cores"][:, run]}
-        builder.add("pairs", given, taken, coupled, shared=True)
-    back = [
+        pairs = {"first": first[run], "second": second[run], "values": arrays["cores"][:, run]}
+        chain.add("pairs", source, target, pairs, shared=True)
+    sums = [
         received,
-        *(builder.buffer(f"back {octave}", step.shape[1]) for octave, step in enumerate(steps)),
+        *(chain.buffer(f"sum {octave}", step.shape[1]) for octave, step in enumerate(steps)),
     ]
-    for octave, start, index in places:
-        builder.add(
-            "gather", taken, back[octave], {"index": index}, source_at=start, transposed=True
+    for octave, start, index in placements:
+        chain.add(
+            "gather", target, sums[octave], {"index": index}, source_at=start, transposed=True
         )
     for octave in range(len(steps), 0, -1):
-        builder.csr(back[octave], back[octave - 1], steps[octave - 1])
-    builder.add("scale", received, CAMERA, {"values": arrays["factor"]})
+        chain.csr(sums[octave], sums[octave - 1], steps[octave - 1])
+    chain.add("scale", received, CAMERA, {"values": arrays["factor"]})
 
 
-def _lower_wavelet(builder: Builder, transport: WaveletTransport) -> None:
-    """``F W^T C W F`` on cells."""
+def _lower_wavelet(part: PartBuilder, transport: WaveletTransport) -> None:
+    """Apply ``F W^T C W F`` on cells."""
     from scipy.sparse import csr_array
 
+    chain = part.chain(transport.kind)
     arrays, cells = transport.pack()[0], transport.cells
     rays = math.prod(transport.camera_shape)
     ones = np.ones(rays, np.float32)
     spread = csr_array((ones, cells.of_ray, np.arange(rays + 1)), shape=(rays, cells.count))
     wavelets = csr_array(cells.haar.forward(np.eye(cells.count, dtype=np.float32)))
-    light, received = builder.buffer("light", rays), builder.buffer("received", rays)
-    of_cells, by_cells = (builder.buffer(name, cells.count) for name in ("of cells", "by cells"))
-    given, taken = (builder.buffer(name, cells.haar.size) for name in ("given", "taken"))
-    builder.add("scale", PROJECTOR, light, {"values": arrays["factor"]})
-    builder.csr(light, of_cells, spread, transposed=True)
-    builder.csr(of_cells, given, wavelets)
+    light, received = chain.buffer("light", rays), chain.buffer("received", rays)
+    lit, sums = (chain.buffer(name, cells.count) for name in ("lit cells", "sums of cells"))
+    source, target = (chain.buffer(name, cells.haar.size) for name in ("source", "target"))
+    chain.add("scale", PROJECTOR, light, {"values": arrays["factor"]})
+    chain.csr(light, lit, spread, transposed=True)
+    chain.csr(lit, source, wavelets)
     first, second = arrays["pairs"]
-    coupled = {"first": first, "second": second, "values": arrays["cores"]}
-    builder.add("pairs", given, taken, coupled)
-    builder.csr(taken, by_cells, wavelets, transposed=True)
-    builder.csr(by_cells, received, spread)
-    builder.add("scale", received, CAMERA, {"values": arrays["factor"]})
+    pairs = {"first": first, "second": second, "values": arrays["cores"]}
+    chain.add("pairs", source, target, pairs)
+    chain.csr(target, sums, wavelets, transposed=True)
+    chain.csr(sums, received, spread)
+    chain.add("scale", received, CAMERA, {"values": arrays["factor"]})
 
 
-def _lower_footprints(builder: Builder, transport: FootprintTransport) -> None:
-    """``D``, and ``diag(f) L S R^T diag(g)`` as a part of its own."""
-    from scipy.sparse import csr_array
-
+def _lower_footprints(part: PartBuilder, transport: FootprintTransport) -> None:
+    """Apply ``D``, and ``diag(f) L S R^T diag(g)`` as the part "indirect"."""
     arrays = transport.pack()[0]
-
-    def add(name: str, source: int, target: int, columns: int, **more: Any) -> None:
-        values = np.atleast_2d(arrays[name])
-        parts = values[0], arrays[f"{name}_columns"], arrays[f"{name}_starts"]
-        matrix = csr_array(parts, shape=(len(parts[2]) - 1, columns))
-        builder.csr(source, target, matrix, values=values, **more)
-
-    pixels, rays = (math.prod(it) for it in (transport.camera_shape, transport.projector_shape))
-    add("footprints", PROJECTOR, CAMERA, rays)
+    pixels, rays = math.prod(transport.camera_shape), math.prod(transport.projector_shape)
+    footprints, values = _sparse(arrays, "footprints", rays)
+    part.chain(transport.kind).csr(PROJECTOR, CAMERA, footprints, values=values)
     if not arrays["cores"].any():
         return
-    builder.begin_part("indirect", 1)
-    builder.begin_chain(transport.kind)
+    chain = replace(part, name="indirect", number=1).chain(transport.kind)
     columns = (arrays[f"{name}_columns"] for name in ("cores", "right"))
-    functions = 1 + max(int(it.max(initial=-1)) for it in columns)
-    light, sent = builder.buffer("light", rays), builder.buffer("sent", functions)
-    sums = builder.buffer("got", len(arrays["cores_starts"]) - 1)
-    smooth = builder.buffer("smooth", pixels)
-    builder.add("scale", PROJECTOR, light, {"values": arrays["projector_factor"]})
-    add("right", light, sent, functions, transposed=True)
-    add("cores", sent, sums, functions)
-    add("left", sums, smooth, len(arrays["cores_starts"]) - 1)
-    builder.add("scale", smooth, CAMERA, {"values": arrays["camera_factor"]})
+    functions = 1 + max(int(indices.max(initial=-1)) for indices in columns)
+    left_functions = len(arrays["cores_starts"]) - 1
+    light, source = chain.buffer("light", rays), chain.buffer("source", functions)
+    target, smooth = chain.buffer("target", left_functions), chain.buffer("smooth", pixels)
+    chain.add("scale", PROJECTOR, light, {"values": arrays["projector_factor"]})
+    right, values = _sparse(arrays, "right", functions)
+    chain.csr(light, source, right, values=values, transposed=True)
+    cores, values = _sparse(arrays, "cores", functions)
+    chain.csr(source, target, cores, values=values)
+    left, values = _sparse(arrays, "left", left_functions)
+    chain.csr(target, smooth, left, values=values)
+    chain.add("scale", smooth, CAMERA, {"values": arrays["camera_factor"]})
 
 
-_LOWERED: dict[type[Transport], Callable[[Builder, Any], None]] = {
+def _sparse(arrays: Mapping[str, Any], name: str, columns: int) -> tuple[Any, NDArray[Any]]:
+    """Return a stored sparse matrix of the first channel, and its values (C, entries)."""
+    from scipy.sparse import csr_array
+
+    values = np.atleast_2d(arrays[name])
+    content = values[0], arrays[f"{name}_columns"], arrays[f"{name}_starts"]
+    return csr_array(content, shape=(len(content[2]) - 1, columns)), values
+
+
+_LOWERED: dict[type[Transport], Callable[[PartBuilder, Any], None]] = {
     HierarchicalTransport: _lower_hierarchical,
     MultilevelTransport: _lower_multilevel,
     DenseTransport: _lower_dense,

@@ -1,16 +1,15 @@
-"""A transport as a program: a few kinds of linear operations between vectors.
+"""Programs of linear operations between buffers, which relight a transport in the browser.
 
-A browser knows nothing of hierarchical tensors or B-splines. What it runs is a list of operations,
-each of which adds a matrix times one buffer to another buffer. Backwards, each transposed, the same
-list is the dual. Buffers are planar, one plane a channel; all begin as zeros but the one that holds
-the light.
+A program is a list of operations, each of which adds a matrix times one buffer to another buffer.
+The same list in reverse order, with transposed matrices, is the dual. Buffers have one plane per
+channel, and start as zeros except the one with the light.
 """
 
 from __future__ import annotations
 
 import gzip
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,20 +20,16 @@ from rfpipe.store.files import digest_of
 Kind = Literal["gather", "scale", "csr", "dense", "pairs", "leaves"]
 
 PROJECTOR, CAMERA = 0, 1
-"""The buffers of the two sides' rays."""
+"""Numbers of the buffers of the projector's and the camera's rays."""
 
 SHORT = 12
-"""A leaf over so many pairs of rays or fewer is worked off pair by pair: to set out on it takes
-longer."""
+"""Largest number of pairs of rays in a leaf that is evaluated pair by pair, which is faster."""
 
-# What a leaf, and an entry that is looked up, take beside a product in a long run of numbers.
-_A_LEAF, _AN_ENTRY = 100, 5
+# Cost of a leaf and of an indexed entry, relative to a multiplication in a dense product.
+_LEAF_COST, _ENTRY_COST = 100, 5
 
 _TYPES = {"int32": "i4", "float32": "f4", "uint8": "u1", "uint16": "u2"}
-_PLAIN = (
-    "kind", "source", "target", "source_at", "target_at", "transposed", "shared", "chain", "levels",
-)  # fmt: skip
-_GZIP_LEVEL = 6  # 9 takes four times as long for one per cent less
+_GZIP_LEVEL = 6  # level 9 takes four times as long and saves 1 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,30 +45,30 @@ class Operation:
           int32 (entries,) and ``values`` float32 (C or 1, entries).
         - ``dense``: ``values`` float32 (C, rows, columns).
         - ``pairs``: symmetric; ``A[a, b] = A[b, a] = v`` for each of ``first``, ``second`` int32
-          (n,) and ``values`` float32 (C, n). Never transposed; what comes twice adds up.
-        - ``leaves``: symmetric; each of ``block_a``, ``block_b`` int32 (n,) are two runs of a
-          buffer, block ``b`` of ``sizes`` int32 (blocks,) positions, and A has the product of two
-          factors there, and its transpose. The factors stand one leaf after the other, that over
-          a, then that over b unless it is the same: ``values`` float32 (C, m); or ``codes`` uint8
-          or uint16 (C, m), all channels but the first folded differences to it, and ``scales``
+          (n,) and ``values`` float32 (C, n). Never transposed; duplicate pairs add up.
+        - ``leaves``: symmetric; leaf i is the outer product of two factors, over the blocks
+          ``block_a[i]`` and ``block_b[i]`` int32 (n,), and its transpose. Blocks are contiguous in
+          the buffer and have ``sizes`` int32 (blocks,). Factors are stored leaf by leaf, over a
+          and, unless a = b, over b: as ``values`` float32 (C, m); or as ``codes`` uint8 or uint16
+          (C, m), where channels after the first are folded differences to it, and ``scales``
           float32 (C, n): a factor is its code squared times its leaf's scale.
     source, target : int
-        Buffers.
+        Numbers of buffers.
     arrays : dict of str to ndarray
     digests : dict of str to str
-        Of the arrays' types, shapes and contents.
+        Digests of the arrays' types, shapes and contents.
     levels : list of int
-        At which it runs.
+        Levels at which it runs.
     source_at, target_at : int
-        Where in its buffer the operation begins.
+        First position in each buffer.
     transposed : bool
     shared : bool
-        Whether the operations of a chain that are shared may be run by different workers; each
-        then runs those of the chain that are not, and the results are added.
+        True if the shared operations of a chain may be distributed among workers. Each worker
+        runs all other operations of the chain, and the results are added.
     chain, step : int
-        Operations of one chain feed each other, step by step.
+        Operations of a chain run step by step, each with results of the previous one.
     part : str
-        The part of the transport that it belongs to; none if to several.
+        Part of the transport that it belongs to; empty if it belongs to several.
     """
 
     kind: Kind
@@ -90,76 +85,92 @@ class Operation:
     step: int = 0
     part: str = ""
 
-    def plain(self, parts: Sequence[str], number: Mapping[str, int]) -> dict[str, Any]:
-        """Return it as plain data: its part by number, and its arrays by those of their digests."""
-        about = {name: getattr(self, name) for name in _PLAIN}
-        entries, work = self._effort()
-        arrays = {name: number[digest] for name, digest in self.digests.items()}
-        part = parts.index(self.part) if self.part else -1
-        return {**about, "part": part, "work": work, "entries": entries, "arrays": arrays}
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """All properties except levels and step; equal for operations with equal effect."""
+        properties = (self.source_at, self.target_at, self.transposed, self.shared)
+        ends = (self.kind, self.source, self.target, self.chain, self.part)
+        return (*ends, *properties, *self.digests.items())
 
-    def _effort(self) -> tuple[int, int]:
-        """Return the pairs of rays of short leaves, and about how long it takes.
+    def to_json(self, parts: Sequence[str], numbers: Mapping[str, int]) -> dict[str, Any]:
+        """Convert to plain data, with numbers of the part and of the arrays (by digest)."""
+        entries, work = self._cost()
+        return {
+            "kind": self.kind,
+            "source": self.source,
+            "target": self.target,
+            "source_at": self.source_at,
+            "target_at": self.target_at,
+            "transposed": self.transposed,
+            "shared": self.shared,
+            "chain": self.chain,
+            "levels": self.levels,
+            "part": parts.index(self.part) if self.part else -1,
+            "work": work,
+            "entries": entries,
+            "arrays": {name: numbers[digest] for name, digest in self.digests.items()},
+        }
 
-        The latter in units of a product in a long run of numbers.
+    def _cost(self) -> tuple[int, int]:
+        """Return the number of pairs of rays in short leaves, and the approximate cost.
+
+        The unit of cost is a multiplication in a dense product.
         """
         size = max(array.size for array in self.arrays.values())
         if self.kind != "leaves":
-            return 0, size * (1 if self.kind == "dense" else _AN_ENTRY)
+            return 0, size * (1 if self.kind == "dense" else _ENTRY_COST)
         sizes = self.arrays["sizes"].astype(np.int64)
         a, b = self.arrays["block_a"], self.arrays["block_b"]
         products = np.where(a == b, sizes[a] * (sizes[a] + 1) // 2, sizes[a] * sizes[b])
         is_short = products <= SHORT
         entries = int(products[is_short].sum())
         channels = max(len(array) for array in self.arrays.values() if array.ndim == 2)
-        long = int(np.count_nonzero(~is_short))
-        return entries, size + channels * (_A_LEAF * long + _AN_ENTRY * entries)
+        n_long = int(np.count_nonzero(~is_short))
+        return entries, size + channels * (_LEAF_COST * n_long + _ENTRY_COST * entries)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Program:
-    """Operations in the order in which they run, and the sizes of their buffers.
+    """Operations in the order of execution, and the sizes of their buffers.
 
     Attributes
     ----------
     camera_shape, projector_shape : tuple of int
     channels : int
     levels : list of int
-        The levels at which the transport can be seen, of its `Transport.known_levels`.
+        Levels that can be displayed, a subset of `Transport.known_levels`.
     buffers : list of int
-        Positions of each buffer; the first two are `PROJECTOR` and `CAMERA`.
+        Size of each buffer; the first two are `PROJECTOR` and `CAMERA`.
     operations : list of Operation
-    blobs : dict of str to bytes
-        Arrays that were packed, by their digests.
     """
 
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, ...]
     channels: int
-    levels: list[int] = field(default_factory=list)
-    buffers: list[int] = field(default_factory=list)
-    operations: list[Operation] = field(default_factory=list)
-    blobs: dict[str, bytes] = field(default_factory=dict)
+    levels: list[int]
+    buffers: list[int]
+    operations: list[Operation]
 
-    def seen_at(self, levels: Sequence[int]) -> Program:
-        """Return the program of some levels only."""
-        visible = (
-            replace(each, levels=sorted({*each.levels} & {*levels})) for each in self.operations
+    def restricted_to(self, levels: Sequence[int]) -> Program:
+        """Return the program of some of its levels."""
+        restricted = (
+            replace(operation, levels=sorted({*operation.levels} & {*levels}))
+            for operation in self.operations
         )
-        operations = [each for each in visible if each.levels]
+        operations = [operation for operation in restricted if operation.levels]
         return replace(self, levels=sorted(levels), operations=operations)
 
 
 @dataclass(frozen=True)
 class Packed:
-    """A program as data for a page.
+    """A program as data in a page.
 
     Attributes
     ----------
     manifest : dict
         Plain data: shapes, channels, levels, parts, ``buffers``; ``arrays``, each with its
-        ``type``, ``shape``, the ``bytes`` of its blob and the first ``level`` that needs it; and
-        ``operations``, whose arrays are numbers of those.
+        ``type``, ``shape``, size of its blob (``bytes``) and the first ``level`` that uses it; and
+        ``operations``, with numbers of arrays.
     blobs : list of bytes
         One for each array.
     """
@@ -169,15 +180,15 @@ class Packed:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all blobs."""
+        """Total size of the blobs in bytes."""
         return sum(map(len, self.blobs))
 
 
 def pack_array(array: NDArray[Any]) -> bytes:
-    """Return an array as a blob.
+    """Compress an array.
 
-    Integers of 32 bits as differences, each to the one before; all first bytes of the numbers, then
-    all second ones, and on, little-endian, so that alike stands by alike; and gzip.
+    32-bit integers are replaced by differences to the previous one. Then bytes are shuffled (all
+    first bytes of the little-endian numbers, then all second bytes, ...) and compressed by gzip.
     """
     flat = np.ascontiguousarray(array).ravel()
     if flat.dtype == np.int32:
@@ -188,12 +199,16 @@ def pack_array(array: NDArray[Any]) -> bytes:
 
 
 def digest_of_array(array: NDArray[Any]) -> str:
-    """Return a digest of an array's type, shape and content."""
+    """Compute a digest of an array's type, shape and content."""
     return digest_of(repr((array.dtype.name, array.shape)).encode(), array)
 
 
-def pack_program(program: Program) -> Packed:
-    """Return a program's arrays as blobs, each once, those that coarse levels need first."""
+def pack_program(program: Program, blobs: dict[str, bytes] | None = None) -> Packed:
+    """Compress a program's arrays, each once, in the order of the levels that need them.
+
+    `blobs`, by digests, caches compressed arrays for several calls; new ones are added.
+    """
+    blobs = {} if blobs is None else blobs
     first: dict[str, int] = {}
     arrays: dict[str, NDArray[Any]] = {}
     for operation in program.operations:
@@ -201,12 +216,12 @@ def pack_program(program: Program) -> Packed:
             arrays.setdefault(digest, operation.arrays[name])
             first[digest] = min(first.get(digest, operation.levels[0]), operation.levels[0])
     order = sorted(arrays, key=lambda digest: first[digest])
-    number = {digest: index for index, digest in enumerate(order)}
+    numbers = {digest: index for index, digest in enumerate(order)}
     for digest in order:
-        if digest not in program.blobs:
-            program.blobs[digest] = pack_array(arrays[digest])
-    named = (operation.part for operation in program.operations)
-    parts = list(dict.fromkeys(name for name in named if name))
+        if digest not in blobs:
+            blobs[digest] = pack_array(arrays[digest])
+    names = (operation.part for operation in program.operations)
+    parts = list(dict.fromkeys(name for name in names if name))
     manifest = {
         "camera": list(program.camera_shape),
         "projector": list(program.projector_shape),
@@ -219,11 +234,11 @@ def pack_program(program: Program) -> Packed:
             {
                 "type": _TYPES[arrays[digest].dtype.name],
                 "shape": list(arrays[digest].shape),
-                "bytes": len(program.blobs[digest]),
+                "bytes": len(blobs[digest]),
                 "level": first[digest],
             }
             for digest in order
         ],
-        "operations": [each.plain(parts, number) for each in program.operations],
+        "operations": [operation.to_json(parts, numbers) for operation in program.operations],
     }
-    return Packed(manifest, [program.blobs[digest] for digest in order])
+    return Packed(manifest, [blobs[digest] for digest in order])

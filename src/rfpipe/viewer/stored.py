@@ -1,4 +1,4 @@
-"""Transports in stores as views: what their pages say of them."""
+"""Pages of stored transports, with facts from their stores."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from rfpipe.store import open_arrays
 from rfpipe.store.places import Place
 from rfpipe.transport import open_transport
 from rfpipe.transport.base import estimates
-from rfpipe.viewer.build import Compared, View, Written, write_view
+from rfpipe.viewer.build import Comparison, View, WrittenPage, write_view
 
 __all__ = ["view_of", "write_acquisition"]
 
-# Bytes stored of two transports on one page.
-_TOGETHER = 15 * 10**6
+# Maximum stored size of two transports on one page, in bytes.
+_MAX_BYTES_OF_TWO = 15 * 10**6
 
 
 def view_of(
-    path: Path | Place, title: str | None = None, compared: Compared | None = None
+    path: Path | Place, title: str | None = None, comparison: Comparison | None = None
 ) -> tuple[View, dict[str, Any]]:
-    """Return the view of a stored transport, and what the store says of it.
+    """Return the view of a stored transport, and the store's attributes.
 
     Parameters
     ----------
@@ -31,17 +31,17 @@ def view_of(
         A ``transport.zarr``.
     title : str, optional
         By default scene and method.
-    compared : Compared, optional
+    comparison : Comparison, optional
 
     Raises
     ------
     StoreError
-        If there is no transport.
+        If there is no transport at this path.
     """
     transport = open_transport(path)
     attributes = open_arrays(path).attributes
     scene, method = (str(attributes.get(name, "")) for name in ("scene", "method"))
-    named = " by ".join(filter(None, (scene, method))) or Path(str(path)).stem
+    default_title = " by ".join(filter(None, (scene, method))) or Path(str(path)).stem
     patterns = sum(int(row.get("patterns", 0)) for row in transport.level_rows)
     steps = estimates(transport.level_rows)
     error = f"{100 * steps[-1]['estimated_error']:.2g} % by the method's estimate" if steps else ""
@@ -54,35 +54,38 @@ def view_of(
         "Stored": f"{transport.nbytes / 1e6:.3g} MB",
         "Error of relit pictures": error,
     }
-    about = [(name, value) for name, value in facts.items() if value]
-    return View(transport, title or named, about=about, compared=compared), attributes
+    rows = [(name, value) for name, value in facts.items() if value]
+    return View(transport, title or default_title, facts=rows, comparison=comparison), attributes
 
 
 def _rays(shape: tuple[int, ...]) -> str:
     return f"{' x '.join(map(str, shape))}, {math.prod(shape):,} rays"
 
 
-def write_acquisition(store: Path, others: Sequence[Path], page: Path) -> Written:
-    """Write the page of a run's transport, with the smallest of others to compare, if it has room.
+def write_acquisition(store: Path, alternatives: Sequence[Path], page: Path) -> WrittenPage:
+    """Write the page of a run's transport, with the smallest alternative if it fits.
 
     Parameters
     ----------
     store : Path
         A ``transport.zarr``.
-    others : sequence of Path
-        Those of the same scene by other methods.
+    alternatives : sequence of Path
+        Transports of the same scene by different methods.
     page : Path
         See `rfpipe.viewer.write_view`.
     """
     view, _ = view_of(store)
     shapes = view.transport.camera_shape, view.transport.projector_shape
-    beside = (view_of(other)[0] for other in others)
-    alike = (
-        each
-        for each in beside
-        if (each.transport.camera_shape, each.transport.projector_shape) == shapes
+    candidates = (view_of(path)[0] for path in alternatives)
+    comparable = (
+        candidate
+        for candidate in candidates
+        if (candidate.transport.camera_shape, candidate.transport.projector_shape) == shapes
     )
-    smallest = min(alike, key=lambda each: each.transport.nbytes, default=None)
-    if smallest is not None and view.transport.nbytes + smallest.transport.nbytes < _TOGETHER:
-        view = replace(view, compared=Compared(smallest.transport, smallest.title))
+    smallest = min(comparable, key=lambda candidate: candidate.transport.nbytes, default=None)
+    if (
+        smallest is not None
+        and view.transport.nbytes + smallest.transport.nbytes < _MAX_BYTES_OF_TWO
+    ):
+        view = replace(view, comparison=Comparison(smallest.transport, smallest.title))
     return write_view(view, page)

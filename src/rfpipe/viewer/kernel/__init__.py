@@ -1,1 +1,1 @@
-"""The viewer's WebAssembly kernels: ``kernels.wat``, and ``kernels.wasm`` made from it."""
+"""WebAssembly kernels of the viewer: ``kernels.wat``, compiled to ``kernels.wasm``."""
