@@ -63,8 +63,8 @@ class MitsubaOptions(SceneSettings):
         None,
         ge=1,
         le=64,
-        description="Maximum number of reflections and scatterings of a path, 1 to 64; null: chosen "
-        "by the scene, for a file 6, or 10 with refraction, or 48 with translucent bodies.",
+        description="Maximum reflections and scatterings of a path, 1 to 64; null: chosen by the "
+        "scene, for a file 6, or 10 with refraction, or 48 with translucent bodies.",
     )
     caustics: bool | None = Field(
         None,
