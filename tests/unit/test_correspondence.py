@@ -1,4 +1,4 @@
-"""Places that camera pixels see: their confidence, the mask, and the noise of a transport."""
+"""Correspondence of camera and projector pixels: confidence, mask, and noise."""
 
 from pathlib import Path
 
@@ -23,16 +23,16 @@ NOISE = 0.05
 
 
 @pytest.fixture(scope="module")
-def photographed() -> tuple[DenseTransport, np.ndarray, np.ndarray]:
-    """A noisy transport, its true places, and which pixels see a random place instead."""
+def noisy_transport() -> tuple[DenseTransport, np.ndarray, np.ndarray]:
+    """Return a noisy transport, its true places, and a mask of pixels that see a random place."""
     rng = np.random.default_rng(1)
     row, column = np.indices(CAMERA)
-    # turned by 90 degrees, a little less than one ray a pixel
+    # rotated by 90 degrees, at 0.9 rays a pixel
     places = np.stack([2.2 + 0.9 * column, 2.7 + 0.9 * row], axis=-1)
     wrong = rng.uniform(size=CAMERA) < 0.08
-    shown = np.where(wrong[..., None], rng.uniform(2, 24, (*CAMERA, 2)), places)
+    displayed = np.where(wrong[..., None], rng.uniform(2, 24, (*CAMERA, 2)), places)
     weights = [
-        np.maximum(0, 1 - np.abs(np.arange(length) + 0.5 - shown[..., axis, None]))
+        np.maximum(0, 1 - np.abs(np.arange(length) + 0.5 - displayed[..., axis, None]))
         for axis, length in enumerate(PROJECTOR)
     ]
     direct = weights[0][..., :, None] * weights[1][..., None, :]
@@ -41,12 +41,12 @@ def photographed() -> tuple[DenseTransport, np.ndarray, np.ndarray]:
     # smooth indirect light, a fifth of the direct light
     entries[: row.size] += 0.2 / entries.shape[1] * (entries.sum(axis=1, keepdims=True) > 0)
     entries += rng.normal(0, NOISE / entries.shape[1] ** 0.5, entries.shape)
-    held = {"matrix": entries[None].astype(np.float32)}
-    return DenseTransport(CAMERA, PROJECTOR, 1, [], held), places, wrong
+    arrays = {"matrix": entries[None].astype(np.float32)}
+    return DenseTransport(CAMERA, PROJECTOR, 1, [], arrays), places, wrong
 
 
-def test_right_places_are_confident_and_wrong_ones_are_not(photographed) -> None:
-    transport, truth, wrong = photographed
+def test_confidence_separates_right_places_from_wrong_ones(noisy_transport) -> None:
+    transport, truth, wrong = noisy_transport
     result = transport.correspondence()
     lit = np.ones(CAMERA, bool)
     lit[DARK] = False
@@ -62,8 +62,8 @@ def test_right_places_are_confident_and_wrong_ones_are_not(photographed) -> None
 
 
 @pytest.mark.parametrize("deviation", [NOISE, 0.1])
-def test_dark_pixels_are_outside_the_mask(photographed, deviation: float) -> None:
-    transport, _, _ = photographed
+def test_dark_pixels_are_outside_the_mask(noisy_transport, deviation: float) -> None:
+    transport, _, _ = noisy_transport
     known = DenseTransport(CAMERA, PROJECTOR, 1, [], transport._content)
     known.noise = np.full(CAMERA, deviation)
     result = known.correspondence()
@@ -73,8 +73,8 @@ def test_dark_pixels_are_outside_the_mask(photographed, deviation: float) -> Non
     assert result.mask[:, :18].mean() > 0.85
 
 
-def test_where_no_picture_shows_a_pixel_nothing_is_certain(photographed) -> None:
-    transport, _, wrong = photographed
+def test_pixels_with_infinite_noise_are_outside_the_mask(noisy_transport) -> None:
+    transport, _, wrong = noisy_transport
     known = DenseTransport(CAMERA, PROJECTOR, 1, [], transport._content)
     known.noise = np.where(np.arange(CAMERA[1]) < 9, np.inf, NOISE) * np.ones((CAMERA[0], 1))
     mask = known.correspondence().mask
@@ -86,7 +86,7 @@ def test_where_no_picture_shows_a_pixel_nothing_is_certain(photographed) -> None
     ("geometry", "position"), [("wedge", (0.6, 0.1, 0.2)), ("corner", (0.7, -0.3, 0.2))]
 )
 @pytest.mark.slow
-def test_confidence_is_not_above_the_share_of_right_places(geometry, position) -> None:
+def test_confidence_does_not_exceed_the_fraction_of_right_places(geometry, position) -> None:
     lamp = Pinhole((28, 34), position, (0.1, 0.0, 3.0), width=0.8)
     surfaces = ("texture", "white", "texture")[: len(GEOMETRIES[geometry])]
     scene = planes_scene(geometry, surfaces, (24, 30), projector=lamp, channels=1)
@@ -96,11 +96,11 @@ def test_confidence_is_not_above_the_share_of_right_places(geometry, position) -
     truth = lamp.project(sight_of(Pinhole((24, 30)), GEOMETRIES[geometry]).positions)
     right = np.linalg.norm(result.places - truth.reshape(24, 30, 2), axis=-1) <= 1
     assert result.mask.sum() > 50
-    for least, most in ((0.5, 0.9), (0.9, 1.1)):
-        some = (result.confidence >= least) & (result.confidence < most)
-        # three standard deviations of a count of right places
-        spread = 3 * 0.5 / np.sqrt(some.sum())
-        assert right[some].mean() > result.confidence[some].mean() - spread
+    for lower, upper in ((0.5, 0.9), (0.9, 1.1)):
+        in_range = (result.confidence >= lower) & (result.confidence < upper)
+        # three standard deviations of a fraction of right places
+        spread = 3 * 0.5 / np.sqrt(in_range.sum())
+        assert right[in_range].mean() > result.confidence[in_range].mean() - spread
 
 
 def test_agreement_is_high_on_affine_places_and_low_at_outliers() -> None:
@@ -108,12 +108,12 @@ def test_agreement_is_high_on_affine_places_and_low_at_outliers() -> None:
     places = np.stack([3 * row - column, 0.2 * row + 2 * column], axis=-1)[None]
     lit = np.ones((1, 9, 11), bool)
     np.testing.assert_allclose(_agreement(places, lit)[0, 4, 5], 20.5 / 21)
-    # corner: no pairs of opposite neighbours, three lines
+    # a corner has three lines and no pair of opposite neighbours
     np.testing.assert_allclose(_agreement(places, lit)[0, 0, 0], 3.5 / 4)
     places[0, 4, 5] += 5
     agreement = _agreement(places, lit)[0]
     np.testing.assert_allclose(agreement[4, 5], 0.5 / 21)
-    # the pair and the line that the outlier takes part in
+    # one pair and one line contain the outlier
     np.testing.assert_allclose(agreement[4, 4], 18.5 / 21)
     lit[0, :, 6:] = False
     assert _agreement(places, lit)[0, 2, 5] < agreement[2, 5]
@@ -127,19 +127,19 @@ def test_agreement_does_not_cross_views() -> None:
     assert agreement.min() > 0.7
 
 
-def test_probability_is_the_equation() -> None:
+def test_probability_follows_the_equation() -> None:
     agreement, share = np.array([1.0, 0.5, 0.5]), np.array([1.0, 1.0, 0.5])
     odds = np.exp(2) * np.array([1, 0.5**3, 0.5**3 * 0.5**4])
     actual = _probability(agreement, share, (2.0, 3.0, 4.0))
     np.testing.assert_allclose(actual, odds / (1 + odds))
 
 
-def test_noise_is_stored_with_the_transport(photographed, tmp_path: Path) -> None:
+def test_noise_is_stored_with_the_transport(noisy_transport, tmp_path: Path) -> None:
     rig = SimulatedRig(reference_scene("IV", (12, 14), channels=1))
     acquired = rfpipe.acquire(rig, tolerance=1e-2, progress=False).transport
-    both = SumTransport([acquired, acquired], acquired.level_rows)
-    transports: list[Transport] = [photographed[0].with_content([], photographed[0]._content)]
-    for number, transport in enumerate([*transports, acquired, both]):
+    doubled = SumTransport([acquired, acquired], acquired.level_rows)
+    transports: list[Transport] = [noisy_transport[0].with_content([], noisy_transport[0]._content)]
+    for number, transport in enumerate([*transports, acquired, doubled]):
         path = tmp_path / f"{number}.zarr"
         light = transport.relight(np.ones(transport.projector_shape))
         save_transport(transport, path)
@@ -150,13 +150,13 @@ def test_noise_is_stored_with_the_transport(photographed, tmp_path: Path) -> Non
         np.testing.assert_array_equal(opened.noise, transport.noise)
         assert opened.noise.dtype == np.float32
         np.testing.assert_allclose(opened.relight(np.ones(opened.projector_shape)), light)
-        again = tmp_path / f"{number} again.zarr"
-        save_transport(opened, again)
-        np.testing.assert_array_equal(open_transport(again).noise, transport.noise)
+        copy = tmp_path / f"{number} copy.zarr"
+        save_transport(opened, copy)
+        np.testing.assert_array_equal(open_transport(copy).noise, transport.noise)
 
 
-def test_noise_is_that_of_the_rays_that_remain(photographed) -> None:
-    transport = photographed[0].with_content([], photographed[0]._content)
+def test_crop_selects_the_noise_of_its_rays(noisy_transport) -> None:
+    transport = noisy_transport[0].with_content([], noisy_transport[0]._content)
     transport.noise = np.arange(480).reshape(CAMERA)
     assert transport.with_content([], transport._content).noise is not None
     np.testing.assert_array_equal(crop(transport, np.s_[2:5, 3:9]).noise, transport.noise[2:5, 3:9])
@@ -175,6 +175,6 @@ def test_noise_is_that_of_the_rays_that_remain(photographed) -> None:
         (np.full(CAMERA, -1.0), "NaN or negative"),
     ],
 )
-def test_wrong_noise_is_refused(photographed, noise, match: str) -> None:
+def test_invalid_noise_is_rejected(noisy_transport, noise, match: str) -> None:
     with pytest.raises(InputError, match=match):
-        photographed[0].noise = noise
+        noisy_transport[0].noise = noise

@@ -1,4 +1,4 @@
-"""`capture.placing`: the command that puts a scene before the rig."""
+"""`capture.placing`: the command that places a scene in front of the rig."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE']
 
 
 def placed_by(folder: Path) -> tuple[str, Path]:
-    """A command that notes the scenes it is to place in a file whose name has a space."""
+    """Return a command that appends scene names to a file, and the file; its name has a space."""
     notes = folder / "the notes.txt"
     return f'{sys.executable} -c "{WRITE}" "{notes}"', notes
 
 
-def test_each_scene_is_placed_once_in_a_job(tmp_path: Path) -> None:
+def test_job_places_each_scene_once(tmp_path: Path) -> None:
     command, notes = placed_by(tmp_path)
     for scene in ("jug", "jug", "cup"):
         place(command, scene)
@@ -32,28 +32,28 @@ def test_each_scene_is_placed_once_in_a_job(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "says"),
+    ("command", "reason"),
     [
         (f'{sys.executable} -c "raise SystemExit(3)"', "exit status 3"),
         ("no-such-gantry --to", "No such file"),
     ],
 )
-def test_a_scene_that_isn_t_placed_isn_t_captured(command: str, says: str) -> None:
-    for _ in range(2):  # and is tried again
+def test_failed_placing_prevents_the_capture(command: str, reason: str) -> None:
+    for _ in range(2):  # a failure is not remembered
         with pytest.raises(CaptureError, match="jug was not put before the rig") as caught:
             place(command, "jug")
-        assert says in str(caught.value)
+        assert reason in str(caught.value)
         assert "Nothing was captured" in str(caught.value)
 
 
-def test_a_capture_places_its_scene_before_it_connects_to_the_rig(
+def test_scene_is_placed_before_the_rig_is_connected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, notes = placed_by(tmp_path)
-    seen: list[str] = []
+    placed: list[str] = []
 
     def connect(*_: Any, **__: Any) -> None:
-        seen.append(notes.read_text())
+        placed.append(notes.read_text())
         raise CaptureError("no rig here")
 
     monkeypatch.setattr(captures, "RemoteRig", connect)
@@ -69,10 +69,10 @@ def test_a_capture_places_its_scene_before_it_connects_to_the_rig(
     capture = captures.of_job(job)
     with pytest.raises(CaptureError, match="no rig here"):
         capture(AcquisitionFolder(tmp_path / "jug/dual"), 0)
-    assert seen == ["jug\n"]
+    assert placed == ["jug\n"]
 
 
-def test_a_rig_with_several_scenes_wants_a_command(tmp_path: Path) -> None:
+def test_several_scenes_need_a_placing_command(tmp_path: Path) -> None:
     settings = tmp_path / "run.yaml"
     text = "collection: list.csv\nmethods: {dual: {}}\ncapture: {rig: remote%s}\n"
     (tmp_path / "list.csv").write_text("name,kind,shape\njug,captured,6 x 8\ncup,captured,6 x 8\n")

@@ -1,4 +1,4 @@
-"""Transport between rays of different domains: sparse direct light, and light between functions."""
+"""Light transport of any rig: sparse direct light, and smooth light between functions."""
 
 from __future__ import annotations
 
@@ -18,84 +18,81 @@ if TYPE_CHECKING:
 
 
 class FootprintTransport(ArrayTransport):
-    """Transport ``T = D + diag(f) L S R^T diag(g)`` a channel, for any two ray domains.
+    """Transport ``T = D + diag(f) L S R^T diag(g)`` of each channel, for any two ray domains.
 
     D are footprints: the few projector rays that light a camera ray directly. L and R are functions
-    over the camera's and the projector's rays, S what they exchange, f and g the light that each
-    ray takes and gives.
+    over the camera's and the projector's rays, S the light between them, f and g the light that
+    each ray receives and sends. M, N and n are the numbers of camera rays, of projector rays and of
+    functions.
 
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.base.Transport`.
     content : mapping of str to ndarray
-        Sparse matrices row by row: row ``i`` of the matrix `name` is non-zero at the columns
-        ``{name}_columns[{name}_starts[i] : {name}_starts[i + 1]]``, both int32. ``footprints`` is
-        D, its values ``footprints``, float32 (channels, entries), in radiance; ``left`` L and
-        ``right`` R, their values ``left`` and ``right``, float32 (entries,), unitless; ``cores``
-        S, its values ``cores``, float32 (channels, entries), of any sign. ``camera_factor``,
-        float32 (channels, camera rays), f, and ``projector_factor``, float32 (channels, projector
-        rays), g: the product of f, S and g is radiance. They may be read lazily. Cores cancel, so
-        that no store rounds them.
+        The arrays below; they may be read lazily. Row i of a sparse matrix has its entries in the
+        columns ``{name}_columns[{name}_starts[i] : {name}_starts[i + 1]]``, both int32. No store
+        rounds the arrays, since terms with cores of opposite sign cancel.
+
+    Notes
+    -----
+    ======  ====================  =====================  ===========================================
+    symbol  array                 values, float32        meaning, unit
+    ======  ====================  =====================  ===========================================
+    ``D``   ``footprints``        (channels, entries)    sparse (M, N), radiance
+    ``L``   ``left``              (entries,)             sparse (M, n), no unit
+    ``R``   ``right``             (entries,)             sparse (N, n), no unit
+    ``S``   ``cores``             (channels, entries)    sparse (n, n), of any sign
+    ``f``   ``camera_factor``     (channels, M)          the product of f, S and g is radiance
+    ``g``   ``projector_factor``  (channels, N)
+    ======  ====================  =====================  ===========================================
     """
 
     kind = "footprints"
 
     def _forward(self, light: Float, channel: int) -> Any:
-        held, functions = self._content, self._functions
-        cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
-        sent = functions["right"].T @ (light.T * held["projector_factor"][channel][:, None])
-        smooth = functions["left"] @ (cores @ sent)
-        return (direct @ light.T + smooth * held["camera_factor"][channel][:, None]).T
+        D, S, f, g = self._of_channel(channel)
+        smooth = self._L @ (S @ (self._R.T @ (light.T * g[:, None])))
+        return (D @ light.T + smooth * f[:, None]).T
 
     def _adjoint(self, light: Float, channel: int) -> Any:
-        held, functions = self._content, self._functions
-        cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
-        sent = functions["left"].T @ (light.T * held["camera_factor"][channel][:, None])
-        smooth = functions["right"] @ (cores.T @ sent)
-        return (direct.T @ light.T + smooth * held["projector_factor"][channel][:, None]).T
+        D, S, f, g = self._of_channel(channel)
+        smooth = self._R @ (S.T @ (self._L.T @ (light.T * f[:, None])))
+        return (D.T @ light.T + smooth * g[:, None]).T
 
     def relight_per_ray(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
-        held, functions = self._content, self._functions
-        cores, direct = (self._matrix(n, held[n][channel]) for n in ("cores", "footprints"))
-        light = patterns.multiply(held["projector_factor"][channel]) @ functions["right"]
-        smooth = held["camera_factor"][channel] * product_diagonal(functions["left"], cores, light)
-        seen: Float = patterns.multiply(direct).sum(axis=1) + smooth
-        return seen
+        """Return each ray under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
+        D, S, f, g = self._of_channel(channel)
+        smooth = f * product_diagonal(self._L, S, patterns.multiply(g) @ self._R)
+        radiance: Float = patterns.multiply(D).sum(axis=1) + smooth
+        return radiance
 
     def direct(self) -> FootprintTransport:
-        """Return the footprints alone."""
+        """Return the transport of direct light, D."""
         dark = {name: np.zeros_like(self._content[name]) for name in ("cores", "camera_factor")}
         return self.with_content(self.level_rows, {**self._content, **dark})
 
     def mixed_with_even_light(
         self, smooth: Sequence[float], even: Sequence[float]
     ) -> FootprintTransport:
-        """Return ``D + f (a L S R^T + b 1 1^T) g``: less smooth light, and light that is even.
+        """Return ``D + diag(f) (a L S R^T + b 1 1^T) diag(g)``: a mixture with even light.
 
         Parameters
         ----------
-        smooth, even : sequence of float, length channels
+        smooth, even : sequence of float
             a, from 0 to 1, and b, at least 0, of each channel.
         """
         from scipy.sparse import block_array, csr_array, hstack
 
         functions = []
-        for matrix in self._functions.values():
+        for matrix in (self._L, self._R):
             ones: Any = csr_array(np.ones((matrix.shape[0], 1), np.float32))
             functions.append(csr_array(hstack([matrix, ones])))
-        cores = [
-            csr_array(
-                block_array(
-                    [
-                        [np.float32(a) * self._matrix("cores", self._content["cores"][k]), None],
-                        [None, csr_array(np.full((1, 1), b, np.float32))],
-                    ]
-                )
-            )
-            for k, (a, b) in enumerate(zip(smooth, even, strict=True))
-        ]
+        cores = []
+        for channel, (a, b) in enumerate(zip(smooth, even, strict=True)):
+            S = np.float32(a) * self._matrix("cores", self._content["cores"][channel])
+            constant = csr_array(np.full((1, 1), b, np.float32))
+            cores.append(csr_array(block_array([[S, None], [None, constant]])))
         arrays = {
             **self._content,
             **sparse_arrays("left", functions[0]),
@@ -104,37 +101,64 @@ class FootprintTransport(ArrayTransport):
         }
         return self.with_content(self.level_rows, arrays)
 
-    @cached_property
-    def _functions(self) -> dict[str, csr_array[np.float32]]:
-        """L and R."""
-        return {name: self._matrix(name, self._content[name]) for name in ("left", "right")}
+    def _of_channel(
+        self, channel: int
+    ) -> tuple[csr_array[np.float32], csr_array[np.float32], Float, Float]:
+        """Return D, S, f and g."""
+        arrays = self._content
+        return (
+            self._matrix("footprints", arrays["footprints"][channel]),
+            self._matrix("cores", arrays["cores"][channel]),
+            arrays["camera_factor"][channel],
+            arrays["projector_factor"][channel],
+        )
 
     @cached_property
-    def _columns(self) -> dict[str, int]:
-        """How many columns the matrices have."""
+    def _L(self) -> csr_array[np.float32]:  # noqa: N802
+        return self._matrix("left", self._content["left"])
+
+    @cached_property
+    def _R(self) -> csr_array[np.float32]:  # noqa: N802
+        return self._matrix("right", self._content["right"])
+
+    @cached_property
+    def _column_counts(self) -> dict[str, int]:
+        """Number of columns of each sparse matrix."""
         last = [self._content[name].max(initial=-1) for name in ("right_columns", "cores_columns")]
-        of_right = int(max(last)) + 1
-        of_left = len(self._content["cores_starts"]) - 1
-        rays = int(np.prod(self.projector_shape))
-        return {"footprints": rays, "cores": of_right, "left": of_left, "right": of_right}
+        functions = int(max(last)) + 1
+        return {
+            "footprints": int(np.prod(self.projector_shape)),
+            "cores": functions,
+            "left": len(self._content["cores_starts"]) - 1,
+            "right": functions,
+        }
 
     def _matrix(self, name: str, values: Float) -> csr_array[np.float32]:
         from scipy.sparse import csr_array
 
         starts: Any = self._content[f"{name}_starts"]
-        shape = (len(starts) - 1, self._columns[name])
+        shape = (len(starts) - 1, self._column_counts[name])
         return csr_array((values, self._content[f"{name}_columns"], starts), shape=shape)
 
 
 def sparse_arrays(
     name: str, matrix: csr_array[Any], values: list[Float] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return a sparse matrix, values channel by channel, as a `FootprintTransport` holds it."""
-    held = matrix.data.astype(np.float32) if values is None else np.stack(values)
-    used = np.atleast_2d(held).any(axis=0)
+    """Return the arrays of a sparse matrix in a `FootprintTransport`.
+
+    Parameters
+    ----------
+    name : str
+    matrix : csr_array
+    values : list of ndarray of float32, optional
+        Entries of each channel, in the order of the matrix's. Entries that are 0 in all channels
+        are dropped. By default the matrix's own, for all channels.
+    """
+    entries = matrix.data.astype(np.float32) if values is None else np.stack(values)
+    used = np.atleast_2d(entries).any(axis=0)
     before = np.concatenate([[0], np.cumsum(used)])
     return {
-        name: np.ascontiguousarray(held[..., used]),
+        name: np.ascontiguousarray(entries[..., used]),
         f"{name}_columns": matrix.indices[used].astype(np.int32),
         f"{name}_starts": before[matrix.indptr].astype(np.int32),
     }

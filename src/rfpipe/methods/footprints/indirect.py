@@ -176,9 +176,9 @@ class CoreOperator:
         """Compute the pictures of cores, (M, P)."""
         from rfpipe.transport.pair_kernels import couple_asymmetric
 
-        pairs = self.basis.camera.pairs
+        (first, second), (symmetric, antisymmetric) = self.basis.camera.pairs, np.split(cores, 2)
         received = np.zeros_like(self.sent)
-        couple_asymmetric(*pairs, *np.split(cores, 2), self.sent, received)
+        couple_asymmetric(first, second, symmetric, antisymmetric, self.sent, received)
         images: Float = (self.L @ received) * self.f[:, None]
         return images
 
@@ -189,8 +189,8 @@ class CoreOperator:
         received = self.L.T @ (images * self.f[:, None])
         received = np.ascontiguousarray(received, np.float32)
         result = np.empty(self.basis.core_count, np.float32)
-        pairs = self.basis.camera.pairs
-        correlate_asymmetric(*pairs, received, self.sent, *np.split(result, 2))
+        (first, second), (symmetric, antisymmetric) = self.basis.camera.pairs, np.split(result, 2)
+        correlate_asymmetric(first, second, received, self.sent, symmetric, antisymmetric)
         return result
 
     def normal_diagonal(self, data: FitData) -> Float:

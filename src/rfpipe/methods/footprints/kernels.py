@@ -202,7 +202,8 @@ def marginal_factors(
             for a in range(len(U)):
                 inner[a, a] += 1 / variance[first + a]
                 U[a] = rows.patterns[pixels[a]].astype(np.float64) * inverse_variance[i]
-            _substitute(np.linalg.cholesky(inner), U)
+            lower: Double = np.linalg.cholesky(inner)
+            _substitute(lower, U)
             for u in U.ravel():
                 total -= u * u
         trace[i] = max(total, 0.0)
