@@ -12,7 +12,7 @@ import io
 import json
 import sys
 from dataclasses import asdict, fields
-from difflib import SequenceMatcher, get_close_matches
+from difflib import SequenceMatcher
 from importlib import import_module
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from figures.index import write_index
 from rfpipe.errors import RfpipeError
 from rfpipe.report.page import pdf_of
 from rfpipe.store.files import write_atomically
+from rfpipe.text import did_you_mean
 
 SCRIPTS = tuple(
     sorted(
@@ -58,8 +59,8 @@ def unknown(script: str) -> str:
     """Return the message for a script that isn't there: all names, the most similar first."""
     names = (*SCRIPTS, "index", "check")
     nearest = sorted(names, key=lambda name: -SequenceMatcher(None, script, name).ratio())
-    meant = f"did you mean {nearest[0]}? " if get_close_matches(script, names) else ""
-    return f"there is no script {script!r}; {meant}There are {', '.join(nearest)}"
+    remedy = f"{did_you_mean(script, names)} There are {', '.join(nearest)}".strip()
+    return f"there is no script {script!r}; {remedy}"
 
 
 def _check() -> None:

@@ -1,6 +1,6 @@
-"""Output files: each written whole or not at all, in a format that its suffix names.
+"""Output files: written completely or not at all, in the format of their suffix.
 
-Every command writes through `whole_file`. What each command writes is in `OUTPUTS`.
+Every command writes through `whole_file`. `OUTPUTS` lists the formats of each command.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ FORMATS = {
 """Contents of files by the suffixes of their names, in lower case."""
 
 FOLDER = ""
-"""In place of a suffix: a folder."""
+"""Stands for a folder among suffixes."""
 
 OUTPUTS: dict[str, tuple[str, ...]] = {
     "relight": (".exr", ".png", ".npy", ".mp4", FOLDER),
@@ -61,7 +61,7 @@ OUTPUTS: dict[str, tuple[str, ...]] = {
 
 
 def is_full(error: OSError) -> bool:
-    """Test whether an error is that of a full disk, a quota, or a limit of file sizes."""
+    """Return True for the errors of a full disk, an exceeded quota, and a limit on file sizes."""
     return error.errno in _FULL
 
 
@@ -75,24 +75,24 @@ class Failure(NamedTuple):
 def suffix_of(path: Path, allowed: tuple[str, ...], command: str = "") -> str:
     """Return the suffix of an output's name, in lower case; `FOLDER` for a folder.
 
-    A name counts as a folder's when such a folder exists, or it ends in no letters after a full
-    stop: ``relit``, ``crate-1.0``.
+    The name of a folder has no suffix of letters (``relit``, ``crate-1.0``), or the folder exists.
 
     Raises
     ------
     InputError
-        When the suffix is not allowed, a folder has the name of a file, or a file or device that of
-        a folder.
+        When the suffix is not allowed, a folder exists in place of the file, or a file or device
+        in place of the folder.
     """
     suffix = path.suffix.lower()
     if not suffix[1:2].isalpha() or (path.is_dir() and suffix not in FORMATS):
         suffix = FOLDER
     if suffix not in allowed:
-        has = f"the suffix {path.suffix}" if suffix else "no suffix"
-        files = [f"{name} ({FORMATS[name]})" for name in allowed if name != FOLDER]
-        expected = ", ".join([*files, *["a folder's name, without a suffix"] * (FOLDER in allowed)])
+        problem = f"has the suffix {path.suffix}" if suffix else "has no suffix"
+        expected = [f"{name} ({FORMATS[name]})" for name in allowed if name != FOLDER]
+        if FOLDER in allowed:
+            expected.append("a folder's name, without a suffix")
         option = f"rfpipe {command} --output {shlex.quote(str(path))}" if command else f"{path}"
-        raise InputError(f"{option}: has {has}; expected {expected}")
+        raise InputError(f"{option}: {problem}; expected {', '.join(expected)}")
     if suffix not in (FOLDER, ".zarr", ".zip") and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if suffix == FOLDER:
@@ -105,26 +105,26 @@ def suffix_of(path: Path, allowed: tuple[str, ...], command: str = "") -> str:
 
 
 def check_folder(path: Path) -> None:
-    """Raise InputError where a file or device has the name of a folder, or of one above it."""
-    for place in (path, *path.parents):
-        if place.exists() and not place.is_dir():
-            what = "a file" if place.is_file() else "a device"
-            subject = f"{place}: is" if place == path else f"{path}: {place} is"
-            raise InputError(f"{subject} {what}; name a folder, or one that can be made")
+    """Raise InputError if a file or device exists in place of a folder or of one above it."""
+    for folder in (path, *path.parents):
+        if folder.exists() and not folder.is_dir():
+            kind = "a file" if folder.is_file() else "a device"
+            subject = f"{folder}: is" if folder == path else f"{path}: {folder} is"
+            raise InputError(f"{subject} {kind}; name a folder, or one that can be created")
 
 
 def checked_output(command: str, path: Path) -> str:
-    """Return the suffix of a command's output; InputError unless `OUTPUTS` has it."""
+    """Return the suffix of a command's output; InputError if it isn't in `OUTPUTS`."""
     return suffix_of(path, OUTPUTS[command], command)
 
 
 def check_no_run(path: Path, mark: str) -> None:
-    """Raise InputError where a folder is a run's, or its results, unless it has a file `mark`."""
+    """Raise InputError for the folder of a run or its results, unless it has a file `mark`."""
     is_results = path.absolute().name == "results" and any(path.glob("*/*/L00"))
     if (is_results or (path / "results").is_dir()) and not (path / mark).exists():
         raise InputError(
             f"{path}: is the folder of a run, with results; name another folder, such as a new one "
-            "beside it"
+            "next to it"
         )
 
 
@@ -132,16 +132,18 @@ def check_no_run(path: Path, mark: str) -> None:
 def storage_errors(
     path: Any, action: str, needed_bytes: int = 0, *, resumes: bool = True
 ) -> Iterator[None]:
-    """Turn an OSError into a StoreError that says what to do.
+    """Turn an OSError into a StoreError with a remedy.
 
     Parameters
     ----------
-    path, action
-        The place, and what is done there, such as ``"writing items 3 to 7"``.
-    needed_bytes
-        Size of the data before compression; 0 when it doesn't matter.
-    resumes
-        Whether a second run goes on where this one stopped.
+    path : Path or Place
+        File, folder or store that is read or written.
+    action : str
+        Description of the access, such as ``"writing items 3 to 7"``.
+    needed_bytes : int
+        Size of the data before compression; 0 if irrelevant.
+    resumes : bool
+        True if a second run continues where this one stopped.
     """
     try:
         yield
@@ -162,26 +164,23 @@ def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> 
     if error.errno in _FORBIDDEN:
         return Failure(
             reason,
-            "expected a place that this user may write to; change the permissions of "
-            f"{path.parent} or choose another folder",
+            f"give this user write permission for {path.parent}, or choose another folder",
         )
     if error.errno in _BLOCKED:
         return Failure(
-            reason, f"a file has the name of a folder in {path}; remove it or choose another place"
+            reason,
+            f"a folder in {path} has the name of a file; remove the file or choose another path",
         )
     if error.errno == errno.ENOENT and isinstance(path, Path):
         parent = _existing(path.absolute().parent)
-        return Failure(reason, f"check that files can be made in {parent}, or choose another place")
+        return Failure(reason, f"check that {parent} is writable, or choose another folder")
     if error.errno in _LOCKLESS:
-        return Failure(reason, "mount its file system with locks (NFS 4, Lustre with -o flock)")
+        return Failure(reason, "mount the file system with locks (NFS 4, Lustre with -o flock)")
     return Failure(reason, "check the folder and its file system, then run again")
 
 
 def write_atomically(path: Path, content: bytes, *, resumes: bool = True) -> None:
-    """Write a small file so that it is whole or unchanged, also after a power cut.
-
-    Parameters as `whole_file`.
-    """
+    """Replace a small file atomically, also if the power fails; parameters as `whole_file`."""
     with whole_file(path, len(content), resumes=resumes, least_bytes=len(content)) as partial:
         partial.write_bytes(content)
 
@@ -197,19 +196,20 @@ def whole_file(
 ) -> Iterator[Path]:
     """Yield the path of a temporary file, which replaces `path` when it is complete.
 
-    The name ends as `path` does, since some writers tell the format by it. The file is brought to
-    the disk and checked before it gets its name. An interrupted write leaves nothing.
+    The temporary name has the suffix of `path`, from which some writers choose the format. The
+    file is synced to the disk and checked before it is renamed. An interrupted write leaves
+    nothing.
 
     Parameters
     ----------
-    path
-        The file; folders above it are made. A symbolic link stays, and its target is written.
+    path : Path
+        The file; folders above it are created. The target of a symbolic link is written.
     needed_bytes, resumes
         As in `storage_errors`.
-    least_bytes
-        Size of the smallest file that is complete.
+    least_bytes : int
+        Size of the smallest complete file.
     check : callable, optional
-        Reads the temporary file back, and raises an error where it is damaged.
+        Reads the temporary file and raises an error if it is damaged.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def whole_file(
             with partial.open("rb") as file:
                 os.fsync(file.fileno())
             if partial.stat().st_size < least_bytes:
-                raise damage_of(path, partial, "it is cut")
+                raise damage_of(path, partial, "it is truncated")
             if check is not None:
                 check(partial)
             partial.replace(path)
@@ -233,21 +233,21 @@ def whole_file(
             partial.unlink(missing_ok=True)
 
 
-def damage_of(path: Path, partial: Path, what: str) -> OSError:
-    """Return the error of a library that wrote a damaged file without raising one.
+def damage_of(path: Path, partial: Path, damage: str) -> OSError:
+    """Return an error for a library that wrote a damaged file without raising one.
 
-    It is that of a full disk where the disk has less room than the file has bytes.
+    A disk with less free space than the size of the file counts as full.
     """
     size = partial.stat().st_size if partial.exists() else 0
     if free_bytes(path.parent) <= size:
-        return OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {what}")
-    return OSError(errno.EIO, f"the file is damaged: {what}")
+        return OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {damage}")
+    return OSError(errno.EIO, f"the file is damaged: {damage}")
 
 
 class Sink(io.RawIOBase):
-    """A file for libraries that crash on errors of the disk: it keeps the first error.
+    """A file for libraries that crash on errors of the disk.
 
-    After an error, further bytes are discarded, and `failure` has the error to raise.
+    It stores the first error in `failure` instead of raising it, and discards all further bytes.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -281,13 +281,13 @@ class Sink(io.RawIOBase):
 
     def truncate(self, size: int | None = None) -> int:
         """Resize the file."""
-        with self._kept_errors():
+        with self._storing_errors():
             self._file.truncate(size)
         return size or 0
 
     def write(self, content: Any) -> int:
         """Write all bytes, or none after an error; return their number."""
-        with self._kept_errors():
+        with self._storing_errors():
             if self.failure is None:
                 view = memoryview(content).cast("B")
                 while view:
@@ -300,7 +300,7 @@ class Sink(io.RawIOBase):
             raise self.failure
 
     @contextmanager
-    def _kept_errors(self) -> Iterator[None]:
+    def _storing_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
@@ -308,19 +308,20 @@ class Sink(io.RawIOBase):
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the bytes free on the file system of a folder, which needn't exist yet."""
+    """Return the free bytes on the file system of a folder, which may not exist yet."""
     return shutil.disk_usage(_existing(folder)).free
 
 
 def mount_point(path: Path) -> Path:
     """Return the folder at which the disk of a file is mounted."""
-    place = _existing(path.absolute().parent)
-    while place != place.parent and not place.is_mount():
-        place = place.parent
-    return place
+    folder = _existing(path.absolute().parent)
+    while folder != folder.parent and not folder.is_mount():
+        folder = folder.parent
+    return folder
 
 
 def _existing(folder: Path) -> Path:
+    """Return a folder, or the lowest one above it that exists."""
     while not folder.exists():
         folder = folder.parent
     return folder

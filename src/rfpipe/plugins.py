@@ -1,8 +1,8 @@
-"""What describes itself: methods, scenes and devices, found by name or by a path of the user's own.
+"""Plug-ins: methods, scenes and devices, by the name of an entry point or by the path of a class.
 
-A name is that of an entry point in one of rfpipe's groups, of rfpipe or of another package. A path
-is ``module:Class``, the module found as Python finds it or in the folder where rfpipe runs, or
-``file.py:Class``, the file relative to that folder.
+Names belong to entry points of rfpipe or of an installed package, in one of the groups below. A
+path is ``module:Class``, with a module that Python can import or that is in the current folder, or
+``file.py:Class``, with a file relative to the current folder.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from difflib import get_close_matches
 from functools import cache
 from hashlib import sha256
 from importlib import import_module
@@ -22,22 +21,23 @@ from types import ModuleType
 from typing import Any
 
 from rfpipe.errors import InputError, RfpipeError
+from rfpipe.text import did_you_mean
 
 METHODS = "rfpipe.methods"
-"""The group of acquisition methods."""
+"""Group of acquisition methods."""
 
 PROJECTORS, CAMERAS, RIGS = "rfpipe.projectors", "rfpipe.cameras", "rfpipe.rigs"
-"""The groups of devices' drivers, and of rigs as a whole."""
+"""Groups of drivers for projectors, cameras and complete rigs."""
 
 SCENES = "rfpipe.scenes"
-"""The group of kinds of scenes."""
+"""Group of kinds of scenes."""
 
 
 @cache
 def _installed() -> dict[str, dict[str, str]]:
-    """Where the names of each group lead; read once, since every package installed is asked."""
+    """Path of each entry point, by group and name; cached, since this reads all packages."""
     entries = entry_points()
-    # of two packages with the same name, the first on the path has it
+    # if two packages define a name, the first on the path wins
     return {
         group: {entry.name: entry.value for entry in reversed(tuple(entries.select(group=group)))}
         for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES)
@@ -50,7 +50,7 @@ def names(group: str) -> tuple[str, ...]:
 
 
 def path_of(group: str, name: str) -> str:
-    """Return where a name of a group leads, ``module:Class``; a path leads to itself.
+    """Return the path ``module:Class`` of a name in a group; a path is returned unchanged.
 
     Raises
     ------
@@ -61,35 +61,34 @@ def path_of(group: str, name: str) -> str:
         return name
     if name not in names(group):
         choices = f"one of {', '.join(names(group))}, or " if names(group) else ""
-        close = get_close_matches(name, names(group), n=1)
-        expected = f"did you mean {close[0]}? Expected" if close else "expected"
+        suggestion = did_you_mean(name, names(group))
+        expected = f"{suggestion} Expected" if suggestion else "expected"
         raise InputError(
-            f"{name!r} is unknown; {expected} {choices}a class of your own as module:Class or "
-            "file.py:Class"
+            f"{name!r} is unknown",
+            remedy=f"{expected} {choices}a class of your own as module:Class or file.py:Class",
         )
     return _installed()[group][name]
 
 
 def sources_of(group: str, name: str) -> tuple[Path, ...]:
-    """Return the files behind a name or path that rfpipe's own digest of code doesn't count.
+    """Return the source files of a plug-in that `rfpipe.provenance.code_digest` doesn't cover.
 
-    None for rfpipe itself, else the file of the class.
+    There are none for a class of rfpipe, else the file of the class.
 
     Raises
     ------
     InputError
-        When there is no such name, module or file.
+        When the name, module or file doesn't exist.
     """
-    module = path_of(group, name).rpartition(":")[0]
-    package = module.partition(".")[0]
-    if package == "rfpipe":
+    if is_of_rfpipe(group, name):
         return ()
+    module = path_of(group, name).rpartition(":")[0]
     file = (_file(module) if module.endswith(".py") else _module(module)).__file__
     return () if file is None else (Path(file),)
 
 
 def is_of_rfpipe(group: str, name: str) -> bool:
-    """Test whether a name leads to a class of rfpipe, not to a user's code.
+    """Return True if a name or path refers to a class of rfpipe, not to a user's code.
 
     Raises
     ------
@@ -102,29 +101,28 @@ def is_of_rfpipe(group: str, name: str) -> bool:
 
 
 def find(group: str, name: str) -> Any:
-    """Return what a name or path of a group stands for.
+    """Import the class of a name or path.
 
     Raises
     ------
     InputError
-        When there is no such name, module, file or class, or a user's code can't be imported:
-        says which, and what to do.
+        When the name, module, file or class doesn't exist, or a user's code can't be imported.
     """
     module, _, attribute = path_of(group, name).rpartition(":")
     try:
         namespace = _file(module) if module.endswith(".py") else _module(module)
         return getattr(namespace, attribute)
     except AttributeError as error:
-        raise InputError(f"{name!r}: {module} has no {attribute!r}; expected a class in it") from (
-            error
-        )
+        raise InputError(
+            f"{module} has no {attribute!r}", place=name, remedy="name a class of this module"
+        ) from error
 
 
 def _module(name: str) -> ModuleType:
     module = _imported(name)
-    here = str(Path.cwd())
-    if module is None and here not in sys.path:
-        sys.path.insert(0, here)
+    folder = str(Path.cwd())
+    if module is None and folder not in sys.path:
+        sys.path.insert(0, folder)
         module = _imported(name)
     if module is None:
         raise _missing(name)
@@ -132,26 +130,26 @@ def _module(name: str) -> ModuleType:
 
 
 def _imported(name: str) -> ModuleType | None:
-    """Import a module; None where Python has none of this name."""
+    """Import a module; None if Python finds no module of this name."""
     package = name.partition(".")[0]
     if package == "rfpipe":
-        return _if_there(name)
+        return _import_or_none(name)
     with _errors_of_user_code(f"module {name!r}"):
-        return _if_there(name)
+        return _import_or_none(name)
 
 
-def _if_there(name: str) -> ModuleType | None:
+def _import_or_none(name: str) -> ModuleType | None:
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
-            raise  # the module is there, and lacks one that it needs
+            raise  # the module exists, but a module that it imports doesn't
         return None
 
 
 @contextmanager
-def _errors_of_user_code(what: str) -> Iterator[None]:
-    """Turn an error of Python code at its import into an InputError with file and line."""
+def _errors_of_user_code(source: str) -> Iterator[None]:
+    """Turn an exception at the import of a user's code into an InputError with file and line."""
     try:
         yield
     except RfpipeError:
@@ -163,19 +161,21 @@ def _errors_of_user_code(what: str) -> Iterator[None]:
             frames = traceback.extract_tb(error.__traceback__)
             last = [frame for frame in frames if not frame.filename.startswith("<")][-1]
             file, line, reason = last.filename, last.lineno, str(error)
-        remedy = "mend the code"
+        correction = "correct the code"
         if isinstance(error, ModuleNotFoundError):
-            remedy = f"install {error.name}, or mend the import"
+            correction = f"install {error.name}, or correct the import"
         raise InputError(
-            f"{what} can't be imported: {file}, line {line}: {type(error).__name__}: {reason}; "
-            f"{remedy}, then run again"
+            f"{source} can't be imported: {type(error).__name__}: {reason}",
+            place=f"{file}, line {line}",
+            remedy=f"{correction}, then run again",
         ) from error
 
 
 def _missing(name: str) -> InputError:
     return InputError(
-        f"module {name!r} is not to be found; install it, put {name.partition('.')[0]}.py into "
-        f"{Path.cwd()}, or give the path of its file, as in folder/file.py:Class"
+        f"there is no module {name!r}",
+        remedy=f"install it, put {name.partition('.')[0]}.py into {Path.cwd()}, or give the path "
+        "of its file, as in folder/file.py:Class",
     )
 
 
@@ -186,7 +186,9 @@ def _file(path: str) -> ModuleType:
         return sys.modules[name]
     spec = spec_from_file_location(name, file)
     if spec is None or spec.loader is None or not file.is_file():
-        raise InputError(f"there is no file {path} in {Path.cwd()}; expected Python code")
+        raise InputError(
+            "no such file of Python code", place=Path.cwd() / path, remedy="check the path"
+        )
     module = module_from_spec(spec)
     sys.modules[name] = module
     try:

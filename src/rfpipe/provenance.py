@@ -1,4 +1,4 @@
-"""Fingerprints of settings and code, versions of what ran, and seeded random generators."""
+"""Fingerprints of settings and code, versions of packages, and seeded random generators."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _DIGEST_BYTES = 16  # blake2b-128: short enough for a manifest, no accidental co
 _PACKAGE = Path(__file__).parent
 _RECORDED_PACKAGES = ("numba", "numpy", "rustworkx", "scipy", "zarr")
 
-# Of rfpipe: what shows results, serves them or runs jobs, and shapes none.
-_SHAPES_NOTHING = (
+_WITHOUT_EFFECT_ON_RESULTS = (
     "calibration/", "cli/", "devices/", "export/", "fitting/", "publishing/", "report/", "server/",
     "jobs/", "stages/evaluate.py", "storage/checking.py", "testing/", "viewer/",
 )  # fmt: skip
+"""Code of rfpipe that displays or serves results or runs jobs, without changing results."""
 
 
 def workflow_folder() -> Path:
-    """Return the folder of the Snakefile: of the clone that rfpipe runs from, or in the package."""
+    """Return the folder with the Snakefile: the clone of rfpipe, or a folder of the package."""
     installed = _PACKAGE / "_workflow"
     return installed if installed.is_dir() else _PACKAGE.parents[1]
 
@@ -40,22 +40,27 @@ def fingerprint(value: object) -> str:
     ----------
     value
         Plain data (None, bool, int, finite float, str; lists, tuples and dicts with string
-        keys), pydantic models, NumPy scalars and arrays, nested as you like. Lists and tuples
-        count as equal; the order of a dict's keys doesn't matter. An array is known by its
-        dtype, shape and bytes. InputError for anything else.
+        keys), pydantic models, NumPy scalars and arrays, in any nesting. Lists and tuples count
+        as equal; the order of a dict's keys doesn't matter. An array contributes its dtype, shape
+        and bytes.
 
     Returns
     -------
     str
         32 hexadecimal digits (blake2b-128).
+
+    Raises
+    ------
+    InputError
+        When `value` contains another type, NaN or infinity.
     """
     return _digest(_json_text(value).encode())
 
 
 def plain_data(value: object) -> Any:
-    """Return a value as JSON reads it again: tuples as lists, arrays as their digests.
+    """Return a value after a round trip through JSON: tuples as lists, arrays as digests.
 
-    Takes the values, and raises the errors, that `fingerprint` does.
+    It takes the same values and raises the same errors as `fingerprint`.
     """
     return json.loads(_json_text(value))
 
@@ -67,24 +72,24 @@ def _json_text(value: object) -> str:
         )
     except (ValueError, TypeError) as error:
         raise InputError(
-            f"fingerprint: {error}; pass finite numbers, strings, arrays, lists, dicts or pydantic "
-            "models"
+            f"value has no fingerprint: {error}",
+            remedy="pass finite numbers, strings, arrays, lists, dicts or pydantic models",
         ) from error
 
 
 @cache
-def code_digest(*own: Path, pages: bool = False) -> str:
-    """Return the digest of the code that shapes results: rfpipe's and files of a user's own.
+def code_digest(*user_files: Path, pages: bool = False) -> str:
+    """Return the digest of the code that determines results: rfpipe's and a user's files.
 
-    Comments, what docstrings say and layout don't count.
+    Comments, docstrings and layout don't contribute.
 
     Parameters
     ----------
-    own : Path
-        Python files beside rfpipe's, such as that of a user's method. What they import doesn't
-        count.
+    *user_files : Path
+        Python files outside rfpipe, such as the file of a user's method. Modules that they import
+        don't contribute.
     pages : bool
-        Whether the code counts, too, that shows results, as on a report's page.
+        Include the code that displays results, as on a report's page.
 
     Returns
     -------
@@ -99,14 +104,14 @@ def code_digest(*own: Path, pages: bool = False) -> str:
     sources = {
         path.relative_to(_PACKAGE).as_posix(): path
         for path in _PACKAGE.rglob("*.py")
-        if pages or not path.relative_to(_PACKAGE).as_posix().startswith(_SHAPES_NOTHING)
+        if pages or not path.relative_to(_PACKAGE).as_posix().startswith(_WITHOUT_EFFECT_ON_RESULTS)
     }
-    sources |= {f"{number} {path.name}": path for number, path in enumerate(own)}
+    sources |= {f"{number} {path.name}": path for number, path in enumerate(user_files)}
     return fingerprint({name: _parsed(path) for name, path in sources.items()})
 
 
 def source_digest(*files: Path) -> str:
-    """Return the digest of Python files; comments, what docstrings say and layout don't count.
+    """Return the digest of Python files without comments, docstrings and layout.
 
     Raises
     ------
@@ -118,42 +123,41 @@ def source_digest(*files: Path) -> str:
 
 @cache
 def _parsed(path: Path) -> str:
-    """Return the syntax tree of a source, without its docstrings and the lines' numbers."""
+    """Return the syntax tree of a source file, without docstrings and line numbers."""
     try:
         tree = ast.parse(path.read_bytes())
     except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"{path}: not readable as Python: {error}") from error
+        raise InputError(
+            f"file isn't readable as Python: {error}", place=path, remedy="correct the file"
+        ) from error
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             node.value.value = ""
     return ast.dump(tree)
 
 
-@cache  # a package's version is looked for on the disk, and every manifest names it
+@cache  # every manifest contains the versions, which are read from the disk
 def versions() -> dict[str, str]:
-    """Return the versions of Python, rfpipe and the packages whose arithmetic shapes a result."""
+    """Return the versions of Python, rfpipe and the packages that influence results."""
     releases = {name: metadata.version(name) for name in _RECORDED_PACKAGES}
     releases |= {"python": platform.python_version(), "rfpipe": __version__}
     return dict(sorted(releases.items()))
 
 
 def generator(seed: int, *key: int) -> np.random.Generator:
-    """Return a Philox generator that depends on a seed and a key alone.
+    """Return a Philox generator that depends only on a seed and a key.
 
-    Work in any order and on any number of workers draws the same numbers.
+    It makes random numbers independent of the order of work and the number of workers.
 
     Parameters
     ----------
     seed
-        The run's seed, not negative.
-    key
-        Where the numbers are used, such as (level, pattern index, exposure index): integers in
-        [0, 2**32). Keys of different lengths are different keys, also when one is the other
-        with zeros appended.
-
+        Seed of the run, not negative.
+    *key
+        Use of the numbers, such as (level, pattern index, exposure index): integers in
+        [0, 2**32). Keys of different lengths differ, even if they differ only by appended zeros.
     """
-    # The key goes in as spawn key: plain entropy [seed, *key] is padded with zeros, so that
-    # (seed,) and (seed, 0) would draw the same numbers.
+    # as entropy [seed, *key], padded with zeros, (seed,) and (seed, 0) would draw the same numbers
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 
@@ -162,7 +166,7 @@ def _digest(content: bytes) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON lacks as JSON data; arrays become a digest."""
+    """Convert NumPy scalars, arrays and pydantic models to JSON data; arrays become a digest."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:

@@ -1,4 +1,4 @@
-"""Steps of long computations, counted by whoever shows their progress."""
+"""Progress of long computations: the computation counts its steps, a caller may display them."""
 
 from __future__ import annotations
 
@@ -7,37 +7,47 @@ from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-_counter: ContextVar[Any] = ContextVar("counter", default=None)
-_counting: ContextVar[Any] = ContextVar("counting", default=None)
+_factory: ContextVar[Any] = ContextVar("factory", default=None)
+"""Callable that makes the progress bar of a computation, or None."""
+
+_progress_bar: ContextVar[Any] = ContextVar("progress_bar", default=None)
+"""Progress bar of the running computation, or None."""
 
 
 @contextmanager
-def counted_by(counter: Callable[[str, int], AbstractContextManager[Any]]) -> Iterator[None]:
-    """Show computations meanwhile: ``counter(name, steps)`` makes what has ``advance(steps)``."""
-    before = _counter.set(counter)
+def displayed_by(factory: Callable[[str, int], AbstractContextManager[Any]]) -> Iterator[None]:
+    """Display the progress of the computations in a ``with`` block.
+
+    Parameters
+    ----------
+    factory : callable
+        ``factory(name, total)`` returns a progress bar, a context manager whose value has a
+        method ``advance(steps)``.
+    """
+    previous = _factory.set(factory)
     try:
         yield
     finally:
-        _counter.reset(before)
+        _factory.reset(previous)
 
 
 @contextmanager
 def steps(name: str, total: int) -> Iterator[None]:
-    """Begin a computation of so many steps; each calls `step` at its end."""
-    counter = _counter.get()
-    if counter is None:
+    """Enclose a computation of `total` steps, which calls `step` after each of them."""
+    factory = _factory.get()
+    if factory is None:
         yield
         return
-    with counter(name, total) as counting:
-        before = _counting.set(counting)
+    with factory(name, total) as progress_bar:
+        previous = _progress_bar.set(progress_bar)
         try:
             yield
         finally:
-            _counting.reset(before)
+            _progress_bar.reset(previous)
 
 
 def step() -> None:
-    """Count a step of the computation that has begun, if it is shown."""
-    counting = _counting.get()
-    if counting is not None:
-        counting.advance(1)
+    """Count a step of the running computation, if its progress is displayed."""
+    progress_bar = _progress_bar.get()
+    if progress_bar is not None:
+        progress_bar.advance(1)

@@ -1,3 +1,3 @@
-"""The version of rfpipe, which its distribution takes from here."""
+"""Version of rfpipe, read by the build of its distribution."""
 
 __version__ = "0.1.0"

@@ -83,14 +83,14 @@ def test_all_options_are_snakemake_s(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["mine.yaml"], r"settings go after --configfile: rfpipe run --configfile mine\.yaml"),
+        (["mine.yaml"], r"Give a settings file after --configfile: .* --configfile mine\.yaml"),
         (["--cores", "2", "mine.yml"], "--configfile mine.yml"),
         (["--dry-run", "mine.yaml"], "--configfile mine.yaml"),
-        (["--forcerun", "merg"], "no stage of this name.*such as merge"),
+        (["--forcerun", "merg"], "no stage merg .*such as merge"),
         (["-R", "reprt", "--cores", "1"], "such as report"),
         (["--configfile", "small.yaml", "-R", "merge"], "resources.jobs to stage"),
         (["--configfile", "small.yaml", "-R", "acquir"], "such as acquire"),
-        (["--configfile", "stages.yaml", "-R", "acquire"], "no stage of this name"),
+        (["--configfile", "stages.yaml", "-R", "acquire"], "the run has no stage acquire"),
     ],
 )
 def test_a_wrong_target_says_what_was_expected(

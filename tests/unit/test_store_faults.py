@@ -238,5 +238,7 @@ def test_a_forbidden_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
         lambda: FrameStore.create(tmp_path / "s", (2, 3), "u2", "abc", {}),
         lambda: write_arrays(tmp_path / "s", {}, {}),
     ):
-        with pytest.raises(StoreError, match=r"Permission denied .* expected a place that this"):
+        with pytest.raises(
+            StoreError, match=r"Permission denied .* give this user write permission"
+        ):
             attempt()

@@ -93,7 +93,7 @@ def fit(
     from rfpipe.jobs.job import Progress
     from rfpipe.output import checked_output
     from rfpipe.photometry import CameraModel, sensor_from_config
-    from rfpipe.steps import counted_by
+    from rfpipe.steps import displayed_by
     from rfpipe.text import counted, percent
     from rfpipe.transport import save_transport
 
@@ -113,7 +113,7 @@ def fit(
     )  # fmt: skip
     for note in series.notes:
         typer.echo(f"note: {note}", err=True)
-    with counted_by(partial(Progress, unit="step")):
+    with displayed_by(partial(Progress, unit="step")):
         result = fit_transport(series, coaxial=coaxial, anyway=anyway, memory_gib=memory_gib)
     for note in result.notes[len(series.notes) :]:
         typer.echo(f"note: {note}", err=True)

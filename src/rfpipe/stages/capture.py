@@ -33,7 +33,7 @@ from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.forecast import check_disk, disk_bytes
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.watch import watching_level
-from rfpipe.steps import counted_by
+from rfpipe.steps import displayed_by
 from rfpipe.storage.files import (
     REFERENCE_BRACKETS,
     SENSOR,
@@ -123,7 +123,7 @@ def run(
     batch = (resources or Resources()).fitting_count(in_hand, in_sequences or batch_patterns)
     beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
     # a simulated scene may be recorded at its first picture
-    with counted_by(partial(Progress, unit="step", shown=progress)):
+    with displayed_by(partial(Progress, unit="step", shown=progress)):
         for name, part in before.items():
             counts = {name: it for name, it in part.shown.items() if name != "rig"}
             beside[name] = {**part.capture(batch, progress=progress), **counts}

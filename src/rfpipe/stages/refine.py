@@ -18,7 +18,7 @@ from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.steps import counted_by
+from rfpipe.steps import displayed_by
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.text import counted, percent
 from rfpipe.transport.base import last_estimate
@@ -63,7 +63,7 @@ def run(
         if schedule.count == 1 and schedule.complete:  # the references' pattern, in far less noise
             floodlit, variance = (image[None] for image in read_floodlit(folder))
             images = ImagesAs(schedule, lambda *_: (floodlit, variance))
-        with counted_by(partial(Progress, unit="step", shown=progress)), _warnings() as warnings:
+        with displayed_by(partial(Progress, unit="step", shown=progress)), _warnings() as warnings:
             state = method.refine(state, images, (resources or Resources()).data_bytes)
     log_estimate(state.rows, plan.options)
     # in memory the state itself is carried on

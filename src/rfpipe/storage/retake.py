@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from rfpipe.storage.files import (
     with_followers,
 )
 from rfpipe.store import StoreLock, is_dropped
+from rfpipe.text import similar_names
 
 _CAPTURED = ("capture", REFERENCE_BRACKETS, SYMMETRY, "sensor", "check_pictures")
 """Stores of a level's capture."""
@@ -197,8 +197,8 @@ def _unknown(name: str, results: Path, known: list[str]) -> str:
         return f"{name}: nothing is captured in {results.absolute()}"
     acquisitions = dict.fromkeys(key.rpartition("/")[0] for key in known)
     names = [*acquisitions, *known]
-    close = difflib.get_close_matches(_normal(name), names, n=_NEAREST, cutoff=0.5)
-    nearest = close or list(acquisitions)[:_NEAREST]
+    similar = similar_names(_normal(name), names, count=_NEAREST, cutoff=0.5)
+    nearest = similar or list(acquisitions)[:_NEAREST]
     return (
         f"{name}: nothing is captured by this name in {results.absolute()}; expected "
         f"SCENE/METHOD or SCENE/METHOD/LEVEL, such as {', '.join(nearest)}"

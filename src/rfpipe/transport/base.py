@@ -104,8 +104,6 @@ class Transport(Relightable):
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; what fits into `memory_budget` bytes stays in memory."""
         about = bundle.attributes
-        if "shape" in about:  # of both sides, in stores of older versions
-            about = {**about, "camera_shape": about["shape"], "projector_shape": about["shape"]}
         return cls(
             channels=about["channels"],
             level_rows=about["levels"],
