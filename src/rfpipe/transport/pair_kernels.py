@@ -99,7 +99,7 @@ def couple_asymmetric(
     """Add ``S light`` to `out`, both (functions, columns), for S that is not symmetric.
 
     ``S_ab = symmetric + antisymmetric`` and ``S_ba = symmetric - antisymmetric`` for each pair
-    (a, b), with one value of each kind a pair.
+    (a, b), with one value of each kind a pair. The antisymmetric part of a pair (a, a) is 0.
     """
     for pair in range(len(first)):
         a, b = first[pair], second[pair]

@@ -17,7 +17,11 @@ Modules, in reading order:
 - `reciprocity`: D of cameras that share the rays of the projectors;
 - `charts`, `functions`: the B-splines L and R, and the factors f and g;
 - `indirect`: the fit of S;
-- `model`, `fit`: the whole model, and the loop that fits D and S in turn.
+- `model`, `fit`: the whole model, and the loop that fits D and S in turn;
+- `patterns`: the random patterns.
 
 `kernels` has the compiled loops.
+
+Sizes have the same letters throughout: M camera rays, N projector rays (of one view or of all), P
+pictures, K candidate entries of D, n functions.
 """

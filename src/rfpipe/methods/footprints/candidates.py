@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import Index
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Bools, Float, Index
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -107,7 +106,7 @@ class Candidates:
         keys = position[part.camera_pixels] * self.projector_size + part.keys % self.projector_size
         return replace(part, camera_size=len(camera_pixels), keys=keys)
 
-    def _masked(self, mask: NDArray[np.bool_]) -> Candidates:
+    def _masked(self, mask: Bools) -> Candidates:
         return replace(
             self, keys=self.keys[mask], variance=self.variance[mask], weights=self.weights[mask]
         )

@@ -1,10 +1,10 @@
 """Charts: one image on which every camera ray has a place.
 
-Indirect light is smooth over the surfaces of the scene. With one projector view a camera pixel's
-surface is found beside those of its neighbours, so that the camera's own image is the chart. In a
-light field each view has an image of the same surfaces. Then the image of the middle projector view
-is the chart: a ray's place on it is the centre of its footprint, and all views share one set of
-functions.
+Indirect light is smooth over the surfaces of the scene. The functions that describe it are defined
+on a chart, an image in which neighbouring pixels are neighbouring points of surfaces. With one
+projector view the camera's image is the chart. In a light field every view has an image of the same
+surfaces; then the image of the middle projector view is the chart for all of them. A ray's place on
+it is the centre of its footprint.
 """
 
 from __future__ import annotations
@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import Index, RayDomain
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Bools, Double, Float, Index
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import nearest
 from rfpipe.transport.multiscale import MultiscaleBasis, along, numbers
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # A place is known where direct light exceeds both fractions: of the floodlit image, and of the
 # median direct light.
@@ -141,7 +139,7 @@ def chart_from_view(
     return Chart((height + 2 * margin, width + 2 * margin), places + margin)
 
 
-def _extrapolated(camera: RayDomain, places: Double, known: Mask, shape: Index) -> Double:
+def _extrapolated(camera: RayDomain, places: Double, known: Bools, shape: Index) -> Double:
     """Give rays of unknown place the parallax of the nearest ray that has one, view by view."""
     views, height, width = camera.stack_shape
     # places if there were no parallax

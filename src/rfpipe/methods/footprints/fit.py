@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import Index, RayDomain
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Bools, Float, Index
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import Candidates, join_views, on_view, split_views
 from rfpipe.methods.footprints.charts import Chart, chart_from_view
 from rfpipe.methods.footprints.functions import (
@@ -312,7 +312,7 @@ def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
         light = fit_cores(light, data, basis.prior_deviations(expected, mean), ROUGH)
         return fit_gains(fit_cores(light, data, light.learned_deviations(), GOOD), data)
 
-    def cells_to_refine(light: IndirectLight, scale: int) -> NDArray[np.bool_]:
+    def cells_to_refine(light: IndirectLight, scale: int) -> Bools:
         if 2 * scale == coarsest_scale(chart.shape):
             return np.ones(cells(chart.shape, scale), np.bool_)
         return _cells_with_errors(chart, scale, light, data)
@@ -349,9 +349,7 @@ def _mean_indirect_light(
     return max(2 * float(light), 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
 
 
-def _cells_with_errors(
-    chart: Chart, scale: int, light: IndirectLight, data: FitData
-) -> NDArray[np.bool_]:
+def _cells_with_errors(chart: Chart, scale: int, light: IndirectLight, data: FitData) -> Bools:
     """Find the cells of a scale whose errors exceed noise and 0.4 % of the floodlit image."""
     cell = chart.cells(scale)
     if data.camera_rays is not None:

@@ -1,9 +1,9 @@
 """Functions and factors of indirect light, on the sides of the camera and of the projector.
 
 Indirect light is ``diag(f) L S R^T diag(g)``. L are B-splines over a chart of the camera's rays
-(`rfpipe.methods.footprints.charts`). No image shows the scene from the projector, so that the
-footprints D carry both L and f to its side: a projector pixel takes the mean of the camera pixels
-that see what it lights. With the direct light ``D 1`` and the floodlit image F,
+(`rfpipe.methods.footprints.charts`). No image shows the scene from the projector. Therefore the
+footprints D map L and f to its side: a projector pixel has the mean value of the camera pixels that
+it lights directly. With the direct light ``D 1`` and the floodlit image F,
 
     V = diag(1 / D^T 1) D^T
     b = (D^T 1) / (V F) / median,    v = b / (b + 0.15),  0 where b <= 0.05
@@ -41,8 +41,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rfpipe.blocks import Index, RayDomain
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float, Index
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.charts import ChartBasis
 from rfpipe.methods.smooth_light import prior_areas
 from rfpipe.transport.multiscale import MultiscaleBasis

@@ -10,22 +10,18 @@ for each camera pixel the box of the projector's image whose patterns its radian
 2. for pixels with a large residual, the box that explains it best, such as a reflection.
 
 Two places of the projector may have the same light in all patterns: with 24 patterns, for one pixel
-in a hundred at 96 x 96. Then the place near those of neighbouring pixels is preferred, by a larger
-prior variance: the prior standard deviation of a weight is the larger of ``s x`` and
+in a hundred at 96 x 96. Then the place that neighbouring camera pixels also see is preferred, by a
+larger prior variance: the prior standard deviation of a weight is the larger of ``s x`` and
 ``(0.05 + 0.2 s) F`` for the weight x, the floodlit radiance F, and the fraction s of neighbours
 that see the candidate or a pixel near it.
-
-In all modules M, N and P are the numbers of camera pixels, of projector pixels of a view, and of
-pictures, and K that of candidates.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.blocks import Index, RayDomain
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float, Index
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import Candidates, unique_keys
 from rfpipe.methods.footprints.matching import (
     BoxTemplates,
@@ -155,9 +151,7 @@ def _neighbour_places(strong: Candidates, camera: RayDomain) -> Index:
     return np.stack(shifted).reshape(len(_NEIGHBOURS), -1)
 
 
-def _neighbour_support(
-    keys: Index, neighbour_places: Index, templates: BoxTemplates
-) -> NDArray[np.float32]:
+def _neighbour_support(keys: Index, neighbour_places: Index, templates: BoxTemplates) -> Float:
     """Compute the fraction of a camera pixel's neighbours that see a candidate or a pixel near it.
 
     Near is at most the width of the smaller box along both axes. Returns float32 (K,), 0 to 1.

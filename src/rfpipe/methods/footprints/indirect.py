@@ -24,8 +24,8 @@ symbol     code                              shape          meaning, unit
 ``sigma``  `deviations`                      (cores,)       prior standard deviations of S
 =========  ================================  =============  ========================================
 
-With several projector views the pictures of all views stand beside each other along P. A fit may be
-restricted to some of the camera rays: then M is their number.
+With several projector views the pictures of all views are concatenated along P. A fit may be
+restricted to some of the camera rays; then M is their number.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rfpipe.blocks import Index
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float, Index
 from rfpipe.methods.footprints.candidates import Candidates, split_views
 from rfpipe.methods.footprints.functions import IndirectBasis
 from rfpipe.methods.footprints.pictures import ViewPictures
@@ -52,7 +51,7 @@ if TYPE_CHECKING:
 
 
 class Accuracy(NamedTuple):
-    """End of a fit: residual relative to that of zero, and largest number of iterations."""
+    """Tolerance of `conjugate_gradients`, and its largest number of iterations."""
 
     tolerance: float
     iterations: int

@@ -21,10 +21,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rfpipe.blocks import Index
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Bools, Double, Float, Index
 
-Double = NDArray[np.float64]
 Int32 = NDArray[np.int32]
 
 # A weight at 0 is freed if the slope of the objective exceeds this fraction of the largest target.
@@ -143,7 +141,7 @@ def _non_negative(matrix: Double, target: Double, x: Double) -> Double:
 
 
 @njit(cache=True, nogil=True)
-def _minimise_free(matrix: Double, target: Double, x: Double, free: NDArray[np.bool_]) -> None:
+def _minimise_free(matrix: Double, target: Double, x: Double, free: Bools) -> None:
     """Minimise over the free elements of x; those that reach 0 on the way stay there."""
     while free.any():
         index = np.flatnonzero(free)
@@ -264,30 +262,43 @@ def match_near(series: Float, grid: BoxGrid, guesses: Double, reach: float) -> t
     -------
     boxes : ndarray of int64, shape (m,)
     correlation : ndarray of float32, shape (m,)
-        0 where there is no guess.
+        0 for a series without guesses.
     """
     best, score = np.zeros(len(series), np.int64), np.zeros(len(series), np.float32)
-    size = grid.rows * grid.columns
     for i in range(len(series)):
         for guess in range(guesses.shape[1]):
             row, column = guesses[i, guess]
             if np.isnan(row):
                 continue
-            # the box of number b along an axis is centred at (b + 1) / 2
-            top, bottom = _positions(row, reach, grid.rows)
-            left, right = _positions(column, reach, grid.columns)
-            for start in range(0, len(grid.responses), size):
-                for y in range(top, bottom):
-                    line = start + y * grid.columns
-                    box, alike = _best_of(series[i], grid.responses, line + left, line + right)
-                    if alike > score[i]:
-                        best[i], score[i] = box, alike
+            box, correlation = _best_near(series[i], grid, row, column, reach)
+            if correlation > score[i]:
+                best[i], score[i] = box, correlation
+    return best, score
+
+
+@njit(cache=True, nogil=True)
+def _best_near(
+    series: Float, grid: BoxGrid, row: float, column: float, reach: float
+) -> tuple[int, np.float32]:
+    """Find the box of highest correlation with one series near a place; 0 and 0 for none."""
+    best, score = 0, np.float32(0)
+    top, bottom = _positions(row, reach, grid.rows)
+    first, end = _positions(column, reach, grid.columns)
+    for start in range(0, len(grid.responses), grid.rows * grid.columns):
+        for y in range(top, bottom):
+            line = start + y * grid.columns
+            box, correlation = _best_of(series, grid.responses, line + first, line + end)
+            if correlation > score:
+                best, score = box, correlation
     return best, score
 
 
 @njit(cache=True, nogil=True)
 def _positions(place: float, reach: float, count: int) -> tuple[int, int]:
-    """Compute the half-open range of positions within reach of a place along an axis."""
+    """Compute the half-open range of positions within reach of a place along an axis.
+
+    Position b is at ``(b + 1) / 2`` pixels.
+    """
     first = max(0, int(np.ceil(2 * (place - reach) - 1)))
     return first, min(count, int(np.floor(2 * (place + reach) - 1)) + 1)
 
@@ -297,9 +308,9 @@ def _best_of(series: Float, responses: Float, first: int, end: int) -> tuple[int
     """Find the row of largest product with a series among ``responses[first:end]``."""
     best, score = first, np.float32(0)
     for box in range(first, end):
-        alike = np.float32(0)
+        product = np.float32(0)
         for p in range(len(series)):
-            alike += series[p] * responses[box, p]
-        if alike > score:
-            best, score = box, alike
+            product += series[p] * responses[box, p]
+        if product > score:
+            best, score = box, product
     return best, score

@@ -34,12 +34,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import Index, RayDomain
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Bools, Double, Float, Index
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import unique_keys
 from rfpipe.methods.footprints.pictures import ViewPictures
-
-Double = NDArray[np.float64]
 
 # Largest number of pairs of a series and a box to compare: half a minute for 25 pictures.
 _MOST_PAIRS = 2**31
@@ -149,7 +147,7 @@ class MatchedFilter:
             score[first : first + step] = products[np.arange(len(products)), largest]
         return Matches(best, score)
 
-    def match_image(self, series: Float, camera: RayDomain, mask: NDArray[np.bool_]) -> Matches:
+    def match_image(self, series: Float, camera: RayDomain, mask: Bools) -> Matches:
         """Compare the series (m, P) of the m camera pixels in a mask (M,) with boxes.
 
         If these are many, only a grid of 2048 pixels is compared with all boxes. The places that
@@ -172,7 +170,7 @@ class MatchedFilter:
         self,
         series: Float,
         camera: RayDomain,
-        mask: NDArray[np.bool_],
+        mask: Bools,
         step: int,
         scale: NDArray[np.floating],
     ) -> Double:

@@ -14,7 +14,7 @@ symbol     code                                shape     meaning, unit
 ``g``      `IndirectLight.g`                   (N,)      indirect light sent, radiance
 =========  ==================================  ========  ===========================================
 
-M and N are the numbers of rays of the camera and of the projector, n that of functions.
+M, N and n are the numbers of camera rays, of projector rays and of functions.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
 from rfpipe.relighting import octave_noise
@@ -16,7 +16,7 @@ SEED = 2026
 _FALLOFFS = (2.0, 0.0, 1.0)
 
 
-def view_patterns(shape: tuple[int, ...], key: int, count: int) -> NDArray[np.bool_]:
+def view_patterns(shape: tuple[int, ...], key: int, count: int) -> Bools:
     """Draw noise of three kinds of detail in turn that lights half of a view.
 
     Parameters

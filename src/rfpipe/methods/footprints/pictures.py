@@ -9,10 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.blocks import Index
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Bools, Float, Index
 from rfpipe.methods.images import SIGNIFICANT, Pictures
 
 # Errors of any model, relative to the floodlit image of the pixel and to its mean over all pixels.
@@ -46,12 +44,12 @@ class ViewPictures:
         return np.maximum(self.radiance[:, 0], 0)
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Bools:
         """Pixels with finite variance in all pictures, (M,)."""
         return np.asarray(np.isfinite(self.variance).all(axis=1))
 
     @property
-    def lit_pixels(self) -> NDArray[np.bool_]:
+    def lit_pixels(self) -> Bools:
         """Pixels whose floodlit radiance exceeds 3 standard deviations of noise, (M,)."""
         noise = np.sqrt(np.where(self.known, self.variance[:, 0], 0))
         return np.asarray(self.known & (self.radiance[:, 0] > SIGNIFICANT * noise))

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float
 from rfpipe.methods.footprints.candidates import (
     Candidates,
     join_views,

@@ -24,10 +24,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.blocks import Index
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Double, Float, Index
 from rfpipe.methods.footprints.candidates import Candidates
 from rfpipe.methods.footprints.pictures import ViewPictures
 
@@ -139,7 +137,7 @@ class MarginalPrecision:
     """
 
     starts: Index
-    factors: NDArray[np.float64]
+    factors: Double
     inverse_variance: Float
     trace: Float
 
