@@ -36,16 +36,16 @@ class FootprintTransport(ArrayTransport):
 
     Notes
     -----
-    ======  ====================  =====================  ===========================================
-    symbol  array                 values, float32        meaning, unit
-    ======  ====================  =====================  ===========================================
-    ``D``   ``footprints``        (channels, entries)    sparse (M, N), radiance
-    ``L``   ``left``              (entries,)             sparse (M, n), no unit
-    ``R``   ``right``             (entries,)             sparse (N, n), no unit
-    ``S``   ``cores``             (channels, entries)    sparse (n, n), of any sign
-    ``f``   ``camera_factor``     (channels, M)          the product of f, S and g is radiance
+    ======  ====================  ===================  =============================================
+    symbol  array                 values, float32      meaning and unit
+    ======  ====================  ===================  =============================================
+    ``D``   ``footprints``        (channels, entries)  sparse (M, N), radiance
+    ``L``   ``left``              (entries,)           sparse (M, n), no unit
+    ``R``   ``right``             (entries,)           sparse (N, n), no unit
+    ``S``   ``cores``             (channels, entries)  sparse (n, n), of any sign
+    ``f``   ``camera_factor``     (channels, M)        the product of f, S and g is radiance
     ``g``   ``projector_factor``  (channels, N)
-    ======  ====================  =====================  ===========================================
+    ======  ====================  ===================  =============================================
     """
 
     kind = "footprints"

@@ -1,15 +1,16 @@
 """Fit of the footprint model: direct light D and indirect light S in turn.
 
-Neither part of ``T = D + f L S R^T g`` is known at first. Each is fitted to what the other leaves
-of the pictures:
+Neither part of ``T = D + diag(f) L S R^T diag(g)`` is known at first:
 
-1. *First footprints* by a matched filter that suppresses indirect light (`geometry`). They need
-   not be good: they place the projector's pixels in the camera's image, which R and g need.
-2. *Indirect light* from coarse to fine functions, with the weights of D marginalised (`indirect`).
-3. *Footprints again*, from the pictures less indirect light (`geometry`, `weights`).
-4. Steps 2 and 3 once more, if no earlier footprints were given.
-5. Both once more, for the channels' sum and then for each channel, with the same candidates and
-   functions.
+1. *First footprints* are found by a matched filter that suppresses indirect light (`geometry`).
+   Rough ones are enough: R and g only need to know where the camera sees each projector pixel.
+2. *Indirect light* is fitted with functions from coarse to fine. The weights of D are marginalised,
+   so that errors of D do not matter (`indirect`).
+3. *Better footprints* are searched for, and their weights are fitted, in the pictures minus
+   indirect light (`geometry`, `weights`).
+4. Steps 2 and 3 are repeated, unless the footprints of an earlier round were the starting point.
+5. S and then the weights are fitted a last time, with fixed candidates and functions: to the sum of
+   the channels, and to each channel.
 
 With several projector views each camera pixel has footprints on every view, and each pattern lights
 one view. If cameras and projectors share their rays, ``D = D^T`` (`reciprocity`).
@@ -73,7 +74,7 @@ _SEED, _LIGHT_FIELD_RAYS = 2006, 4096
 # Candidates below this fraction of the floodlit image are dropped between searches.
 _FAINT = 0.005
 # Prior standard deviations of weights, as fractions of the weight and of the floodlit image: in the
-# last fit, and where both directions of light agree.
+# last fit, and for the mean of D and its transpose.
 _LAST_PRIOR, _RECIPROCAL_PRIOR = (1.0, 0.02), (0.05, 0.003)
 # Finer functions are added where the error exceeds this fraction of the floodlit image.
 _ALLOWED_ERROR = 0.004
@@ -145,9 +146,9 @@ def fit_model(
     footprints = previous if previous is not None else _first_footprints(problem)
     for _ in range(1 if previous is not None else 2):
         light = _fit_indirect(problem, footprints)
-        footprints = _search_again(problem, footprints, light)
-    footprints = _ready_for_last_fit(grey, footprints)
-    combined = _fit_both(grey, footprints, light, problem.camera_rays, BEST)
+        footprints = _search_footprints(problem, footprints, light)
+    footprints = _prepare_last_fit(grey, footprints)
+    combined = _fit_parts(grey, footprints, light, problem.camera_rays, BEST)
     fitted = tuple(_fit_channel(problem, pictures, combined) for pictures in channels)
     return FootprintModel(combined.footprints, fitted or (combined,))
 
@@ -177,8 +178,10 @@ def _first_footprints(problem: _Problem) -> Candidates:
     )
 
 
-def _search_again(problem: _Problem, footprints: Candidates, light: IndirectLight) -> Candidates:
-    """Search for footprints in the pictures less indirect light, and fit their weights."""
+def _search_footprints(
+    problem: _Problem, footprints: Candidates, light: IndirectLight
+) -> Candidates:
+    """Search for footprints in the pictures minus indirect light, and fit their weights."""
     grey, indirect, parts = problem.grey, light.in_pictures(problem.grey), []
     views = zip(grey, split_views(footprints, len(grey)), indirect, problem.templates, strict=True)
     for pictures, part, in_pictures, templates in views:
@@ -194,7 +197,7 @@ def _search_again(problem: _Problem, footprints: Candidates, light: IndirectLigh
     return _fit_weights_of_views(grey, with_transposed(footprints), indirect)
 
 
-def _ready_for_last_fit(pictures: Pictures, footprints: Candidates) -> Candidates:
+def _prepare_last_fit(pictures: Pictures, footprints: Candidates) -> Candidates:
     """Drop faint candidates, and set the prior variances for the last fits."""
     parts = zip(pictures, split_views(footprints, len(pictures)), strict=True)
     return join_views(
@@ -205,7 +208,7 @@ def _ready_for_last_fit(pictures: Pictures, footprints: Candidates) -> Candidate
     )
 
 
-def _fit_both(
+def _fit_parts(
     pictures: Pictures,
     footprints: Candidates,
     light: IndirectLight,
@@ -214,14 +217,14 @@ def _fit_both(
 ) -> ChannelModel:
     """Fit S, then the weights of D, with fixed candidates and functions."""
     if light.basis.mapping.shared_rays:
-        return _fit_both_reciprocal(pictures, footprints, light, camera_rays)
+        return _fit_reciprocal_parts(pictures, footprints, light, camera_rays)
     data = fit_data(pictures, footprints, camera_rays)
     light = fit_gains(fit_cores(light, data, light.learned_deviations(), accuracy), data)
     footprints = _fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))
     return ChannelModel(footprints, light)
 
 
-def _fit_both_reciprocal(
+def _fit_reciprocal_parts(
     pictures: Pictures,
     footprints: Candidates,
     light: IndirectLight,
@@ -229,8 +232,8 @@ def _fit_both_reciprocal(
 ) -> ChannelModel:
     """Fit weights with ``D = D^T``, and S, in turn.
 
-    Weights that agree in both directions are known so well that S is fitted to the pictures less
-    direct light, with small prior variances of the weights.
+    The mean of D and its transpose is known so well that S is fitted to the pictures minus direct
+    light, with a small prior variance for what is missing in the weights.
     """
     footprints = with_transposed(footprints)
     footprints = _fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))
@@ -265,11 +268,11 @@ def _fit_channel(problem: _Problem, pictures: Pictures, combined: ChannelModel) 
     if not any(view.has_light() for view in pictures):
         share[:] = 0
     footprints, light = combined.footprints, combined.indirect
-    share_of_each = share[footprints.camera_pixels]
+    candidate_share = share[footprints.camera_pixels]
     footprints = replace(
         footprints,
-        variance=footprints.variance * np.square(share_of_each),
-        weights=footprints.weights * share_of_each,
+        variance=footprints.variance * np.square(candidate_share),
+        weights=footprints.weights * candidate_share,
     )
     mapping = light.basis.mapping
     typical = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
@@ -285,7 +288,7 @@ def _fit_channel(problem: _Problem, pictures: Pictures, combined: ChannelModel) 
     )
     if not share.any():
         return ChannelModel(footprints, light)
-    return _fit_both(pictures, footprints, light, problem.camera_rays, GOOD)
+    return _fit_parts(pictures, footprints, light, problem.camera_rays, GOOD)
 
 
 def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
@@ -315,7 +318,7 @@ def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
     def cells_to_refine(light: IndirectLight, scale: int) -> Bools:
         if 2 * scale == coarsest_scale(chart.shape):
             return np.ones(cells(chart.shape, scale), np.bool_)
-        return _cells_with_errors(chart, scale, light, data)
+        return _unexplained_cells(chart, scale, light, data)
 
     light = coarse_to_fine(chart.shape, fit, cells_to_refine)
     return fit_cores(light, data, light.learned_deviations(), BEST)
@@ -349,7 +352,7 @@ def _mean_indirect_light(
     return max(2 * float(light), 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
 
 
-def _cells_with_errors(chart: Chart, scale: int, light: IndirectLight, data: FitData) -> Bools:
+def _unexplained_cells(chart: Chart, scale: int, light: IndirectLight, data: FitData) -> Bools:
     """Find the cells of a scale whose errors exceed noise and 0.4 % of the floodlit image."""
     cell = chart.cells(scale)
     if data.camera_rays is not None:

@@ -15,19 +15,19 @@ b is the relative brightness of a projector pixel in the camera's image. Where t
 see the pixel, R is 0, and its indirect light is left to the residual model. f is scaled so that it
 equals F at a typical lit pixel; unlike F it has no edge at a shadow.
 
-======  ================================  ===========  =============================================
-symbol  code                              shape        meaning, unit
-======  ================================  ===========  =============================================
-``D``   `direct`                          (M, N)       footprints, radiance
-``F``   `floodlit`                        (M,)         floodlit image, radiance
-``V``   `CameraToProjector.means`         (N, M)       means over camera pixels
-``v``   `CameraToProjector.visibility`    (N,)         0 to 1
-``L``   `IndirectBasis.L`                 (M, n)       functions over camera rays
-``R``   `IndirectBasis.R`                 (N, n)       functions over projector rays
-``S``   `core_matrix`                     (n, n)       light between functions, inverse radiance
-``f``   `camera_factor`                   (M,)         indirect light received, radiance
-``g``   `projector_factor`                (N,)         indirect light sent, radiance
-======  ================================  ===========  =============================================
+======  ==============================  ======  ====================================================
+symbol  name in the code                shape   meaning and unit
+======  ==============================  ======  ====================================================
+``D``   `direct`                        (M, N)  footprints, radiance
+``F``   `floodlit`                      (M,)    floodlit image, radiance
+``V``   `CameraToProjector.means`       (N, M)  means over camera pixels
+``v``   `CameraToProjector.visibility`  (N,)    0 to 1
+``L``   `IndirectBasis.L`               (M, n)  functions over camera rays
+``R``   `IndirectBasis.R`               (N, n)  functions over projector rays
+``S``   `core_matrix`                   (n, n)  light between functions, inverse radiance
+``f``   `camera_factor`                 (M,)    indirect light received, radiance
+``g``   `projector_factor`              (N,)    indirect light sent, radiance
+======  ==============================  ======  ====================================================
 
 S is not symmetric. For each pair of functions (a, b) there are two unknowns: the symmetric part
 ``(S_ab + S_ba) / 2``, and the antisymmetric part ``(S_ab - S_ba) / 2``.

@@ -10,19 +10,19 @@ by conjugate gradients in the unknowns S / sigma. The deviations sigma are learn
 cores (`rfpipe.methods.smooth_light`). Then each projector pixel and each camera pixel has a *gain*
 that is fitted with S fixed: factors of g and f, with prior mean 1.
 
-=========  ================================  =============  ========================================
-symbol     code                              shape          meaning, unit
-=========  ================================  =============  ========================================
-``P``      `ViewPictures.patterns`           (N, P)         light of the patterns, 0 to 1
-``c``      `FitData.radiance`                (M, P)         pictures, radiance
-``K``      `FitData.precisions`              (M, P, P)      precision of each camera pixel
-``f, g``   `IndirectLight.f`, `.g`           (M,), (N,)     factors with gains, radiance
-``L, R``   `IndirectBasis.L`, `.R`           (M, n), (N, n) functions
-``S``      `IndirectLight.cores`             (cores,)       symmetric, then antisymmetric parts,
-                                                            inverse radiance
-``B``      `CoreOperator.sent`               (n, P)         light of the patterns on the functions
-``sigma``  `deviations`                      (cores,)       prior standard deviations of S
-=========  ================================  =============  ========================================
+=========  =======================  ==============  ================================================
+symbol     name in the code         shape           meaning and unit
+=========  =======================  ==============  ================================================
+``P``      `ViewPictures.patterns`  (N, P)          light of the patterns, 0 to 1
+``c``      `FitData.radiance`       (M, P)          pictures, radiance
+``K``      `FitData.precisions`     (M, P, P)       precision of each camera pixel
+``f, g``   `IndirectLight.f`, `.g`  (M,), (N,)      factors with gains, radiance
+``L, R``   `IndirectBasis.L`, `.R`  (M, n), (N, n)  functions
+``S``      `IndirectLight.cores`    (cores,)        symmetric, then antisymmetric parts, inverse
+                                                    radiance
+``B``      `CoreOperator.sent`      (n, P)          light of the patterns on the functions
+``sigma``  `deviations`             (cores,)        prior standard deviations of S
+=========  =======================  ==============  ================================================
 
 With several projector views the pictures of all views are concatenated along P. A fit may be
 restricted to some of the camera rays; then M is their number.
@@ -106,7 +106,10 @@ class IndirectLight:
         return learned_deviations(self.basis.core_groups, self.cores)
 
     def in_pictures(self, pictures: Sequence[ViewPictures]) -> list[Float]:
-        """Compute the indirect light in the pictures of each projector view, (camera rays, P)."""
+        """Compute the indirect light in the pictures of each projector view.
+
+        Only the patterns are used. Returns one float32 array (camera rays, P) for each view.
+        """
         light = core_operator(self, pictures, None).forward(self.cores)
         return _split(light, pictures)
 

@@ -12,18 +12,17 @@ light in proportion to the mean of a pattern. With ``C = Q Q^T`` both sides are 
 
     r_b = (Q^-1 y) . (Q^-1 t_b) / (|Q^-1 y| |Q^-1 t_b|)
 
-======  =============================  ===========  ================================================
-symbol  code                           shape        meaning
-======  =============================  ===========  ================================================
-``y``   `series`                       (m, P)       radiance of m camera pixels over the floodlit
-                                                    image
-``t``   `BoxTemplates.response`        (boxes, P)   mean of each pattern over each box, 0 to 1
-``E``   `cell_light`                   (cells, P)   mean of each pattern over coarse cells, less 1/2
-``m``   `mean_light`                   (P,)         mean of each pattern, less 1/2
-``v``   `noise`                        ()           variance of a picture, relative to F^2
-``Q``   `MatchedFilter.whitening`      (P, P)       ``Q^-T``, applied from the right
-``r``   `Matches.correlation`          (m,)         of the best box, -1 to 1
-======  =============================  ===========  ================================================
+======  =========================  ==========  =====================================================
+symbol  name in the code           shape       meaning
+======  =========================  ==========  =====================================================
+``y``   `series`                   (m, P)      radiance of m camera pixels over the floodlit image
+``t``   `BoxTemplates.response`    (boxes, P)  mean of each pattern over each box, 0 to 1
+``E``   `cell_light`               (cells, P)  mean of each pattern over coarse cells, minus 1/2
+``m``   `mean_light`               (P,)        mean of each pattern, minus 1/2
+``v``   `noise`                    ()          variance of a picture, relative to F^2
+``Q``   `MatchedFilter.whitening`  (P, P)      ``Q^-T``, applied from the right
+``r``   `Matches.correlation`      (m,)        of the best box, -1 to 1
+======  =========================  ==========  =====================================================
 """
 
 from __future__ import annotations
@@ -117,7 +116,7 @@ def _box_averages(length: int, side: float) -> Double:
 
 
 def coarse_light(projector: RayDomain, patterns: Float) -> Double:
-    """Average patterns (N, P) over coarse cells, 6 along the short side, less 1/2, (cells, P)."""
+    """Average patterns (N, P) over coarse cells, 6 along the short side, minus 1/2, (cells, P)."""
     image = projector.image_shape
     cell = RayDomain(image).squares(max(1, round(min(image) / _COARSE_CELLS)))[1]
     size = np.bincount(cell)

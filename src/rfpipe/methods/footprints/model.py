@@ -2,17 +2,17 @@
 
     T = D + diag(f) L S R^T diag(g)
 
-=========  ==================================  ========  ===========================================
-symbol     code                                shape     meaning, unit
-=========  ==================================  ========  ===========================================
-``T``      `FootprintTransport`                (M, N)    light transport of a channel, radiance
-``D``      `ChannelModel.footprints`           (M, N)    direct light, sparse, radiance
-``L``      `IndirectBasis.L`                   (M, n)    functions over camera rays, no unit
-``R``      `IndirectBasis.R`                   (N, n)    functions over projector rays, no unit
-``S``      `IndirectLight.cores`               (n, n)    light between functions, inverse radiance
-``f``      `IndirectLight.f`                   (M,)      indirect light received, radiance
-``g``      `IndirectLight.g`                   (N,)      indirect light sent, radiance
-=========  ==================================  ========  ===========================================
+======  =========================  ======  =========================================================
+symbol  name in the code           shape   meaning and unit
+======  =========================  ======  =========================================================
+``T``   `FootprintTransport`       (M, N)  light transport of a channel, radiance
+``D``   `ChannelModel.footprints`  (M, N)  direct light, sparse, radiance
+``L``   `IndirectBasis.L`          (M, n)  functions over camera rays, no unit
+``R``   `IndirectBasis.R`          (N, n)  functions over projector rays, no unit
+``S``   `IndirectLight.cores`      (n, n)  light between functions, inverse radiance
+``f``   `IndirectLight.f`          (M,)    indirect light received, radiance
+``g``   `IndirectLight.g`          (N,)    indirect light sent, radiance
+======  =========================  ======  =========================================================
 
 M, N and n are the numbers of camera rays, of projector rays and of functions.
 """

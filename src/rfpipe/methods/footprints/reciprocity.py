@@ -31,26 +31,26 @@ _DIFFERENCE = (0.1, 0.003)
 
 def is_symmetric(footprints: Candidates) -> bool:
     """Return True if D and its transpose differ by less than half of the norm of D."""
-    completed, transposed = _both_ways(footprints)
+    completed, transposed = _with_transposed_weights(footprints)
     difference = np.linalg.norm(completed.weights - transposed)
     return bool(difference < _LARGEST_DIFFERENCE * np.linalg.norm(completed.weights))
 
 
 def with_transposed(footprints: Candidates) -> Candidates:
     """Add a candidate with weight 0 wherever only the transposed one has light."""
-    return _both_ways(footprints)[0]
+    return _with_transposed_weights(footprints)[0]
 
 
 def symmetrized(footprints: Candidates) -> Candidates:
     """Return ``(D + D^T) / 2``."""
-    completed, transposed = _both_ways(footprints)
+    completed, transposed = _with_transposed_weights(footprints)
     return replace(completed, weights=((completed.weights + transposed) / 2).astype(np.float32))
 
 
 def fit_reciprocal_weights(
     footprints: Candidates, pictures: Sequence[ViewPictures], indirect: Sequence[Float]
 ) -> Candidates:
-    """Fit the weights to the pictures less indirect light, near the transposed weights.
+    """Fit the weights to the pictures minus indirect light, near the transposed weights.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def fit_reciprocal_weights(
     indirect : sequence of ndarray of float32, shape (M, P)
         Indirect light in the pictures of each view, radiance.
     """
-    completed, transposed = _both_ways(footprints)
+    completed, transposed = _with_transposed_weights(footprints)
     expected = split_views(replace(completed, weights=transposed), len(pictures))
     parts = []
     for view, part, light in zip(pictures, expected, indirect, strict=True):
@@ -70,7 +70,7 @@ def fit_reciprocal_weights(
     return join_views(parts)
 
 
-def _both_ways(footprints: Candidates) -> tuple[Candidates, Float]:
+def _with_transposed_weights(footprints: Candidates) -> tuple[Candidates, Float]:
     """Add the transposed candidates that have light, and return the transposed weights, too.
 
     The variance is the larger one of both ways.

@@ -7,16 +7,16 @@ For camera pixel i with k candidates and P pictures, the weights x minimise
 Where the fit of indirect light needs the pictures but not the weights, these are marginalised: the
 covariance of c becomes ``W^-1 + A G A^T``, and its inverse is the pixel's *precision*.
 
-======  =========================  =======  ======================================================
-symbol  code                       shape    meaning, unit
-======  =========================  =======  ======================================================
-``A``   rows of `patterns`         (P, k)   light of each candidate in each pattern, 0 to 1
-``x``   `Candidates.weights`       (k,)     weights, radiance: row i of D
-``c``   `radiance`                 (P,)     pictures less indirect light, radiance
-``W``   `inverse_variance`         (P,)     its diagonal: 1 / variance of c
-``e``   `mean`                     (k,)     prior mean of the weights, radiance
-``G``   `Candidates.variance`      (k,)     its diagonal: prior variance, radiance squared
-======  =========================  =======  ======================================================
+======  =====================  ======  =============================================================
+symbol  name in the code       shape   meaning and unit
+======  =====================  ======  =============================================================
+``A``   rows of `patterns`     (P, k)  light of each candidate in each pattern, 0 to 1
+``x``   `Candidates.weights`   (k,)    weights, radiance: row i of D
+``c``   `radiance`             (P,)    pictures minus indirect light, radiance
+``W``   `inverse_variance`     (P,)    its diagonal: 1 / variance of c
+``e``   `mean`                 (k,)    prior mean of the weights, radiance
+``G``   `Candidates.variance`  (k,)    its diagonal: prior variance, radiance squared
+======  =====================  ======  =============================================================
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _NEXT_PRIOR = (1.0, 0.03)
 def fit_weights(
     candidates: Candidates, pictures: ViewPictures, indirect: Float, mean: Float | None = None
 ) -> Candidates:
-    """Fit the weights to the pictures less indirect light.
+    """Fit the weights to the pictures minus indirect light.
 
     Parameters
     ----------
