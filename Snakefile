@@ -47,14 +47,13 @@ if not workflow.overwrite_configfiles:
 
 
 include: "workflow/rules/common.smk"
-include: "workflow/rules/rig.smk"
 
 
 if SETTINGS.jobs == "stage":
 
     include: "workflow/rules/levels.smk"
     include: "workflow/rules/schedule.smk"
-    include: f"workflow/rules/capture_{SETTINGS.capture.rule}.smk"
+    include: "workflow/rules/capture.smk"
     include: "workflow/rules/merge.smk"
     include: "workflow/rules/normalize.smk"
     include: "workflow/rules/refine.smk"
@@ -66,7 +65,6 @@ else:
 
 
 include: "workflow/rules/drop_raw.smk"
-include: "workflow/rules/pages.smk"
 include: "workflow/rules/verification.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/view.smk"

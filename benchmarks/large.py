@@ -1,9 +1,9 @@
-"""Results of config/large.yaml: errors against patterns, and the resources of each stage.
+"""What the run of config/large.yaml gave: errors as patterns grow, and what each stage took.
 
 Usage: ``python -m benchmarks.large [FOLDER]``, the folder that holds the run's ``results``, by
 default ``large``. Writes docs/measured/large.csv, a row for each acquisition after each level,
 docs/measured/large_stages.csv, and docs/images/large.png. True errors are over pictures that no
-method used, of the scene without noise; ``verified`` is over other pictures, taken with noise.
+method saw, of the scene without noise; ``verified`` is over other pictures, taken with noise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from benchmarks.harness import existing, given
 from rfpipe.config import Config, load_config
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, scene_from_config
-from rfpipe.stages.plan import Plan, plan_of
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.verification import compared
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import open_arrays
@@ -82,11 +82,11 @@ def curve(
     """Yield patterns, estimated and true errors of an acquisition after each of its levels."""
     patterns, truth, floodlit = test
     folder = AcquisitionFolder(Path("results") / name / method)
-    plan = Plan(**plan_of(config, name, method))
+    plan = Plan.of(**plan_settings(config, name, method))
     plan.settle(folder)
     dark = patterns == 0 if config.scenes[name].is_coaxial else None
-    for next_level in [*list(folder.levels())[1:], None]:
-        state = plan.state_before(folder, next_level)
+    for behind in [*list(folder.levels())[1:], None]:
+        state = plan.state_before(folder, behind)
         transport = plan.method.transport(state)
         relit = np.concatenate(
             [
@@ -96,7 +96,7 @@ def curve(
         )
         errors, indirect = picture_errors(relit, truth, patterns, floodlit, dark)
         known = estimates(transport.level_rows)
-        verified = np.nan if next_level is not None else compared(folder, transport).mean_error
+        verified = np.nan if behind is not None else compared(folder, transport).mean_error
         yield {
             "scene": name,
             "method": method,
@@ -117,11 +117,11 @@ def stage_costs(scene: str, method: str) -> pd.DataFrame:
     rows = []
     folder = Path("results") / scene / method
     for path in [*folder.glob("*.benchmark.tsv"), *folder.glob("L*/*.benchmark.tsv")]:
-        table = pd.read_csv(path, sep="\t", na_values="-").iloc[0]
+        taken = pd.read_csv(path, sep="\t", na_values="-").iloc[0]
         stage = path.name.removesuffix(".benchmark.tsv")
-        rows.append([stage, table["s"], table["cpu_time"], table["max_rss"] / 1024])
-    table = pd.DataFrame(rows, columns=["stage", "seconds", "processor_s", "memory_gib"])
-    stages = table.groupby("stage", sort=False).agg(
+        rows.append([stage, taken["s"], taken["cpu_time"], taken["max_rss"] / 1024])
+    taken = pd.DataFrame(rows, columns=["stage", "seconds", "processor_s", "memory_gib"])
+    stages = taken.groupby("stage", sort=False).agg(
         jobs=("seconds", "size"),
         seconds=("seconds", "sum"),
         processor_s=("processor_s", "sum"),
@@ -147,13 +147,9 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
             axis.imshow(np.clip(image / white, 0, 1) ** (1 / 2.2))
             axis.set_title(title)
             axis.axis("off")
-        for method, method_rows in table[table["scene"] == name].groupby("method", sort=False):
-            [line] = row[3].loglog(
-                method_rows["patterns"], 100 * method_rows["mean_error"], "o-", label=method
-            )
-            made = method_rows[
-                method_rows["estimated_error"] != method_rows["estimated_error"].shift()
-            ]
+        for method, own in table[table["scene"] == name].groupby("method", sort=False):
+            [line] = row[3].loglog(own["patterns"], 100 * own["mean_error"], "o-", label=method)
+            made = own[own["estimated_error"] != own["estimated_error"].shift()]
             row[3].loglog(
                 made["patterns"], 100 * made["estimated_error"], "x:", color=line.get_color()
             )

@@ -22,11 +22,13 @@ class Schedule:
 
     Parameters
     ----------
-    level : int
+    seed : int
+        First number of the keys under which rigs take the pictures, by which simulated noise is
+        drawn; another one for each level of an acquisition.
     shape : tuple of int
         The projector's ray domain.
     count : int
-        Number of patterns; 0 where the level has nothing left to ask.
+        Number of patterns, at least 1.
     pattern_of_ray : ndarray of int32, shape `shape`, optional
         Index of the pattern that lights each ray, -1 for none.
     weights : ndarray of float32, shape (count, *shape), optional
@@ -37,7 +39,7 @@ class Schedule:
         so that its images add up to the floodlit image (the premise of thesis B.2).
     """
 
-    level: int
+    seed: int
     shape: tuple[int, ...]
     count: int
     pattern_of_ray: NDArray[np.int32] | None = None
@@ -55,18 +57,13 @@ class Schedule:
                 f"a schedule over {self.shape} needs an array {expected}, got {given.shape}"
             )
         if self.weights is not None:
-            weights = as_weights(self.weights, f"a pattern of level {self.level}")
+            weights = as_weights(self.weights, "a pattern of a schedule")
             object.__setattr__(self, "weights", weights)
 
     @classmethod
     def floodlit(cls, shape: tuple[int, ...]) -> Schedule:
         """Return level 0: one pattern, all on."""
         return cls(0, tuple(shape), 1, pattern_of_ray=np.zeros(shape, np.int32), complete=True)
-
-    @classmethod
-    def nothing(cls, level: int, shape: tuple[int, ...]) -> Schedule:
-        """Return the schedule of a level that has nothing to ask."""
-        return cls(level, tuple(shape), 0, pattern_of_ray=np.full(shape, -1, np.int32))
 
     @classmethod
     def of_blocks(
@@ -91,13 +88,13 @@ class Schedule:
         lit: NDArray[np.float32] = (self.pattern_of_ray[None] == index).astype(np.float32)
         return lit
 
-    def pattern_of_block(self, tree: BlockTree) -> NDArray[np.int32]:
-        """Return the pattern that lights each block of the level, -1 for none."""
+    def pattern_of_block(self, tree: BlockTree, level: int) -> NDArray[np.int32]:
+        """Return the pattern that lights each block of a level of the tree, -1 for none."""
         assert self.pattern_of_ray is not None
-        first_ray = tree.order[tree.starts[self.level][:-1]]
+        first_ray = tree.order[tree.starts[level][:-1]]
         return self.pattern_of_ray.ravel()[first_ray]
 
     def digest(self) -> str:
-        """Fingerprint of what is shown, and of nothing else."""
+        """Fingerprint of the patterns, and of the seed of their noise."""
         shown = self.pattern_of_ray if self.weights is None else self.weights
-        return fingerprint([self.level, list(self.shape), self.count, shown])
+        return fingerprint([self.seed, list(self.shape), self.count, shown])

@@ -20,7 +20,7 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.rigs import DeviceRig, stale
 from rfpipe.stages import capture, verification
 from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import VERIFICATION_MANIFEST
+from rfpipe.storage.base import VERIFICATION_MANIFEST
 from rfpipe.store import read_manifest
 from rfpipe.testing import faults
 
@@ -102,7 +102,7 @@ def test_the_files_state_target_error_and_reason(
     captured = {"references": (8, 16), "symmetry_frames": 6, "watching": watching}
     settings = stages(captured, divide_out_drift=True)
     accepted = 0.05 if name != "gain" else 0.9  # not to go on as on a rig that isn't coaxial
-    plan = Plan("auto", "auto", RAYS, RAYS, 1, {"target_error": target}, accepted)
+    plan = Plan.of("auto", "auto", RAYS, RAYS, 1, {"target_error": target}, accepted)
     folder = acquire_on_files(tmp_path / "matrix" / "auto", rig, plan, settings)
     capturing = partial(capture.run, rig)
     verification.run(folder, capturing, pictures=3, settings=settings, resources=Resources())

@@ -1,4 +1,4 @@
-"""A method of one's own in one file: a scan of the projector by whole columns.
+"""A method of your own in one file: a scan of the projector by whole columns.
 
 It takes light to be the same all along a column of the projector, as it is where a scene looks the
 same from top to bottom, and shows as many patterns as the projector has columns.
@@ -9,26 +9,36 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from rfpipe.methods import Method, Options, Pack
+from rfpipe.methods import Method, Options, StateArrays
 from rfpipe.patterns import Schedule
 from rfpipe.transport.dense import DenseTransport
 
 
 class ColumnOptions(Options):
-    """What the scan may be told."""
+    """Options of the scan."""
 
     width: int = Field(1, ge=1, le=64, description="Columns lit together, 1 to 64.")
 
 
 @dataclass(frozen=True)
 class ColumnState:
-    """Rays, options and what was found."""
+    """Rays, options, the transport so far and the table of levels."""
 
     camera: tuple[int, ...]
     projector: tuple[int, ...]
     options: ColumnOptions
     matrix: np.ndarray  # (C, camera rays, projector rays)
     rows: tuple[dict[str, int], ...] = ()
+
+    def to_arrays(self, previous):
+        return StateArrays({"matrix": self.matrix}, {"rows": list(self.rows)})
+
+    @classmethod
+    def from_arrays(cls, start, levels):
+        if not levels:
+            return start
+        last = levels[-1]
+        return replace(start, matrix=last.arrays["matrix"], rows=tuple(last.attributes["rows"]))
 
 
 class ColumnScan(Method[ColumnState]):
@@ -39,17 +49,17 @@ class ColumnScan(Method[ColumnState]):
     colour = "#2f7f7f"
     Options = ColumnOptions
 
-    def n_levels(self, camera, projector):
-        return 1
-
-    def expected_patterns(self, camera, projector, options):
-        return -(-projector.shape[-1] // options.width)
+    def forecast(self, camera, projector, channels, options):
+        patterns = -(-projector.shape[-1] // options.width)
+        return self.forecast_of(camera, channels, patterns, patterns)
 
     def start(self, camera, projector, channels, options):
         matrix = np.zeros((channels, camera.size, projector.size), np.float32)
         return ColumnState(camera.shape, projector.shape, options, matrix)
 
-    def schedule(self, state):
+    def next_schedule(self, state):
+        if state.rows:  # its only level is shown
+            return None
         column = np.arange(state.projector[-1], dtype=np.int32) // state.options.width
         pattern_of_ray = np.broadcast_to(column, state.projector).copy()
         count = int(column.max()) + 1
@@ -69,12 +79,3 @@ class ColumnScan(Method[ColumnState]):
         arrays = {"matrix": state.matrix}
         rows = list(state.rows)
         return DenseTransport(state.camera, state.projector, len(state.matrix), rows, arrays)
-
-    def pack(self, state):
-        return Pack({"matrix": state.matrix}, {"rows": list(state.rows)})
-
-    def restore(self, start, packs):
-        if not packs:
-            return start
-        rows = tuple(packs[-1].attributes["rows"])
-        return replace(start, matrix=packs[-1].arrays["matrix"], rows=rows)

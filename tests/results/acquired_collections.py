@@ -7,7 +7,7 @@ from pathlib import Path
 from rfpipe.config import Config
 from rfpipe.jobs.workers import Resources
 from rfpipe.stages import acquisition, captures
-from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
+from rfpipe.stages.plan import Plan, rig_of, stages_of
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock
 
@@ -18,7 +18,7 @@ def acquire_item(settings: Config, scene: str, method: str, results: Path) -> Pa
     """Acquire one scene by one method, as a job of the workflow does; return its folder."""
     folder = results / scene / method
     rig = captures.by_simulation(**rig_of(settings, scene)["rig"], threads=1)
-    plan = Plan(**plan_of(settings, scene, method))
+    plan = Plan.of(**plan_settings(settings, scene, method))
     stages = stages_of(settings, scene, method)
     with StoreLock(folder):
         acquisition.run(plan, AcquisitionFolder(folder), rig, stages, Resources())

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.server.harness import TOKEN, ResampledRig, Running, running
-from tests.workflow.stagewise import SHAPE, Acquisition
+from tests.workflow.stagewise import SHAPE, StagewiseAcquisition
 
 from rfpipe import acquire
 from rfpipe.errors import CaptureError
@@ -18,12 +18,12 @@ from rfpipe.stages.plan import Plan
 from rfpipe.transport import open_transport
 
 
-class RemoteAcquisition(Acquisition):
+class RemoteAcquisition(StagewiseAcquisition):
     """Dual photography of a resampled rig behind a server."""
 
     def __init__(self, path: Path, url: str, camera_shape: tuple[int, ...] = SHAPE) -> None:
         super().__init__(path / "results", None)
-        self.plan = Plan("dual", "dual", camera_shape, SHAPE, 3, {"tolerance": 1e-3})
+        self.plan = Plan.of("dual", "dual", camera_shape, SHAPE, 3, {"tolerance": 1e-3})
         self.url = url
         self.token = path / "rig.token"
         self.token.write_text(TOKEN)

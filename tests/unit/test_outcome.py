@@ -69,14 +69,13 @@ def acquisition(results: Path, estimate: float | None, measured: float | None = 
     levels: list[dict[str, Any]] = [{"level": 0, "patterns": 1}, {"level": 1, "patterns": 12}]
     if estimate is not None:
         levels[1]["estimated_error"] = estimate
+    levels[1]["ended"] = "all rounds are shown"
     facts = {
         "scene": "vase", "method": "auto", "levels": levels,
         "made_of": {"refine": [[0, "x"], [1, "y"]]},
         "options": {"target_error": 0.01, "target_indirect": None},
     }  # fmt: skip
     write_manifest(folder / "transport.json", facts)
-    write_manifest(folder / "L00/refine.json", {})
-    write_manifest(folder / "L01/refine.json", {"warnings": ["ended: all rounds are shown"]})
     if measured is not None:
         write_manifest(folder / "verification.json", {"mean_error": measured})
 
@@ -89,13 +88,13 @@ def acquisition(results: Path, estimate: float | None, measured: float | None = 
         (
             0.04,
             None,
-            "vase by auto, estimated error 4 %, target 1 % (ended: all rounds are shown)",
+            "vase by auto, estimated error 4 %, target 1 % (all rounds are shown)",
         ),
         (0.009, 0.014, ""),
         (
             0.009,
             0.15,
-            "vase by auto, measured error 15 %, target 1 % (ended: all rounds are shown)",
+            "vase by auto, measured error 15 %, target 1 % (all rounds are shown)",
         ),
         (0.04, 0.009, ""),
     ],

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rfpipe.stages.captures import place
 
 from rfpipe.config import load_config
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.stages import captures
-from rfpipe.stages.captures import place
 from rfpipe.storage.files import AcquisitionFolder
 
 WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE'] + chr(10))"

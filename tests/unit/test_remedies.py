@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.workflow.stagewise import Acquisition
+from tests.workflow.stagewise import StagewiseAcquisition
 
 import rfpipe
 from rfpipe import CameraModel, OperatorRig
@@ -48,7 +48,7 @@ def test_a_simulated_rig_is_changed_by_its_settings(
     tmp_path: Path, fault: FloodlitFault, kind: RigKind
 ) -> None:
     radiance, word = FAULTS[fault]
-    acquisition = Acquisition(tmp_path, simulated(kind, radiance))
+    acquisition = StagewiseAcquisition(tmp_path, simulated(kind, radiance))
     acquisition.schedule(0)
     acquisition.capture(0)
     with pytest.raises(CaptureError, match=word) as caught:

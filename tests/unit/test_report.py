@@ -28,7 +28,7 @@ from rfpipe.report.text import number, percent, size
 from rfpipe.scenes import RELIGHTING_PATTERNS
 from rfpipe.stages import evaluate, relight
 from rfpipe.stages.verification import compare
-from rfpipe.storage.files import write_bundle
+from rfpipe.storage.files import write_result
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport
 
@@ -115,7 +115,7 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
         "alarms": ["level 2: the rig or the scene moved"], "saturated": 7, "samples": 700,
     }  # fmt: skip
     arrays = {"captured": found.captured, "relit": found.relit}
-    write_bundle(folder / "verification.json", "it", arrays, {**found.facts(), **rig})
+    write_result(folder / "verification.json", "it", arrays, {**found.facts(), **rig})
     page = built(tmp_path, config)
     assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in page.words
     assert "3 pictures" in page.words

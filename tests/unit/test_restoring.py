@@ -8,7 +8,7 @@ import pytest
 from rfpipe.errors import DamagedStageError
 from rfpipe.methods import get_method
 from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import AcquisitionFolder, write_bundle
+from rfpipe.storage.files import AcquisitionFolder, write_result
 from rfpipe.store import ArrayBundle
 from rfpipe.testing.methods import MethodRun, run_method
 
@@ -36,7 +36,7 @@ def left_in(path: Path, run: MethodRun) -> AcquisitionFolder:
 def write_refined(folder: AcquisitionFolder, run: MethodRun, level: int, **arrays: object) -> None:
     """Write what a level's refinement leaves, some of its arrays replaced."""
     pack, after = run.packs[level], level + 1
-    write_bundle(
+    write_result(
         folder.manifest(level, "refine"), f"{level}", {**pack.arrays, **arrays},
         {"next": after if after < len(run.packs) else None}, states=[dict(pack.attributes)],
     )  # fmt: skip
@@ -64,7 +64,7 @@ def test_what_only_the_next_level_needed_is_not_read_later(
     method: str, passing: str, tmp_path: Path, read: list[tuple[str, str]]
 ) -> None:
     run = acquired(method)
-    folder, plan = left_in(tmp_path, run), Plan(method, method, SHAPE, SHAPE, 1)
+    folder, plan = left_in(tmp_path, run), Plan.of(method, method, SHAPE, SHAPE, 1)
     last = len(run.packs)
     holders = [
         f"L{level:02d}"
@@ -82,7 +82,7 @@ def test_what_only_the_next_level_needed_is_not_read_later(
 def test_a_state_is_restored_once(tmp_path: Path, read: list[tuple[str, str]]) -> None:
     """For all stages of a level, unless what it rests on is made anew."""
     run = acquired("symmetric")
-    folder, plan = left_in(tmp_path, run), Plan("symmetric", "symmetric", SHAPE, SHAPE, 1)
+    folder, plan = left_in(tmp_path, run), Plan.of("symmetric", "symmetric", SHAPE, SHAPE, 1)
     found = plan.state_before(folder, 2)
     before = len(read)
     assert plan.state_before(folder, 2) is found
@@ -94,7 +94,7 @@ def test_a_state_is_restored_once(tmp_path: Path, read: list[tuple[str, str]]) -
 
 def test_damage_of_what_is_read_names_its_stage(tmp_path: Path) -> None:
     run = acquired("dual")
-    folder, plan = left_in(tmp_path, run), Plan("dual", "dual", SHAPE, SHAPE, 1)
+    folder, plan = left_in(tmp_path, run), Plan.of("dual", "dual", SHAPE, SHAPE, 1)
     chunks = list((folder.store(1, "refine") / "stored_001_values").rglob("*"))
     for chunk in chunks:
         if chunk.is_file() and chunk.name != "zarr.json":

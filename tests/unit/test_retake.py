@@ -14,7 +14,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import captures
 from rfpipe.stages.capture import frame_settings
-from rfpipe.storage.files import STAGES
+from rfpipe.storage.base import STAGES
 from rfpipe.storage.retake import find_retakes
 from rfpipe.store import write_manifest
 

@@ -14,7 +14,7 @@ from rfpipe.rigs.base import Key, capture_batch, check_patterns, sequence_patter
 from rfpipe.rigs.sequences import Sequencer
 from rfpipe.stages import capture
 from rfpipe.stages.capture import brackets_of
-from rfpipe.storage.files import AcquisitionFolder, write_bundle
+from rfpipe.storage.files import AcquisitionFolder, write_result
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
 from rfpipe.units import BLACK_LEVEL_KEY, SEQUENCE_KEY
@@ -207,7 +207,7 @@ def test_a_capture_goes_on_at_the_sequence_where_it_stopped(tmp_path: Path) -> N
     folder = AcquisitionFolder(tmp_path / "scene" / "method")
     facts = {"stage": "schedule", "level": 1, "patterns": COUNT, "complete": False}
     facts |= {"shape": list(RAYS), "shown": "these", "units": "fraction of full light"}
-    write_bundle(folder.manifest(1, "schedule"), "these", {"weights": shown}, facts)
+    write_result(folder.manifest(1, "schedule"), "these", {"weights": shown}, facts)
     with pytest.raises(KeyboardInterrupt):
         capture.run(Stopping(plain, most=5), folder, 1, references=(2, 2))
     of_level, _ = brackets_of(plain, folder, 1, (2, 2))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +15,12 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import (
-    acquisition,
-    assemble,
-    capture,
-    merge,
-    normalize,
-    refine,
-    schedule,
-)
+from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
+from rfpipe.stages.acquisition import acquire_transport
+from rfpipe.stages.context import Acquisition
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import GivenRig
+from rfpipe.stages.settings import AcquisitionSettings
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock
 from rfpipe.transport import open_transport
@@ -42,7 +37,12 @@ def symmetric_matrix() -> np.ndarray:
     return half + half.T  # radiance 1 under floodlight, half of what the camera can see
 
 
-class Acquisition:
+SETTINGS = AcquisitionSettings(
+    code=CODE, black_frames=2, floodlit_frames=2, scene="matrix", progress=False
+)
+
+
+class StagewiseAcquisition:
     """One acquisition of a matrix, stage by stage, each as if in a process of its own."""
 
     def __init__(
@@ -51,69 +51,56 @@ class Acquisition:
         self.rig = rig
         self.folder = AcquisitionFolder(path)
         options = {} if tolerance is None else {"tolerance": tolerance}
-        self.plan = Plan(method, method, SHAPE, SHAPE, 1, options)
+        self.plan = Plan.of(method, method, SHAPE, SHAPE, 1, options)
         self.resources = Resources()
-        self.keep_raw = True
-        self.watching: dict[str, Any] | None = None
-        self.code = CODE
+        self.settings = SETTINGS
 
-    def schedule(self, level: int) -> None:
-        schedule.run(copy(self.plan), self.folder, level, CODE)
-
-    def capture(self, level: int, **options: Any) -> None:
-        options = {"resources": self.resources, "watching": self.watching, **options}
-        capture.run(self.rig, self.folder, level, references=(2, 2), **options)
-
-    def merge(self, level: int, mask_defects: bool = True, **options: Any) -> None:
-        merge.run(
-            self.folder, level,
-            mask_defects=mask_defects, code=self.code,
-            keep_raw=self.keep_raw, resources=self.resources, **options,
+    def context(self, **settings: Any) -> Acquisition:
+        return Acquisition(
+            self.folder, replace(self.settings, **settings), self.resources, GivenRig(self.rig),
+            plan=self.plan,
         )  # fmt: skip
 
+    def with_measured_rig(self) -> Acquisition:
+        return replace(self.context(), plan=self.plan.for_measured_rig(self.folder))
+
+    def schedule(self, level: int) -> None:
+        schedule.run(self.with_measured_rig() if level else self.context(), level)
+
+    def capture(self, level: int, **settings: Any) -> None:
+        capture.run(self.context(**settings), level)
+
+    def merge(self, level: int, **settings: Any) -> None:
+        merge.run(self.context(**settings), level)
+
     def normalize(self, level: int) -> None:
-        normalize.run(copy(self.plan), self.folder, level, mode="per_channel", code=CODE)
+        normalize.run(self.with_measured_rig(), level)
 
     def refine(self, level: int) -> None:
-        refine.run(copy(self.plan), self.folder, level, CODE)
+        refine.run(self.with_measured_rig(), level)
 
     def level(self, level: int) -> None:
         for stage in (self.schedule, self.capture, self.merge, self.normalize, self.refine):
             stage(level)
 
     def assemble(self) -> Any:
-        assemble.run(
-            copy(self.plan), self.folder, scene="matrix", number_format="float32", code=CODE
-        )
+        self.schedule(len(list(self.folder.levels())))
+        assemble.run(self.with_measured_rig())
         return open_transport(self.folder.path / "transport.zarr")
-
-
-def stages(capture: dict[str, Any] | None = None, **merge: Any) -> dict[str, dict[str, Any]]:
-    """Settings of the stages of an acquisition as in `Acquisition`, but for changes."""
-    code = {"code": CODE}
-    watching = {"mode": "warn", "check_interval": 0}
-    return {
-        "schedule": code,
-        "capture": {"references": (2, 2), "watching": watching, **(capture or {})},
-        "merge": {"mask_defects": True, **code, **merge},
-        "normalize": {"mode": "per_channel", **code},
-        "refine": code,
-        "assemble": {"scene": "matrix", "number_format": "float32", **code},
-    }
 
 
 def acquire(
     path: Path,
     rig: Any,
     plan: str | Plan = "symmetric",
-    settings: dict[str, dict[str, Any]] | None = None,
+    settings: AcquisitionSettings = SETTINGS,
 ) -> AcquisitionFolder:
     """Acquire a matrix, or what is missing of it, as a job of all stages does."""
     folder = AcquisitionFolder(path)
     if isinstance(plan, str):
-        plan = Plan(plan, plan, SHAPE, SHAPE, 1)
+        plan = Plan.of(plan, plan, SHAPE, SHAPE, 1)
     with StoreLock(path):
-        acquisition.run(plan, folder, partial(capture.run, rig), settings or stages(), Resources())
+        acquire_transport(Acquisition(folder, settings, rig_source=GivenRig(rig), plan=plan))
     return folder
 
 

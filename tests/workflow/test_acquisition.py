@@ -12,7 +12,7 @@ import pytest
 from tests.workflow.stagewise import (
     CAMERA,
     SHAPE,
-    Acquisition,
+    StagewiseAcquisition,
     acquire,
     left,
     matrix_rig,
@@ -46,8 +46,8 @@ def rig() -> object:
 @pytest.mark.parametrize("method", ["symmetric", "dual", "near_far"])
 def test_it_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: str) -> None:
     acquire(tmp_path / "job", rig(), method)
-    one_by_one = Acquisition(tmp_path / "stages", rig())
-    one_by_one.plan = Plan(method, method, SHAPE, SHAPE, 1)
+    one_by_one = StagewiseAcquisition(tmp_path / "stages", rig())
+    one_by_one.plan = Plan.of(method, method, SHAPE, SHAPE, 1)
     one_by_one.watching = stages()["capture"]["watching"]
     for level in one_by_one.folder.levels():
         one_by_one.level(level)

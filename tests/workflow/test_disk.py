@@ -10,7 +10,14 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from tests.workflow.stagewise import CAMERA, RAYS, SHAPE, Acquisition, FaultyRig, matrix_rig
+from tests.workflow.stagewise import (
+    CAMERA,
+    RAYS,
+    SHAPE,
+    FaultyRig,
+    StagewiseAcquisition,
+    matrix_rig,
+)
 
 from rfpipe.errors import StoreError
 from rfpipe.rigs import OperatorRig
@@ -34,8 +41,8 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 
 def acquisition(folder: Path, **settings: Any) -> Acquisition:
     rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
-    found = Acquisition(folder, rig, **settings)
-    found.plan = Plan("brute_force", "brute_force", SHAPE, SHAPE, 1)
+    found = StagewiseAcquisition(folder, rig, **settings)
+    found.plan = Plan.of("brute_force", "brute_force", SHAPE, SHAPE, 1)
     found.schedule(0)
     return found
 

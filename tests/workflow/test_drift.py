@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
+from tests.workflow.stagewise import CAMERA, RAYS, StagewiseAcquisition, matrix_rig
 
 from rfpipe.errors import CaptureError
 from rfpipe.references.check_pictures import check_positions
@@ -52,8 +52,8 @@ class DimmingRig:
 
 def begun(path: Path, loss: float = 0.2) -> Acquisition:
     """An acquisition that is about to capture level 1."""
-    mine = Acquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
-    mine.plan = Plan("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
+    mine = StagewiseAcquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
+    mine.plan = Plan.of("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
     mine.level(0)
     mine.schedule(1)
     return mine
@@ -75,7 +75,7 @@ def every_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(symmetric.Symmetric, "schedule", one_ray_each)
 
 
-def images(mine: Acquisition) -> np.ndarray:
+def images(mine: StagewiseAcquisition) -> np.ndarray:
     with mine.folder.frames(1, "merge") as frames:
         return frames.read(0, RAYS)[:, 0]
 
@@ -165,7 +165,7 @@ def test_the_lamp_warms_up_when_it_may_have_been_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(capture, "_SECONDS_BETWEEN_BRACKETS", 0.02)
-    mine = Acquisition(tmp_path, DimmingRig(matrix_rig(noise=CAMERA)))
+    mine = StagewiseAcquisition(tmp_path, DimmingRig(matrix_rig(noise=CAMERA)))
     mine.schedule(0)
     with caplog.at_level(logging.INFO):
         mine.capture(0, warm_up_minutes=0.1 / 60)

@@ -25,20 +25,20 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import write_bundle
+from rfpipe.storage.files import write_result
 from rfpipe.jobs.workers import Resources
 
 shape, count = (40, 50), int(sys.argv[2])
 rays = shape[0] * shape[1]
 folder = AcquisitionFolder(Path(sys.argv[1]))
-plan = Plan("brute_force", "brute_force", shape, shape, 3)
+plan = Plan.of("brute_force", "brute_force", shape, shape, 3)
 light = scipy.sparse.identity(rays, format="csr")
 rig = OperatorRig([light, 0.5 * light, 0.1 * light], shape, shape, CameraModel(), seed=1)
 resources = Resources(memory_gib=0.01, threads=2)
 for level, patterns in enumerate((1, count)):
     lit = generator(1, level).integers(0, patterns, shape).astype(np.int32)
     schedule = Schedule(level, shape, patterns, lit, complete=True)
-    write_bundle(
+    write_result(
         folder.manifest(level, "schedule"), "by hand",
         {"pattern_of_ray": lit},
         {"patterns": patterns, "complete": True, "shape": shape, "shown": schedule.digest()},

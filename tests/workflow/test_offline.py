@@ -30,8 +30,8 @@ from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
 from rfpipe.stages import captures, verification
-from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
-from rfpipe.storage.files import VERIFICATION_MANIFEST, AcquisitionFolder
+from rfpipe.stages.plan import Plan, rig_of, stages_of
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import read_manifest, write_manifest
 
 SHAPE = (4, 5)
@@ -92,7 +92,7 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     acquire(
         direct,
         rig,
-        Plan(**plan_of(settings, "desk", "symmetric")),
+        Plan.of(**plan_settings(settings, "desk", "symmetric")),
         stages_of(settings, "desk", "symmetric"),
     )
 
@@ -129,7 +129,7 @@ def verified(path: Path, results: Path) -> dict[str, Any]:
         settings=stages_of(settings, "desk", "symmetric"),
         resources=Resources(),
     )
-    return read_manifest(results / "desk" / "symmetric" / VERIFICATION_MANIFEST)
+    return read_manifest(results / "desk" / "symmetric" / verification.MANIFEST)
 
 
 def acquired(tmp_path: Path, settings: Path, matrix_of: Any) -> list[str]:

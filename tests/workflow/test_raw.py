@@ -13,8 +13,8 @@ from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import (
     CAMERA,
     SHAPE,
-    Acquisition,
     FaultyRig,
+    StagewiseAcquisition,
     contents,
     damage,
     matrix_rig,
@@ -33,8 +33,8 @@ RAW = ("L00/reference_brackets.zarr", "L00/capture.zarr", "L01/capture.zarr")
 @pytest.fixture
 def acquisition(tmp_path: Path) -> Acquisition:
     """Two levels without their raw exposures; its rig counts what it shows from here on."""
-    acquisition = Acquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
-    acquisition.keep_raw = False
+    acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
+    acquisition.settings = replace(SETTINGS, keep_raw=False)
     for level in (0, 1):
         acquisition.level(level)
     acquisition.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
@@ -52,9 +52,9 @@ def everything(folder: Path, but: tuple[str, ...] = ()) -> dict[str, bytes]:
 
 
 def test_what_is_made_of_the_raw_exposures_is_the_same_without_them(
-    acquisition: Acquisition, tmp_path: Path
+    acquisition: StagewiseAcquisition, tmp_path: Path
 ) -> None:
-    kept = Acquisition(tmp_path / "kept", matrix_rig(noise=CAMERA))
+    kept = StagewiseAcquisition(tmp_path / "kept", matrix_rig(noise=CAMERA))
     for level in (0, 1):
         kept.level(level)
     assert len(chunks(kept.folder.path)) > 4
@@ -67,7 +67,7 @@ def test_what_is_made_of_the_raw_exposures_is_the_same_without_them(
         raw.read(0, 1)
 
 
-def test_every_stage_can_run_again_and_shows_no_pattern(acquisition: Acquisition) -> None:
+def test_every_stage_can_run_again_and_shows_no_pattern(acquisition: StagewiseAcquisition) -> None:
     before = everything(acquisition.folder.path)
     for level in (0, 1):
         for stage in ("schedule", "capture", "merge", "normalize", "refine"):
@@ -78,7 +78,7 @@ def test_every_stage_can_run_again_and_shows_no_pattern(acquisition: Acquisition
 
 
 def test_merged_images_outlive_a_change_of_the_code(
-    acquisition: Acquisition, caplog: pytest.LogCaptureFixture
+    acquisition: StagewiseAcquisition, caplog: pytest.LogCaptureFixture
 ) -> None:
     before = everything(acquisition.folder.path)
     acquisition.code = "other code"
@@ -89,7 +89,7 @@ def test_merged_images_outlive_a_change_of_the_code(
     assert caplog.text.count("merged by other code than today's and kept") == 2
 
 
-def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -> None:
+def test_other_merge_settings_need_the_raw_exposures(acquisition: StagewiseAcquisition) -> None:
     before = everything(acquisition.folder.path)
     for level in (0, 1):
         with pytest.raises(StaleStoreError, match="mask_defects True -> False") as error:
@@ -111,7 +111,9 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
 
 
 @pytest.mark.parametrize("lost", ["merge", "sums", "reference_images"])
-def test_damaged_merged_images_need_the_raw_exposures(acquisition: Acquisition, lost: str) -> None:
+def test_damaged_merged_images_need_the_raw_exposures(
+    acquisition: StagewiseAcquisition, lost: str
+) -> None:
     level = 0 if lost == "reference_images" else 1
     damage(acquisition.folder.store(level, lost))
     acquisition.folder.manifest(level, "merge").unlink()  # as who finds it says
@@ -123,7 +125,7 @@ def test_damaged_merged_images_need_the_raw_exposures(acquisition: Acquisition, 
 
 
 def test_other_patterns_are_captured_anew(
-    acquisition: Acquisition, caplog: pytest.LogCaptureFixture
+    acquisition: StagewiseAcquisition, caplog: pytest.LogCaptureFixture
 ) -> None:
     acquisition.rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=5)
     with pytest.raises(StaleStoreError, match="old ones were dropped after their merge"):
@@ -152,14 +154,14 @@ def killed(*_: Any) -> None:
 def test_a_kill_while_dropping_loses_nothing(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    acquisition: Acquisition,
+    acquisition: StagewiseAcquisition,
     where: str,
     level: int,
     snakemake_removes_the_manifest: bool,
 ) -> None:
     whole = everything(acquisition.folder.path)
-    cut = Acquisition(tmp_path / "cut", matrix_rig(noise=CAMERA))
-    cut.keep_raw = False
+    cut = StagewiseAcquisition(tmp_path / "cut", matrix_rig(noise=CAMERA))
+    cut.settings = replace(SETTINGS, keep_raw=False)
     for above in range(level):
         cut.level(above)
     cut.schedule(level)

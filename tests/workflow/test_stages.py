@@ -15,8 +15,8 @@ from tests.workflow.stagewise import (
     CAMERA,
     RAYS,
     SHAPE,
-    Acquisition,
     FaultyRig,
+    StagewiseAcquisition,
     contents,
     matrix_rig,
     symmetric_matrix,
@@ -43,7 +43,7 @@ def test_frames_that_are_none_are_refused_and_what_is_captured_stays(
     tmp_path: Path, fault: Callable[[Any], Any], message: str
 ) -> None:
     broken = FaultyRig(matrix_rig(), lambda key, frame: fault(frame) if key == (1, 3) else frame)
-    acquisition = Acquisition(tmp_path, broken)
+    acquisition = StagewiseAcquisition(tmp_path, broken)
     acquisition.level(0)
     acquisition.schedule(1)
     with pytest.raises(CaptureError, match=message):
@@ -58,7 +58,7 @@ def test_frames_that_are_none_are_refused_and_what_is_captured_stays(
 
 def test_negative_frames_are_refused_by_the_merge(tmp_path: Path) -> None:
     rig = FaultyRig(matrix_rig(), lambda key, frame: -frame if key == (1, 2) else frame)
-    acquisition = Acquisition(tmp_path, rig)
+    acquisition = StagewiseAcquisition(tmp_path, rig)
     acquisition.level(0)
     acquisition.schedule(1)
     acquisition.capture(1)
@@ -85,7 +85,7 @@ def test_a_floodlit_image_without_light_stops_the_run(
     tmp_path: Path, fault: Callable[[tuple[int, ...], Any], Any], message: str
 ) -> None:
     dim = matrix_rig(1e-6 * symmetric_matrix(), CAMERA)
-    acquisition = Acquisition(tmp_path, FaultyRig(dim, fault))
+    acquisition = StagewiseAcquisition(tmp_path, FaultyRig(dim, fault))
     acquisition.schedule(0)
     acquisition.capture(0)
     with pytest.raises(CaptureError, match=message):
@@ -98,7 +98,7 @@ def test_saturated_samples_are_counted(tmp_path: Path, caplog: pytest.LogCapture
             frame[:, 0, :3] = 4095
         return frame
 
-    acquisition = Acquisition(tmp_path, FaultyRig(matrix_rig(noise=CAMERA), glint))
+    acquisition = StagewiseAcquisition(tmp_path, FaultyRig(matrix_rig(noise=CAMERA), glint))
     acquisition.schedule(0)
     acquisition.capture(0)
     with caplog.at_level(logging.WARNING, logger="rfpipe"):
@@ -111,7 +111,7 @@ def test_saturated_samples_are_counted(tmp_path: Path, caplog: pytest.LogCapture
 def test_a_changed_rig_is_refused_or_captured_anew_after_saying_so(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition = StagewiseAcquisition(tmp_path, matrix_rig(noise=CAMERA))
     acquisition.level(0)
     first = read_manifest(tmp_path / "L00/capture.json")
     acquisition.rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=7)
@@ -133,7 +133,7 @@ def test_a_changed_rig_is_refused_or_captured_anew_after_saying_so(
 
 
 def test_the_time_a_rig_takes_changes_no_frame(tmp_path: Path) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig())
+    acquisition = StagewiseAcquisition(tmp_path, matrix_rig())
     acquisition.level(0)
     slow = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, seconds_per_pattern=9.0)
     acquisition.rig = FaultyRig(slow, lambda key, frame: frame)
@@ -150,14 +150,14 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
             return super().capture(patterns, keys)
 
     rig = Counting(symmetric_matrix(), SHAPE, SHAPE, CAMERA)
-    acquisition = Acquisition(tmp_path, rig)
-    acquisition.plan = Plan("brute_force", "brute_force", SHAPE, SHAPE, 1)
+    acquisition = StagewiseAcquisition(tmp_path, rig)
+    acquisition.plan = Plan.of("brute_force", "brute_force", SHAPE, SHAPE, 1)
     acquisition.schedule(0)
     acquisition.capture(0, batch_patterns=3)
     assert max(batches) == 3
     before = contents(tmp_path / "L00/capture.zarr")
     batches.clear()
-    again = Acquisition(tmp_path / "again", rig)
+    again = StagewiseAcquisition(tmp_path / "again", rig)
     again.plan, again.resources = acquisition.plan, Resources(memory_gib=1e-6)
     again.schedule(0)
     again.capture(0, batch_patterns=3)
@@ -211,7 +211,7 @@ def test_files_hold_what_is_found_in_process_with_hot_pixels(tmp_path: Path, met
         return frames
 
     rig = FaultyRig(matrix_rig(noise=CAMERA), heated)
-    acquisition = Acquisition(tmp_path, rig, None, method)
+    acquisition = StagewiseAcquisition(tmp_path, rig, None, method)
     for level in acquisition.folder.levels():
         acquisition.level(level)
     stored = acquisition.assemble()

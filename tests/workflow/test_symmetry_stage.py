@@ -12,7 +12,7 @@ from tests.workflow.stagewise import (
     CODE,
     RAYS,
     SHAPE,
-    Acquisition,
+    StagewiseAcquisition,
     acquire,
     matrix_rig,
     stages,
@@ -38,7 +38,7 @@ from rfpipe.store import FrameStore, read_manifest
 FRAMES = 6
 
 
-def judge(acquisition: Acquisition, accepted: float = 0.05) -> dict[str, Any]:
+def judge(acquisition: StagewiseAcquisition, accepted: float = 0.05) -> dict[str, Any]:
     found = symmetry.read_asymmetry(acquisition.folder)
     assert found is not None
     assert (
@@ -49,7 +49,7 @@ def judge(acquisition: Acquisition, accepted: float = 0.05) -> dict[str, Any]:
 
 
 def begun(path: Path, matrix: np.ndarray) -> Acquisition:
-    acquisition = Acquisition(path, matrix_rig(matrix, CameraModel()))
+    acquisition = StagewiseAcquisition(path, matrix_rig(matrix, CameraModel()))
     acquisition.schedule(0)
     acquisition.capture(0, symmetry_frames=FRAMES)
     acquisition.merge(0)
@@ -69,7 +69,7 @@ def crooked() -> np.ndarray:
 def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
     acquisition = begun(tmp_path, symmetric_matrix())
     told = judge(acquisition)
-    acquisition.keep_raw = False
+    acquisition.settings = replace(SETTINGS, keep_raw=False)
     acquisition.merge(0)
     assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
     acquisition.folder.manifest(0, "merge").unlink()
@@ -98,7 +98,7 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
     folder = AcquisitionFolder(tmp_path / "acquired")
 
     def run() -> str:
-        plan = Plan("choice", name, SHAPE, SHAPE, 1)
+        plan = Plan.of("choice", name, SHAPE, SHAPE, 1)
         acquired(plan, folder, matrix_rig(matrix, CameraModel()), FRAMES)
         return plan.method.name
 
@@ -130,7 +130,7 @@ def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
     def run(method: str, frames: int, name: str = "") -> AcquisitionFolder:
         folder = AcquisitionFolder(tmp_path / (name or f"{method}_{frames}"))
         acquired(
-            Plan(method, method, SHAPE, SHAPE, 1),
+            Plan.of(method, method, SHAPE, SHAPE, 1),
             folder,
             matrix_rig(crooked(), CameraModel()),
             frames,

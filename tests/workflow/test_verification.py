@@ -23,7 +23,8 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, verification
 from rfpipe.stages.plan import Plan
 from rfpipe.storage.checking import check
-from rfpipe.storage.files import VERIFICATION, VERIFICATION_MANIFEST, AcquisitionFolder
+from rfpipe.storage.base import VERIFICATION, VERIFICATION_MANIFEST
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.storage.retake import find_retakes
 from rfpipe.store import read_manifest
 from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY

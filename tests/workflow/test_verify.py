@@ -18,8 +18,8 @@ from tests.workflow.stagewise import acquire as acquire_matrix
 from rfpipe.calibration.folder import CalibrationFolder, StepConditions
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import IntegrityError
+from rfpipe.storage.base import STAGES
 from rfpipe.storage.checking import check
-from rfpipe.storage.files import STAGES
 from rfpipe.storage.repairs import command_for
 from rfpipe.store import read_manifest, write_arrays, write_manifest
 

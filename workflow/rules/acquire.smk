@@ -19,8 +19,7 @@ rule acquire:
         **AT_THE_RIG,
     params:
         plan=plan,
-        settings=lambda wildcards: stages(wildcards.scene, wildcards.method),
-        by=lambda wildcards: rig(wildcards.scene)["by"],
-        rig=lambda wildcards: rig(wildcards.scene)["rig"],
+        settings=settings_of(),
+        rig=rig,
     script:
         "../scripts/acquire.py"

@@ -1,6 +1,6 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import rfpipe
@@ -10,7 +10,14 @@ from rfpipe.provenance import code_digest
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.jobs.snakemake import check_no_braces
 from rfpipe.jobs.workers import machine_memory_mb
-from rfpipe.stages.plan import MANNER, code_of, manner_of, plan_of, rig_of, stages_of
+from rfpipe.stages.settings import (
+    OPERATING_SETTINGS,
+    operating_settings,
+    plan_settings,
+    rig_source_settings,
+    stage_code,
+    stage_settings,
+)
 
 for configfile in workflow.configfiles:
     read_yaml(configfile)  # refuses YAML that Snakemake would take for something else
@@ -46,7 +53,6 @@ wildcard_constraints:
 
 
 of_scene = cache(SETTINGS.of_scene)  # the settings that hold for a scene
-stages = cache(partial(stages_of, SETTINGS))  # those of each stage of an acquisition
 
 
 def memory_mb(wildcards, attempt):
@@ -61,19 +67,37 @@ def minutes(at_most):
     return lambda wildcards, attempt: at_most * 2 ** (attempt - 1)
 
 
-def of_manner(name):
-    """A setting of how pictures are taken and kept, as a resource."""
-    return lambda wildcards: manner_of(SETTINGS, wildcards.scene)[name]
-
-
-# What any job asks for, and a job of an acquisition: resources, since they shape no result.
+# Snakemake runs a job again when its params change, but not when its resources change. So settings
+# that shape no result are resources: memory, workers, and how pictures are taken and kept.
 ASKED = {"mem_mb": memory_mb, "runtime": minutes(60)}
+
+
+def operating_setting(name):
+    """One of the settings of how pictures are taken and kept, as text."""
+    return lambda wildcards: str(operating_settings(SETTINGS, wildcards.scene)[name])
+
+
 WITHIN = {
     **ASKED,
     "memory_gib": lambda wildcards: str(of_scene(wildcards.scene).resources.memory_gib),
     "workers": lambda wildcards: of_scene(wildcards.scene).resources.workers,
-    **{name: of_manner(name) for name in MANNER},
+    **{name: operating_setting(name) for name in OPERATING_SETTINGS},
 }
+
+# A real rig takes one picture at a time. Its address, and the command that puts a scene before it,
+# shape no result either.
+HAS_RIG = SETTINGS.capture.rig == "remote"
+CAPTURED_HERE = HAS_RIG and SETTINGS.resources.captures == "here"
+
+
+def rig_access(name):
+    """A setting of the access to the rig, as text."""
+    return lambda wildcards: str(getattr(of_scene(wildcards.scene).capture, name) or "")
+
+
+ACCESS = ("url", "token_file", "patience_seconds", "placing")
+AT_THE_RIG = {"rig": 1, **{f"rig_{name}": rig_access(name) for name in ACCESS}}
+AT_THE_RIG = AT_THE_RIG if HAS_RIG else {}
 
 
 def all_cores(wildcards):
@@ -87,14 +111,21 @@ def threads(wildcards):
     return max(1, all_cores(wildcards) // len(SETTINGS.acquisitions))
 
 
-def settings_of(stage):
-    """The settings of a stage, the digest of its code among them."""
-    return lambda wildcards: stages(wildcards.scene, wildcards.method)[stage]
+def settings_of(*stages):
+    """The settings that shape the results of stages; those of all stages by default."""
+    return lambda wildcards: stage_settings(
+        SETTINGS, wildcards.scene, wildcards.method, *stages
+    )
 
 
 def plan(wildcards):
-    """Arguments of the plan that the stages of an acquisition follow."""
-    return plan_of(SETTINGS, wildcards.scene, wildcards.method)
+    """Method, options and rays of an acquisition."""
+    return plan_settings(SETTINGS, wildcards.scene, wildcards.method)
+
+
+def rig(wildcards):
+    """What a scene's pictures are taken by."""
+    return rig_source_settings(SETTINGS, wildcards.scene)
 
 
 def every_acquisition(name, wanted=lambda scene: True):

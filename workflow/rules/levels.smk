@@ -1,32 +1,34 @@
-# The levels of an acquisition: how many have patterns to show turns out on the way.
+# Levels of an acquisition. The schedule of a level has no patterns if the acquisition is complete.
+
+from itertools import count
 
 from rfpipe.storage.files import STAGES_LOG
 from rfpipe.store import read_manifest
 
 
-def refined(wildcards, before=None):
-    """The refinements of all levels of an acquisition, or of those before one."""
-    found, level = [], 0
-    while level is not None and level != before:
-        number = {
-            "scene": wildcards.scene,
-            "method": wildcards.method,
-            "level": f"{level:02d}",
-        }
-        found.append(checkpoints.refine.get(**number).output[0])
-        level = read_manifest(Path(found[-1]))["next"]
-    return found
+def refined(wildcards):
+    """The refinements of all levels of an acquisition; each schedule shows if there is a next."""
+    folder, refinements = f"results/{wildcards.scene}/{wildcards.method}", []
+    for level in count():
+        scheduled = checkpoints.schedule.get(
+            scene=wildcards.scene, method=wildcards.method, level=f"{level:02d}"
+        )
+        if not read_manifest(Path(scheduled.output[0]))["patterns"]:
+            return refinements
+        refinements.append(f"{folder}/L{level:02d}/refine.json")
 
 
 def refined_before(wildcards):
-    """The refinement that tells what a level has to show.
+    """The refinement of the level before a level.
 
-    Level 0 follows what one job has done of all stages, which left no records of their settings.
+    Level 0 follows the log of a job that ran all stages, since Snakemake has no records of their
+    settings.
     """
-    by_one_job = Path("results", wildcards.scene, wildcards.method, STAGES_LOG)
-    if int(wildcards.level) == 0:
-        return [str(by_one_job)] if by_one_job.exists() else []
-    return refined(wildcards, before=int(wildcards.level))[-1:]
+    folder, level = f"results/{wildcards.scene}/{wildcards.method}", int(wildcards.level)
+    if level > 0:
+        return [f"{folder}/L{level - 1:02d}/refine.json"]
+    log = Path(folder, STAGES_LOG)
+    return [str(log)] if log.exists() else []
 
 
 def scheduled(wildcards):

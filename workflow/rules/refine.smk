@@ -1,5 +1,5 @@
-checkpoint refine:
-    """What the images of a level tell of the transport, and which level has something to show next."""
+rule refine:
+    """The state of the method after the images of a level."""
     input:
         "results/{scene}/{method}/L{level}/normalize.json",
     output:

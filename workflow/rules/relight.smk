@@ -1,3 +1,8 @@
+def scene_settings(wildcards):
+    """What is true of a scene, however often and by whatever method it is acquired."""
+    return SETTINGS.scenes[wildcards.scene].itself()
+
+
 rule relight:
     """The transport under the reference patterns, beside what is true of the scene."""
     input:
@@ -14,6 +19,6 @@ rule relight:
         **ASKED,
     params:
         scene=scene_settings,
-        code=lambda wildcards: code_of(SETTINGS, wildcards.scene),
+        code=lambda wildcards: stage_code(SETTINGS, wildcards.scene),
     script:
         "../scripts/relight.py"

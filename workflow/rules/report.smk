@@ -1,3 +1,49 @@
+from rfpipe.errors import RfpipeError
+
+def every_item(wildcards):
+    """What the catalogue tells of each scene and method beside its transport."""
+    relit = [
+        f"results/{scene}/{method}/relight.json"
+        for scene, method in SETTINGS.acquisitions
+        if SETTINGS.scenes[scene].has_truth
+    ]
+    return [*relit, *every_verification(wildcards), *every_view(wildcards)]
+
+
+def list_collection():
+    """Write the catalogue of a collection, whatever became of it until now."""
+    if SETTINGS.collection is None:
+        return
+    from rfpipe.report.catalogue import write_catalogue
+
+    try:
+        counts = write_catalogue(SETTINGS, Path("results"))
+    except RfpipeError as error:  # a page more or less doesn't change how a run ended
+        print(f"rfpipe: no catalogue: {error}")
+        return
+    states = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    print(f"rfpipe: results/catalogue/index.html: {states}")
+
+
+def report_others(failures):
+    """Write the report of the acquisitions in which no job failed, in a run that keeps going."""
+    failed = {
+        (failure.scene, failure.method): failure
+        for failure in failures
+        if failure.scene
+    }
+    if not failed or len(failed) < len(failures) or not SETTINGS.has_report:
+        return
+    from rfpipe.report.others import build_report_of_others
+
+    try:
+        page = build_report_of_others(SETTINGS, Path("results"), failed)
+    except RfpipeError as error:
+        print(f"rfpipe: no report of the others: {error}")
+    else:
+        print(f"rfpipe: report of the others: {page}" if page else "")
+
+
 PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"
 
 

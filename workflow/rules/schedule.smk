@@ -1,5 +1,5 @@
 checkpoint schedule:
-    """The patterns of a level, from what the levels above it found."""
+    """The patterns of a level, chosen by the state of the method; none where it is done."""
     input:
         refined_before,
     output:

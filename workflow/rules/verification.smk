@@ -1,3 +1,30 @@
+def every_verification(wildcards):
+    """The verification of each scene and method, if there are to be any."""
+    return every_acquisition(
+        "verification.json", lambda scene: of_scene(scene).verification_pictures
+    )
+
+
+# The mean error of each acquisition above which the run fails, where there is such a bound.
+BOUNDS = {
+    f"{scene} by {method}": SETTINGS.bound_of(scene, method)
+    for scene, method in SETTINGS.acquisitions
+    if SETTINGS.bound_of(scene, method) is not None
+}
+
+
+def every_bounded(wildcards):
+    """The verification of each acquisition that has a bound, or else its transport."""
+    return [
+        f"results/{scene}/{method}/{name}.json"
+        for scene, method in SETTINGS.acquisitions
+        for name in [
+            "verification" if of_scene(scene).verification_pictures else "transport"
+        ]
+        if f"{scene} by {method}" in BOUNDS
+    ]
+
+
 rule verification:
     """A scene's transport beside pictures that no method saw, taken by the same rig."""
     input:
@@ -16,12 +43,9 @@ rule verification:
         **WITHIN,
         **AT_THE_RIG,
     params:
-        settings=lambda wildcards: {
-            stage: settings_of(stage)(wildcards) for stage in ("capture", "merge")
-        },
+        settings=settings_of("capture", "merge"),
         pictures=lambda wildcards: of_scene(wildcards.scene).verification_pictures,
-        by=lambda wildcards: rig(wildcards.scene)["by"],
-        rig=lambda wildcards: rig(wildcards.scene)["rig"],
+        rig=rig,
     script:
         "../scripts/verification.py"
 

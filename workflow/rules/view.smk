@@ -1,3 +1,34 @@
+import rfpipe
+from rfpipe.provenance import fingerprint
+from rfpipe.store.files import digest_of
+
+def every_view(wildcards):
+    """The page of each scene and method on which one paints with light."""
+    return [
+        f"results/report/view/{scene}_{method}.html"
+        for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def other_acquisitions(wildcards):
+    """The transports of a scene by its other methods."""
+    return [
+        f"results/{wildcards.scene}/{method}/transport.json"
+        for method in SETTINGS.methods_of(wildcards.scene)
+        if method != wildcards.method
+    ]
+
+
+# The package that makes the pages, with what they run.
+VIEWER = fingerprint(
+    [
+        digest_of(path.read_bytes())
+        for path in sorted(Path(rfpipe.__file__).with_name("viewer").rglob("*.*"))
+        if path.suffix != ".pyc"
+    ]
+)
+
+
 rule view:
     """A page for each acquisition: light the scene in a browser, wipe to another method's."""
     input:

@@ -1,4 +1,5 @@
-from rfpipe.stages.acquisition import run, stage_job
+from rfpipe.stages.acquisition import acquire_transport
+from rfpipe.stages.job import stage_job
 
 with stage_job(snakemake) as job:
-    run(job.plan, job.folder, job.capture, job.stages, job.resources)
+    acquire_transport(job.acquisition("acquire"))

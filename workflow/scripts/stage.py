@@ -1,4 +1,4 @@
-from rfpipe.stages.acquisition import stage_job
+from rfpipe.stages.job import stage_job
 
 with stage_job(snakemake) as job:
-    job.do(snakemake.rule)
+    job.run(snakemake.rule)

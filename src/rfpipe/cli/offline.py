@@ -124,7 +124,7 @@ def _take_back(acquisition: OfflineAcquisition, sheet: Sheet) -> None:
 
 def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
     """Say what is to be done next."""
-    from rfpipe.storage.files import name_of
+    from rfpipe.storage.base import level_name
 
     if sheet is None:
         home, settings = str(folder.absolute().parents[2]), str(config.absolute())
@@ -137,7 +137,7 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
     about: dict[str, Any] = sheet.about
     times = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
-        f"{acquisition}: {name_of(about['level'])} asks for "
+        f"{acquisition}: {level_name(about['level'])} asks for "
         f"{counted(len(sheet.shown) - 3, 'pattern')} "
         f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
         f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "

@@ -171,7 +171,7 @@ def _free(options: _Options) -> None:
 def _retaken(options: _Options, settings: Config | None) -> bool:
     """Set aside the pictures to take again; return True for a rehearsal, with --dry-run."""
     from rfpipe.errors import InputError
-    from rfpipe.stages.captures import check_retakes
+    from rfpipe.stages.rig_sources import check_retakes
     from rfpipe.storage.retake import find_retakes
 
     acquisitions = None if settings is None else settings.acquisitions
@@ -326,19 +326,19 @@ def plan(
 def _say_totals(rows: pd.DataFrame, free: int) -> None:
     """Print what all acquisitions take together, and what this machine lacks for them."""
     from rfpipe.jobs.workers import machine_memory_mb
-    from rfpipe.stages.forecast import shown_bytes
+    from rfpipe.storage.space import bytes_text
 
-    total = rows[["seconds", "most_seconds", "disk", "most_disk"]].sum()
+    total = rows[["seconds", "max_seconds", "disk", "max_disk"]].sum()
     disk, memory = int(total["disk"]), int(rows["memory"].max())
     together = "One after the other: " if len(rows) > 1 else "In all: "
-    is_open = (rows["most_patterns"] > rows["patterns"]).any()
-    most = f", at most {_duration(total['most_seconds'])}" if is_open else ""
-    most_disk = f", at most {shown_bytes(int(total['most_disk']))}" if is_open else ""
+    is_open = (rows["max_patterns"] > rows["patterns"]).any()
+    most = f", at most {_duration(total['max_seconds'])}" if is_open else ""
+    most_disk = f", at most {bytes_text(int(total['max_disk']))}" if is_open else ""
     typer.echo(
         f"\n{together}{_duration(total['seconds'])} of capture on a rig{most}; "
-        f"{shown_bytes(disk)} of disk{most_disk}; {shown_bytes(free)} are free."
+        f"{bytes_text(disk)} of disk{most_disk}; {bytes_text(free)} are free."
     )
-    if total["most_disk"] > free:
+    if total["max_disk"] > free:
         typer.echo(
             "That may not fit: make room, put the results on another disk, or set "
             "capture.keep_raw to false. A level that doesn't fit is refused before its capture."
@@ -347,8 +347,8 @@ def _say_totals(rows: pd.DataFrame, free: int) -> None:
     if memory > have:
         largest = rows.iloc[int(rows["memory"].argmax())]
         typer.echo(
-            f"{largest['scene']} by {largest['method']} is likely to take {shown_bytes(memory)} of "
-            f"memory, and this machine has {shown_bytes(have)}: acquire it on another one, with "
+            f"{largest['scene']} by {largest['method']} is likely to take {bytes_text(memory)} of "
+            f"memory, and this machine has {bytes_text(have)}: acquire it on another one, with "
             "fewer rays, or by another method."
         )
 
@@ -368,16 +368,16 @@ def _lines_of_scenes(settings: Config) -> list[str]:
 
 
 def _shown(rows: pd.DataFrame) -> str:
-    from rfpipe.stages.forecast import shown_bytes
+    from rfpipe.storage.space import bytes_text
 
-    table = rows.drop(columns=["most_seconds", "most_disk"])
-    for name in ("rays", "patterns", "most_patterns"):
+    table = rows.drop(columns=["max_seconds", "max_disk"])
+    for name in ("rays", "patterns", "max_patterns"):
         table[name] = rows[name].map("{:,}".format)
     table["seconds"] = rows["seconds"].map(_duration)
     for name in ("disk", "memory"):
-        table[name] = rows[name].map(shown_bytes)
-    order = ["scene", "method", "rays", "levels", "patterns", "most_patterns", "seconds"]
-    names = {"seconds": "time", "most_patterns": "at most"}
+        table[name] = rows[name].map(bytes_text)
+    order = ["scene", "method", "rays", "patterns", "max_patterns", "seconds"]
+    names = {"seconds": "time", "max_patterns": "at most"}
     table = table[[*order, "disk", "memory"]].rename(columns=names)
     return table.to_string(index=False, col_space=8)
 

@@ -122,8 +122,8 @@ class MissedTarget:
         Relative, see `rfpipe.relighting.picture_errors`.
     quantity : str
         Such as "measured error" or "estimated error of indirect light".
-    warning : str
-        The method's last warning, or "".
+    reason : str
+        Reason for which the method ended, or "".
     """
 
     scene: str
@@ -131,13 +131,13 @@ class MissedTarget:
     error: float
     target: float
     quantity: str
-    warning: str
+    reason: str
 
     def __str__(self) -> str:
-        warning = f" ({self.warning})" if self.warning else ""
+        reason = f" ({self.reason})" if self.reason else ""
         return (
             f"{self.scene} by {self.method}, {self.quantity} {100 * self.error:.3g} %, "
-            f"target {100 * self.target:.3g} %{warning}"
+            f"target {100 * self.target:.3g} %{reason}"
         )
 
 
@@ -162,26 +162,19 @@ def missed_targets(
         with suppress(StoreError):
             acquired = read_manifest(folder / "transport.json")
             verified = manifest_or_empty(folder / "verification.json")
-            missed += _missed(acquired, verified, margin, _last_warning(folder, acquired))
+            missed += _missed(acquired, verified, margin)
     return missed
 
 
 def _missed(
-    acquired: Mapping[str, Any], verified: Mapping[str, Any], margin: float, warning: str
+    acquired: Mapping[str, Any], verified: Mapping[str, Any], margin: float
 ) -> list[MissedTarget]:
     """Return the first target that an acquisition missed, in a list, or an empty list."""
     measured, estimated = (verified.get("mean_error"), None), last_estimate(acquired["levels"])
     for miss in misses(acquired.get("options", {}), measured, estimated, margin):
         quantity = f"{'estimated' if miss.is_estimate else 'measured'} {miss.quantity}"
         names = acquired["scene"], acquired["method"]
-        return [MissedTarget(*names, miss.error, miss.target, quantity, warning)]
+        levels = reversed(acquired["levels"])
+        reason = next((row["ended"] for row in levels if "ended" in row), "")
+        return [MissedTarget(*names, miss.error, miss.target, quantity, reason)]
     return []
-
-
-def _last_warning(folder: Path, acquired: Mapping[str, Any]) -> str:
-    """Return the last warning that the method logged, see `rfpipe.stages.refine`; "" for none."""
-    for number, _ in reversed(acquired.get("made_of", {}).get("refine", [])):
-        warnings = manifest_or_empty(folder / f"L{number:02d}" / "refine.json").get("warnings")
-        if warnings:
-            return str(warnings[-1])
-    return ""

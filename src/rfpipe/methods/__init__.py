@@ -1,13 +1,23 @@
-"""Acquisition methods: each one a class that describes itself, found by its name."""
+"""Acquisition methods, see `rfpipe.methods.base`."""
 
 from rfpipe.methods.base import (
     LevelImages,
     Method,
+    MethodDescription,
     Options,
-    Pack,
+    StateArrays,
     get_method,
     method_names,
     options_of,
 )
 
-__all__ = ["LevelImages", "Method", "Options", "Pack", "get_method", "method_names", "options_of"]
+__all__ = [
+    "LevelImages",
+    "Method",
+    "MethodDescription",
+    "Options",
+    "StateArrays",
+    "get_method",
+    "method_names",
+    "options_of",
+]

@@ -1,4 +1,14 @@
-"""What every acquisition method is; free of any file or device."""
+"""Acquisition methods: their descriptions, options, states and the registry.
+
+A method decides which patterns to show next and computes the transport from their images. The loop
+that shows the patterns and takes the pictures is `rfpipe.stages`; a method opens no file and no
+device::
+
+    state = method.start(camera, projector, channels, options)
+    while (schedule := method.next_schedule(state)) is not None:
+        state = method.refine(state, images_of(schedule), memory_bytes)
+    transport = method.transport(state)
+"""
 
 from __future__ import annotations
 
@@ -6,7 +16,7 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +36,16 @@ TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4)
 """Tolerances for plots of speed against error, as fractions of the floodlit image's maximum."""
 
 MEMORY_BYTES = 2**32
-"""Memory that refining a level may take where nothing else is said: 4 GiB."""
+"""Default memory for the refinement of a level: 4 GiB."""
 
-
-State = TypeVar("State")
-"""A method's states; their ``rows`` are the table of levels so far, see `Transport.level_rows`."""
+LIBRARY_BYTES = 200_000_000
+"""Memory of Python and its libraries, part of every forecast."""
 
 
 class Options(MethodSettings):
-    """The options that every method has; a method's own come on top of them.
+    """Options that every method has; methods derive their own from it.
 
-    Each has a description with its unit and range: the settings' file and its schema are made from
-    them.
+    Each option has a description with its unit and range, from which the settings' schema is made.
     """
 
     noise_significance: float = Field(
@@ -49,8 +57,8 @@ class Options(MethodSettings):
     )
 
 
-class PatternOptions(Options):
-    """The options of methods that may be told how many patterns to show."""
+class ErrorOptions(Options):
+    """Options of methods that stop at a target of their estimated error."""
 
     patterns: int = Field(
         0,
@@ -58,11 +66,6 @@ class PatternOptions(Options):
         le=1_000_000,
         description="Patterns to show at most, 0 to 1000000; 0 leaves it to the method.",
     )
-
-
-class ErrorOptions(PatternOptions):
-    """The options of methods that stop at an error that they estimate."""
-
     target_error: Fraction = Field(
         0.01,
         description="Mean error of relit pictures at which to stop, a fraction of their norm "
@@ -76,67 +79,113 @@ class ErrorOptions(PatternOptions):
 
 
 class LevelImages(Protocol):
-    """The radiance images of one level, read a few patterns at a time."""
+    """Radiance images of one level, read a few patterns at a time."""
 
     @property
     def schedule(self) -> Schedule:
-        """The patterns they were taken under."""
+        """Patterns under which the images were taken."""
 
     def read(self, first: int, last: int) -> tuple[Float, Float]:
-        """Return radiance and variance, each float32 ``(last - first, *camera_shape, C)``.
+        """Read radiance and variance, each float32 ``(last - first, *camera_shape, C)``.
 
-        A pixel that can't be trusted has a radiance of 0 and an infinite variance: it is no
-        evidence of anything. The same pixels are unknown in all images of an acquisition.
+        An unknown pixel, such as a defective one, has a radiance of 0 and an infinite variance in
+        all images of an acquisition.
         """
 
 
 @dataclass(frozen=True)
-class Pack:
-    """What one level's refinement adds to a state, as named arrays and plain data."""
+class Forecast:
+    """Forecast of an acquisition, made before any picture is taken.
+
+    Attributes
+    ----------
+    patterns : int
+        Expected number of patterns.
+    max_patterns : int
+        Largest number of patterns.
+    memory_bytes : int
+        Peak memory of the process in bytes.
+    """
+
+    patterns: int
+    max_patterns: int
+    memory_bytes: int
+
+
+@dataclass(frozen=True)
+class StateArrays:
+    """Part of a state that one level added or replaced, ready to be stored.
+
+    Attributes
+    ----------
+    arrays : mapping of str to ndarray
+        Boolean, integer or float arrays. Those of a restored level are read when first used.
+    attributes : mapping of str to object
+        Plain data, as JSON has it.
+    """
 
     arrays: Mapping[str, NDArray[Any]]
     attributes: Mapping[str, Any]
 
-    def __or__(self, more: Pack) -> Pack:
-        """Return what both hold."""
-        return Pack({**self.arrays, **more.arrays}, {**self.attributes, **more.attributes})
+
+class State(Protocol):
+    """State of a method between two levels: a frozen dataclass.
+
+    Attributes
+    ----------
+    rows : tuple of dict
+        The table of the levels so far, see `Transport.level_rows`.
+    """
+
+    @property
+    def rows(self) -> tuple[dict[str, Any], ...]:
+        """The table of the levels so far, see `Transport.level_rows`."""
+
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return what the last level changed.
+
+        Parameters
+        ----------
+        previous : State
+            The state before the last level. Large sets that only grow, such as leaves or pictures,
+            are returned without what `previous` has.
+        """
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore a state from `Method.start`'s state and what each level changed, in order."""
 
 
-class Method(ABC, Generic[State]):
-    """An acquisition method: a state machine from floodlit image to transport.
+S = TypeVar("S", bound=State)
 
-    A level is: `schedule`, the capture of its patterns by somebody else, `refine`. The levels of
-    a run are known beforehand (`n_levels`); a level with nothing left to ask has an empty
-    schedule and is refined with no images.
 
-    A method describes itself: what settings, reports, forecasts and benchmarks know of it stands
-    in its own class, and they find it by its name among the entry points of the group
-    ``rfpipe.methods``, or by its path, ``module:Class``. `rfpipe.testing.MethodContract` has the
-    tests that every method should pass.
+class MethodDescription:
+    """Description of an acquisition method, for settings, reports, forecasts and benchmarks.
+
+    Methods are found by their name among the entry points of the group ``rfpipe.methods``, or by
+    their path, ``module:Class``.
 
     Attributes
     ----------
     name : str
-        What settings and the results' folders call it: lower-case letters, digits and _.
+        Name in settings and in the results' folders: lower-case letters, digits and _.
     title : str
-        What reports call it, such as "Dual photography".
-    colour : str
-        Of its marks in plots, as matplotlib takes it.
-    marker, line : str
-        Of its marks in plots, as matplotlib takes them.
+        Title in reports, such as "Dual photography".
+    colour, marker, line : str
+        Colour, marker and line style in plots, as matplotlib takes them.
     needs_coaxial_rig : bool
-        Whether it rests on ``T = T^T``.
+        Whether it relies on ``T = T^T``.
     estimates_error : bool
         Whether its rows of levels have an ``estimated_error``.
     bytes_per_ray : int or None
-        Memory of an acquisition for each camera ray, in bytes, as measured at 10^3 to 10^5 rays;
-        None where all pictures are held.
+        Memory of an acquisition for each camera ray in bytes, measured at 10^3 to 10^5 rays; None
+        for methods that keep all pictures in memory.
     Options : type of Options
         Its options: a pydantic model.
     trades : str or None
         The option by which users trade patterns for accuracy.
     trials : tuple of float
-        Its values, from the coarsest, for plots of speed against error.
+        Values of that option, from the coarsest, for plots of speed against error.
     """
 
     name: str
@@ -151,86 +200,91 @@ class Method(ABC, Generic[State]):
     trades: str | None = None
     trials: tuple[float, ...] = ()
 
-    def check(self, camera: RayDomain, projector: RayDomain) -> None:
-        """Raise InputError if the method does not fit a rig of these rays."""
-        if self.needs_coaxial_rig and camera.shape != projector.shape:
-            raise InputError(
-                f"{self.title.lower()} needs a coaxial rig, whose camera and projector share one "
-                f"ray domain, but the camera's is {camera.shape} and the projector's "
-                f"{projector.shape}; use a method for any rig, such as dual photography, or "
-                "resample the camera onto the projector's grid"
-            )
-
-    def asks_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
-        """Tell whether a rig of these rays is measured for symmetry before the first level."""
+    def measures_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
+        """Test whether the symmetry of a rig of these rays is measured before level 0."""
         return self.needs_coaxial_rig
 
-    def on_rig(self, coaxial: bool) -> Method[Any]:
-        """Return the method that goes on after that measurement, which found T symmetric or not."""
+    def for_rig(
+        self, camera: RayDomain, projector: RayDomain, is_coaxial: bool | None = None
+    ) -> Method[Any]:
+        """Return the method for a rig.
+
+        Parameters
+        ----------
+        is_coaxial : bool, optional
+            Result of the measurement of the rig's symmetry; None if it wasn't measured.
+        """
+        raise NotImplementedError
+
+    def forecast(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
+    ) -> Forecast:
+        """Forecast patterns and memory of an acquisition; here one pattern a projector ray."""
+        return self.forecast_of(camera, channels, projector.size, projector.size)
+
+    def forecast_of(
+        self, camera: RayDomain, channels: int, patterns: int, max_patterns: int
+    ) -> Forecast:
+        """Forecast an acquisition of known numbers of patterns, by `bytes_per_ray`."""
+        picture_bytes = 40 * channels * patterns
+        bytes_per_ray = picture_bytes if self.bytes_per_ray is None else self.bytes_per_ray
+        memory_bytes = LIBRARY_BYTES + camera.size * bytes_per_ray
+        return Forecast(patterns, max_patterns, memory_bytes)
+
+
+class Method(MethodDescription, ABC, Generic[S]):
+    """An acquisition method: a state machine from the first pattern to the transport.
+
+    `rfpipe.testing.MethodContract` has the tests that every method should pass.
+    """
+
+    def for_rig(
+        self, camera: RayDomain, projector: RayDomain, is_coaxial: bool | None = None
+    ) -> Method[Any]:
+        """Return the method itself, which is the same for every rig."""
         return self
 
     @abstractmethod
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the number of levels of a rig that the method fits."""
-
-    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Guess the patterns of a whole acquisition, for forecasts; one a ray if not said."""
-        return projector.size
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return how many patterns an acquisition shows at most, or as expected if not said."""
-        return self.expected_patterns(camera, projector, options)
-
-    def memory_bytes(
-        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
-    ) -> int:
-        """Guess the peak memory of an acquisition; the libraries take 200 MB of it."""
-        pictures = 40 * channels * self.expected_patterns(camera, projector, options)
-        each = pictures if self.bytes_per_ray is None else self.bytes_per_ray
-        return 200_000_000 + camera.size * each
+    def start(self, camera: RayDomain, projector: RayDomain, channels: int, options: Any) -> S:
+        """Return the state before level 0; InputError for more rays than the method can take."""
 
     @abstractmethod
-    def start(self, camera: RayDomain, projector: RayDomain, channels: int, options: Any) -> State:
-        """Return the state before the first level; InputError for more rays than it can take."""
+    def next_schedule(self, state: S) -> Schedule | None:
+        """Return the patterns of the next level, at least one; None when the method is done."""
 
     @abstractmethod
-    def schedule(self, state: State) -> Schedule:
-        """Return the patterns of the next level."""
-
-    def asks(self, state: State) -> bool:
-        """Tell whether the next level has patterns to show."""
-        return self.schedule(state).count > 0
-
-    @abstractmethod
-    def refine(self, state: State, images: LevelImages, memory_bytes: int = MEMORY_BYTES) -> State:
+    def refine(self, state: S, images: LevelImages, memory_bytes: int = MEMORY_BYTES) -> S:
         """Return the state after a level's images.
 
-        `memory_bytes` is about what the work may take beside the state itself; the result does not
+        `memory_bytes` limits the memory of the computation, except the state. The result does not
         depend on it.
         """
 
     @abstractmethod
-    def transport(self, state: State) -> Transport:
-        """Return what is known of the transport so far; nodes still open at their estimate.
+    def transport(self, state: S) -> Transport:
+        """Return the estimate of the transport; nodes still open have their current estimate.
 
         Rows of pixels that the images don't know may be left empty: where the rig is coaxial,
-        `rfpipe.transport.filling` takes them from their columns.
+        `rfpipe.transport.filling` fills them from their columns.
         """
 
-    def known(self, state: State) -> Transport:
-        """Return what predicts the light of rays that the next level leaves dark.
+    def transport_of_dark_rays(self, state: S) -> Transport:
+        """Return the transport that predicts the light of rays that the next level leaves dark.
 
-        It is `transport`, unless what a method would return differs from what it goes on with.
+        It differs from `transport` where the method would return another model than it refines.
         """
         return self.transport(state)
 
-    @abstractmethod
-    def pack(self, state: State) -> Pack:
-        """Return what the last refinement added, and what the next one needs."""
 
-    @abstractmethod
-    def restore(self, start: State, packs: Sequence[Pack]) -> State:
-        """Return the state after the last of the given levels' packs."""
+def check_rays(method: MethodDescription, camera: RayDomain, projector: RayDomain) -> None:
+    """Raise InputError if a method needs a coaxial rig and the ray domains differ."""
+    if method.needs_coaxial_rig and camera.shape != projector.shape:
+        raise InputError(
+            f"{method.title.lower()} needs a coaxial rig, whose camera and projector share one "
+            f"ray domain, but the camera's is {camera.shape} and the projector's "
+            f"{projector.shape}; use a method for any rig, such as dual photography, or "
+            "resample the camera onto the projector's grid"
+        )
 
 
 def method_names() -> tuple[str, ...]:
@@ -238,42 +292,42 @@ def method_names() -> tuple[str, ...]:
     return plugins.names(plugins.METHODS)
 
 
-def get_method(method: str | Method[Any] | type[Method[Any]]) -> Method[Any]:
+def get_method(method: str | MethodDescription | type[MethodDescription]) -> MethodDescription:
     """Return an acquisition method.
 
     Parameters
     ----------
-    method : str or Method or type of Method
+    method : str or MethodDescription or type of MethodDescription
         A name in `method_names`, a path ``module:Class`` or ``file.py:Class``, or the method
         itself.
 
     Raises
     ------
     InputError
-        If there is no such method, or what is there is none.
+        If there is no such method, or the name leads to something else.
     """
-    if isinstance(method, Method):
+    if isinstance(method, MethodDescription):
         return method
     entry = plugins.find(plugins.METHODS, method) if isinstance(method, str) else method
-    if not (inspect.isclass(entry) and issubclass(entry, Method)):
+    if not (inspect.isclass(entry) and issubclass(entry, MethodDescription)):
         raise InputError(
-            f"method {method!r} is no acquisition method; expected a class derived from "
+            f"method {method!r} is not an acquisition method; expected a class derived from "
             "rfpipe.methods.Method"
         )
     missing = [name for name in ("name", "title", "colour") if not hasattr(entry, name)]
     if missing or inspect.isabstract(entry):
-        missing += sorted(entry.__abstractmethods__)
+        missing += sorted(getattr(entry, "__abstractmethods__", ()))
         raise InputError(f"method {method!r} lacks {', '.join(missing)}; see rfpipe.methods.Method")
     return entry()
 
 
-def options_of(method: Method[Any], **options: Any) -> Options:
-    """Return a method's options, defaults for those that aren't given.
+def options_of(method: MethodDescription, **options: Any) -> Options:
+    """Validate a method's options, with defaults for the options that aren't given.
 
     Raises
     ------
     InputError
-        For each that the method doesn't have, and each out of range: says what was meant.
+        For each unknown option and each value out of range; says what was meant.
     """
     try:
         return method.Options.model_validate(options)

@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Options, StateArrays
 from rfpipe.methods.images import batches
-from rfpipe.methods.states import MethodState, PackingMethod, level_row
+from rfpipe.methods.states import MethodState, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.dense import DenseTransport
 
-# A scan is for small scenes: what it would cost for large ones is computed, never run.
+# Scans are for small scenes; the cost of larger ones is forecast from their number of rays.
 _LARGEST_MATRIX_BYTES = 8 * 2**30
 
 
 @dataclass(frozen=True)
 class ScanState(MethodState):
-    """The state of a scan: a matrix (C, camera rays, projector rays), zeros before it."""
+    """State of a scan.
+
+    Attributes
+    ----------
+    matrix : ndarray of float32, shape (C, camera rays, projector rays)
+        The transport; zero before the scan.
+    """
 
     matrix: Float
 
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return the matrix and the table of levels."""
+        return StateArrays({"matrix": self.matrix}, {"rows": list(self.rows)})
 
-class BruteForce(PackingMethod[ScanState]):
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state after the last of the levels."""
+        if not levels:
+            return start
+        last = levels[-1]
+        return replace(start, rows=tuple(last.attributes["rows"]), matrix=last.arrays["matrix"])
+
+
+class BruteForce(Method[ScanState]):
     """A scan of the projector's rays: one level, a dense matrix."""
 
     name = "brute_force"
@@ -34,14 +54,10 @@ class BruteForce(PackingMethod[ScanState]):
     marker = ""
     line = "--"
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return 1: all patterns are known beforehand."""
-        return 1
-
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Options
     ) -> ScanState:
-        """Return the state before the scan; InputError for a matrix that takes too much memory."""
+        """Return the state before the scan; InputError for a matrix of more than 8 GiB."""
         shape = (channels, camera.size, projector.size)
         size = int(np.prod(shape)) * np.dtype(np.float32).itemsize
         if size > _LARGEST_MATRIX_BYTES:
@@ -52,8 +68,10 @@ class BruteForce(PackingMethod[ScanState]):
             )
         return ScanState(camera, projector, channels, options, np.zeros(shape, np.float32))
 
-    def schedule(self, state: ScanState) -> Schedule:
+    def next_schedule(self, state: ScanState) -> Schedule | None:
         """Light one ray after the other, in the order of the image."""
+        if state.rows:
+            return None
         rays = np.arange(state.projector.size, dtype=np.int32).reshape(state.projector.shape)
         return Schedule(0, state.projector.shape, rays.size, pattern_of_ray=rays, complete=True)
 
@@ -66,7 +84,7 @@ class BruteForce(PackingMethod[ScanState]):
         lit = int(np.count_nonzero(matrix.any(axis=0)))
         nodes = pixels * rays
         row = level_row(0, rays, nodes=nodes, empty=nodes - lit, scalar=lit)
-        return state.after(row, matrix=matrix)
+        return replace(state, matrix=matrix, rows=(row,))
 
     def transport(self, state: ScanState) -> DenseTransport:
         """Return the dense matrix."""

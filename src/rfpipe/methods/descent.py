@@ -1,33 +1,30 @@
-"""What methods share that go down a block tree."""
+"""Forecast of the methods that go down a block tree, from the thesis' numbers of patterns."""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.base import State
-from rfpipe.methods.states import PackingMethod
+from rfpipe.methods.base import Forecast, Method, S, check_rays
 
 
-class Descent(PackingMethod[State]):
+class BlockTreeMethod(Method[S]):
     """A method that goes down the projector's block tree, from the floodlit root to its rays.
 
-    `thesis_patterns` are those of a scene of the thesis at 310 x 350 rays, in ten levels.
+    Attributes
+    ----------
+    thesis_patterns : int
+        Patterns of a scene of the thesis of 310 x 350 rays, in ten levels.
     """
 
     trades = "tolerance"
     thesis_patterns: ClassVar[int]
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the depth of the block tree."""
-        self.check(camera, projector)
-        return BlockTree(projector).n_levels
-
-    def asks(self, state: Any) -> bool:
-        """Tell whether blocks are left to subdivide, without colouring them."""
-        return state.level == 0 or len(state.frontier) > 0
-
-    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Guess the patterns from those of the thesis' scene, so many a level."""
-        levels = self.n_levels(camera, projector)
-        return min(projector.size, round(levels * self.thesis_patterns / 10))
+    def forecast(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
+    ) -> Forecast:
+        """Forecast as many patterns a level as the thesis' scene took."""
+        check_rays(self, camera, projector)
+        levels = BlockTree(projector).n_levels
+        patterns = min(projector.size, round(levels * self.thesis_patterns / 10))
+        return self.forecast_of(camera, channels, patterns, patterns)

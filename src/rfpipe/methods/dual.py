@@ -1,10 +1,14 @@
-"""Dual photography: light together what no camera pixel sees together (thesis ch. 3, C.1)."""
+"""Dual photography (thesis ch. 3, C.1).
+
+Blocks of projector rays that share no camera pixel are lit in one pattern. A response is the light
+that a camera pixel receives from a block; large responses are subdivided on the next level.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +17,31 @@ from pydantic import Field
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour_columns
-from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, Float, LevelImages, Options
-from rfpipe.methods.descent import Descent
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    TOLERANCES,
+    Float,
+    LevelImages,
+    Options,
+    StateArrays,
+)
+from rfpipe.methods.descent import BlockTreeMethod
 from rfpipe.methods.images import batches
-from rfpipe.methods.states import MethodState, grown, kept, level_row
+from rfpipe.methods.states import MethodState, level_row, with_prefix, without_prefix
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
+from rfpipe.transport.lazy import LazySequence
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.responses import Responses, by_level, fold, looks_symmetric, no_responses
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
 
-# Responses stored for one pixel, added up like noise, come to as many tolerances of the floodlit
-# image's root mean square at most. A tenth of that or less is wrong by how they are spread.
-_TOGETHER = 28.0
+# Largest sum of the responses stored for one pixel, added up like noise, in tolerances of the
+# floodlit image's root mean square. Their distribution on a block makes up to a tenth of it wrong.
+_SUM_OF_ERRORS = 28.0
 
-# What becomes of a response.
+# Outcomes of a response: below noise, stored for its block, or to be subdivided.
 _DROPPED, _STORED, _OPEN = 0, 1, 2
 
 
@@ -45,16 +57,16 @@ class DualOptions(Options):
 
 @dataclass(frozen=True)
 class DualState(MethodState):
-    """The state of dual photography before a level.
+    """State of dual photography before a level.
 
     Attributes
     ----------
     tree : BlockTree
-        Of the projector's rays.
+        Blocks of the projector's rays.
     stored : sequence of Responses
         Responses stored so far, one set a level.
     frontier : Responses
-        Responses of level ``level - 1`` that are to be subdivided: the sets B_k of the thesis.
+        Responses of level ``level - 1`` to be subdivided: the sets B_k of the thesis.
     floodlit_maximum, floodlit_rms : float
         Maximum and root mean square of the floodlit image, the units of the tolerance.
     complete : bool
@@ -63,19 +75,56 @@ class DualState(MethodState):
 
     options: DualOptions
     tree: BlockTree = field(kw_only=True)
-    stored: Sequence[Responses] = grown(Responses)
-    frontier: Responses = kept(Responses)
+    frontier: Responses = field(kw_only=True)
+    stored: Sequence[Responses] = ()
     floodlit_maximum: float = 0.0
     floodlit_rms: float = 0.0
     complete: bool = True
 
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return the last level's stored responses, and the frontier."""
+        arrays = {
+            **with_prefix("stored_", _pair_arrays(self.stored[-1])),
+            **with_prefix("frontier_", _pair_arrays(self.frontier)),
+        }
+        attributes = {
+            "rows": list(self.rows),
+            "floodlit_maximum": self.floodlit_maximum,
+            "floodlit_rms": self.floodlit_rms,
+            "complete": self.complete,
+        }
+        return StateArrays(arrays, attributes)
 
-class Dual(Descent[DualState]):
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state; stored responses are read when first used."""
+        if not levels:
+            return start
+
+        def stored(level: int) -> Responses:
+            return Responses(level, **without_prefix("stored_", levels[level].arrays))
+
+        last = levels[-1]
+        attributes = dict(last.attributes)
+        return replace(
+            start,
+            rows=tuple(attributes.pop("rows")),
+            frontier=Responses(len(levels) - 1, **without_prefix("frontier_", last.arrays)),
+            stored=LazySequence(range(len(levels)), stored, keep=True),
+            **attributes,
+        )
+
+
+def _pair_arrays(pairs: Responses) -> dict[str, NDArray[Any]]:
+    return {"block": pairs.block, "pixel": pairs.pixel, "values": pairs.values}
+
+
+class Dual(BlockTreeMethod[DualState]):
     """Dual photography as a `Method`.
 
-    The light that reaches a pixel from a block stored for it is still in the images of finer
-    levels. It is taken off them, since energy is to be stored once [§3.2]; in the pseudocode [C.1]
-    it counts again where the pixel reads such an image for another of its blocks.
+    Responses stored for a block still contribute to the images of finer levels. Their light is
+    subtracted from these images, since energy is to be stored once [§3.2]; the pseudocode [C.1]
+    counts it again where the pixel reads such an image for another of its blocks.
     """
 
     name = "dual"
@@ -85,117 +134,139 @@ class Dual(Descent[DualState]):
     bytes_per_ray = 20_000
     thesis_patterns = 7_382  # of scene IV
     Options = DualOptions
-    trials = TOLERANCES[:-1]  # beyond, responses are noise at the default camera
+    trials = TOLERANCES[:-1]  # at smaller tolerances the default camera measures noise
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: DualOptions
     ) -> DualState:
         """Return the state before the floodlit image."""
-        nothing = no_responses(0, channels)
-        return DualState(
-            camera, projector, channels, options, tree=BlockTree(projector), frontier=nothing
-        )
+        frontier = no_responses(0, channels)
+        tree = BlockTree(projector)
+        return DualState(camera, projector, channels, options, tree=tree, frontier=frontier)
 
-    def schedule(self, state: DualState) -> Schedule:
+    def next_schedule(self, state: DualState) -> Schedule | None:
         """Colour the conflict graph of the blocks to be subdivided; light their children in turn.
 
-        Two blocks conflict when a camera pixel sees both. Their children inherit the conflict,
-        and those of one block conflict with each other.
+        Two blocks conflict when both send light to one camera pixel. Their children inherit the
+        conflict, and the children of one block conflict with each other.
         """
         if state.level == 0:
             return Schedule.floodlit(state.projector.shape)
+        if not len(state.frontier):
+            return None
         tree, level = state.tree, state.level
+        parents, colours = coloured_blocks(state.frontier, state.camera.size)
+        counts = np.diff(tree.child_starts[level - 1])[parents]
+        patterns_of_colour = np.zeros(int(colours.max()) + 1, np.int64)
+        np.maximum.at(patterns_of_colour, colours, counts)
+        first_pattern = np.cumsum(patterns_of_colour) - patterns_of_colour
+        children = ragged_ranges(tree.child_starts[level - 1][parents], counts)
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
-        if len(state.frontier):
-            parents, colours = coloured_blocks(state.frontier, state.camera.size)
-            counts = np.diff(tree.child_starts[level - 1])[parents]
-            patterns_of_colour = np.zeros(int(colours.max()) + 1, np.int64)
-            np.maximum.at(patterns_of_colour, colours, counts)
-            first_pattern = np.cumsum(patterns_of_colour) - patterns_of_colour
-            children = ragged_ranges(tree.child_starts[level - 1][parents], counts)
-            pattern_of_block[children] = ragged_ranges(first_pattern[colours], counts)
+        pattern_of_block[children] = ragged_ranges(first_pattern[colours], counts)
         return Schedule.of_blocks(tree, level, pattern_of_block, state.complete)
 
     def refine(
         self, state: DualState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> DualState:
         """Drop, store or subdivide each response that the level measured (ProcessResults, C.1)."""
-        tree, level, schedule = state.tree, state.level, images.schedule
-        block, pixel = _asked(state)
-        total, planar = len(block), (-1, state.camera.size, state.channels)
-        pattern = schedule.pattern_of_block(tree)[block]
-        divisible = _divisible_into(tree, level)[block]
-        values = np.empty((state.channels, total), np.float32)
-        outcome = np.empty(total, np.uint8)
-        maximum, rms = state.floodlit_maximum, state.floodlit_rms
-        together = _TOGETHER * np.sqrt(state.camera.size / max(total, 1))
-        known = _transport(state, state.stored)
-        for first, last in batches(schedule.count, state.camera.size * state.channels):
-            radiance, variance = (part.reshape(planar) for part in images.read(first, last))
-            if level == 0:
-                maximum = float(radiance.max())
-                rms = float(np.sqrt(np.mean(np.square(radiance, dtype=np.float64))))
-            here = np.flatnonzero((pattern >= first) & (pattern < last))
-            measured = pattern[here] - first, pixel[here]
-            response = radiance[measured]
-            rounding = np.finfo(np.float32).eps * response
-            # an unknown pixel has no response; its infinite noise must stay a number, times 0, too
-            largest = np.finfo(np.float32).max
-            noise = np.sqrt(np.minimum(variance[measured] + rounding * rounding, largest))
-            predicted = known.relight_batch(schedule.batch(first, last))
-            response -= predicted.reshape(planar)[measured]
-            values[:, here] = np.maximum(response, 0.0).T
-            outcome[here] = _judge(
-                response,
-                state.options.noise_significance * noise,
-                state.options.tolerance * min(maximum, together * rms),
-                divisible[here],
-            )
+        level = state.level
+        block, pixel = _measured_pairs(state)
+        if level == 0:
+            radiance, _ = images.read(0, 1)
+            maximum = float(radiance.max())
+            rms = float(np.sqrt(np.mean(np.square(radiance, dtype=np.float64))))
+            state = replace(state, floodlit_maximum=maximum, floodlit_rms=rms)
+        values, outcome = _judged_responses(state, block, pixel, images)
         stored, frontier = (
             Responses(level, block[chosen], pixel[chosen], values[:, chosen])
             for chosen in (outcome == _STORED, outcome == _OPEN)
         )
-        unlit_from_now_on = np.setdiff1d(stored.block, frontier.block)
-        kind = "scalar" if level == tree.n_levels - 1 else "rank1"
-        counts = {"empty": total - len(stored) - len(frontier), kind: len(stored)}
-        return state.after(
-            level_row(level, schedule.count, nodes=total, **counts, subdivided=len(frontier)),
-            stored=(stored,),
+        dark_blocks = np.setdiff1d(stored.block, frontier.block)  # in all finer levels
+        kind = "scalar" if level == state.tree.n_levels - 1 else "rank1"
+        counts = {"empty": len(block) - len(stored) - len(frontier), kind: len(stored)}
+        row = level_row(
+            level, images.schedule.count, nodes=len(block), **counts, subdivided=len(frontier)
+        )
+        return replace(
+            state,
+            rows=(*state.rows, row),
+            stored=(*state.stored, stored),
             frontier=frontier,
-            floodlit_maximum=maximum,
-            floodlit_rms=rms,
-            complete=state.complete and not len(unlit_from_now_on),
+            complete=state.complete and not len(dark_blocks),
         )
 
     def transport(self, state: DualState) -> MultilevelTransport:
-        """Return the multilevel transport; responses still to be subdivided as they are.
+        """Return the multilevel transport; responses to be subdivided have their block's value.
 
-        Where the single rays measured show that it is symmetric, responses are spread over their
-        blocks as the transpose is.
+        Where the measured single rays show that it is symmetric, the share of each ray in its
+        block's response is taken from the transpose.
         """
         level_responses = list(state.stored)
         if len(state.frontier):
-            together = [state.stored[-1], state.frontier]
+            last_level = [state.stored[-1], state.frontier]
             level_responses[-1] = fold(
-                state.tree, state.level - 1, together, state.channels, state.camera.size
+                state.tree, state.level - 1, last_level, state.channels, state.camera.size
             )
         symmetric = looks_symmetric(state.tree, state.camera, level_responses)
         return _transport(state, level_responses, symmetric)
 
 
+def _judged_responses(
+    state: DualState, block: Blocks, pixel: Blocks, images: LevelImages
+) -> tuple[Float, NDArray[np.uint8]]:
+    """Measure the responses of pairs of blocks and pixels, and decide on each of them.
+
+    Returns responses, float32 (C, n), at least 0, and outcomes, uint8 (n,).
+    """
+    schedule, planar = images.schedule, (-1, state.camera.size, state.channels)
+    pattern = schedule.pattern_of_block(state.tree, state.level)[block]
+    children = _child_counts(state.tree, state.level)[block]
+    stored = _transport(state, state.stored)
+    threshold = _threshold(state, len(block))
+    values = np.empty((state.channels, len(block)), np.float32)
+    outcome = np.empty(len(block), np.uint8)
+    for first, last in batches(schedule.count, state.camera.size * state.channels):
+        radiance, variance = (part.reshape(planar) for part in images.read(first, last))
+        in_batch = np.flatnonzero((pattern >= first) & (pattern < last))
+        measured = pattern[in_batch] - first, pixel[in_batch]
+        response = radiance[measured]
+        rounding = np.finfo(np.float32).eps * response
+        # an unknown pixel has no response; its infinite noise must stay a number, times 0, too
+        largest = np.finfo(np.float32).max
+        noise = np.sqrt(np.minimum(variance[measured] + rounding * rounding, largest))
+        predicted = stored.relight_batch(schedule.batch(first, last))
+        response -= predicted.reshape(planar)[measured]
+        values[:, in_batch] = np.maximum(response, 0.0).T
+        outcome[in_batch] = _judge(
+            response, state.options.noise_significance * noise, threshold, children[in_batch]
+        )
+    return values, outcome
+
+
+def _threshold(state: DualState, responses: int) -> float:
+    """Radiance below which a response is stored rather than subdivided.
+
+    The errors of many stored responses of one image add up like noise: they are limited to
+    `_SUM_OF_ERRORS` tolerances of the floodlit image's root mean square.
+    """
+    of_sum = _SUM_OF_ERRORS * np.sqrt(state.camera.size / max(responses, 1))
+    return float(state.options.tolerance * min(state.floodlit_maximum, of_sum * state.floodlit_rms))
+
+
 def _transport(
     state: DualState, level_responses: Sequence[Responses], symmetric: bool = False
 ) -> MultilevelTransport:
-    """Return the transport of some of the responses."""
+    """Return the transport of sets of responses."""
     shapes, rows = (state.camera.shape, state.projector.shape), list(state.rows)
     sets = by_level(level_responses)
     return MultilevelTransport(*shapes, state.channels, rows, sets, symmetric=symmetric)
 
 
-def _asked(state: DualState) -> tuple[Blocks, Blocks]:
+def _measured_pairs(state: DualState) -> tuple[Blocks, Blocks]:
     """Return the blocks and pixels of the pairs that a level measures, (n,) each, by block.
 
-    All pixels and the root; later, the frontier's pixels and their blocks' children.
+    Level 0 measures the root at all pixels, each other level the children of the frontier's blocks
+    at the frontier's pixels.
     """
     tree, level, frontier = state.tree, state.level, state.frontier
     if level == 0:
@@ -209,8 +280,8 @@ def _asked(state: DualState) -> tuple[Blocks, Blocks]:
     return block, frontier.pixel[ragged_ranges(np.repeat(first, children), pixels)]
 
 
-def _divisible_into(tree: BlockTree, level: int) -> Index:
-    """Return the number of children of each block of a level; 0 for a single ray."""
+def _child_counts(tree: BlockTree, level: int) -> Index:
+    """Count the children of each block of a level; 0 for a single ray."""
     sizes = np.diff(tree.starts[level])
     if level == tree.n_levels - 1:
         return np.zeros_like(sizes)
@@ -220,11 +291,11 @@ def _divisible_into(tree: BlockTree, level: int) -> Index:
 def _judge(
     response: Float, noise: NDArray[np.floating[Any]], threshold: float, children: Index
 ) -> NDArray[np.uint8]:
-    """Decide what becomes of responses (n, C), all channels together.
+    """Decide on the outcome of responses (n, C), one for all channels.
 
-    A response is subdivided only where its children can be told from noise too: an average child
-    has to be significant. Above the radiance `noise` a response is significant, below `threshold`
-    it is stored rather than subdivided; `children` is 0 for blocks that can't be subdivided.
+    A response is subdivided only where an average child is significant, too. Above the radiance
+    `noise` a response is significant, below `threshold` it is stored rather than subdivided;
+    `children` is 0 for blocks that can't be subdivided.
     """
     significant = (response > noise).any(axis=1)
     limit = np.maximum(threshold, children[:, None] * noise)
@@ -234,7 +305,9 @@ def _judge(
 
 
 def coloured_blocks(frontier: Responses, pixels: int) -> tuple[Index, NDArray[np.int32]]:
-    """Colour blocks so that no camera pixel sees two of one colour (ConstructConflictFreeLists).
+    """Colour blocks so that no camera pixel receives light from two blocks of one colour.
+
+    `ConstructConflictFreeLists` of the thesis.
 
     Returns the frontier's blocks, ascending, and their colours.
     """

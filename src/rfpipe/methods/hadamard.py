@@ -6,6 +6,7 @@ Y. Y. Schechner, S. K. Nayar and P. N. Belhumeur, *Multiplexing for optimal ligh
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import count
 from math import isqrt
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.base import MEMORY_BYTES, Float, Forecast, LevelImages, Options
 from rfpipe.methods.brute_force import BruteForce, ScanState, read_columns
 from rfpipe.methods.images import batches
 from rfpipe.methods.states import level_row
@@ -36,12 +37,17 @@ class Hadamard(BruteForce):
     marker = "^"
     line = "-"
 
-    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Options) -> int:
-        """Return the order of the S-matrix."""
-        return s_matrix_order(projector.size)
+    def forecast(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Options
+    ) -> Forecast:
+        """Forecast as many patterns as the order of the S-matrix."""
+        order = s_matrix_order(projector.size)
+        return self.forecast_of(camera, channels, order, order)
 
-    def schedule(self, state: ScanState) -> Schedule:
+    def next_schedule(self, state: ScanState) -> Schedule | None:
         """Light about half of the rays in each pattern, the next pattern's shifted by one ray."""
+        if state.rows:
+            return None
         rays = state.projector.size
         code = s_matrix_row(s_matrix_order(rays)).astype(np.float32)
         shifted = np.lib.stride_tricks.sliding_window_view(np.append(code, code[: rays - 1]), rays)
@@ -57,7 +63,7 @@ class Hadamard(BruteForce):
         coded = read_columns(images, channels, pixels)
         matrix = decode(coded.reshape(-1, order), rays).reshape(state.matrix.shape)
         row = level_row(0, order, nodes=pixels * rays, scalar=pixels * rays)
-        return state.after(row, matrix=matrix)
+        return replace(state, matrix=matrix, rows=(row,))
 
 
 def s_matrix_order(rays: int) -> int:

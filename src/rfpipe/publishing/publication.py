@@ -27,7 +27,8 @@ from rfpipe.publishing.run import (
     settings_of,
 )
 from rfpipe.publishing.writing import Source, Writer, size_of, writing
-from rfpipe.storage.files import REFERENCE_IMAGES, AcquisitionFolder
+from rfpipe.storage.base import REFERENCE_IMAGES
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store.places import CHECKSUMS
 from rfpipe.transport.storage import STORE_NAME
 from rfpipe.version import __version__

@@ -18,13 +18,13 @@ from rfpipe.references.placement import placement_of
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.references.symmetry import no_longer_coaxial, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
-from rfpipe.storage.files import LAMP, AcquisitionFolder
+from rfpipe.storage.base import LAMP, Storage
 
 _log = logging.getLogger(__name__)
 
 
 def check_calibration(
-    storage: AcquisitionFolder,
+    storage: Storage,
     level: int,
     references: ReferenceImages,
     rig: Mapping[str, Any],
@@ -36,7 +36,7 @@ def check_calibration(
 
     Parameters
     ----------
-    storage : AcquisitionFolder
+    storage : Storage
     level : int
         The level to be captured next, at least 1.
     references : ReferenceImages
@@ -63,12 +63,11 @@ def check_calibration(
         return
     if refuse:
         raise CaptureError(f"{text}. {recovery_advice(storage, 0)}")
-    is_first_check = not any(storage.levels_above(level)[1:])
-    if is_first_check:
+    if level == 1:
         _log.warning("%s", text)
 
 
-def calibration_fault(storage: AcquisitionFolder, rig: Mapping[str, Any], accepted: float) -> str:
+def calibration_fault(storage: Storage, rig: Mapping[str, Any], accepted: float) -> str:
     """Describe the fault that random patterns show of a rig that was coaxial; "" for none.
 
     Nothing is concluded from pictures whose gain changed from one to the next.
@@ -84,7 +83,7 @@ def calibration_fault(storage: AcquisitionFolder, rig: Mapping[str, Any], accept
     return no_longer_coaxial(asymmetry.text) if is_faulty else ""
 
 
-def _displacement_of_check_picture(storage: AcquisitionFolder, references: ReferenceImages) -> str:
+def _displacement_of_check_picture(storage: Storage, references: ReferenceImages) -> str:
     """Describe a displacement of the first check picture; "" for a picture in place."""
     first, shape = first_check_picture(storage, references), references.floodlit.shape[:-1]
     if first is None or len(shape) != 2:

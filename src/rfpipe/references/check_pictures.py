@@ -13,7 +13,7 @@ from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import ReferenceImages
-from rfpipe.storage.files import CHECK_PICTURES, AcquisitionFolder
+from rfpipe.storage.base import CHECK_PICTURES, Storage
 
 Double = NDArray[np.float64]
 
@@ -35,11 +35,11 @@ def check_pattern(projector_shape: tuple[int, ...]) -> NDArray[np.float32]:
     return np.asarray(lit if lit.any() else ~lit, np.float32)
 
 
-def first_check_picture(storage: AcquisitionFolder, references: ReferenceImages) -> Merged | None:
+def first_check_picture(storage: Storage, references: ReferenceImages) -> Merged | None:
     """Merge the acquisition's first check picture; None where there is none."""
     for level in storage.levels():
         try:
-            with storage.open_frames(level, CHECK_PICTURES) as frames:
+            with storage.partial_frames(level, CHECK_PICTURES) as frames:
                 if frames.done[0]:
                     return references.merge(frames.read(0, 1))
         except StoreError:  # not captured yet, or damaged
@@ -47,22 +47,11 @@ def first_check_picture(storage: AcquisitionFolder, references: ReferenceImages)
     return None
 
 
-def recovery_advice(storage: AcquisitionFolder, level: int, rig_kind: str = "") -> str:
+def recovery_advice(storage: Storage, level: int, rig_kind: str = "") -> str:
     """Return the remedies after a capture ended at a level because rig or light changed.
 
     `rig_kind` is the entry ``kind`` of the rig's description.
     """
     if rig_kind == "offline":
         return "mend it, and take the pictures again; capture.watch: warn continues despite it"
-    if not storage.is_kept:
-        return "watch='warn' continues despite it"
-    level_advice = ""
-    if level:
-        level_advice = (
-            f"Or put back what changed: '{storage.retaking(level)}' takes only this level "
-            "again, if the pattern looks as it did at first. "
-        )
-    return (
-        f"all captured pictures are kept. To start over: '{storage.retaking()}', with the run's "
-        f"other options. {level_advice}capture.watch: warn continues despite it"
-    )
+    return storage.recovery_advice(level)

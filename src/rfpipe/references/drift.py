@@ -24,7 +24,7 @@ from rfpipe.rigs.faults import (
     SIGNIFICANCE,
     room_fault,
 )
-from rfpipe.storage.files import CHECK_PICTURES, AcquisitionFolder, name_of
+from rfpipe.storage.base import CHECK_PICTURES, Storage, level_name
 
 Double = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Drift(NamedTuple):
 
 
 def measure_drift(
-    storage: AcquisitionFolder,
+    storage: Storage,
     references: ReferenceImages,
     level: int,
     *,
@@ -58,7 +58,7 @@ def measure_drift(
 
     Parameters
     ----------
-    storage : AcquisitionFolder
+    storage : Storage
         The level is captured.
     references : ReferenceImages
     level : int
@@ -118,7 +118,7 @@ def _at_patterns(gain: Double, captured: dict[str, Any]) -> Double:
 
 
 def _gains_so_far(
-    storage: AcquisitionFolder, level: int, gain: Double, captured: dict[str, Any]
+    storage: Storage, level: int, gain: Double, captured: dict[str, Any]
 ) -> tuple[Double, Double]:
     """Collect the brightness of all check pictures up to a level.
 
@@ -128,7 +128,7 @@ def _gains_so_far(
     times : ndarray of float64, shape (n,)
         Number of pictures taken before each check picture.
     """
-    merged = {above: storage.read_manifest(above, "merge") for above in storage.levels_above(level)}
+    merged = {above: storage.read_manifest(above, "merge") for above in range(level)}
     series = [
         (np.asarray(facts[CHECK_PICTURES]["gain"]), facts[CHECK_PICTURES]["interval"], facts)
         for facts in merged.values()
@@ -159,5 +159,5 @@ def _log_brightness(
         advice = "merge.divide_out_drift would divide it out"
     _log.warning(
         "%s: the lamp's light changed by %.2g %% (noise %.2g %%) in %d check pictures; %s",
-        name_of(level), 100 * span.max(), 100 * noise.max(), len(differences), advice,
+        level_name(level), 100 * span.max(), 100 * noise.max(), len(differences), advice,
     )  # fmt: skip

@@ -28,7 +28,7 @@ from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.references.steadiness import is_smooth
 from rfpipe.rigs.faults import SIGNIFICANCE
-from rfpipe.storage.files import LAMP, REFERENCE_BRACKETS, SYMMETRY, AcquisitionFolder
+from rfpipe.storage.base import LAMP, REFERENCE_BRACKETS, SYMMETRY, Storage
 
 Double = NDArray[np.float64]
 
@@ -69,13 +69,13 @@ class _Light(NamedTuple):
 
 
 def measure_initial_brightness(
-    storage: AcquisitionFolder, references: ReferenceImages, *, level_0_is_floodlit: bool
+    storage: Storage, references: ReferenceImages, *, level_0_is_floodlit: bool
 ) -> InitialBrightness:
     """Estimate the brightness of the reference brackets and random patterns; log a change.
 
     Parameters
     ----------
-    storage : AcquisitionFolder
+    storage : Storage
         Level 0 is captured.
     references : ReferenceImages
     level_0_is_floodlit : bool
@@ -125,7 +125,7 @@ def divide_floodlit(references: ReferenceImages, brightness: Double) -> Referenc
     )
 
 
-def _level_0_light(storage: AcquisitionFolder, references: ReferenceImages) -> _Light:
+def _level_0_light(storage: Storage, references: ReferenceImages) -> _Light:
     with storage.frames(0, "capture") as frames:
         return _light(references.merge(frames.read(0, 1)))
 

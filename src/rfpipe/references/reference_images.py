@@ -28,7 +28,7 @@ from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
 from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, RigKind, kind_of_rig
 from rfpipe.references.image_sum import ImageSum
-from rfpipe.storage.files import REFERENCE_BRACKETS, REFERENCE_IMAGES, AcquisitionFolder
+from rfpipe.storage.base import REFERENCE_BRACKETS, REFERENCE_IMAGES, Storage
 
 Frames = NDArray[Any]
 Float = NDArray[np.float32]
@@ -222,9 +222,7 @@ def _check_saturation(share: float, sensor: Sensor, rig_kind: RigKind) -> None:
         _log.warning(text, 100 * share)
 
 
-def measure_references(
-    sensor: Sensor, storage: AcquisitionFolder, mask_defects: bool
-) -> ReferenceImages:
+def measure_references(sensor: Sensor, storage: Storage, mask_defects: bool) -> ReferenceImages:
     """Estimate the reference images from the captured reference brackets."""
     off, on = _bracket_counts(storage).values()
     with storage.frames(0, "capture", REFERENCE_BRACKETS) as frames:
@@ -234,12 +232,12 @@ def measure_references(
         return estimate_references(sensor, black, brackets, mask_defects, rig_kind)
 
 
-def _bracket_counts(storage: AcquisitionFolder) -> dict[str, int]:
+def _bracket_counts(storage: Storage) -> dict[str, int]:
     captured = storage.read_manifest(0, "capture")[REFERENCE_BRACKETS]
     return {name: captured[name] for name in ("black_frames", "floodlit_frames")}
 
 
-def write_references(storage: AcquisitionFolder, references: ReferenceImages) -> dict[str, Any]:
+def write_references(storage: Storage, references: ReferenceImages) -> dict[str, Any]:
     """Write the reference images; return their entry for the manifest of level 0's merge."""
     counts = _bracket_counts(storage)
     arrays: dict[str, Frames] = {
@@ -254,8 +252,8 @@ def write_references(storage: AcquisitionFolder, references: ReferenceImages) ->
     return {**storage.write_part(0, REFERENCE_IMAGES, arrays, counts=counts), **counts}
 
 
-def read_references(sensor: Sensor, storage: AcquisitionFolder) -> ReferenceImages:
-    """Read the reference images of an acquisition; errors as of `AcquisitionFolder.read`."""
+def read_references(sensor: Sensor, storage: Storage) -> ReferenceImages:
+    """Read the reference images of an acquisition; errors as of `Storage.read`."""
     arrays, attributes = storage.read(0, "merge", REFERENCE_IMAGES)
     counts = attributes["counts"]
     defects = None
@@ -265,7 +263,7 @@ def read_references(sensor: Sensor, storage: AcquisitionFolder) -> ReferenceImag
     return ReferenceImages(merger, arrays["floodlit"], arrays["floodlit_variance"])
 
 
-def read_floodlit(storage: AcquisitionFolder) -> tuple[Float, Float]:
+def read_floodlit(storage: Storage) -> tuple[Float, Float]:
     """Read the floodlit image of an acquisition and its variance, (*camera_shape, C) each."""
     arrays, _ = storage.read(0, "merge", REFERENCE_IMAGES)
     return arrays["floodlit"], arrays["floodlit_variance"]

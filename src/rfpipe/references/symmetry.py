@@ -23,10 +23,10 @@ from rfpipe.calibration.symmetry import (
 from rfpipe.errors import CaptureError
 from rfpipe.references.placement import placement_of
 from rfpipe.references.reference_images import ReferenceImages
-from rfpipe.storage.files import SYMMETRY, AcquisitionFolder
+from rfpipe.storage.base import SYMMETRY, Storage
 
 if TYPE_CHECKING:
-    from rfpipe.methods import Method, Options
+    from rfpipe.methods import Method, MethodDescription, Options
 
 Double = NDArray[np.float64]
 
@@ -89,28 +89,25 @@ class Asymmetry:
         return self.error - CONFIDENCE * self.standard_error
 
 
-def choose_method(
+def is_coaxial(
     asymmetry: Asymmetry,
-    method: Method[Any],
+    method: MethodDescription,
     options: Options,
     accepted: float,
     *,
-    log: bool = True,
     was_coaxial: bool = False,
-) -> Method[Any]:
-    """Return the method for a rig with a measured asymmetry.
+) -> bool:
+    """Test whether a method may treat a rig with a measured asymmetry as coaxial.
 
     Parameters
     ----------
     asymmetry : Asymmetry
-    method : Method
-        Method of the settings. One that chooses between methods for coaxial and for any rigs
-        chooses by the smaller of `accepted` and its target error.
+    method : MethodDescription
+        Method of the settings.
     options : Options
+        Its options. A method with a target error accepts no larger asymmetry than the target.
     accepted : float
         Error of relit pictures up to which a rig counts as coaxial.
-    log : bool
-        Whether to log the reason.
     was_coaxial : bool
         Whether a calibration found the rig coaxial.
 
@@ -122,10 +119,12 @@ def choose_method(
     if method.needs_coaxial_rig and asymmetry.lower_bound > accepted:
         raise _not_coaxial(asymmetry, accepted, was_coaxial=was_coaxial)
     target: float = min(accepted, getattr(options, "target_error", None) or accepted)
-    chosen = method.on_rig(asymmetry.lower_bound <= target)
-    if not log:
-        return chosen
-    if chosen is not method:
+    return asymmetry.lower_bound <= target
+
+
+def log_asymmetry(asymmetry: Asymmetry, accepted: float, chosen: Method[Any] | None) -> None:
+    """Log the method that was chosen by an asymmetry, or an asymmetry near the accepted one."""
+    if chosen is not None:
         _log.info(
             "treating the rig as coaxial causes an error of %.1f%% +- %.1f%% in relit pictures: "
             "continuing with %s",
@@ -133,7 +132,6 @@ def choose_method(
         )  # fmt: skip
     elif asymmetry.lower_bound > _LOGGED * accepted:
         _log.warning("%s; %s", _not_symmetric(asymmetry), _limit(accepted))
-    return chosen
 
 
 def no_longer_coaxial(description: str) -> str:
@@ -170,13 +168,13 @@ def _not_coaxial(asymmetry: Asymmetry, accepted: float, *, was_coaxial: bool) ->
 
 
 def measure_asymmetry(
-    storage: AcquisitionFolder, references: ReferenceImages, brightness: Double | None = None
+    storage: Storage, references: ReferenceImages, brightness: Double | None = None
 ) -> dict[str, Any]:
     """Measure the asymmetry of a rig from the random patterns captured with level 0.
 
     Parameters
     ----------
-    storage : AcquisitionFolder
+    storage : Storage
         Level 0 is captured.
     references : ReferenceImages
     brightness : ndarray of float64, shape (n, C), optional
@@ -212,7 +210,7 @@ def measure_asymmetry(
     return {SYMMETRY: {**asdict(asymmetry), "frames": count}}
 
 
-def read_asymmetry(storage: AcquisitionFolder) -> Asymmetry | None:
+def read_asymmetry(storage: Storage) -> Asymmetry | None:
     """Read the asymmetry measured with level 0; None where it wasn't measured."""
     facts = storage.read_manifest(0, "merge").get(SYMMETRY) if storage.exists(0, "merge") else None
     if facts is None:

@@ -21,7 +21,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.report.inputs import read_json, seconds_spent
 from rfpipe.report.text import percent
 from rfpipe.stages.evaluate import errors_by_level, pictures_by_level
-from rfpipe.storage.files import VERIFICATION_MANIFEST
+from rfpipe.storage.base import VERIFICATION_MANIFEST
 from rfpipe.store import open_arrays
 
 if TYPE_CHECKING:

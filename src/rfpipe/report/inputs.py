@@ -18,7 +18,7 @@ from rfpipe.report.drawing import Panel
 from rfpipe.report.page import Column
 from rfpipe.report.text import words
 from rfpipe.stages.evaluate import pictures_by_level
-from rfpipe.storage.files import VERIFICATION_MANIFEST
+from rfpipe.storage.base import VERIFICATION_MANIFEST
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
 if TYPE_CHECKING:

@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import partial
-from itertools import count
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -17,20 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.config.capture import PRECAUTIONS, Watch
-from rfpipe.errors import InputError, StoreError
-from rfpipe.jobs.workers import Resources
-from rfpipe.methods import Method, get_method
+from rfpipe.errors import InputError
+from rfpipe.methods import MethodDescription, get_method
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated
-from rfpipe.stages import capture
-from rfpipe.stages.acquisition import run_levels
+from rfpipe.stages import capture, merge
+from rfpipe.stages.acquisition import acquire_levels
 from rfpipe.stages.assemble import assembled
+from rfpipe.stages.context import Acquisition
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.stages.schedule import write_schedule
-from rfpipe.stages.verification import Verification, capture_and_merge, compared, schedule_of
-from rfpipe.storage.files import AcquisitionFolder, Arrays, Facts
+from rfpipe.stages.settings import AcquisitionSettings
+from rfpipe.stages.verification import (
+    Verification,
+    compared,
+    schedule_of,
+    verification_context,
+)
+from rfpipe.storage.base import VERIFICATION
+from rfpipe.storage.memory import AcquisitionInMemory
 from rfpipe.transport import Transport
-from rfpipe.units import RADIANCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,7 +89,7 @@ class AcquisitionResult:
 
 def acquire(
     rig: Rig,
-    method: str | Method[Any] = "symmetric",
+    method: str | MethodDescription = "symmetric",
     *,
     progress: bool = True,
     black_frames: int = 8,
@@ -108,7 +109,7 @@ def acquire(
     Parameters
     ----------
     rig : Rig
-    method : str or Method
+    method : str or MethodDescription
         A name in `rfpipe.methods.method_names`, the path of a class of one's own as
         ``module:Class`` or ``file.py:Class``, or a method itself.
     progress : bool
@@ -156,70 +157,74 @@ def acquire(
     """
     if not hasattr(rig, "capture"):
         raise InputError(
-            f"{type(rig).__name__} is no rig; make one of a matrix or linear operator: "
+            f"{type(rig).__name__} can't capture; make a rig of a matrix or linear operator: "
             "rfpipe.OperatorRig(matrix, camera_shape=(h, w), projector_shape=(h, w))"
         )
     precautions = PRECAUTIONS["simulated" if is_simulated(rig) else "remote"]
     watch = precautions.watch if watch is None else watch
     if verification is None:
         verification = precautions.verification_pictures
+    if divide_out_drift is None:
+        divide_out_drift = precautions.divide_out_drift
     _check(black_frames, floodlit_frames, symmetry_frames, verification, watch)
     began = perf_counter()
-    named = get_method(method)
-    plan = Plan(
-        named.name, named, rig.camera_shape, rig.projector_shape, rig.channels, options, asymmetry
+    description, storage = get_method(method), AcquisitionInMemory()
+    shapes = rig.camera_shape, rig.projector_shape, rig.channels
+    plan = Plan.of(description.name, description, *shapes, options, asymmetry)
+    settings = AcquisitionSettings(
+        black_frames=black_frames,
+        floodlit_frames=floodlit_frames,
+        symmetry_frames=symmetry_frames if plan.measures_symmetry else 0,
+        check_interval=precautions.check_interval or PRECAUTIONS["remote"].check_interval,
+        watch=watch,
+        asymmetry=asymmetry,
+        mask_defects=mask_defects,
+        divide_out_drift=divide_out_drift,
+        progress=progress,
     )
-    folder = AcquisitionInMemory()
-    capturing: dict[str, Any] = {
-        "references": (black_frames, floodlit_frames), "progress": progress,
-        "symmetry_frames": symmetry_frames if plan.asks_symmetry else 0,
-        "watching": {
-            "mode": watch, "asymmetry": asymmetry,
-            "check_interval": precautions.check_interval or PRECAUTIONS["remote"].check_interval,
-        },
-    }  # fmt: skip
-    code = {"code": ""}  # nothing is kept that it made
-    merging: dict[str, Any] = {
-        "mask_defects": mask_defects, "sensor": rig.sensor, "progress": False, **code,
-        "divide_out_drift": (
-            precautions.divide_out_drift if divide_out_drift is None else divide_out_drift
-        ),
-    }  # fmt: skip
-    settings = {
-        "schedule": code, "capture": capturing, "merge": merging,
-        "normalize": {"mode": "per_channel", **code},
-        "refine": {"progress": progress, **code},
-    }  # fmt: skip
-    resources = Resources()
+    acquisition = Acquisition(
+        storage, settings, rig_source=GivenRig(rig), sensor=rig.sensor, plan=plan
+    )
     try:
-        run_levels(plan, folder, partial(capture.run, rig), settings, resources)
+        for finished in acquire_levels(acquisition):
+            acquisition = finished
     except KeyboardInterrupt:
-        if not plan.end_early():
+        if acquisition.state is None:
             raise
-        _log.warning("stopped: what all levels before told is returned")
+        _log.warning("stopped: the transport of the levels so far is returned")
         verification = 0
-    transport, masked = assembled(plan, folder)
-    verified = None
-    if verification:
-        write_schedule(folder, "", schedule_of(rig.projector_shape, verification))
-        capture_and_merge(folder, partial(_captured, rig), verification, settings, resources)
-        verified = compared(folder, transport)
-        outcome = verified.against(getattr(plan.options, "target_error", None))
-        if outcome.standing == "missed":
-            _log.warning("the target is missed: %s", outcome.reason)
-    levels = [level for level in folder.levels() if folder.exists(level, "refine")]
+    levels = len(acquisition.state.rows)
+    transport, masked = assembled(acquisition, levels)
+    verified = _verified(acquisition, transport, verification) if verification else None
     captured, merged = (
-        [folder.read_manifest(level, stage) for level in levels] for stage in ("capture", "merge")
+        [storage.read_manifest(level, stage) for level in range(levels)]
+        for stage in ("capture", "merge")
     )
     return AcquisitionResult(
         transport,
         sum(facts["patterns"] for facts in captured),
-        folder.seconds["capture"],
-        perf_counter() - began - folder.seconds["capture"],
+        storage.seconds["capture"],
+        perf_counter() - began - storage.seconds["capture"],
         sum(facts["saturated"] for facts in merged),
         masked,
         verified,
     )
+
+
+def _verified(acquisition: Acquisition, transport: Transport, pictures: int) -> Verification:
+    """Compare the transport with pictures taken for it; log a missed target."""
+    storage, plan = acquisition.storage, acquisition.plan
+    schedule = schedule_of(plan.projector.shape, pictures)
+    write_schedule(storage, VERIFICATION, "", schedule)
+    context = verification_context(acquisition, pictures)
+    with storage.timing(VERIFICATION, "capture"):
+        capture.run(context, VERIFICATION)
+    merge.run(context, VERIFICATION)
+    verified = compared(storage, transport)
+    outcome = verified.against(getattr(plan.options, "target_error", None))
+    if outcome.standing == "missed":
+        _log.warning("the target is missed: %s", outcome.reason)
+    return verified
 
 
 def _check(
@@ -237,119 +242,3 @@ def _check(
         raise InputError(f"watch is {watch!r}; expected one of {', '.join(get_args(Watch))}")
     if verification < 0:
         raise InputError(f"verification is {verification}; 0 or more pictures can be taken")
-
-
-def _captured(rig: Rig, folder: AcquisitionFolder, level: int, **options: Any) -> None:
-    """Capture a level outside `run_levels`, which counts the seconds itself."""
-    with folder.doing(level, "capture"):
-        capture.run(rig, folder, level, **options)
-
-
-# ruff: noqa: D102, ARG002 - methods and arguments below are those of AcquisitionFolder and FrameStore
-
-
-class AcquisitionInMemory(AcquisitionFolder):
-    """An acquisition that ends with its process: no digests, and no raw frames once merged.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-        Wall time of each stage.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(Path())
-        self._held: dict[tuple[int, str], tuple[Arrays, Facts]] = {}
-        self._manifests: dict[tuple[int, str], Facts] = {}
-        self._frames: dict[Path, FramesInMemory] = {}
-        self.seconds: dict[str, float] = defaultdict(float)
-
-    @property
-    def is_kept(self) -> bool:
-        return False
-
-    def exists(self, level: int, stage: str) -> bool:
-        return (level, stage) in self._manifests
-
-    def read_manifest(self, level: int, stage: str) -> Facts:
-        return self._manifests[level, stage]
-
-    def standing(self, level: int, stage: str, made_from: str) -> Facts | None:
-        return None
-
-    def write_part(self, level: int, part: str, arrays: Arrays, **about: Any) -> Facts:
-        self._held[level, part] = arrays, about
-        return {"digest": ""}
-
-    def write_manifest(self, level: int, stage: str, facts: Facts) -> None:
-        self._manifests[level, stage] = facts
-
-    def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
-        return self._held[level, part or stage]
-
-    def frames(self, level: int, stage: str, part: str | None = None) -> Any:
-        return nullcontext(self._frames[self.store(level, part or stage)])
-
-    def open_frames(self, level: int, part: str) -> Any:
-        path = self.store(level, part)
-        if path not in self._frames:
-            raise StoreError(f"{path}: was not captured")
-        return nullcontext(self._frames[path])
-
-    def recording(
-        self, path: Path, shape: tuple[int, ...], dtype: Any, made_for: str, shown: Facts
-    ) -> Any:
-        self._frames[path] = FramesInMemory(shape, dtype)
-        return nullcontext(self._frames[path])
-
-    @contextmanager
-    def merging(
-        self, level: int, shape: tuple[int, ...], made_from: str, layout: tuple[int, int]
-    ) -> Iterator[Any]:
-        images = self._frames[self.store(level, "merge")] = FramesInMemory(shape, RADIANCE)
-        yield images, images
-        del self._frames[self.store(level, "capture")]
-
-    @contextmanager
-    def doing(self, level: int, stage: str) -> Iterator[None]:
-        began = perf_counter()
-        yield
-        self.seconds[stage] += perf_counter() - began
-
-
-class FramesInMemory:
-    """Frames in memory, with what stages use of `rfpipe.store.FrameStore` and `ItemWriter`."""
-
-    dropped = False
-
-    def __init__(self, shape: tuple[int, ...], dtype: Any) -> None:
-        self.shape, self.dtype = shape, np.dtype(dtype)
-        self.done = np.zeros(shape[0], np.bool_)
-        self._items = np.empty(shape, dtype)
-
-    @property
-    def complete(self) -> bool:
-        return bool(self.done.all())
-
-    def missing(self, longest: int) -> list[tuple[int, int]]:
-        stop = self.shape[0]
-        return [(first, min(first + longest, stop)) for first in range(0, stop, longest)]
-
-    def write(self, start: int, block: NDArray[Any]) -> list[str]:
-        self._items[start : start + len(block)] = block
-        self.done[start : start + len(block)] = True
-        return []
-
-    @contextmanager
-    def adding(self, start: int) -> Iterator[Any]:
-        at = count(start)
-        yield lambda block: [self.write(next(at), item[None]) for item in block] and []
-
-    def enter(self, start: int, digests: list[str]) -> None:
-        """Do nothing: there is no journal."""
-
-    def read(self, start: int, stop: int) -> NDArray[Any]:
-        return self._items[start:stop]
-
-    def entry(self) -> dict[str, Any]:
-        return {"digest": "", "dtype": self.dtype.str, "shape": list(self.shape)}

@@ -1,8 +1,7 @@
-"""Stage: the transport, from what all levels added."""
+"""Stage: the transport, computed from what all levels added."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,56 +9,49 @@ from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.references.reference_images import read_floodlit
+from rfpipe.stages.context import Acquisition
 from rfpipe.stages.normalize import masked_rays
-from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import REFERENCE_IMAGES, AcquisitionFolder, standing
+from rfpipe.storage.base import REFERENCE_IMAGES
+from rfpipe.storage.files import AcquisitionFolder, current_manifest
 from rfpipe.store import write_manifest
 from rfpipe.transport import Transport, save_transport
 from rfpipe.transport.filling import fill_from_transpose
-from rfpipe.units import RADIANCE_UNIT, NumberFormat
+from rfpipe.units import RADIANCE_UNIT
 
 
-def run(
-    plan: Plan,
-    folder: AcquisitionFolder,
-    *,
-    scene: str,
-    number_format: NumberFormat,
-    code: str,
-    sources: Mapping[str, str] | None = None,
-) -> None:
-    """Write the transport, in a format of `rfpipe.transport.save_transport`, and its manifest.
-
-    The manifest has the digests `sources` of a user's files, see `rfpipe.stages.plan`.
-    """
-    plan.settle(folder)
-    levels = folder.levels_above(None)
-    made_of = {
-        "refine": [[level, folder.read_manifest(level, "refine")["digest"]] for level in levels],
-        "references": folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
+def run(acquisition: Acquisition) -> None:
+    """Write the transport, in a format of `rfpipe.transport.save_transport`, and its manifest."""
+    plan, storage, settings = acquisition.plan, acquisition.storage, acquisition.settings
+    assert isinstance(storage, AcquisitionFolder)
+    levels = list(storage.levels())
+    inputs = {
+        "refine": [[level, storage.read_manifest(level, "refine")["digest"]] for level in levels],
+        "references": storage.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
     }
-    manifest = folder.path / "transport.json"
+    manifest = storage.path / "transport.json"
     made_from = fingerprint(
         {
             "plan": plan.describe(),
-            **made_of,
-            "number_format": number_format,
-            "code": code,
+            **inputs,
+            "number_format": settings.number_format,
+            "code": settings.code,
         }
     )
-    if standing(manifest, made_from):
+    if current_manifest(manifest, made_from):
         return
-    transport, masked = assembled(plan, folder)
-    about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
+    transport, masked = assembled(acquisition, len(levels))
+    origin: dict[str, Any] = {
+        "scene": settings.scene, "method": plan.name, "fingerprint": made_from,
+    }  # fmt: skip
     store = manifest.with_suffix(".zarr")
-    digest = save_transport(transport, store, number_format, resumes=True, **about)
+    digest = save_transport(transport, store, settings.number_format, resumes=True, **origin)
     write_manifest(
         manifest,
         {
-            **about,
+            **origin,
             "stage": "assemble",
-            "made_of": made_of,
-            # what a choice came to
+            "made_of": inputs,
+            # the method that the settings' method chose, or itself
             "acquired_by": plan.method.name,
             "digest": digest,
             "camera_shape": list(plan.camera.shape),
@@ -70,14 +62,14 @@ def run(
             "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
             "options": plan.options.options(),
             "masked": int(np.count_nonzero(masked)),
-            **({"sources": dict(sources)} if sources else {}),
+            **({"sources": dict(settings.sources)} if settings.sources else {}),
             "versions": versions(),
         },
     )
 
 
-def assembled(plan: Plan, folder: AcquisitionFolder) -> tuple[Transport, NDArray[np.bool_]]:
-    """Return the transport of a refined acquisition, and its masked camera rays."""
-    masked = masked_rays(read_floodlit(folder)[1])
-    state = plan.state_before(folder, None)
-    return fill_from_transpose(plan.method.transport(state), masked), masked
+def assembled(acquisition: Acquisition, levels: int) -> tuple[Transport, NDArray[np.bool_]]:
+    """Return the transport after a number of levels, and the masked camera rays."""
+    masked = masked_rays(read_floodlit(acquisition.storage)[1])
+    state = acquisition.state_before(levels)
+    return fill_from_transpose(acquisition.plan.method.transport(state), masked), masked

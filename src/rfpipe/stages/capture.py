@@ -1,23 +1,20 @@
-"""Stage: show the patterns of a level and keep their brackets, pattern by pattern."""
+"""Stage: display the patterns of a level and store their brackets, pattern by pattern."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
 from functools import partial
 from itertools import count
 from math import prod
-from types import SimpleNamespace
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
+from rfpipe.config.capture import Watch
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.jobs.job import Progress
-from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.references.calibration_check import check_calibration
 from rfpipe.references.check_pictures import recovery_advice
@@ -27,22 +24,24 @@ from rfpipe.references.steadiness import (
     sample_pixels,
 )
 from rfpipe.rigs import Rig
-from rfpipe.rigs.base import is_simulated, sequence_patterns
+from rfpipe.rigs.base import sequence_patterns
 from rfpipe.rigs.faults import CAPTURE
-from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.stages.forecast import check_disk, disk_bytes
+from rfpipe.stages.brackets import BracketSet, Keys, capture_brackets
+from rfpipe.stages.context import CaptureContext
+from rfpipe.stages.forecast import disk_bytes
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.settings import AcquisitionSettings
 from rfpipe.stages.watch import watching_level
 from rfpipe.steps import displayed_by
-from rfpipe.storage.files import (
+from rfpipe.storage.base import (
     REFERENCE_BRACKETS,
     SENSOR,
     SYMMETRY,
     VERIFICATION,
-    AcquisitionFolder,
-    name_of,
+    Facts,
+    Storage,
+    level_name,
 )
-from rfpipe.store import bytes_on_disk
 from rfpipe.text import counted
 from rfpipe.units import (
     BLACK_LEVEL_KEY,
@@ -59,138 +58,137 @@ _SECONDS_BETWEEN_BRACKETS = 30.0  # of white, while the lamp warms up
 _log = logging.getLogger(__name__)
 
 
-def run(
-    rig: Rig,
-    folder: AcquisitionFolder,
-    level: int,
-    *,
-    references: tuple[int, int],
-    symmetry_frames: int = 0,
-    batch_patterns: int = 16,
-    when_patterns_change: Literal["recapture", "refuse"] = "recapture",
-    warm_up_minutes: float = 0.0,
-    watching: Mapping[str, Any] | None = None,
-    progress: bool = True,
-    resources: Resources | None = None,
-) -> None:
-    """Capture what isn't captured yet of a level, and write its manifest.
-
-    Parameters
-    ----------
-    references : (int, int)
-        All-off and all-on brackets with which level 0 begins; exact radiance takes one of each.
-    symmetry_frames : int
-        Brackets of random patterns that follow them, for `rfpipe.references.symmetry`.
-    batch_patterns : int
-        Patterns shown, then stored, at a time; fewer where memory is short, or a sequence's.
-    when_patterns_change : {"recapture", "refuse"}
-        What to do when pictures of other patterns, or of another rig, stand there.
-    warm_up_minutes : float
-        Minutes that the lamp warms up, where no bracket was taken in the last so many minutes.
-    watching : mapping, optional
-        "mode", "off", "warn" or "refuse": what to do where pictures show that the rig or its light
-        changed; "check_interval": patterns from one look to the next, 0 for none, see
-        `rfpipe.stages.watch`; "asymmetry": what is accepted, see
-        `rfpipe.references.calibration_check`.
+def run(context: CaptureContext, level: int) -> None:
+    """Capture the missing brackets of a level, and write its manifest.
 
     Raises
     ------
     StaleStoreError
         When patterns changed and `when_patterns_change` is "refuse"; says what differs.
     StoreError
-        When the level doesn't fit on the disk, or another process writes it; nothing is shown then.
+        When the level doesn't fit on the disk, or another process writes it. No pattern is
+        displayed then.
     CaptureError
-        When the rig fails, returns what is no bracket, or isn't what it was where `watching`
-        refuses that; what is captured stays.
+        When the rig fails, returns invalid frames, or changed and `watch` is "refuse". What is
+        captured stays.
     """
-    watching = {"mode": "off", "check_interval": 0, "asymmetry": 1.0, **(watching or {})}
-    of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
-    if _stands(folder, level, of_level, before):
+    source = context.rig_source
+    assert source is not None
+    if source.recorded_rig_suffices and _is_captured_by_recorded_rig(context, level):
+        return
+    with source.rig(context.storage, level) as rig:
+        capture_level(rig, context, level)
+
+
+def capture_level(rig: Rig, context: CaptureContext, level: int) -> None:
+    """Capture the missing brackets of a level by a rig; see `run`."""
+    storage, settings = context.storage, context.settings
+    described = storage.describe_rig(rig)
+    sets = bracket_sets(storage, level, settings, described, is_exact=_is_exact(rig.sensor))
+    of_level, first_sets = sets[-1], sets[:-1]
+    if _is_captured(storage, level, sets):
         if of_level.count:
             _log.info("%s: complete, with %s", of_level.name, counted(of_level.count, "pattern"))
         return
-    parts = (*before.values(), of_level)
-    for part in parts:
-        part.settle(when_patterns_change)
-    to_capture = sum(part.count_missing() for part in parts)
-    if to_capture and folder.is_kept:
-        _check_disk(rig, folder, level, of_level, to_capture)
-        _warm_up(rig, folder, 60 * warm_up_minutes)
-    # A sequence is stored when it is complete: long ones, as loading takes most of their time;
-    # in hand they have complements.
-    in_sequences = sequence_patterns(rig)
-    in_hand = _bytes_in_hand(rig) * (2 if in_sequences else 1)
-    batch = (resources or Resources()).fitting_count(in_hand, in_sequences or batch_patterns)
-    beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
+    for brackets in sets:
+        storage.make_room(
+            level, brackets.part, brackets.fingerprint, brackets.settings,
+            settings.when_patterns_change,
+        )  # fmt: skip
+    to_capture = sum(brackets.count_missing(storage) for brackets in sets)
+    if to_capture:
+        camera = rig.sensor, tuple(rig.camera_shape), rig.channels
+        storage.check_space(level, disk_bytes(*camera, to_capture, of_level.count))
+        _warm_up(rig, storage, 60 * settings.warm_up_minutes)
+    batch = _batch_patterns(rig, context)
+    parts: Facts = {} if level else _write_sensor(storage, rig.sensor)
     # a simulated scene may be recorded at its first picture
-    with displayed_by(partial(Progress, unit="step", shown=progress)):
-        for name, part in before.items():
-            counts = {name: it for name, it in part.shown.items() if name != "rig"}
-            beside[name] = {**part.capture(batch, progress=progress), **counts}
-            if name == REFERENCE_BRACKETS and watching["mode"] != "off":
-                _check_references(folder, rig.sensor, part.shown, watching["mode"])
-    looks = max(watching["check_interval"], in_sequences) if watching["check_interval"] else 0
-    with watching_level(of_level, level, watching["mode"], looks) as watch:
-        if watch and watch.references and level != VERIFICATION:
-            watch.before(0)  # says first what changes from picture to picture
-            check_calibration(
-                folder, level, watch.references, of_level.shown["rig"], watching["asymmetry"],
-                refuse=watch.is_refusing,
-            )  # fmt: skip
-        captured = of_level.capture(batch, watch, progress=progress)
-        beside |= watch.entries() if watch else {}
+    with displayed_by(partial(Progress, unit="step", shown=settings.progress)):
+        for brackets in first_sets:
+            counts = {key: value for key, value in brackets.settings.items() if key != "rig"}
+            entry = capture_brackets(rig, storage, brackets, batch, progress=settings.progress)
+            parts[brackets.part] = {**entry, **counts}
+            if brackets.part == REFERENCE_BRACKETS and settings.watch != "off":
+                _check_references(storage, rig.sensor, brackets.settings, settings.watch)
+    captured = _capture_watched(rig, context, of_level, batch)
     manifest = {
         "stage": "capture",
         "level": level,
         "patterns": of_level.count,
         "units": COUNT_UNIT if rig.sensor.frame_dtype == COUNTS else RADIANCE_UNIT,
         "exposures_s": list(rig.sensor.exposures),
-        "rig": of_level.shown["rig"],
+        "rig": described,
         **captured,
-        **beside,
+        **parts,
     }
-    folder.write_manifest(level, "capture", manifest)
+    storage.write_manifest(level, "capture", manifest)
 
 
-def brackets_of(
-    rig: Rig,
-    folder: AcquisitionFolder,
+def _capture_watched(rig: Rig, context: CaptureContext, brackets: BracketSet, batch: int) -> Facts:
+    """Capture a level's patterns with check pictures between them; return their entries."""
+    storage, settings, level = context.storage, context.settings, brackets.level
+    interval = settings.check_interval
+    interval = max(interval, sequence_patterns(rig)) if interval else 0
+    with watching_level(rig, storage, brackets, settings.watch, interval) as watch:
+        if watch and watch.references and level != VERIFICATION:
+            watch.before(0)  # says first what changes from picture to picture
+            check_calibration(
+                storage, level, watch.references, brackets.settings["rig"], settings.asymmetry,
+                refuse=watch.is_refusing,
+            )  # fmt: skip
+        entry = capture_brackets(rig, storage, brackets, batch, watch, progress=settings.progress)
+        return {**entry, **(watch.entries() if watch else {})}
+
+
+def bracket_sets(
+    storage: Storage,
     level: int,
-    references: tuple[int, int],
-    symmetry_frames: int = 0,
-) -> tuple[Brackets, dict[str, Brackets]]:
-    """Return a level's brackets, and those captured before them, by their stores' names."""
-    schedule = read_schedule(folder, level)
-    described = frame_settings(rig) if folder.is_kept or not is_simulated(rig) else {}
-    off, on = _counts(rig, references)
-    shape = tuple(rig.projector_shape)
+    settings: AcquisitionSettings,
+    described: Facts,
+    *,
+    is_exact: bool,
+) -> list[BracketSet]:
+    """Return the sets of brackets of a level, in their order; its own patterns are the last.
+
+    Parameters
+    ----------
+    described : dict
+        Description of the rig.
+    is_exact : bool
+        Whether the sensor measures exact radiance, which takes one black and one floodlit frame.
+    """
+    schedule = read_schedule(storage, level)
+    shape = schedule.shape
 
     def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return schedule.batch(first, last), [(level, index) for index in range(first, last)]
+        keys: Keys = [(schedule.seed, index) for index in range(first, last)]
+        return schedule.batch(first, last), keys
 
-    def brackets(store: str, name: str, count: int, patterns: Any, shown: Any) -> Brackets:
-        path = folder.store(level, store)
-        return Brackets(rig, folder, path, name, count, {**shown, "rig": described}, patterns)
-
-    before: dict[str, Brackets] = {}
+    sets = []
     if level == 0:
-        patterns = partial(reference_patterns, shape, off)
-        shown: dict[str, Any] = {"black_frames": off, "floodlit_frames": on}
-        before[REFERENCE_BRACKETS] = brackets(
-            REFERENCE_BRACKETS, "reference brackets", off + on, patterns, shown
+        black, floodlit = (1, 1) if is_exact else (settings.black_frames, settings.floodlit_frames)
+        patterns = partial(reference_patterns, shape, black)
+        counts = {"black_frames": black, "floodlit_frames": floodlit, "rig": described}
+        sets.append(
+            BracketSet(
+                level, REFERENCE_BRACKETS, "reference brackets", black + floodlit, counts, patterns
+            )
         )
-    if level == 0 and symmetry_frames:
-        patterns = partial(symmetry_patterns, shape, symmetry_frames)
-        shown, name = {"symmetry_frames": symmetry_frames}, "brackets of random patterns"
-        before[SYMMETRY] = brackets(SYMMETRY, name, symmetry_frames, patterns, shown)
-    shown = {"patterns": schedule.count, "shown": schedule.digest()}
-    return brackets("capture", name_of(level), schedule.count, of_schedule, shown), before
+    if level == 0 and settings.symmetry_frames:
+        frames = settings.symmetry_frames
+        patterns = partial(symmetry_patterns, shape, frames)
+        counts = {"symmetry_frames": frames, "rig": described}
+        name = "brackets of random patterns"
+        sets.append(BracketSet(level, SYMMETRY, name, frames, counts, patterns))
+    shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
+    name = level_name(level)
+    return [*sets, BracketSet(level, "capture", name, schedule.count, shown, of_schedule)]
 
 
 def reference_patterns(
     projector_shape: tuple[int, ...], black_frames: int, first: int, last: int
 ) -> tuple[NDArray[np.float32], Keys]:
-    """Return some of the reference patterns, first those all off, and their keys."""
+    """Return reference patterns ``first:last``, the all-off ones before the others, and keys."""
     indices = range(first, last)
     patterns = np.zeros((len(indices), *projector_shape), np.float32)
     patterns[max(0, black_frames - first) :] = 1
@@ -204,107 +202,100 @@ def reference_patterns(
 def symmetry_patterns(
     projector_shape: tuple[int, ...], count: int, first: int, last: int
 ) -> tuple[NDArray[np.float32], Keys]:
-    """Return some of the `count` random patterns that tell whether a rig is coaxial, and keys."""
+    """Return ``first:last`` of `count` random patterns that measure the symmetry, and keys."""
     lit = random_signs(projector_shape, count, seed=0)[first:last] > 0
     return lit.astype(np.float32), [(SYMMETRY_KEY, index) for index in range(first, last)]
 
 
-def frame_settings(rig: Rig) -> dict[str, Any]:
-    """Return a rig's description without how long it takes, which shapes no frame."""
-    return {name: it for name, it in rig.describe().items() if name != "seconds_per_pattern"}
-
-
-def read_sensor(folder: AcquisitionFolder) -> Sensor:
-    """Return the sensor that took the frames of an acquisition; errors as of its folder."""
-    captured = folder.read_manifest(0, "capture")
-    arrays = dict(folder.read(0, "capture", SENSOR)[0]) if SENSOR in captured else None
+def read_sensor(storage: Storage) -> Sensor:
+    """Return the sensor that took the frames of an acquisition; errors as `Storage.read`."""
+    captured = storage.read_manifest(0, "capture")
+    arrays = dict(storage.read(0, "capture", SENSOR)[0]) if SENSOR in captured else None
     return sensor_from_description(captured["rig"]["sensor"], arrays)
 
 
-def _write_sensor(folder: AcquisitionFolder, sensor: Sensor) -> dict[str, Any]:
+def _write_sensor(storage: Storage, sensor: Sensor) -> Facts:
     """Write the arrays of a resampled sensor; return their entry for the manifest."""
     arrays = getattr(sensor, "arrays", None)
     if arrays is None:
         return {}
-    return {SENSOR: folder.write_part(0, SENSOR, arrays(), sensor=sensor.describe())}
+    return {SENSOR: storage.write_part(0, SENSOR, arrays(), sensor=sensor.describe())}
 
 
-def _counts(rig: Rig, references: tuple[int, int]) -> tuple[int, int]:
-    """Return how many all-off and all-on brackets there are."""
-    return (1, 1) if isinstance(rig.sensor, ExactSensor) else references
+def _is_exact(sensor: Sensor) -> bool:
+    return isinstance(sensor, ExactSensor)
 
 
-def stands_already(folder: AcquisitionFolder, level: int, options: Mapping[str, Any]) -> bool:
-    """Whether a level's manifest is about all that `run` is to capture with these `options`."""
+def _is_captured_by_recorded_rig(context: CaptureContext, level: int) -> bool:
+    """Test whether a level is captured with these settings by the rig of its manifest."""
+    storage = context.storage
     try:
-        rig, sensor = folder.read_manifest(level, "capture")["rig"], read_sensor(folder)
+        described, sensor = storage.read_manifest(level, "capture")["rig"], read_sensor(storage)
     except StoreError:
         return False
-    known: Any = SimpleNamespace(describe=lambda: rig, sensor=sensor, projector_shape=())
-    counts = options["references"], options.get("symmetry_frames", 0)
-    return _stands(folder, level, *brackets_of(known, folder, level, *counts))
+    sets = bracket_sets(storage, level, context.settings, described, is_exact=_is_exact(sensor))
+    return _is_captured(storage, level, sets)
 
 
-def _stands(
-    folder: AcquisitionFolder, level: int, of_level: Brackets, before: dict[str, Brackets]
-) -> bool:
-    """Whether the level's manifest stands there and is about these brackets."""
-    stated = folder.standing(level, "capture", of_level.made_for)
-    if stated is None or (SYMMETRY in stated) != (SYMMETRY in before):
+def _is_captured(storage: Storage, level: int, sets: list[BracketSet]) -> bool:
+    """Test whether the level's manifest is about these sets of brackets."""
+    *first_sets, of_level = sets
+    facts = storage.current_manifest(level, "capture", of_level.fingerprint)
+    parts = {brackets.part for brackets in first_sets}
+    if facts is None or (SYMMETRY in facts) != (SYMMETRY in parts):
         return False
     return all(
-        stated.get(name, {}).get("fingerprint") == part.made_for for name, part in before.items()
+        facts.get(brackets.part, {}).get("fingerprint") == brackets.fingerprint
+        for brackets in first_sets
     )
 
 
-def _check_disk(
-    rig: Rig, folder: AcquisitionFolder, level: int, of_level: Brackets, to_capture: int
-) -> None:
-    """Raise StoreError where a level's brackets, and what is made of them, don't fit."""
-    merged = folder.store(level, "merge")  # of a capture before: replaced
-    camera = rig.sensor, tuple(rig.camera_shape), rig.channels
-    need = disk_bytes(*camera, to_capture, of_level.count)
-    present = bytes_on_disk(merged) if merged.exists() else 0
-    check_disk(of_level.name, need, folder.path, present)
-
-
-def _check_references(
-    folder: AcquisitionFolder, sensor: Sensor, shown: Mapping[str, Any], mode: str
-) -> None:
+def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: Watch) -> None:
     """Log what changed among the reference brackets; raise CaptureError where that is refused."""
-    camera, off = camera_model_of(sensor), shown["black_frames"]
+    camera, black = camera_model_of(sensor), captured["black_frames"]
     if camera is None:
         return
-    with folder.open_frames(0, REFERENCE_BRACKETS) as frames:
+    with storage.partial_frames(0, REFERENCE_BRACKETS) as frames:
         count = frames.shape[0]
         samples = np.stack([sample_pixels(frames.read(n, n + 1)[0], count) for n in range(count)])
-    for fault in faults_of_reference_brackets(samples[:off], samples[off:], camera):
-        if mode == "refuse" and fault.exceeds(CAPTURE):
+    for fault in faults_of_reference_brackets(samples[:black], samples[black:], camera):
+        if watch == "refuse" and fault.exceeds(CAPTURE):
             raise CaptureError(
                 f"black and white pictures show that {fault.text}. The capture ends here; "
-                f"{recovery_advice(folder, 0, shown['rig'].get('kind', ''))}"
+                f"{recovery_advice(storage, 0, captured['rig'].get('kind', ''))}"
             )
         _log.warning("black and white pictures show that %s", fault.text)
 
 
-def _warm_up(rig: Rig, folder: AcquisitionFolder, seconds: float) -> None:
-    """Show the all-on pattern for some seconds, unless brackets were taken that recently."""
-    journals = [journal.stat().st_mtime for journal in folder.path.glob("L*/*.zarr/journal.jsonl")]
-    if not seconds or (journals and time.time() - max(journals) < seconds):
+def _warm_up(rig: Rig, storage: Storage, seconds: float) -> None:
+    """Display the all-on pattern for some seconds, unless brackets were taken that recently."""
+    if not seconds or storage.seconds_since_capture() < seconds:
         return
     _log.info("the lamp warms up for %.3g minutes (capture.warm_up_minutes)", seconds / 60)
     end = time.monotonic() + seconds
     for index in count():
-        # some devices show a pattern as long as its bracket takes
+        # some devices display a pattern as long as its bracket takes
         rig.capture(np.ones((1, *rig.projector_shape), np.float32), [(WARM_UP_KEY, index)])
-        rest = end - time.monotonic()
-        if rest <= 0:
+        remaining = end - time.monotonic()
+        if remaining <= 0:
             return
-        time.sleep(min(_SECONDS_BETWEEN_BRACKETS, rest))
+        time.sleep(min(_SECONDS_BETWEEN_BRACKETS, remaining))
 
 
-def _bytes_in_hand(rig: Rig) -> int:
-    """Memory that a pattern takes while it is shown and stored."""
+def _batch_patterns(rig: Rig, context: CaptureContext) -> int:
+    """Number of patterns displayed, then stored, at a time.
+
+    A sequence is stored when it is complete: sequences are long, as loading them takes most of the
+    time. In memory each of their patterns has its complement.
+    """
+    in_sequences = sequence_patterns(rig)
+    pattern_bytes = _bytes_per_pattern(rig) * (2 if in_sequences else 1)
+    longest = in_sequences or context.settings.batch_patterns
+    return context.resources.fitting_count(pattern_bytes, longest)
+
+
+def _bytes_per_pattern(rig: Rig) -> int:
+    """Memory that a pattern takes while it is displayed and stored."""
     bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
     # The pattern and its picture may pass through a float64 operator; a simulated sensor draws
     # the noise of an exposure from some float32 images.

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import LockedError, StaleStoreError, StoreError
 from rfpipe.jobs.job import Progress
-from rfpipe.jobs.workers import Resources
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.references.drift import measure_drift
@@ -27,10 +25,10 @@ from rfpipe.references.reference_images import (
 )
 from rfpipe.references.steadiness import camera_model_of
 from rfpipe.references.symmetry import measure_asymmetry
-from rfpipe.stages.brackets import differing
 from rfpipe.stages.capture import read_sensor
+from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.storage.files import (
+from rfpipe.storage.base import (
     CHECK_PICTURES,
     LAMP,
     REFERENCE_BRACKETS,
@@ -38,10 +36,10 @@ from rfpipe.storage.files import (
     SUMS,
     SYMMETRY,
     VERIFICATION,
-    AcquisitionFolder,
-    name_of,
+    Facts,
+    Storage,
+    level_name,
 )
-from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
 _CHUNK_BYTES = 2 * 2**20
@@ -54,93 +52,84 @@ Large enough that the overhead of a thread or a cluster is negligible."""
 _log = logging.getLogger(__name__)
 
 
-def run(
-    folder: AcquisitionFolder,
-    level: int,
-    *,
-    mask_defects: bool,
-    code: str,
-    divide_out_drift: bool = False,
-    keep_raw: bool = True,
-    sensor: Sensor | None = None,
-    progress: bool = True,
-    resources: Resources | None = None,
-) -> None:
+def run(context: CaptureContext, level: int) -> None:
     """Merge the brackets of a level and write the manifest.
 
-    Parameters
-    ----------
-    level : int
-        Level 0 also learns the black level, the defects and the floodlit image, and whether the
-        rig is coaxial, where random patterns were taken for that.
-    mask_defects : bool
-        Whether dead and hot pixels are left out: of infinite variance in every image.
-    code : str
-        Digest of the code behind the stage.
-    divide_out_drift : bool
-        Whether images are divided by the light's brightness at their time, where looks at the
-        rig measured it.
-    keep_raw : bool
-        Whether the brackets stay when they are merged. Where they don't, merged images that other
-        code made are kept.
-    sensor : Sensor, optional
-        The one that took the frames; by default as its capture left it.
-    resources : Resources, optional
-        Memory and threads; nothing that is written depends on them.
+    Level 0 also measures the black level, the defects and the floodlit image, and the rig's
+    symmetry if random patterns were captured for it.
 
     Raises
     ------
     StaleStoreError
-        When settings changed and the brackets to merge anew were dropped.
+        When settings changed and the brackets to be merged again were dropped.
     CaptureError
         When the floodlit image is black or below the black level, or a frame can't be one of the
         sensor's; names the pattern.
     IntegrityError
         When captured frames are damaged.
     """
-    sensor = sensor or read_sensor(folder)
-    captured = folder.read_manifest(level, "capture")
-    first_manifest = captured if level == 0 else folder.read_manifest(0, "merge")
-    references_key = REFERENCE_BRACKETS if level == 0 else REFERENCE_IMAGES
-    made_of: dict[str, Any] = {
-        "settings": {
-            "sensor": sensor.describe() if folder.is_kept else None,
-            "mask_defects": mask_defects,
-        },
-        "captured": captured["digest"],
-        "references": first_manifest[references_key]["digest"],
-        **({SYMMETRY: captured[SYMMETRY]["digest"]} if SYMMETRY in captured else {}),
-    }
-    if CHECK_PICTURES in captured:
-        made_of[CHECK_PICTURES] = [captured[CHECK_PICTURES]["digest"], divide_out_drift]
-    made_from = fingerprint([made_of, code])
-    if folder.standing(level, "merge", made_from) is None:
-        facts = _kept(folder, level, made_of, made_from)
+    storage, settings = context.storage, context.settings
+    sensor = context.sensor or read_sensor(storage)
+    inputs = _inputs(context, level, sensor)
+    made_from = fingerprint([inputs, settings.code])
+    if storage.current_manifest(level, "merge", made_from) is None:
+        facts = storage.images_without_raw(level, inputs, made_from)
         if facts is None:
-            facts = {
-                "stage": "merge", "level": level, "units": RADIANCE_UNIT, "made_of": made_of,
-                "fingerprint": made_from, "versions": versions(),
-            }  # fmt: skip
-            if level == 0:
-                divide = divide_out_drift and CHECK_PICTURES in captured
-                references, rig_facts = _measure_and_write_references(
-                    sensor, folder, mask_defects, divide
-                )
-                facts |= rig_facts
-            else:
-                references = read_references(sensor, folder)
-            lamp = facts if level == 0 else folder.read_manifest(0, "merge")
-            is_steady = lamp.get(LAMP, {}).get("steady", True)
-            drift = measure_drift(
-                folder, references, level, divide_out=divide_out_drift, is_steady=is_steady
-            )
-            facts |= drift.facts
-            facts |= _merge(
-                references, drift.gains, folder, level, facts, resources or Resources(), progress
-            )
-        folder.write_manifest(level, "merge", facts)
-    if not keep_raw:
-        _drop_raw(folder, level)
+            facts = _merged_facts(context, level, sensor, inputs, made_from)
+        storage.write_manifest(level, "merge", facts)
+    if not settings.keep_raw:
+        storage.drop_raw(level)
+
+
+def _inputs(context: CaptureContext, level: int, sensor: Sensor) -> Facts:
+    """Describe the inputs of the merge of a level, for its fingerprint."""
+    storage, settings = context.storage, context.settings
+    captured = storage.read_manifest(level, "capture")
+    if level == 0:
+        references = captured[REFERENCE_BRACKETS]
+    else:
+        references = storage.read_manifest(0, "merge")[REFERENCE_IMAGES]
+    inputs: Facts = {
+        "settings": {"sensor": sensor.describe(), "mask_defects": settings.mask_defects},
+        "captured": captured["digest"],
+        "references": references["digest"],
+    }
+    if SYMMETRY in captured:
+        inputs[SYMMETRY] = captured[SYMMETRY]["digest"]
+    if CHECK_PICTURES in captured:
+        inputs[CHECK_PICTURES] = [captured[CHECK_PICTURES]["digest"], settings.divide_out_drift]
+    return inputs
+
+
+def _merged_facts(
+    context: CaptureContext, level: int, sensor: Sensor, inputs: Facts, made_from: str
+) -> Facts:
+    """Merge a level's brackets, write its images, and return the manifest."""
+    storage, settings = context.storage, context.settings
+    facts: Facts = {
+        "stage": "merge",
+        "level": level,
+        "units": RADIANCE_UNIT,
+        "made_of": inputs,
+        "fingerprint": made_from,
+        "versions": versions(),
+    }
+    if level == 0:
+        divides = settings.divide_out_drift and CHECK_PICTURES in storage.read_manifest(
+            0, "capture"
+        )
+        references, measured = _measure_and_write_references(context, sensor, divides)
+        facts |= measured
+        lamp = measured
+    else:
+        references = read_references(sensor, storage)
+        lamp = storage.read_manifest(0, "merge")
+    drift = measure_drift(
+        storage, references, level, divide_out=settings.divide_out_drift,
+        is_steady=lamp.get(LAMP, {}).get("steady", True),
+    )  # fmt: skip
+    facts |= drift.facts
+    return facts | _merge_images(context, level, references, drift.gains, facts)
 
 
 def chunk_patterns(image_shape: tuple[int, ...]) -> int:
@@ -159,29 +148,32 @@ def merge_pieces(count: int, image_shape: tuple[int, ...]) -> list[tuple[int, in
 
 
 def _measure_and_write_references(
-    sensor: Sensor, folder: AcquisitionFolder, mask_defects: bool, divide_out_drift: bool
-) -> tuple[ReferenceImages, dict[str, Any]]:
+    context: CaptureContext, sensor: Sensor, divide_out_drift: bool
+) -> tuple[ReferenceImages, Facts]:
     """Estimate and write the reference images of an acquisition.
 
     Also returns the entries of reference images, lamp and symmetry test for the manifest.
     """
-    references = measure_references(sensor, folder, mask_defects)
-    facts: dict[str, Any] = {}
+    storage = context.storage
+    references = measure_references(sensor, storage, context.settings.mask_defects)
+    facts: Facts = {}
     random_brightness = None
     if divide_out_drift and camera_model_of(sensor) is not None:
-        schedule = read_schedule(folder, 0)
+        schedule = read_schedule(storage, 0)
         is_floodlit = schedule.count == 1 and bool((schedule.batch(0, 1) == 1).all())
-        brightness = measure_initial_brightness(folder, references, level_0_is_floodlit=is_floodlit)
+        brightness = measure_initial_brightness(
+            storage, references, level_0_is_floodlit=is_floodlit
+        )
         references = divide_floodlit(references, brightness.floodlit)
         random_brightness = brightness.random_patterns
         facts |= brightness.facts()
-    facts[REFERENCE_IMAGES] = write_references(folder, references)
-    return references, facts | measure_asymmetry(folder, references, random_brightness)
+    facts[REFERENCE_IMAGES] = write_references(storage, references)
+    return references, facts | measure_asymmetry(storage, references, random_brightness)
 
 
 @dataclass(frozen=True, eq=False)
 class _MergeRun:
-    """Merges runs of a level's brackets and writes their images; any thread or process may."""
+    """Merges runs of a level's brackets and writes their images, in any thread or process."""
 
     references: ReferenceImages
     gains: NDArray[np.float64] | None
@@ -204,8 +196,8 @@ class _MergeRun:
         return first, digests, total
 
     @property
-    def bytes_in_hand(self) -> int:
-        """Memory that a run takes while it is worked on."""
+    def bytes_per_run(self) -> int:
+        """Memory that the merge of a run takes."""
         image = 2 * self.references.floodlit.nbytes
         # The merge by NumPy has up to five float32 copies of a bracket; images exist as such, as
         # a block and compressed.
@@ -221,115 +213,63 @@ def _divided(merged: Merged, gains: NDArray[np.float64]) -> Merged:
     return Merged(radiance, variance, merged.saturated)
 
 
-def _merge(
+def _merge_images(
+    context: CaptureContext,
+    level: int,
     references: ReferenceImages,
     gains: NDArray[np.float64] | None,
-    folder: AcquisitionFolder,
-    level: int,
-    facts: dict[str, Any],
-    resources: Resources,
-    progress: bool,
-) -> dict[str, Any]:
-    """Merge a level; return what its manifest says of the images and their sum."""
+    facts: Facts,
+) -> Facts:
+    """Merge a level; return the manifest's entries of the images and their sum."""
+    storage = context.storage
     image_shape = references.floodlit.shape
     chunk = chunk_patterns(image_shape)
     total = ImageSum.zero(image_shape)
     with ExitStack() as stack:
-        frames = stack.enter_context(folder.frames(level, "capture"))
+        frames = stack.enter_context(storage.frames(level, "capture"))
         count = frames.shape[0]
         pieces = merge_pieces(count, image_shape)
         # a run is a shard, so that no two workers ever write the same one
         run_chunks = max(-(-(last - first) // chunk) for first, last in pieces or [(0, 1)])
         layout, shape = (chunk, run_chunks), (count, 2, *image_shape)
-        merging = folder.merging(level, shape, facts["fingerprint"], layout)
-        images, writer = stack.enter_context(merging)
-        name = f"{name_of(level)} merge"
-        bar = stack.enter_context(Progress(name, count, shown=progress))
+        images, writer = stack.enter_context(
+            storage.record_images(level, shape, facts["fingerprint"], layout)
+        )
+        progress = Progress(f"{level_name(level)} merge", count, shown=context.settings.progress)
+        bar = stack.enter_context(progress)
         work = _MergeRun(references, gains, frames, writer, chunk)
-        place = folder.store(level, "merge").parent
-        workers = stack.enter_context(resources.workers(work.bytes_in_hand, place))
-        for first, digests, of_run in workers.results(work, pieces):
+        workers = stack.enter_context(
+            context.resources.workers(work.bytes_per_run, storage.folder(level))
+        )
+        for first, digests, run_sum in workers.results(work, pieces):
             images.enter(first, digests)
-            total.add_sum(of_run)
-            bar.advance(of_run.count)
+            total.add_sum(run_sum)
+            bar.advance(run_sum.count)
         entry = images.entry()
     samples = count * int(np.prod(image_shape))
     if total.saturated:
         _log.warning(
             "%s: %d of %d samples are saturated in every exposure; their radiance is a "
             "lower bound. Add a shorter exposure",
-            name_of(level), total.saturated, samples,
+            level_name(level), total.saturated, samples,
         )  # fmt: skip
-    counted = {"patterns": count, **entry, "saturated": total.saturated, "samples": samples}
+    counts = {"patterns": count, **entry, "saturated": total.saturated, "samples": samples}
     arrays = {"radiance": total.radiance, "variance": total.variance}
-    # the manifest stands with the sums, too: raw frames may be dropped, and Snakemake removes it
-    about = {"facts": facts | counted, "fingerprint": facts["fingerprint"], "units": RADIANCE_UNIT}
-    return {**counted, SUMS: folder.write_part(level, SUMS, arrays, **about)}
+    # stored with the sums, too: without brackets, a manifest that was removed is restored from them
+    attributes = {
+        "facts": facts | counts, "fingerprint": facts["fingerprint"], "units": RADIANCE_UNIT,
+    }  # fmt: skip
+    return {**counts, SUMS: storage.write_part(level, SUMS, arrays, **attributes)}
 
 
-def _kept(
-    folder: AcquisitionFolder, level: int, made_of: dict[str, Any], made_from: str
-) -> dict[str, Any] | None:
-    """Return the manifest of merged images whose frames were dropped; None where frames are there.
-
-    Raises StaleStoreError where the images are damaged or of other settings.
-    """
-    raw = folder.store(level, "capture")
-    if not folder.is_kept or not FrameStore.open(raw).dropped:
-        return None
-    advice = f"To capture all levels again: '{folder.retaking()}', with the run's other options"
-    try:
-        sums = open_arrays(folder.store(level, SUMS))
-        sums.read_all()
-        facts: dict[str, Any] = {**sums.attributes["facts"], SUMS: sums.entry()}
-        if level == 0:
-            open_arrays(folder.store(0, REFERENCE_IMAGES)).read_all()
-        images = FrameStore.open(folder.store(level, "merge"))
-        why = "" if images.complete and not images.damaged() else "the merged images are damaged"
-    except LockedError:
-        raise
-    except (StoreError, KeyError) as error:
-        why = f"there are no whole merged images of them ({error})"
-    if not why and facts["made_of"] != made_of:
-        changed = differing(facts["made_of"], made_of)
-        why = (
-            f"what they were merged with changed ({changed}). Set that back and run again: all "
-            "merged images are still there, and manifests that are missing are made again"
-        )
-    if why:
-        raise StaleStoreError(
-            f"{raw}: the raw exposures were dropped after their merge (capture.keep_raw is false), "
-            f"and {why}. {advice}"
-        )
-    if facts["fingerprint"] != made_from:
-        _log.warning(
-            "%s: merged by other code than today's and kept, since the raw exposures were "
-            "dropped. %s", raw, advice,
-        )  # fmt: skip
-    return facts
+def drop_raw(storage: Storage) -> None:
+    """Remove the brackets of all merged levels, and of the verification pictures."""
+    for level in (*storage.levels(), VERIFICATION):
+        if storage.exists(level, "merge"):
+            storage.drop_raw(level)
 
 
-def drop_raw(folder: AcquisitionFolder) -> None:
-    """Remove the raw exposures of all merged levels, and of the pictures for verification."""
-    levels = [*folder.levels_above(None), VERIFICATION]
-    for level in levels:
-        if folder.exists(level, "merge"):
-            _drop_raw(folder, level)
-
-
-def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
-    """Remove the frames that were merged: last of all, so that it may be cut off anywhere."""
-    kept = ["merge", SUMS, *([REFERENCE_IMAGES] if level == 0 else [])]
-    raw = ["capture", *([REFERENCE_BRACKETS, SYMMETRY] if level == 0 else [])]
-    for part in kept:
-        to_disk(folder.store(level, part))
-    stores = [folder.store(level, part) for part in raw]
-    freed = sum(drop(store) for store in stores if store.exists())
-    if freed:
-        _log.info("%s: raw exposures dropped, %.3g MB", name_of(level), freed / 1e6)
-
-
-def read_level_sum(folder: AcquisitionFolder, level: int) -> ImageSum:
+def read_level_sum(storage: Storage, level: int) -> ImageSum:
     """Read the sum of a level's images and of their variance."""
-    arrays, _ = folder.read(level, "merge", SUMS)
+    arrays, _ = storage.read(level, "merge", SUMS)
     return ImageSum(arrays["radiance"], arrays["variance"])

@@ -1,6 +1,6 @@
 """Stage: the factors that make a level's images add up to the floodlit image [B.2].
 
-A method reads the images merged, then normalized on the way.
+Methods read the merged images multiplied by these factors.
 """
 
 from __future__ import annotations
@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Method
+from rfpipe.methods import Method
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
 from rfpipe.provenance import fingerprint
 from rfpipe.references.image_sum import ImageSum
 from rfpipe.references.reference_images import read_floodlit
+from rfpipe.stages.context import Acquisition
 from rfpipe.stages.merge import read_level_sum
-from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.storage.files import REFERENCE_IMAGES, SUMS, AcquisitionFolder
-from rfpipe.transport import Transport
+from rfpipe.storage.base import REFERENCE_IMAGES, SUMS, Storage
 
 Float = NDArray[np.float32]
 
@@ -30,8 +29,7 @@ Float = NDArray[np.float32]
 class NormalizedImages:
     """The images of a level, scaled to add up to the floodlit image as they are read (B.2).
 
-    ``frames.read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C); None for a
-    level without patterns.
+    ``frames.read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C).
     """
 
     schedule: Schedule
@@ -39,87 +37,85 @@ class NormalizedImages:
     normalization: Normalization
 
     def read(self, first: int, last: int) -> tuple[Float, Float]:
-        """Return normalized radiance and its variance of patterns ``first:last``."""
-        if self.frames is None:
-            nothing = np.empty((0, *self.normalization.gain.shape), np.float32)
-            return nothing, nothing
+        """Read normalized radiance and its variance of patterns ``first:last``."""
         images = self.frames.read(first, min(last, self.schedule.count))
         return apply(images[:, 0], images[:, 1], self.normalization)
 
 
 def masked_rays(floodlit_variance: Float) -> NDArray[np.bool_]:
-    """Return the camera rays that no image knows, (*camera_shape), of a variance with channels."""
+    """Return the camera rays of infinite variance in any channel, bool (*camera_shape)."""
     return np.asarray(np.isinf(floodlit_variance).any(axis=-1))
 
 
-def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
-    """Predict the light of the rays that a level no longer lights, (*camera_shape, C).
+def light_of_dark_rays(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
+    """Predict the light of the rays that a level leaves dark, (*camera_shape, C).
 
     None where the level lights every ray that can send light.
     """
-    if schedule.complete or not schedule.count or schedule.pattern_of_ray is None:
+    if schedule.complete or schedule.pattern_of_ray is None:
         return None
-    transport: Transport = method.known(state)
-    return transport.relight(schedule.pattern_of_ray < 0)
+    return method.transport_of_dark_rays(state).relight(schedule.pattern_of_ray < 0)
 
 
 def normalize_level(
     schedule: Schedule,
     level_sum: ImageSum,
     floodlit: tuple[Float, Float],
-    known: Float | None,
+    dark_light: Float | None,
     mode: Mode,
     significance: float,
 ) -> Normalization:
     """Compare the sum of a level's images with the floodlit image and its variance (thesis B.2).
 
-    Where the level leaves rays dark whose light is `known` already, that light is taken off the
-    floodlit image first. A pixel that has most of its light from such rays is left as it is: the
-    difference would be all noise. `significance` is in standard deviations. Images are float32,
+    The predicted light of rays that the level leaves dark, `dark_light`, is first subtracted from
+    the floodlit image. A pixel that has most of its light from such rays keeps a gain of 1, since
+    its difference is mostly noise. `significance` is in standard deviations. Images are float32,
     (*camera_shape, C).
     """
-    radiance, spread = floodlit
-    wanted = mode != "none" and (schedule.complete or known is not None)
-    expected = radiance if known is None else radiance - known
-    found = level_gain(
-        expected, level_sum.radiance, level_sum.variance, mode, wanted, significance, spread
+    radiance, variance = floodlit
+    is_scaled = mode != "none" and (schedule.complete or dark_light is not None)
+    expected = radiance if dark_light is None else radiance - dark_light
+    normalization = level_gain(
+        expected, level_sum.radiance, level_sum.variance, mode, is_scaled, significance, variance
     )
-    if known is None:
-        return found
-    covered = found.covered & (known < expected)
-    gain = np.where(covered, found.gain, np.float32(1))
+    if dark_light is None:
+        return normalization
+    covered = normalization.covered & (dark_light < expected)
+    gain = np.where(covered, normalization.gain, np.float32(1))
     return Normalization(gain, covered, mode)
 
 
-def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: str) -> None:
+def run(acquisition: Acquisition, level: int) -> None:
     """Compare a level's images with the floodlit image; write the factors and their manifest.
 
-    The images aren't read here, since the merge has added them up, nor written a second time: who
-    reads them applies the factors on the way. `code` is the digest of the code behind the stage.
+    The images aren't read, since the merge has added them up, nor written a second time: readers
+    multiply them by the factors.
     """
-    plan.settle(folder, aloud=level == 0)
-    planned = folder.read_manifest(level, "schedule")
-    made_of = {
-        "merge": folder.read_manifest(level, "merge")[SUMS]["digest"],
-        "references": folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
+    plan, storage = acquisition.plan, acquisition.storage
+    mode, significance = acquisition.settings.normalization, plan.options.noise_significance
+    planned = storage.read_manifest(level, "schedule")
+    inputs = {
+        "merge": storage.read_manifest(level, "merge")[SUMS]["digest"],
+        "references": storage.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
         "schedule": [planned["shown"], planned["complete"]],
         "mode": mode,
-        "noise_significance": plan.options.noise_significance,
-        "code": code,
+        "noise_significance": significance,
+        "code": acquisition.settings.code,
     }
-    # What is known already counts only where the level leaves rays dark.
-    if not planned["complete"] and mode != "none":
-        made_of |= {"plan": plan.describe(), "refine": folder.refined_above(level)}
-    made_from = fingerprint(made_of)
-    if folder.standing(level, "normalize", made_from):
+    # the state matters only where the level leaves rays dark
+    needs_state = not planned["complete"] and mode != "none"
+    if needs_state:
+        inputs |= {"plan": plan.describe(), "refine": acquisition.refined_digests(level)}
+    made_from = fingerprint(inputs)
+    if storage.current_manifest(level, "normalize", made_from):
         return
-    schedule = read_schedule(folder, level)
-    known = None
-    if "refine" in made_of:
-        known = known_light(plan.method, plan.state_before(folder, level), schedule)
+    schedule, dark_light = read_schedule(storage, level), None
+    if needs_state:
+        state = acquisition.state_before(level)
+        dark_light = light_of_dark_rays(plan.method, state, schedule)
     factors = normalize_level(
-        schedule, read_level_sum(folder, level), read_floodlit(folder), known, mode,
-        plan.options.noise_significance,
+        schedule, read_level_sum(storage, level), read_floodlit(storage), dark_light, mode,
+        significance,
     )  # fmt: skip
     facts = {
         "stage": "normalize",
@@ -129,10 +125,10 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
         "covered_fraction": float(np.mean(factors.covered)),
     }
     arrays = {"gain": factors.gain, "covered": factors.covered}
-    folder.write(level, "normalize", made_from, arrays, facts)
+    storage.write(level, "normalize", made_from, arrays, facts)
 
 
-def read_normalization(folder: AcquisitionFolder, level: int) -> Normalization:
-    """Read the factors of a level; errors as `AcquisitionFolder.read`."""
-    arrays, attributes = folder.read(level, "normalize")
+def read_normalization(storage: Storage, level: int) -> Normalization:
+    """Read the factors of a level; errors as `Storage.read`."""
+    arrays, attributes = storage.read(level, "normalize")
     return Normalization(arrays["gain"], arrays["covered"], attributes["facts"]["mode"])

@@ -7,22 +7,33 @@ their own, and what moves between two sessions shows in them as an error.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, PicturesNeeded
 from rfpipe.jobs.workers import Resources
+from rfpipe.photometry import ExactSensor
 from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, relative_to_sheet, write_sheet
 from rfpipe.rigs.offline_pictures import Checked, check_pictures
-from rfpipe.stages import acquisition, capture
-from rfpipe.stages.plan import Plan, in_manner, manner_of, plan_of, stages_of
-from rfpipe.stages.verification import capture_options, schedule_of, schedule_pictures
-from rfpipe.storage.files import VERIFICATION, AcquisitionFolder, folder_of
+from rfpipe.stages import capture
+from rfpipe.stages.acquisition import acquire_transport
+from rfpipe.stages.context import Acquisition, CaptureContext
+from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import GivenRig
+from rfpipe.stages.settings import (
+    AcquisitionSettings,
+    operating_settings,
+    plan_settings,
+    stage_settings,
+)
+from rfpipe.stages.verification import schedule_of, schedule_pictures, verification_context
+from rfpipe.storage.base import VERIFICATION, folder_name
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:
@@ -49,36 +60,42 @@ class OfflineAcquisition:
                 f"capture.rig is {self.settings.capture.rig}; set it to offline for pictures that "
                 "are taken elsewhere"
             )
-        self._level, self._options = 0, dict[str, Any]()
-        self._verifying = dict[str, Any]()
+        self._level = 0
 
     def advance(self, rig: OfflineRig) -> int | None:
-        """Do all that can be done with a rig's pictures; errors as `acquisition.run`.
+        """Run all stages that a rig's pictures allow; errors as `acquire_transport`.
 
         Returns the level whose pictures are to be taken next, VERIFICATION for those that verify
-        the transport alone, and None where nothing is missing.
+        the transport alone, and None where no pictures are missing.
         """
-
-        def captured(folder: AcquisitionFolder, level: int, **options: Any) -> None:
-            self._level, self._options = level, options
-            capture.run(rig, folder, level, **options)
-
-        plan = Plan(**plan_of(self.settings, self.scene, self.name))
-        manner = manner_of(self.settings, self.scene)
-        stages = in_manner(stages_of(self.settings, self.scene, self.name), manner)
-        resources = Resources(self.settings.resources.memory_gib)
+        acquisition = self._acquisition(rig)
         with StoreLock(self.folder):
             try:
-                acquisition.run(plan, self.files, captured, stages, resources)
+                acquire_transport(acquisition)
             except PicturesNeeded:
-                self._capture_verification(rig, stages["capture"])
+                self._capture_verification(acquisition)
+                self._level = max(self.files.levels())
                 return self._level
-            if self._capture_verification(rig, stages["capture"]):
+            if self._capture_verification(acquisition):
                 return None
         self._level = VERIFICATION
         return VERIFICATION
 
-    def _capture_verification(self, rig: OfflineRig, options: Mapping[str, Any]) -> bool:
+    def _acquisition(self, rig: OfflineRig) -> Acquisition:
+        """Return the inputs of the stages, with a rig."""
+        settings = AcquisitionSettings(
+            **stage_settings(self.settings, self.scene, self.name),
+            **operating_settings(self.settings, self.scene),
+        )
+        return Acquisition(
+            self.files,
+            settings,
+            Resources(self.settings.resources.memory_gib),
+            GivenRig(rig),
+            plan=Plan.of(**plan_settings(self.settings, self.scene, self.name)),
+        )
+
+    def _capture_verification(self, acquisition: Acquisition) -> bool:
         """Capture the pictures that verify the transport; return True if all are captured."""
         count, files = self._verification_pictures, self.files
         if not count:
@@ -86,9 +103,8 @@ class OfflineAcquisition:
         if not files.exists(0, "merge"):
             return False
         schedule_pictures(files, count)
-        self._verifying = capture_options(files, count, options)
         try:
-            capture.run(rig, files, VERIFICATION, **self._verifying)
+            capture.run(verification_context(acquisition, count), VERIFICATION)
         except PicturesNeeded:
             return False
         return True
@@ -109,7 +125,7 @@ class OfflineAcquisition:
         The sheet names settings and results for whoever imports its pictures. Raises InputError
         when its folder holds pictures of other patterns already.
         """
-        own = folder / f"{self.scene}_{self.name}_{folder_of(self._level)}"
+        own = folder / f"{self.scene}_{self.name}_{folder_name(self._level)}"
         about = {
             "settings": relative_to_sheet(settings_file, own),
             "results": relative_to_sheet(results, own),
@@ -143,14 +159,17 @@ class OfflineAcquisition:
         return AcquisitionFolder(self.folder)
 
     def _asked(self, rig: OfflineRig) -> Asked:
-        """Yield key and pattern of all that the level lacks."""
-        options = self._verifying if self._level == VERIFICATION else self._options
-        of_level, before = capture.brackets_of(
-            rig, self.files, self._level, options["references"], options["symmetry_frames"]
-        )
-        for part in (*before.values(), of_level):
-            for first, last in part.missing(self.settings.capture.batch_patterns):
-                patterns, keys = part.patterns(first, last)
+        """Yield key and pattern of all brackets that the level lacks."""
+        context: CaptureContext = self._acquisition(rig)
+        if self._level == VERIFICATION:
+            context = verification_context(context, self._verification_pictures)
+        is_exact = isinstance(rig.sensor, ExactSensor)
+        described = self.files.describe_rig(rig)
+        for brackets in capture.bracket_sets(
+            self.files, self._level, context.settings, described, is_exact=is_exact
+        ):
+            for first, last in brackets.missing(self.files, self.settings.capture.batch_patterns):
+                patterns, keys = brackets.patterns(first, last)
                 yield from zip(map(tuple, keys), patterns, strict=True)
         if self._level == 0 and self._verification_pictures:
             weights = schedule_of(rig.projector_shape, self._verification_pictures).weights

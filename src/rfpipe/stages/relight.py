@@ -16,7 +16,7 @@ from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.relighting import KINDS, picture_squares, relighting_pictures
-from rfpipe.storage.files import AcquisitionFolder, write_bundle
+from rfpipe.storage.files import AcquisitionFolder, write_result
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -295,4 +295,4 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "light": light,
         **errors,
     }
-    write_bundle(folder / "relight.json", made_from, arrays, facts)
+    write_result(folder / "relight.json", made_from, arrays, facts)

@@ -1,4 +1,4 @@
-"""Stage: the patterns of a level, from what the levels above it found."""
+"""Stage: the patterns of a level, chosen by the method's state."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.stages.context import Acquisition
+from rfpipe.storage.base import Storage
 
 _log = logging.getLogger(__name__)
 
@@ -17,64 +17,82 @@ _UNITS = "number of the pattern that lights a ray, -1 for none"
 _WEIGHT_UNITS = "fraction of full light"
 
 
-def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
-    """Write the schedule of a level and its manifest; InputError when it has no patterns."""
-    if level:
-        plan.settle(folder)
-    method = plan.method if level else plan.named
+def run(acquisition: Acquisition, level: int) -> None:
+    """Write the schedule of a level and its manifest.
+
+    The manifest of a complete acquisition has 0 patterns.
+    """
+    plan, storage = acquisition.plan, acquisition.storage
     made_from = fingerprint(
-        {"plan": plan.describe(method), "refine": folder.refined_above(level), "code": code}
+        {
+            "plan": plan.describe(),
+            "refine": acquisition.refined_digests(level),
+            "code": acquisition.settings.code,
+        }
     )
-    if folder.standing(level, "schedule", made_from):
+    if storage.current_manifest(level, "schedule", made_from):
         return
-    schedule = method.schedule(plan.state_before(folder, level))
-    if level and not schedule.count:
-        raise InputError(f"{folder.path}: level {level} has no patterns to show")
-    _warn_of_many(plan, folder, schedule)
-    write_schedule(folder, made_from, schedule, coaxial=method.needs_coaxial_rig)
+    schedule = plan.method.next_schedule(acquisition.state_before(level))
+    if schedule is None:
+        facts = {"stage": "schedule", "level": level, "patterns": 0}
+        storage.write_part(level, "schedule", {}, facts=facts, fingerprint=made_from)
+        storage.write_manifest(level, "schedule", facts)
+        return
+    if not schedule.count:
+        raise InputError(
+            f"{plan.method.name} scheduled level {level} without patterns",
+            remedy="return None from next_schedule when the method is done",
+        )
+    _warn_of_many_patterns(acquisition, level, schedule.count)
+    write_schedule(storage, level, made_from, schedule, coaxial=plan.method.needs_coaxial_rig)
 
 
-def _warn_of_many(plan: Plan, folder: AcquisitionFolder, schedule: Schedule) -> None:
-    """Say beforehand where a method that adapts takes more patterns than brute force would."""
-    above = folder.levels_above(schedule.level)
-    total = schedule.count + sum(folder.read_manifest(k, "schedule")["patterns"] for k in above)
-    if plan.method.trades and total > plan.projector.size:
+def _warn_of_many_patterns(acquisition: Acquisition, level: int, patterns: int) -> None:
+    """Warn where a method that adapts takes more patterns than brute force would."""
+    plan, storage = acquisition.plan, acquisition.storage
+    earlier = sum(storage.read_manifest(k, "schedule")["patterns"] for k in range(level))
+    if plan.method.trades and earlier + patterns > plan.projector.size:
         _log.warning(
-            "level %d makes it %d patterns, where brute force takes %d: more may be asked for than "
-            "the scene's light allows",
-            schedule.level, total, plan.projector.size,
+            "level %d makes it %d patterns, where brute force takes %d: the target may be "
+            "unreachable at this light level",
+            level, earlier + patterns, plan.projector.size,
         )  # fmt: skip
 
 
 def write_schedule(
-    folder: AcquisitionFolder, made_from: str, schedule: Schedule, **facts: Any
+    storage: Storage, level: int, made_from: str, schedule: Schedule, **facts: Any
 ) -> None:
-    """Write a schedule, and a manifest that says nothing but what is to be shown.
+    """Write a schedule, and a manifest that depends on its patterns alone.
 
-    The manifest of the same patterns stays the same, whatever they follow from: by that Snakemake
-    knows that they needn't be captured again.
+    The manifest of equal patterns is equal, so that Snakemake doesn't capture them again when
+    their inputs changed.
     """
-    held = {"weights": schedule.weights, "pattern_of_ray": schedule.pattern_of_ray}
-    arrays = {name: array for name, array in held.items() if array is not None}
-    stated = {
+    optional = {"weights": schedule.weights, "pattern_of_ray": schedule.pattern_of_ray}
+    arrays = {name: array for name, array in optional.items() if array is not None}
+    manifest = {
         "stage": "schedule",
-        "level": schedule.level,
+        "level": level,
         "patterns": schedule.count,
         "complete": schedule.complete,
         "shown": schedule.digest(),
+        "seed": schedule.seed,
         "shape": list(schedule.shape),
         "units": _UNITS if schedule.weights is None else _WEIGHT_UNITS,
         **facts,
     }
     made = {"fingerprint": made_from, "versions": versions()}
-    folder.write_part(schedule.level, "schedule", arrays, facts=stated, **made)
-    folder.write_manifest(schedule.level, "schedule", stated)
+    storage.write_part(level, "schedule", arrays, facts=manifest, **made)
+    storage.write_manifest(level, "schedule", manifest)
 
 
-def read_schedule(folder: AcquisitionFolder, level: int) -> Schedule:
-    """Read the schedule of a level; errors as `AcquisitionFolder.read`."""
-    arrays, attributes = folder.read(level, "schedule")
+def read_schedule(storage: Storage, level: int) -> Schedule:
+    """Read the schedule of a level; errors as `Storage.read`."""
+    arrays, attributes = storage.read(level, "schedule")
     facts = attributes["facts"]
     return Schedule(
-        level, tuple(facts["shape"]), facts["patterns"], complete=facts["complete"], **arrays
+        facts["seed"],
+        tuple(facts["shape"]),
+        facts["patterns"],
+        complete=facts["complete"],
+        **arrays,
     )

@@ -7,15 +7,14 @@ transport that was made anew is compared with the same pictures.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import VerificationError
-from rfpipe.jobs.workers import Resources
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.provenance import fingerprint
@@ -23,17 +22,18 @@ from rfpipe.references.calibration_check import calibration_fault
 from rfpipe.references.drift import changes_of
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.relighting import KINDS, reference_light, relighting_pictures
-from rfpipe.stages import merge
+from rfpipe.stages import capture, merge
+from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.schedule import read_schedule, write_schedule
-from rfpipe.storage.files import (
+from rfpipe.storage.base import (
     CHECK_PICTURES,
     REFERENCE_IMAGES,
     VERIFICATION,
     VERIFICATION_MANIFEST,
-    AcquisitionFolder,
-    name_of,
-    write_bundle,
+    Storage,
+    level_name,
 )
+from rfpipe.storage.files import AcquisitionFolder, write_result
 from rfpipe.store import read_manifest
 from rfpipe.text import counted, percent
 from rfpipe.transport import Transport, open_transport
@@ -195,56 +195,42 @@ def schedule_of(shape: tuple[int, ...], pictures: int) -> Schedule:
     return Schedule(VERIFICATION, shape, pictures, weights=weights)
 
 
-def run(
-    folder: AcquisitionFolder,
-    capture: Callable[..., None],
-    *,
-    pictures: int,
-    settings: Mapping[str, Mapping[str, Any]],
-    resources: Resources,
-) -> None:
+def run(context: CaptureContext, pictures: int) -> None:
     """Verify the transport of an acquisition that the caller locks; its manifest comes last.
 
     Parameters
     ----------
-    capture : callable
-        ``capture(folder, level, **options)``, see `rfpipe.stages.captures`.
     pictures : int
-        How many, at least 1.
-    settings : mapping
-        Those of the stages "capture" and "merge", see `rfpipe.stages.plan.stages_of`.
+        Number of pictures, at least 1.
     """
-    schedule_pictures(folder, pictures)
-    capture_and_merge(folder, capture, pictures, settings, resources)
-    _compare(folder, settings["merge"]["code"], settings["capture"].get("watching") or {})
+    storage = context.storage
+    assert isinstance(storage, AcquisitionFolder)
+    schedule_pictures(storage, pictures)
+    captured = verification_context(context, pictures)
+    capture.run(captured, VERIFICATION)
+    merge.run(captured, VERIFICATION)
+    _compare(storage, context.settings.code, context.settings.asymmetry)
 
 
-def capture_and_merge(
-    folder: AcquisitionFolder,
-    capture: Callable[..., None],
-    pictures: int,
-    settings: Mapping[str, Mapping[str, Any]],
-    resources: Resources,
-) -> None:
-    """Capture the scheduled pictures that verify a transport, and merge them; see `run`."""
-    options = capture_options(folder, pictures, settings["capture"])
-    capture(folder, VERIFICATION, **options, resources=resources.local)
-    merging = {**settings["merge"], "divide_out_drift": True}
-    merge.run(folder, VERIFICATION, **merging, resources=resources)
+def verification_context(context: CaptureContext, pictures: int) -> CaptureContext:
+    """Return the inputs of the capture and the merge of the pictures that verify a transport.
 
-
-def capture_options(
-    folder: AcquisitionFolder, pictures: int, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Options of the capture of these pictures, made from the options of the levels' captures.
-
-    Looks at the rig are taken before the first picture and after the last, if levels had any.
+    Check pictures are taken before the first picture and after the last, if levels had any.
     """
-    captured = [level for level in folder.levels_above(None) if folder.exists(level, "capture")]
-    is_watched = any(CHECK_PICTURES in folder.read_manifest(level, "capture") for level in captured)
-    mode = "warn" if is_watched else "off"
-    watching = {"mode": mode, "check_interval": pictures}
-    return {**options, "symmetry_frames": 0, "batch_patterns": 1, "watching": watching}
+    storage = context.storage
+    captured = [level for level in storage.levels() if storage.exists(level, "capture")]
+    is_watched = any(
+        CHECK_PICTURES in storage.read_manifest(level, "capture") for level in captured
+    )
+    settings = replace(
+        context.settings,
+        symmetry_frames=0,
+        batch_patterns=1,
+        watch="warn" if is_watched else "off",
+        check_interval=pictures,
+        divide_out_drift=True,
+    )
+    return CaptureContext(storage, settings, context.resources, context.rig_source, context.sensor)
 
 
 def check_bounds(
@@ -288,15 +274,15 @@ def _above(name: str, facts: Mapping[str, Any], bound: float) -> str:
 
 def schedule_pictures(folder: AcquisitionFolder, pictures: int) -> None:
     """Write the patterns once: a transport made anew doesn't ask for other pictures."""
-    folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
+    folder.folder(VERIFICATION).mkdir(exist_ok=True)
     references = folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"]
     schedule = schedule_of(read_schedule(folder, 0).shape, pictures)
     made_from = fingerprint([references, schedule.digest()])
-    if not folder.standing(VERIFICATION, "schedule", made_from):
-        write_schedule(folder, made_from, schedule)
+    if not folder.current_manifest(VERIFICATION, "schedule", made_from):
+        write_schedule(folder, VERIFICATION, made_from, schedule)
 
 
-def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
+def compared(folder: Storage, transport: Transport) -> Verification:
     """Compare the merged pictures that verify a transport with what it makes of them."""
     weights = read_schedule(folder, VERIFICATION).weights
     assert weights is not None
@@ -309,7 +295,7 @@ def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
     return compare(weights, observed, relit, gain, read_floodlit(folder))
 
 
-def _compare(folder: AcquisitionFolder, code: str, watching: Mapping[str, Any]) -> None:
+def _compare(folder: AcquisitionFolder, code: str, asymmetry: float) -> None:
     acquired = read_manifest(folder.path / "transport.json")
     merged = folder.read_manifest(VERIFICATION, "merge")
     result = compared(folder, open_transport(folder.path / "transport.zarr"))
@@ -328,11 +314,11 @@ def _compare(folder: AcquisitionFolder, code: str, watching: Mapping[str, Any]) 
     arrays = {name: getattr(result, name) for name in ("patterns", "captured", "relit")}
     about = {name: acquired[name] for name in ("scene", "method")}
     facts = {"stage": "verification", "transport": acquired["digest"], "units": RADIANCE_UNIT}
-    facts |= about | result.facts() | _rig_facts(folder, watching)
+    facts |= about | result.facts() | _rig_facts(folder, asymmetry)
     facts |= _outcome(result, acquired["options"].get("target_error"), facts)
     if facts["standing"] == "missed":
         _log.warning("%s: the target is MISSED: %s", folder.path, facts["reason"])
-    write_bundle(folder.path / VERIFICATION_MANIFEST, made_from, arrays, facts)
+    write_result(folder.path / VERIFICATION_MANIFEST, made_from, arrays, facts)
 
 
 def _outcome(
@@ -361,22 +347,22 @@ def _finite(number: float) -> float | None:
     return number if np.isfinite(number) else None
 
 
-def _rig_facts(folder: AcquisitionFolder, watching: Mapping[str, Any]) -> dict[str, Any]:
+def _rig_facts(folder: AcquisitionFolder, asymmetry: float) -> dict[str, Any]:
     """Sum up the looks at the rig of all levels; None where there were none."""
-    levels = [*folder.levels_above(None), VERIFICATION]
+    levels = [*folder.levels(), VERIFICATION]
     merged = {level: folder.read_manifest(level, "merge") for level in levels}
     looks = {
         level: facts[CHECK_PICTURES] for level, facts in merged.items() if CHECK_PICTURES in facts
     }
     rig = folder.read_manifest(0, "capture")["rig"]
-    of_rig = calibration_fault(folder, rig, watching.get("asymmetry", 1.0))
+    of_rig = calibration_fault(folder, rig, asymmetry)
     drift = [float(np.abs(np.asarray(look["gain"]) - 1).max()) for look in looks.values()]
     return {
         "drift": max(drift, default=None),
         "moved": max((max(look["change"]) for look in looks.values()), default=None),
         "alarms": [
             *([f"level 0: {of_rig}"] if of_rig else []),
-            *(f"{name_of(at)}: {alarm}" for at in looks for alarm in changes_of(looks[at])),
+            *(f"{level_name(at)}: {alarm}" for at in looks for alarm in changes_of(looks[at])),
         ],
         "saturated": sum(facts["saturated"] for facts in merged.values()),
         "samples": sum(facts["samples"] for facts in merged.values()),

@@ -7,16 +7,15 @@ A check picture that differs from the first one is repeated, to name the cause o
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError
+from rfpipe.errors import CaptureError, IntegrityError, StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.check_pictures import (
     check_pattern,
@@ -27,10 +26,10 @@ from rfpipe.references.check_pictures import (
 from rfpipe.references.comparison import Difference, compare_pictures
 from rfpipe.references.reference_images import ReferenceImages, read_references
 from rfpipe.references.repeats import fault_of_repeats, gain_fault_of_repeats
+from rfpipe.rigs import Rig
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, moved_fault, room_fault
-from rfpipe.stages.brackets import Brackets, Keys
-from rfpipe.storage.files import CHECK_PICTURES, name_of
-from rfpipe.store import FrameStore, restore_header
+from rfpipe.stages.brackets import BracketSet, Keys, record, take_brackets
+from rfpipe.storage.base import CHECK_PICTURES, Frames, Storage, level_name
 from rfpipe.units import CHECK_PICTURE_KEY
 
 Double = NDArray[np.float64]
@@ -46,7 +45,7 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def watching_level(
-    level_brackets: Brackets, level: int, mode: str = "off", interval: int = 0
+    rig: Rig, storage: Storage, level_brackets: BracketSet, mode: str = "off", interval: int = 0
 ) -> Iterator[Watcher | None]:
     """Provide the watcher of a level's capture; None for none.
 
@@ -55,57 +54,58 @@ def watching_level(
 
     Parameters
     ----------
-    level_brackets : Brackets
-        Brackets of the level's patterns, settled.
-    level : int
+    rig : Rig
+    storage : Storage
+    level_brackets : BracketSet
+        Brackets of the level's patterns.
     mode : {"off", "warn", "refuse"}
         Reaction to a change of rig or light: "refuse" ends the capture.
     interval : int
         Patterns from one check picture to the next, 0 for no check pictures.
     """
-    path = level_brackets.folder.store(level, CHECK_PICTURES)
-    interval = _interval(level_brackets, path, interval if mode != "off" else 0)
+    level = level_brackets.level
+    interval = _interval(storage, level_brackets, interval if mode != "off" else 0)
     if not interval:
         yield None
         return
-    pattern = check_pattern(level_brackets.rig.projector_shape)
+    pattern = check_pattern(rig.projector_shape)
 
     def repeated(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
         keys: Keys = [(CHECK_PICTURE_KEY, level, index) for index in range(first, last)]
         return np.repeat(pattern[None], last - first, axis=0), keys
 
-    attributes = {
+    settings = {
         "interval": interval,
-        "level_fingerprint": level_brackets.made_for,
-        "rig": level_brackets.shown["rig"],
+        "level_fingerprint": level_brackets.fingerprint,
+        "rig": level_brackets.settings["rig"],
     }
-    check_brackets = Brackets(
-        level_brackets.rig, level_brackets.folder, path, f"{name_of(level)}, check pictures",
-        check_picture_count(level_brackets.count, interval), attributes, repeated,
+    check_brackets = BracketSet(
+        level, CHECK_PICTURES, f"{level_name(level)}, check pictures",
+        check_picture_count(level_brackets.count, interval), settings, repeated,
     )  # fmt: skip
-    check_brackets.settle()
-    with check_brackets.recording() as frames:
+    storage.make_room(level, CHECK_PICTURES, check_brackets.fingerprint, settings, "recapture")
+    with record(rig, storage, check_brackets) as frames:
         references = None
-        if level_brackets.folder.exists(0, "merge"):
-            references = read_references(level_brackets.rig.sensor, level_brackets.folder)
-        is_refusing = mode == "refuse"
+        if storage.exists(0, "merge"):
+            references = read_references(rig.sensor, storage)
         yield Watcher(
-            level_brackets, level, references, check_brackets, frames, interval, is_refusing
-        )
+            rig, storage, level_brackets, references, check_brackets, frames, interval,
+            is_refusing=mode == "refuse",
+        )  # fmt: skip
 
 
-def _interval(level_brackets: Brackets, path: Path, interval: int) -> int:
-    """Return the interval of a new capture, or the one with which the capture began.
-
-    `path` is the store of the check pictures.
-    """
-    if level_brackets.count_missing() == level_brackets.count:
+def _interval(storage: Storage, level_brackets: BracketSet, interval: int) -> int:
+    """Return the interval of a new capture, or the one with which the capture began."""
+    if level_brackets.count_missing(storage) == level_brackets.count:
         return interval if level_brackets.count else 0
-    if path.exists():
-        restore_header(path)
-        with FrameStore.open(path) as frames:
-            if frames.attributes.get("level_fingerprint") == level_brackets.made_for:
+    try:
+        with storage.partial_frames(level_brackets.level, CHECK_PICTURES) as frames:
+            if frames.attributes.get("level_fingerprint") == level_brackets.fingerprint:
                 return int(frames.attributes["interval"])
+    except IntegrityError:
+        raise
+    except StoreError:  # begun without check pictures
+        pass
     return 0
 
 
@@ -115,30 +115,32 @@ class Watcher:
 
     Attributes
     ----------
-    level_brackets : Brackets
+    rig : Rig
+    storage : Storage
+    level_brackets : BracketSet
         Brackets of the level's patterns.
-    level : int
     references : ReferenceImages or None
         None before level 0 is merged; check pictures are not compared then.
-    check_brackets : Brackets
+    check_brackets : BracketSet
         Brackets of the check pictures.
-    frames : FrameStore
-        Open store of the check pictures.
+    frames : Frames
+        The check pictures so far, open for writing.
     interval : int
         Patterns from one check picture to the next.
     is_refusing : bool
         Whether a harmful change ends the capture, or is logged.
     """
 
-    level_brackets: Brackets
-    level: int
+    rig: Rig
+    storage: Storage
+    level_brackets: BracketSet
     references: ReferenceImages | None
-    check_brackets: Brackets
-    frames: Any
+    check_brackets: BracketSet
+    frames: Frames
     interval: int
     is_refusing: bool
 
-    def due(self, first: int, last: int) -> Sequence[int]:
+    def due(self, first: int, last: int) -> range:
         """Return the positions between two patterns at which a check picture is due."""
         return range((first // self.interval + 1) * self.interval, last, self.interval)
 
@@ -155,7 +157,7 @@ class Watcher:
         index = self.check_brackets.count - 1 if is_last else position // self.interval
         if self.frames.done[index]:
             return
-        bracket = self.check_brackets.take(index, index + 1)
+        bracket = self._take(index)
         if self.references is not None:
             self._compare(self.references, position, index, bracket)
         self.frames.write(index, bracket)
@@ -165,11 +167,14 @@ class Watcher:
         entry = self.check_brackets.entry(self.frames)
         return {CHECK_PICTURES: {**entry, "interval": self.interval}}
 
+    def _take(self, index: int) -> NDArray[Any]:
+        return take_brackets(self.rig, self.check_brackets, index, index + 1)
+
     def _compare(
         self, references: ReferenceImages, position: int, index: int, bracket: NDArray[Any]
     ) -> None:
         """Compare a check picture with the first one; examine a difference beyond drift."""
-        first = first_check_picture(self.level_brackets.folder, references)
+        first = first_check_picture(self.storage, references)
         if first is None:
             return
         previous_gain = np.ones(first.radiance.shape[-1])
@@ -177,7 +182,7 @@ class Watcher:
             previous = self.frames.read(index - 1, index)
             previous_gain = compare_pictures(references, first, previous).gain
         if _exceeds_drift(compare_pictures(references, first, bracket), previous_gain):
-            place = f"{name_of(self.level)}, before pattern {position}"
+            place = f"{level_name(self.level_brackets.level)}, before pattern {position}"
             self._examine(references, first, place, index, bracket)
 
     def _examine(
@@ -189,9 +194,9 @@ class Watcher:
         bracket: NDArray[Any],
     ) -> None:
         """Repeat a check picture that differs; log the cause, or raise CaptureError."""
-        repeats = [bracket, self.check_brackets.take(index, index + 1)]
+        repeats = [bracket, self._take(index)]
         if gain_fault_of_repeats(repeats, references) is not None:
-            repeats += [self.check_brackets.take(index, index + 1) for _ in range(_MORE_REPEATS)]
+            repeats += [self._take(index) for _ in range(_MORE_REPEATS)]
             fault = fault_of_repeats(repeats, references)
             if fault is not None and fault.exceeds(CAPTURE):
                 self._report(f"{place}: {fault.text}")
@@ -221,7 +226,7 @@ class Watcher:
         if not (self.is_refusing and is_harmful):
             _log.warning("%s", text)
             return
-        advice = recovery_advice(self.level_brackets.folder, self.level)
+        advice = recovery_advice(self.storage, self.level_brackets.level)
         raise CaptureError(f"{text}. The capture ends here; {advice}")
 
 

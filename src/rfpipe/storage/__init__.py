@@ -1,1 +1,1 @@
-"""Results of the stages, on files or in memory: layout, checks, repairs and retakes."""
+"""Storage of acquisitions: what stages write and read, in files or in memory."""

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 from rfpipe.errors import InputError, StoreError
-from rfpipe.storage.files import (
-    BY_PRODUCTS,
+from rfpipe.storage.base import (
     CHECK_PICTURES,
     REFERENCE_BRACKETS,
     REFERENCE_IMAGES,
@@ -22,6 +21,7 @@ from rfpipe.storage.files import (
     SUMS,
     SYMMETRY,
 )
+from rfpipe.storage.files import BY_PRODUCTS
 from rfpipe.storage.repairs import RESTORE, Finding, Mend, is_acquisition, mend_of, part_of
 from rfpipe.storage.run_record import RUN_RECORD
 from rfpipe.store import (

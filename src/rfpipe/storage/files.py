@@ -1,123 +1,120 @@
-"""Where the stages of one acquisition leave what they make: on files, or in memory.
+"""Storage of an acquisition in files.
 
-On files each stage has a store and, written last, a small manifest that says that it is complete. A
-store knows the fingerprint of all that it was made from.
+Each stage of a level has a store and, written last, a manifest, a small JSON file that says that
+the stage is complete. A store knows the fingerprint of its inputs and settings.
 """
 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from numpy.typing import NDArray
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
-from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
+from rfpipe.errors import (
+    DamagedStageError,
+    IntegrityError,
+    LockedError,
+    StaleStoreError,
+    StoreError,
+)
 from rfpipe.provenance import versions
+from rfpipe.rigs import Rig
+from rfpipe.storage.base import (
+    REFERENCE_BRACKETS,
+    REFERENCE_IMAGES,
+    STAGES,
+    SUMS,
+    SYMMETRY,
+    Arrays,
+    Facts,
+    Frames,
+    WhenChanged,
+    folder_name,
+    level_name,
+    rig_settings,
+)
+from rfpipe.storage.differences import differing
+from rfpipe.storage.space import check_space
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
+    StoreLock,
+    bytes_on_disk,
+    drop,
     is_dropped,
     keep_header,
     open_arrays,
     read_manifest,
     restore_header,
+    to_disk,
     write_arrays,
     write_manifest,
 )
 from rfpipe.store.files import digest_of, storage_errors, write_atomically
 from rfpipe.store.places import Place
 from rfpipe.transport.lazy import LazyArrays
-from rfpipe.units import RADIANCE, RADIANCE_UNIT, VERIFICATION_KEY
-
-REFERENCE_BRACKETS = "reference_brackets"
-"""Store and manifest key of the all-off and all-on brackets, captured with level 0."""
-
-REFERENCE_IMAGES = "reference_images"
-"""Store and key in level 0's merge manifest of black level, defects and floodlit image."""
-
-SYMMETRY = "symmetry"
-"""Store of the random patterns' brackets, captured with level 0; key of the symmetry test."""
-
-CHECK_PICTURES = "check_pictures"
-"""Store and manifest key of a level's check pictures, see `rfpipe.references.check_pictures`."""
-
-SENSOR = "sensor"
-"""Store and manifest key of a resampled sensor's arrays, beside the frames of level 0."""
-
-SUMS = "sums"
-"""Store and manifest key of the sum of a level's images and of their variance."""
-
-LAMP = "lamp"
-"""Key in level 0's merge manifest: brightness of the lamp before the first check picture."""
-
-VERIFICATION = VERIFICATION_KEY
-"""In the place of a level's number: the pictures that verify the transport, taken after it."""
-
-VERIFICATION_FOLDER = "verification"
-"""Folder of the verification pictures, beside those of the levels."""
-
-VERIFICATION_MANIFEST = "verification.json"
-"""Result of a verification, beside the transport."""
+from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
 STAGES_LOG = "stages.log"
-"""Beside the transport: the stages of a whole acquisition, of which Snakemake keeps no records.
+"""Log beside the transport of the stages of an acquisition in one job.
 
-Where it is newer than level 0's schedule, Snakemake does all stages again; no light is taken again.
+Snakemake keeps no records of these stages. Where the log is newer than level 0's schedule,
+Snakemake runs all stages again; no picture is taken again.
 """
 
-STAGES = ("schedule", "capture", "merge", "normalize", "refine")
-"""Of a level, in their order."""
-
 BY_PRODUCTS = (".log", ".benchmark.tsv", ".tmp")
-"""Ends of the names of files beside results that tell of their making alone."""
+"""Ends of the names of files beside results that no result depends on."""
 
 FILES = "files.json"
 """Name of the manifest of a report's files."""
 
+_FINGERPRINT_DIGITS = 12  # in the name of a store that is set aside
+
 _log = logging.getLogger(__name__)
 
-Arrays = Mapping[str, NDArray[Any]]
-Facts = dict[str, Any]
 
+def current_manifest(manifest: Path, fingerprint: str) -> Facts | None:
+    """Return a manifest if its store has a fingerprint, else None.
 
-def standing(manifest: Path, made_from: str) -> dict[str, Any] | None:
-    """Return a manifest whose store has the fingerprint `made_from`, else None.
-
-    One that says anything else, or is damaged, is removed: its store is about to change.
+    A manifest of another fingerprint, or a damaged one, is removed, since its store is about to
+    change.
     """
     store = manifest.with_suffix(".zarr")
     try:
-        stated = read_manifest(manifest)
-        # a schedule's manifest says nothing but what is to be shown
-        known = stated if "fingerprint" in stated else open_arrays(store).attributes
+        facts = read_manifest(manifest)
+        # the manifest of a schedule has no fingerprint
+        attributes = facts if "fingerprint" in facts else open_arrays(store).attributes
     except IntegrityError as error:
         _log.warning("made anew, since it is damaged: %s", error)
     except StoreError:
         pass
     else:
-        if known.get("fingerprint") == made_from and store.exists():
-            return stated
+        if attributes.get("fingerprint") == fingerprint and store.exists():
+            return facts
     manifest.unlink(missing_ok=True)
     return None
 
 
-def write_bundle(
+def write_result(
     manifest: Path,
-    made_from: str,
+    fingerprint: str,
     arrays: Mapping[str, NDArray[Any]],
-    facts: dict[str, Any],
-    **more: Any,
+    facts: Facts,
+    **attributes: Any,
 ) -> None:
-    """Write arrays and, beside them, a manifest of `facts`; `more` is for the store alone."""
+    """Write arrays and, beside them, a manifest of `facts`; `attributes` are for the store."""
     store = manifest.with_suffix(".zarr")
-    made = {"fingerprint": made_from, "versions": versions()}
-    write_arrays(store, arrays, {"facts": facts, **made, **more})
+    made = {"fingerprint": fingerprint, "versions": versions()}
+    write_arrays(store, arrays, {"facts": facts, **made, **attributes})
     write_manifest(manifest, {**facts, **open_arrays(store).entry(), **made})
 
 
@@ -131,47 +128,50 @@ def write_files(manifest: Path, files: Iterable[Path]) -> None:
 
 @dataclass(frozen=True)
 class AcquisitionFolder:
-    """An acquisition on files, in ``results/{scene}/{method}``."""
+    """Storage of an acquisition in the folder ``results/{scene}/{method}``.
+
+    It implements `rfpipe.storage.base.Storage`.
+    """
 
     path: Path
 
     def manifest(self, level: int, stage: str) -> Path:
-        """Manifest of a stage of a level; its existence says that the stage is complete."""
-        return self.path / folder_of(level) / f"{stage}.json"
+        """Path of the manifest of a stage of a level."""
+        return self.folder(level) / f"{stage}.json"
 
     def store(self, level: int, stage: str) -> Path:
-        """Store that the manifest is about."""
+        """Path of the store of a stage of a level."""
         return self.manifest(level, stage).with_suffix(".zarr")
 
-    @property
-    def is_kept(self) -> bool:
-        """Whether it outlives the process, so that what stands there is used again."""
-        return True
-
     def exists(self, level: int, stage: str) -> bool:
-        """Whether a stage of a level is complete."""
+        """Test whether a stage of a level is complete."""
         return self.manifest(level, stage).exists()
 
-    def read_manifest(self, level: int, stage: str) -> dict[str, Any]:
+    def read_manifest(self, level: int, stage: str) -> Facts:
         """Read the manifest of a stage of a level; see `rfpipe.store.read_manifest`."""
         return read_manifest(self.manifest(level, stage))
 
-    def standing(self, level: int, stage: str, made_from: str) -> dict[str, Any] | None:
-        """Return the manifest of a stage that was made from the same things, else None."""
-        return standing(self.manifest(level, stage), made_from)
+    def current_manifest(self, level: int, stage: str, fingerprint: str) -> Facts | None:
+        """Return the manifest of a stage if its store has a fingerprint, else None."""
+        return current_manifest(self.manifest(level, stage), fingerprint)
 
     def write(
-        self, level: int, stage: str, made_from: str, arrays: Arrays, facts: Facts, **more: Any
+        self,
+        level: int,
+        stage: str,
+        fingerprint: str,
+        arrays: Arrays,
+        facts: Facts,
+        **attributes: Any,
     ) -> None:
-        """Write arrays and manifest of a stage; see `write_bundle`."""
-        made = {"fingerprint": made_from, "versions": versions()}
-        entry = self.write_part(level, stage, arrays, facts=facts, **made, **more)
-        self.write_manifest(level, stage, {**facts, **entry, **made})
+        """Write a stage's arrays and its manifest; see `write_result`."""
+        self.manifest(level, stage).parent.mkdir(parents=True, exist_ok=True)
+        write_result(self.manifest(level, stage), fingerprint, arrays, facts, **attributes)
 
-    def write_part(self, level: int, part: str, arrays: Arrays, **about: Any) -> Facts:
+    def write_part(self, level: int, part: str, arrays: Arrays, **attributes: Any) -> Facts:
         """Write arrays without a manifest; return the store's entry for one."""
         store = self.store(level, part)
-        write_arrays(store, arrays, about)
+        write_arrays(store, arrays, attributes)
         return open_arrays(store).entry()
 
     def write_manifest(self, level: int, stage: str, facts: Facts) -> None:
@@ -179,9 +179,9 @@ class AcquisitionFolder:
         write_manifest(self.manifest(level, stage), facts)
 
     def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
-        """Read what a stage wrote, checked against its manifest: arrays and attributes.
+        """Read a stage's arrays and attributes, checked against its manifest.
 
-        A `part` is a second store, which the stage's manifest describes under this key.
+        A `part` is a second store, which the stage's manifest describes by this key.
 
         Raises
         ------
@@ -194,66 +194,191 @@ class AcquisitionFolder:
         return dict(arrays), attributes
 
     def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
-        """Return what `read` does, with each array read, and checked, when it is asked for."""
+        """Return the same as `read`, with arrays that are read and checked when first used."""
         manifest = self.manifest(level, stage)
         expected = read_manifest(manifest)
-        with advice_on_damage(manifest):
+        with raising_damage_of(manifest):
             bundle = open_arrays(self.store(level, part or stage))
-            stated = expected[part] if part else expected
-            if "digest" in stated:
-                _check_digest(bundle.path, bundle.digest, stated)
+            entry = expected[part] if part else expected
+            if "digest" in entry:
+                _check_digest(bundle.path, bundle.digest, entry)
             elif bundle.attributes.get("facts") != expected:
                 raise IntegrityError(
                     f"patterns differ from those of {manifest.name}",
                     place=bundle.path,
                     remedy="Run the stage that writes it again",
                 )
-        read = advice_on_damage(manifest)(bundle.read)
+        read = raising_damage_of(manifest)(bundle.read)
         return LazyArrays(bundle.names, read), bundle.attributes
 
     @contextmanager
-    def frames(self, level: int, stage: str, part: str | None = None) -> Iterator[FrameStore]:
-        """Open the frames that a stage wrote, checked against its manifest; as `read`."""
+    def frames(self, level: int, stage: str, part: str | None = None) -> Iterator[Frames]:
+        """Open the complete frames of a stage or a part; checks and errors as in `read`."""
         manifest = self.manifest(level, stage)
         expected = read_manifest(manifest)
         path = self.store(level, part or stage)
-        with advice_on_damage(manifest), FrameStore.open(path.absolute()) as frames:
+        with raising_damage_of(manifest), FrameStore.open(path.absolute()) as frames:
             _check_digest(path, frames.digest(), expected[part] if part else expected)
             yield frames
 
-    def open_frames(self, level: int, part: str) -> AbstractContextManager[FrameStore]:
-        """Open frames that a stage writes or wrote, complete or not; StoreError for none."""
-        return FrameStore.open(self.store(level, part).absolute())
+    def partial_frames(self, level: int, part: str) -> AbstractContextManager[FrameStore]:
+        """Open frames that may be incomplete; StoreError if there are none."""
+        path = self.store(level, part).absolute()
+        if path.exists():
+            restore_header(path)
+        return FrameStore.open(path)
 
-    def recording(
-        self, path: Path, shape: tuple[int, ...], dtype: Any, made_for: str, shown: Facts
+    def missing_frames(
+        self, level: int, part: str, count: int, longest: int
+    ) -> list[tuple[int, int]]:
+        """List the runs of the `count` frames that aren't captured, of at most `longest`."""
+        path = self.store(level, part)
+        if not path.exists():
+            return [(first, min(first + longest, count)) for first in range(0, count, longest)]
+        with FrameStore.open(path) as frames:
+            return list(frames.missing(longest))
+
+    def make_room(
+        self, level: int, part: str, fingerprint: str, settings: Facts, when_changed: WhenChanged
+    ) -> None:
+        """Set aside frames of other settings, before frames of these settings are captured.
+
+        A store of another fingerprint is renamed, with its fingerprint in its new name. A store
+        that was set aside and has this fingerprint takes its place, so that no rig is needed. A
+        store whose frames were dropped after their merge is removed. A damaged header is restored
+        from its copy.
+
+        Raises
+        ------
+        StaleStoreError
+            When there are frames of other settings, none of these, and `when_changed` is "refuse".
+        LockedError
+            When another process writes the store.
+        IntegrityError
+            When the header and its copy are damaged.
+        """
+        path = self.store(level, part)
+        if path.exists() and restore_header(path):
+            _log.warning("%s: its header was damaged or missing; restored", path)
+        set_aside = _name_aside(path, fingerprint)
+        with StoreLock(path):
+            if path.exists() and _is_set_aside(path, fingerprint, settings, when_changed):
+                return
+            if set_aside.exists():
+                set_aside.rename(path)
+                text = "%s: captured with these settings before; taken from %s"
+                _log.warning(text, path, set_aside)
+
+    def record_frames(
+        self,
+        level: int,
+        part: str,
+        shape: tuple[int, ...],
+        dtype: DTypeLike,
+        fingerprint: str,
+        settings: Facts,
     ) -> AbstractContextManager[FrameStore]:
-        """Open a store of brackets for writing; make it where there is none."""
-        frames = FrameStore.create(path, shape, dtype, made_for, shown)
+        """Open a store of brackets for writing; made if there is none."""
+        path = self.store(level, part)
+        frames = FrameStore.create(path, shape, dtype, fingerprint, settings)
         keep_header(path)
         return frames
 
     @contextmanager
-    def merging(
-        self, level: int, shape: tuple[int, ...], made_from: str, layout: tuple[int, int]
+    def record_images(
+        self, level: int, shape: tuple[int, ...], fingerprint: str, layout: tuple[int, int]
     ) -> Iterator[tuple[FrameStore, ItemWriter]]:
-        """Make a store of a level's merged images; provide it, and what writes items anywhere.
+        """Make a store of a level's merged images; provide it, and a writer for any process.
 
-        A merge is quick beside its capture: one that was interrupted starts anew. `layout` is the
-        number of patterns a chunk, and of chunks a file.
+        A merge is quick beside its capture: an interrupted one starts from the beginning.
         """
         store = self.store(level, "merge").absolute()
         FrameStore.discard(store)
-        about = {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT}
+        axes = {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT}
         with FrameStore.create(
-            store, shape, RADIANCE, made_from, about,
+            store, shape, RADIANCE, fingerprint, axes,
             items_per_chunk=layout[0], chunks_per_file=layout[1],
         ) as images:  # fmt: skip
-            yield images, ItemWriter(store, made_from)
+            yield images, ItemWriter(store, fingerprint)
+
+    def folder(self, level: int) -> Path:
+        """Folder of a level."""
+        return self.path / folder_name(level)
+
+    def images_without_raw(self, level: int, inputs: Facts, fingerprint: str) -> Facts | None:
+        """Return the manifest of merged images whose brackets were dropped; None with brackets.
+
+        Raises StaleStoreError where the images are damaged or of other settings.
+        """
+        raw = self.store(level, "capture")
+        if not FrameStore.open(raw).dropped:
+            return None
+        advice = f"To capture all levels again: '{self.retaking()}', with the run's other options"
+        facts, fault = self._merged_facts(level)
+        if not fault and facts["made_of"] != inputs:
+            fault = (
+                f"the inputs of their merge changed ({differing(facts['made_of'], inputs)}). Set "
+                "that back and run again: all merged images are still there, and manifests that "
+                "are missing are made again"
+            )
+        if fault:
+            raise StaleStoreError(
+                f"{raw}: the raw exposures were dropped after their merge (capture.keep_raw is "
+                f"false), and {fault}. {advice}"
+            )
+        if facts["fingerprint"] != fingerprint:
+            _log.warning(
+                "%s: merged by an earlier version of the code and kept, since the raw exposures "
+                "were dropped. %s", raw, advice,
+            )  # fmt: skip
+        return facts
+
+    def _merged_facts(self, level: int) -> tuple[Facts, str]:
+        """Read the manifest that is also stored with the sums; or why the images can't be used."""
+        try:
+            sums = open_arrays(self.store(level, SUMS))
+            sums.read_all()
+            facts: Facts = {**sums.attributes["facts"], SUMS: sums.entry()}
+            if level == 0:
+                open_arrays(self.store(0, REFERENCE_IMAGES)).read_all()
+            images = FrameStore.open(self.store(level, "merge"))
+            is_whole = images.complete and not images.damaged()
+        except LockedError:
+            raise
+        except (StoreError, KeyError) as error:
+            return {}, f"there are no whole merged images of them ({error})"
+        return facts, "" if is_whole else "the merged images are damaged"
+
+    def drop_raw(self, level: int) -> None:
+        """Remove the brackets of a merged level; safe to interrupt at any time."""
+        merged = ["merge", SUMS, *([REFERENCE_IMAGES] if level == 0 else [])]
+        raw = ["capture", *([REFERENCE_BRACKETS, SYMMETRY] if level == 0 else [])]
+        for part in merged:
+            to_disk(self.store(level, part))
+        stores = [self.store(level, part) for part in raw]
+        freed = sum(drop(store) for store in stores if store.exists())
+        if freed:
+            _log.info("%s: raw exposures dropped, %.3g MB", level_name(level), freed / 1e6)
+
+    def describe_rig(self, rig: Rig) -> Facts:
+        """Describe a rig, for manifests and fingerprints."""
+        return rig_settings(rig)
+
+    def check_space(self, level: int, needed: int) -> None:
+        """Raise StoreError if a capture of `needed` bytes doesn't fit on the disk."""
+        merged = self.store(level, "merge")  # replaced
+        present = bytes_on_disk(merged) if merged.exists() else 0
+        check_space(level_name(level), needed, self.path, present)
+
+    def seconds_since_capture(self) -> float:
+        """Seconds since the last bracket was captured; infinite if there is none."""
+        journals = self.path.glob("L*/*.zarr/journal.jsonl")
+        times = [journal.stat().st_mtime for journal in journals]
+        return time.time() - max(times) if times else np.inf
 
     @contextmanager
-    def doing(self, level: int, stage: str) -> Iterator[None]:
-        """Keep the seconds of a stage's work beside its manifest, if there was any."""
+    def timing(self, level: int, stage: str) -> Iterator[None]:
+        """Write the seconds of a stage beside its manifest, if the stage writes one."""
         manifest = self.manifest(level, stage)
         before, began = manifest.exists() and manifest.stat().st_mtime_ns, perf_counter()
         yield
@@ -261,58 +386,95 @@ class AcquisitionFolder:
             times = manifest.with_suffix(".benchmark.tsv")
             write_atomically(times, f"s\n{perf_counter() - began:.4f}\n".encode())
             log = self.path / STAGES_LOG
-            with storage_errors(log, "writing"), log.open("a", encoding="utf-8") as done:
-                done.write(f"{manifest.parent.name}/{stage}\n")
+            with storage_errors(log, "writing"), log.open("a", encoding="utf-8") as lines:
+                lines.write(f"{manifest.parent.name}/{stage}\n")
 
     def has_merged_raw(self) -> bool:
-        """Whether raw exposures are on disk that a merge has used."""
+        """Test whether there are brackets on disk that are merged."""
         stores = [path.with_name("capture.zarr") for path in self.path.glob("*/merge.json")]
         return any(store.exists() and not is_dropped(store) for store in stores)
 
     def retaking(self, level: int | None = None) -> str:
-        """Return the command that takes a level's pictures again, all levels' for None.
+        """Return the command that takes a level's pictures again; all levels' for None.
 
         It is for a shell in the run's folder, and needs the run's other options.
         """
         scene, method = self.path.absolute().parts[-2:]
-        of = "" if level is None else f"/{self.manifest(level, 'capture').parent.name}"
-        return f"rfpipe run --retake {scene}/{method}{of}"
+        suffix = "" if level is None else f"/{self.manifest(level, 'capture').parent.name}"
+        return f"rfpipe run --retake {scene}/{method}{suffix}"
+
+    def recovery_advice(self, level: int) -> str:
+        """Describe how to go on after a capture that ended since the rig or its light changed."""
+        level_advice = ""
+        if level:
+            level_advice = (
+                f"Or put back what changed: '{self.retaking(level)}' takes only this level "
+                "again, if the pattern looks as it did at first. "
+            )
+        return (
+            f"all captured pictures are kept. To start over: '{self.retaking()}', with the run's "
+            f"other options. {level_advice}capture.watch: warn continues despite it"
+        )
 
     def levels(self) -> Iterator[int]:
-        """Yield the levels that have patterns to show, as far as that is known.
-
-        Level 0 is the first; the refinement of each tells the next one.
-        """
-        level: int | None = 0
-        while level is not None:
-            yield level
+        """Yield the levels that are scheduled and have patterns, from level 0 on."""
+        for level in count():
             try:
-                refined = self.exists(level, "refine") and self.read_manifest(level, "refine")
+                is_shown = (
+                    self.exists(level, "schedule")
+                    and self.read_manifest(level, "schedule")["patterns"]
+                )
             except IntegrityError:  # it is about to be made anew
                 return
-            level = refined["next"] if refined else None
-
-    def levels_above(self, level: int | None) -> list[int]:
-        """Return the levels with patterns above a level; all of them for None."""
-        return list(takewhile(lambda above: level is None or above < level, self.levels()))
-
-    def refined_above(self, level: int | None) -> list[str]:
-        """Return the digests of all refinements above a level, which its schedule rests on."""
-        return [self.read_manifest(above, "refine")["digest"] for above in self.levels_above(level)]
+            if not is_shown:
+                return
+            yield level
 
 
-def folder_of(level: int) -> str:
-    """Name of a level's folder."""
-    return VERIFICATION_FOLDER if level == VERIFICATION else f"L{level:02d}"
+def _is_set_aside(path: Path, fingerprint: str, settings: Facts, when_changed: WhenChanged) -> bool:
+    """Rename a store of another fingerprint; return whether it has this fingerprint and stays."""
+    with FrameStore.open(path) as old:
+        if old.fingerprint == fingerprint:
+            return True
+        captured = int(old.done.sum())
+    place = _name_aside(path, old.fingerprint)
+    if captured and not _name_aside(path, fingerprint).exists():
+        _refuse_or_warn(path, old, place, settings, when_changed)
+    FrameStore.discard(place)  # of a change that was undone before it was captured
+    path.rename(place)
+    if old.dropped or not captured:
+        FrameStore.discard(place)
+    return False
 
 
-def name_of(level: int) -> str:
-    """Return what messages call a level."""
-    return "verification" if level == VERIFICATION else f"level {level}"
+def _name_aside(path: Path, fingerprint: str) -> Path:
+    return path.with_name(f"{path.stem}.{fingerprint[:_FINGERPRINT_DIGITS]}{path.suffix}")
+
+
+def _refuse_or_warn(
+    path: Path, old: FrameStore, place: Path, settings: Facts, when_changed: WhenChanged
+) -> None:
+    """Refuse to capture patterns again whose settings changed, or warn of it."""
+    changed, captured = differing(old.attributes, settings), int(old.done.sum())
+    fate = (
+        "were dropped after their merge (capture.keep_raw)"
+        if old.dropped
+        else f"are kept in {place}, for when you go back to them; remove it to free the space"
+    )
+    if when_changed == "refuse":
+        raise StaleStoreError(
+            f"{path}: holds {captured} captured patterns of other settings ({changed}); "
+            "restore those settings, or set capture.when_patterns_change to recapture to take "
+            f"these patterns anew (the old ones {fate})"
+        )
+    _log.warning(
+        "%s: CAPTURING ANEW, since the settings changed (%s). The %d patterns captured with "
+        "the old settings %s", path, changed, captured, fate,
+    )  # fmt: skip
 
 
 @contextmanager
-def advice_on_damage(manifest: Path) -> Iterator[None]:
+def raising_damage_of(manifest: Path) -> Iterator[None]:
     """Raise DamagedStageError for a `StoreError`: its stage runs again without its manifest."""
     try:
         yield
@@ -354,10 +516,10 @@ def with_followers(manifest: Path) -> list[Path]:
     return [manifest.with_name(f"{stage}.json") for stage in rest]
 
 
-def _check_digest(path: Path | Place, found: str, expected: dict[str, Any]) -> None:
-    if found != expected["digest"]:
+def _check_digest(path: Path | Place, digest: str, expected: Facts) -> None:
+    if digest != expected["digest"]:
         raise IntegrityError(
-            f"digest is {found}; its manifest states {expected['digest']}",
+            f"digest is {digest}; its manifest states {expected['digest']}",
             place=path,
             remedy="Run the stage that writes it again",
         )

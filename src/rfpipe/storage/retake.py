@@ -7,14 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rfpipe.errors import InputError
-from rfpipe.storage.files import (
-    REFERENCE_BRACKETS,
-    STAGES,
-    SYMMETRY,
-    VERIFICATION,
-    AcquisitionFolder,
-    with_followers,
-)
+from rfpipe.storage.base import REFERENCE_BRACKETS, STAGES, SYMMETRY, VERIFICATION
+from rfpipe.storage.files import AcquisitionFolder, with_followers
 from rfpipe.store import StoreLock, is_dropped
 from rfpipe.text import similar_names
 
@@ -104,7 +98,7 @@ class Retake:
         first = "merge" if self.level == 0 else "refine"
         below = [
             folder.manifest(level, stage)
-            for level in reversed(folder.levels_above(None))
+            for level in reversed(folder.levels())
             if level > self.level
             for stage in reversed(STAGES[STAGES.index(first) :])
         ]

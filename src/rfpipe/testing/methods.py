@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,8 +18,8 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods import Method, Pack, options_of
-from rfpipe.methods.base import MEMORY_BYTES
+from rfpipe.methods import MethodDescription, StateArrays, options_of
+from rfpipe.methods.base import MEMORY_BYTES, check_rays
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.testing.checks import dot_test, require, require_close, require_raises
@@ -59,7 +60,7 @@ class MatrixImages:
         images = np.einsum("cmn,pn->pmc", self.matrix, patterns, optimize=True)
         if self.sigma:
             for index in range(first, last):
-                random = np.random.default_rng([self.seed, self.schedule.level, index])
+                random = np.random.default_rng([self.seed, self.schedule.seed, index])
                 images[index - first] += self.sigma * random.standard_normal(images.shape[1:])
         shape = (last - first, *self.camera_shape, len(self.matrix))
         radiance = images.reshape(shape).astype(np.float32)
@@ -68,24 +69,28 @@ class MatrixImages:
 
 @dataclass
 class MethodRun:
-    """What a run of a method left: its transport, and schedule, state and pack of each level.
+    """Results of a run of a method: its transport, and the schedule and the state of each level.
 
-    There is one state more than there are levels: the one before the first.
+    There is one state more than there are levels: the first is the state before level 0.
     """
 
     transport: Transport
     schedules: list[Schedule]
     states: list[Any]
-    packs: list[Pack]
 
     @property
     def patterns(self) -> list[int]:
         """Patterns of each level."""
         return [schedule.count for schedule in self.schedules]
 
+    @property
+    def changes(self) -> list[StateArrays]:
+        """Arrays and attributes that each level added to the state."""
+        return [state.to_arrays(previous) for previous, state in pairwise(self.states)]
+
 
 def run_method(
-    method: Method[Any],
+    method: MethodDescription,
     matrix: NDArray[Any],
     camera_shape: tuple[int, ...],
     projector_shape: tuple[int, ...],
@@ -99,7 +104,7 @@ def run_method(
 
     Parameters
     ----------
-    method : Method
+    method : MethodDescription
     matrix : ndarray of float
     camera_shape, projector_shape : tuple of int
         Of M and of N rays.
@@ -114,16 +119,16 @@ def run_method(
     matrix = matrix[None] if matrix.ndim == 2 else matrix
     camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
     settings = options_of(method, **options)
-    state = method.start(camera, projector, len(matrix), settings)
-    schedules, states, packs = [], [state], []
-    for _ in range(method.n_levels(camera, projector)):
-        schedule = method.schedule(state)
+    check_rays(method, camera, projector)
+    chosen = method.for_rig(camera, projector)
+    state = chosen.start(camera, projector, len(matrix), settings)
+    schedules, states = [], [state]
+    while (schedule := chosen.next_schedule(state)) is not None:
         images = MatrixImages(matrix, camera_shape, schedule, sigma, seed)
-        state = method.refine(state, images, memory_bytes)
+        state = chosen.refine(state, images, memory_bytes)
         schedules.append(schedule)
         states.append(state)
-        packs.append(method.pack(state))
-    return MethodRun(method.transport(state), schedules, states, packs)
+    return MethodRun(chosen.transport(state), schedules, states)
 
 
 def matrix_of(transport: Transport) -> Float:
@@ -155,7 +160,7 @@ class MethodContract:
     floodlit_error: float = 0.02
     significance: float = 6.0
 
-    def make_method(self) -> Method[Any]:
+    def make_method(self) -> MethodDescription:
         """Return the method."""
         raise NotImplementedError(f"{type(self).__name__} must define make_method()")
 
@@ -193,13 +198,10 @@ class MethodContract:
         options = options_of(method)
         for shape in ((1, 1), (8, 8), (62, 70), (3, 10, 11)):
             rays = RayDomain(shape)
-            expected = method.expected_patterns(rays, rays, options)
-            require(expected > 0, f"{expected} patterns for {shape}")
-        others = map(RayDomain, _ANY)
-        if method.needs_coaxial_rig:
-            require_raises(InputError, method.n_levels, *others)
-        else:
-            require(method.n_levels(*others) > 0, f"{_ANY} has no level")
+            forecast = method.forecast(rays, rays, 3, options)
+            require(forecast.patterns > 0, f"{forecast.patterns} patterns for {shape}")
+            require(forecast.max_patterns >= forecast.patterns, f"{forecast} for {shape}")
+            require(forecast.memory_bytes > 0, f"{forecast} for {shape}")
 
     def test_a_small_matrix_is_found(self) -> None:
         """The matrix, its floodlit image and its dual; stored as it is, and linear in light."""
@@ -227,8 +229,10 @@ class MethodContract:
     def test_patterns_and_the_table_of_levels(self) -> None:
         """Weights in [0, 1], complete ones adding up to full light; a row a level, plain data."""
         run, shape = self._run(self._matrix()), self._shapes()[1]
+        seeds = [schedule.seed for schedule in run.schedules]
+        require(len(set(seeds)) == len(seeds), f"levels share seeds of their noise: {seeds}")
         for level, schedule in enumerate(run.schedules):
-            require(schedule.level == level, f"level {level} says {schedule.level}")
+            require(schedule.count > 0, f"level {level} has no patterns")
             batch = schedule.batch(0, schedule.count)
             assert_equal(batch.shape, (schedule.count, *shape), "patterns")
             require(bool(((batch >= 0) & (batch <= 1)).all()), f"level {level}: not in [0, 1]")
@@ -242,16 +246,24 @@ class MethodContract:
         assert_equal(estimates, self.make_method().estimates_error, "estimates_error")
         require(json.loads(json.dumps(rows)) == rows == list(run.states[-1].rows), f"{rows}")
 
-    def test_a_state_is_restored_from_its_packs(self) -> None:
+    def test_a_state_is_restored_from_its_arrays(self) -> None:
         """Before each level, to the last bit, as a run that was stopped needs it."""
-        method, matrix = self.make_method(), self._matrix()
-        run, camera = self._run(matrix), self._shapes()[0]
-        packs = [Pack(pack.arrays, json.loads(json.dumps(pack.attributes))) for pack in run.packs]
-        for level in range(len(packs) + 1):
-            restored = method.restore(run.states[0], packs[:level])
+        matrix, camera = self._matrix(), self._shapes()[0]
+        method = self.make_method().for_rig(*map(RayDomain, self._shapes()))
+        run = self._run(matrix)
+        levels = [
+            StateArrays(change.arrays, json.loads(json.dumps(dict(change.attributes))))
+            for change in run.changes
+        ]
+        for level in range(len(levels) + 1):
+            start = run.states[0]
+            restored = type(start).from_arrays(start, levels[:level])
             _require_same(method.transport(restored), method.transport(run.states[level]))
-            if level < len(packs):
-                schedule = method.schedule(restored)
+            schedule = method.next_schedule(restored)
+            if level == len(levels):
+                require(schedule is None, "the restored state is not complete")
+            else:
+                assert schedule is not None
                 assert_equal(schedule.digest(), run.schedules[level].digest(), "a schedule")
                 after = method.refine(restored, MatrixImages(matrix, camera, schedule))
                 _require_same(method.transport(after), method.transport(run.states[level + 1]))

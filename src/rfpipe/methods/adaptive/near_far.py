@@ -8,8 +8,10 @@ single places, symmetric photography comes before that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import log2
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +19,14 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import COAXIAL
 from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS, Adaptive
-from rfpipe.methods.adaptive.state import AdaptiveState
-from rfpipe.methods.base import LevelImages
+from rfpipe.methods.adaptive.state import AdaptiveState, latest, merged
+from rfpipe.methods.base import LevelImages, StateArrays
 from rfpipe.methods.near_far.fit import fit_smooth_model as fit
 from rfpipe.methods.near_far.model import LightRange, light_range
 from rfpipe.methods.near_far.model import SmoothModel as Smooth
 from rfpipe.methods.near_far.model import near_far_transport as as_transport
 from rfpipe.methods.near_far.patterns import probe_patterns
-from rfpipe.methods.states import kept
+from rfpipe.methods.states import without_prefix
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
 from rfpipe.transport.multiscale import coarsest_scale
@@ -38,9 +40,29 @@ _HELPS = 0.95
 
 @dataclass(frozen=True)
 class NearFarState(AdaptiveState):
-    """The state of a near/far acquisition; its model is smooth light."""
+    """State of a near/far acquisition; its model is smooth light."""
 
-    model: Smooth | None = kept(Smooth)
+    hierarchy = "symmetric"
+
+    model: Smooth | None = None
+
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return what the last level changed, the model among it."""
+        parts = super().to_arrays(previous)
+        if self.model is None or self.model is previous.model:
+            return parts
+        arrays = {"model_functions": self.model.functions, "model_cores": self.model.cores}
+        return merged(parts, arrays, model_shape=list(self.model.shape))
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state."""
+        state = super().from_arrays(start, levels)
+        level = latest("model_shape", levels)
+        if level is None:
+            return state
+        arrays = without_prefix("model_", level.arrays)
+        return replace(state, model=Smooth(level.attributes["model_shape"], **arrays))
 
 
 class NearFar(Adaptive):
@@ -60,7 +82,6 @@ class NearFar(Adaptive):
     needs_coaxial_rig = True
     bytes_per_ray = 10_000
     way = COAXIAL
-    goes_down = "symmetric"
     trials = (0.05, 0.01, 0.003)
     State = NearFarState
 
@@ -69,9 +90,9 @@ class NearFar(Adaptive):
         model = tuple(("model", count) for count in ROUNDS)
         return (*model, *BLOCK_ROUNDS, *self.below(projector))
 
-    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        shape, level = state.projector.shape, state.level
-        return probe_patterns(shape, level, count, self._range(state) if level > 1 else None)
+    def _patterns(self, state: AdaptiveState, slot: int, count: int) -> NDArray[np.bool_]:
+        shape = state.projector.shape
+        return probe_patterns(shape, slot, count, self._range(state) if slot > 1 else None)
 
     def _range(self, state: AdaptiveState) -> LightRange:
         assert state.model is not None
@@ -81,7 +102,7 @@ class NearFar(Adaptive):
         """Take the floodlit image; unknown pixels are as bright as their neighbours."""
         after = super()._begun(state, images)
         completed = after.pictures.completed(state.projector.shape)
-        return state.after(after.rows[-1], taken=completed)
+        return replace(after, taken=completed)
 
     def _fitted(self, state: AdaptiveState) -> AdaptiveState:
         """Fit smooth light; from the second round on, find what it leaves."""
@@ -89,8 +110,9 @@ class NearFar(Adaptive):
         # a solution a scale, two of all, one of each channel
         with steps("smooth light", round(log2(coarsest_scale(shape))) + 2 + state.channels):
             model = fit(shape, state.pictures)
-        state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
-        if state.level <= 2:
+        state = state.counted(nodes=len(model.basis.first))
+        state = replace(state, model=model, residual=None)
+        if state.slot <= 1:
             return state
         # where that helps, rounds of blocks follow
         after = self._with_residual(state)

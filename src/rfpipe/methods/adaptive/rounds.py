@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -27,15 +27,15 @@ from rfpipe.methods.adaptive.decisions import (
     total_error,
     what_follows,
 )
-from rfpipe.methods.adaptive.state import SURE, AdaptiveState
+from rfpipe.methods.adaptive.state import SURE, AdaptiveState, hierarchy_start
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     ErrorOptions,
+    Forecast,
     LevelImages,
     Method,
-    Pack,
+    check_rays,
     get_method,
-    options_of,
 )
 from rfpipe.methods.error_estimate import HELD_OUT, Estimate, estimate_error, held_out_patterns
 from rfpipe.methods.images import ImagesAs, Pictures
@@ -47,7 +47,7 @@ from rfpipe.methods.residual.model import (
     residual_cells,
 )
 from rfpipe.methods.residual.patterns import block_patterns
-from rfpipe.methods.states import PackingMethod, joined, level_row, unprefixed
+from rfpipe.methods.states import joined, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.sum import SumTransport
@@ -61,7 +61,7 @@ HIERARCHY_MARGIN = 4.0
 """Largest number of patterns of a hierarchy, over the number that `hierarchy_patterns` expects."""
 
 
-class Adaptive(PackingMethod[AdaptiveState]):
+class Adaptive(Method[AdaptiveState]):
     """A method in rounds, ended at an error that held-out pictures tell."""
 
     estimates_error = True
@@ -69,39 +69,32 @@ class Adaptive(PackingMethod[AdaptiveState]):
     trades = "target_error"
     State: ClassVar[type[AdaptiveState]] = AdaptiveState
     way: ClassVar[Way]
-    goes_down: ClassVar[str]
-    """Name of the method that goes down the block tree."""
 
     @cached_property
     def hierarchy(self) -> Method[Any]:
         """The method that goes down the block tree."""
-        return get_method(self.goes_down)
+        method = get_method(self.State.hierarchy)
+        assert isinstance(method, Method)
+        return method
 
     @abstractmethod
     def levels(self, projector: RayDomain) -> tuple[tuple[str, int], ...]:
-        """Return what each level below the floodlit one is for, and its round's patterns.
+        """Return the table of rounds: the purpose of each, and its largest number of patterns.
 
-        Where something else follows, a level shows nothing.
+        Rounds are numbered from 1; an acquisition skips those of another purpose than is due.
         """
 
-    def slot(self, state: AdaptiveState, back: int = 0) -> tuple[str, int]:
-        """Return what the next level is for, or one so many before, and its round's patterns."""
-        levels = self.levels(state.projector)
-        return levels[min(state.level - back, len(levels)) - 1]
-
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the floodlit level, all rounds, and the levels of the hierarchy."""
-        self.check(camera, projector)
-        return 1 + len(self.levels(projector))
-
-    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Guess the patterns from the target, by the benchmark's open scenes; see `PATTERNS`."""
+    def forecast(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
+    ) -> Forecast:
+        """Forecast the patterns from the target, by the benchmark's open scenes; see `PATTERNS`."""
+        check_rays(self, camera, projector)
         a_view, power = PATTERNS
         typical = projector.views * a_view * float((0.01 / total_error(options)) ** power)
-        most = self.most_patterns(camera, projector, options)
-        return min(round(typical), projector.size, most)
+        most = self._max_patterns(projector, options)
+        return self.forecast_of(camera, channels, min(round(typical), projector.size, most), most)
 
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+    def _max_patterns(self, projector: RayDomain, options: Any) -> int:
         """Bound the patterns of all rounds and of a hierarchy between them.
 
         A hierarchy shows at most each block of each level once. On large projectors that is far
@@ -119,12 +112,12 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Return the levels of the hierarchy below its floodlit one, and of what that leaves."""
         return (*(("hierarchy", 0),) * (BlockTree(projector).n_levels - 1), *BLOCK_ROUNDS)
 
-    def _in_round(self, state: AdaptiveState) -> int:
-        """Return how many patterns the next round shows, held-out ones not counted."""
-        return next_round(state, self.slot(state)[1])
+    def _in_round(self, state: AdaptiveState, slot: int) -> int:
+        """Number of patterns of a round, held-out ones not counted."""
+        return next_round(state, self.levels(state.projector)[slot - 1][1])
 
     @abstractmethod
-    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
+    def _patterns(self, state: AdaptiveState, slot: int, count: int) -> NDArray[np.bool_]:
         """Return the next round's patterns for the model, (count, *shape)."""
 
     @abstractmethod
@@ -164,7 +157,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
         """Find what the better model leaves of all pictures, unless it is good enough."""
-        estimate, base, of_hierarchy = self._best(state.changed(residual=None))
+        estimate, base, of_hierarchy = self._best(replace(state, residual=None))
         if state.estimated(estimate).reached:
             return state
         canvas, series = CameraCells.of_pictures(state.camera.shape, state.pictures), state.pictures
@@ -172,11 +165,12 @@ class Adaptive(PackingMethod[AdaptiveState]):
         pictures += [] if state.others is None else [state.others]
         sender = self._sender(state, base, canvas)
         residual = fit_residual(canvas, sender, joined(pictures, axis=0), base)
-        return state.changed(residual=residual, of_hierarchy=of_hierarchy)
+        return replace(state, residual=residual, of_hierarchy=of_hierarchy)
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on, go another way, or end; and say so."""
-        just, slot = self.slot(state, back=1)[0], self.slot(state)[0]
+        rounds = self.levels(state.projector)
+        just, slot = rounds[state.slot - 1][0], rounds[min(state.slot, len(rounds) - 1)][0]
         depth = BlockTree(state.projector).n_levels
         following, why = what_follows(state, self.way, just, slot, depth)
         if following == "hierarchy":
@@ -188,22 +182,32 @@ class Adaptive(PackingMethod[AdaptiveState]):
             state = state.counted(ended=why)
         elif why:
             _log.info("%s; going on with random blocks", why)
-        return state.changed(following=following)
+        return replace(state, following=following)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> AdaptiveState:
         """Return the state before the floodlit image."""
-        self.check(camera, projector)
+        check_rays(self, camera, projector)
         return self.State(camera, projector, channels, options)
 
-    def _due(self, state: AdaptiveState) -> str:
-        return state.following if state.following == self.slot(state)[0] else "done"
+    def _next_slot(self, state: AdaptiveState) -> int | None:
+        """Number of the next round in the table of rounds; None after the last one."""
+        if not state.rows:
+            return 0
+        rounds = self.levels(state.projector)
+        slots = range(state.slot + 1, len(rounds) + 1)
+        slot = next((slot for slot in slots if rounds[slot - 1][0] == state.following), None)
+        if slot is None:
+            return None
+        if state.following == "hierarchy":
+            return slot if len(state.inner.frontier) else None
+        return slot if sum(self._counts(state, slot)) else None
 
-    def _asked(self, state: AdaptiveState) -> tuple[int, int]:
-        """Return how many held-out pictures a round shows, and how many others."""
+    def _counts(self, state: AdaptiveState, slot: int) -> tuple[int, int]:
+        """Return the numbers of held-out patterns and of all other patterns of a round."""
         held = 0 if state.held else len(HELD_OUT)
-        count, limit = self._in_round(state), getattr(state.options, "patterns", 0)
+        count, limit = self._in_round(state, slot), state.options.patterns
         if not limit:
             return held, count
         room = limit - state.shown
@@ -212,90 +216,84 @@ class Adaptive(PackingMethod[AdaptiveState]):
         # without any held-out pictures a round would say nothing of the error
         return 0, min(count, max(room, 0)) if state.held else 0
 
-    def schedule(self, state: AdaptiveState) -> Schedule:
+    def next_schedule(self, state: AdaptiveState) -> Schedule | None:
         """Show the floodlit pattern, then rounds, held-out patterns before the others."""
-        shape, level, due = state.projector.shape, state.level, self._due(state)
-        if level == 0:
+        shape, slot = state.projector.shape, self._next_slot(state)
+        if slot is None:
+            return None
+        if slot == 0:
             return Schedule.floodlit(shape)
-        if due == "done":
-            return Schedule.nothing(level, shape)
-        if due == "hierarchy":
-            return replace(self.hierarchy.schedule(state.inner), level=level)
-        held, count = self._asked(state)
-        if due == "residual":
-            patterns = block_patterns(residual_cells(shape), level, count)
+        if state.following == "hierarchy":
+            schedule = self.hierarchy.next_schedule(state.inner)
+            return None if schedule is None else replace(schedule, seed=slot)
+        held, count = self._counts(state, slot)
+        if state.following == "residual":
+            patterns = block_patterns(residual_cells(shape), slot, count)
         else:
-            patterns = self._patterns(state, count)
+            patterns = self._patterns(state, slot, count)
         shown = [held_out_patterns(shape)[:held], patterns]
         weights = np.concatenate(shown).astype(np.float32)
-        return Schedule(level, shape, len(weights), weights=weights)
-
-    def asks(self, state: AdaptiveState) -> bool:
-        """Tell whether the next level has patterns to show."""
-        if self._due(state) == "hierarchy":
-            return self.hierarchy.asks(state.inner)
-        return super().asks(state)
+        return Schedule(slot, shape, len(weights), weights=weights)
 
     def refine(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> AdaptiveState:
         """Fit all pictures so far, or refine the hierarchy, and estimate the error."""
-        due, count = self._due(state), images.schedule.count
-        if state.level == 0:
+        slot, due, count = self._next_slot(state), state.following, images.schedule.count
+        assert slot is not None
+        if slot == 0:
             return self._begun(state, images)
+        held, _ = self._counts(state, slot) if due != "hierarchy" else (0, 0)
+        before = state
+        state = replace(state, slot=slot)
         if due == "hierarchy":
             after = self._descend(state, images, memory_bytes)
-            return after.changed(following="done") if count and after.reached else after
-        after = state.after(level_row(state.level, count))
-        if not count:
-            return after if due == "done" else after.changed(following="done")
-        first, _ = self._asked(state)
-        if first:
-            held = Pictures.read(images, state.channels, state.camera.size, 0, first)
-            after = after.changed(held=held)
-        if count > first and due == "residual":
+            return replace(after, following="done") if after.reached else after
+        after = replace(state, rows=(*state.rows, level_row(state.level, count)))
+        if held:
+            pictures = Pictures.read(images, state.channels, state.camera.size, 0, held)
+            after = replace(after, held=pictures)
+        if count > held and due == "residual":
             canvas = CameraCells.of_pictures(state.camera.shape, state.pictures)
-            after = self._with_residual(after.changed(others=canvas.read(images, first)))
-        elif count > first:
-            taken = Pictures.read(images, state.channels, state.camera.size, first, count)
-            after = self._fitted(after.changed(taken=taken))
-        return self.decided(self._judged(after, state))
+            after = self._with_residual(after.with_others(canvas.read(images, held)))
+        elif count > held:
+            taken = Pictures.read(images, state.channels, state.camera.size, held, count)
+            after = self._fitted(after.with_taken(taken))
+        return self.decided(self._judged(after, before))
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image."""
         floodlit = Pictures.read(images, state.channels, state.camera.size, 0, 1)
-        return state.after(level_row(state.level, 1, scalar=state.camera.size), taken=floodlit)
+        row = level_row(state.level, 1, scalar=state.camera.size)
+        return replace(state, rows=(row,), taken=floodlit)
 
     def _descend(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int
     ) -> AdaptiveState:
         """Let the hierarchy refine a level of its own; its pictures tell of what models leave."""
-        pictures = ImagesAs(replace(images.schedule, level=state.inner.level), images.read)
-        inner = self.hierarchy.refine(state.inner, pictures, memory_bytes)
+        inner = self.hierarchy.refine(state.inner, images, memory_bytes)
         levels = (*state.descended, state.level)
-        state = replace(state, descended=levels)
         rows = [*state.rows, level_row(state.level, images.schedule.count)]
         # a level may have changed the row of the one before it
         for back in range(1, min(len(levels), 2) + 1):
             level = levels[-back]
             rows[level] = {**rows[level], **inner.rows[-back], "level": level}
-        state = replace(state, rows=tuple(rows[:-1]))
-        state = state.after(rows[-1], inner=inner, descended=levels)
-        if not (images.schedule.count and state.held):
+        state = replace(state, rows=tuple(rows), inner=inner, descended=levels)
+        if not state.held:
             return state
         return self._judged(self._seen(state, images))
 
     def _seen(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Keep a hierarchy's pictures; after the last of its levels, find what it leaves."""
         canvas = CameraCells.of_pictures(state.camera.shape, state.pictures)
-        state = state.changed(others=canvas.read(images))
-        if self.hierarchy.asks(state.inner):
+        state = state.with_others(canvas.read(images))
+        if len(state.inner.frontier):
             return state
-        return self._with_residual(state.changed(following="residual"))
+        return self._with_residual(replace(state, following="residual"))
 
     def _hand_over(self, state: AdaptiveState, tolerance: float) -> AdaptiveState:
         """Begin the hierarchy with the floodlit image, which is there already."""
-        state = state.changed(following="hierarchy", tolerance=tolerance)
+        state = replace(state, following="hierarchy", tolerance=tolerance)
         pictures, shape = state.pictures, (1, *state.camera.shape, state.channels)
         radiance, variance = (
             np.ascontiguousarray(each[0].T).reshape(shape)
@@ -303,15 +301,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         )
         schedule = Schedule.floodlit(state.projector.shape)
         floodlit = ImagesAs(schedule, lambda *_: (radiance, variance))
-        return state.changed(inner=self.hierarchy.refine(self._inner_start(state), floodlit))
-
-    def _inner_start(self, state: AdaptiveState) -> Any:
-        """Return the hierarchy's state before the floodlit image."""
-        significance = state.options.noise_significance
-        options = options_of(
-            self.hierarchy, tolerance=state.tolerance, noise_significance=significance
-        )
-        return self.hierarchy.start(state.camera, state.projector, state.channels, options)
+        return replace(state, inner=self.hierarchy.refine(hierarchy_start(state), floodlit))
 
     def _best(self, state: AdaptiveState) -> tuple[Estimate, Transport, bool]:
         """Return what predicts the held-out pictures best, how well, and if it's the hierarchy."""
@@ -330,7 +320,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         if before and before.estimates and estimate.error > before.estimates[-1].error:
             _log.info("the fit to more pictures is worse than the one before, which is kept")
             fields = ("model", "residual", "of_hierarchy")
-            state = state.changed(**{name: getattr(before, name) for name in fields})
+            state = replace(state, **{name: getattr(before, name) for name in fields})
             # the same model, held-out pictures and floodlit image
             estimate = before.estimates[-1]
         return state.estimated(estimate)
@@ -339,30 +329,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Return what predicts the held-out pictures best."""
         return self._best(state)[1]
 
-    def known(self, state: AdaptiveState) -> Transport:
-        """Return the hierarchy while it is refined, however far off it still is."""
+    def transport_of_dark_rays(self, state: AdaptiveState) -> Transport:
+        """Return the hierarchy while it is refined, whatever its error."""
         if state.following != "hierarchy":
             return self.transport(state)
         return self.hierarchy.transport(state.inner)
-
-    def pack(self, state: AdaptiveState) -> Pack:
-        """Return what the last level changed, the hierarchy's changes among it."""
-        news = {name: count for name, count in state.news.items() if name != "inner"}
-        pack = super().pack(replace(state, news=news))
-        if "inner" not in state.news:
-            return pack
-        inner = self.hierarchy.pack(state.inner)
-        arrays = {f"inner_{name}": array for name, array in inner.arrays.items()}
-        return pack | Pack(arrays, {"hierarchy": dict(inner.attributes)})
-
-    def restore(self, start: AdaptiveState, packs: Sequence[Pack]) -> AdaptiveState:
-        """Return the state after the last of `packs`, one a level from level 0 on."""
-        state: AdaptiveState = super().restore(start, packs)
-        inner = [
-            Pack(unprefixed("inner_", pack.arrays), pack.attributes["hierarchy"])
-            for pack in packs
-            if "hierarchy" in pack.attributes
-        ]
-        if not inner:
-            return state
-        return replace(state, inner=self.hierarchy.restore(self._inner_start(state), inner))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,16 @@ from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, Options
-from rfpipe.methods.descent import Descent
-from rfpipe.methods.states import MethodState, grown, joined, kept, level_row
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    TOLERANCES,
+    LevelImages,
+    Options,
+    StateArrays,
+    check_rays,
+)
+from rfpipe.methods.descent import BlockTreeMethod
+from rfpipe.methods.states import MethodState, joined, level_row, with_prefix, without_prefix
 from rfpipe.methods.symmetric.classification import Candidates, Classification, classify
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
@@ -30,6 +38,7 @@ from rfpipe.methods.symmetric.scheduling import schedule_children
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe.transport.lazy import LazySequence
 
 # Error of a picture with half of the rays lit, in tolerances of its norm, if all nodes of a level
 # are at the limit of their rank test.
@@ -65,14 +74,72 @@ class SymmetricState(MethodState):
 
     options: SymmetricOptions
     tree: BlockTree = field(kw_only=True)
-    frontier: Frontier = kept(Frontier)
+    frontier: Frontier = field(kw_only=True)
     dark: NDArray[np.bool_] = field(kw_only=True)
-    known: Sequence[LeafSet] = grown(LeafSet)
+    known: Sequence[LeafSet] = ()
     floodlit_maximum: float = 0.0
     floodlit_rms: float = 0.0
 
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return the leaves that the last level added, and the frontier.
 
-class Symmetric(Descent[SymmetricState]):
+        Level 0 adds one set of leaves, each other level two: one of its parents' level, one of its
+        own.
+        """
+        arrays = {
+            "dark": self.dark,
+            **with_prefix("leaves_", _leaf_arrays(self.known[-1])),
+            **with_prefix("frontier_", _node_arrays(self.frontier)),
+        }
+        if len(self.rows) > 1:
+            arrays |= with_prefix("parents_", _leaf_arrays(self.known[-2]))
+        attributes = {
+            "rows": list(self.rows),
+            "floodlit_maximum": self.floodlit_maximum,
+            "floodlit_rms": self.floodlit_rms,
+        }
+        return StateArrays(arrays, attributes)
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state; leaves are read when first used."""
+        if not levels:
+            return start
+
+        def leaves(key: tuple[str, int, int]) -> LeafSet:
+            prefix, leaf_level, level = key
+            return LeafSet(leaf_level, **without_prefix(prefix, levels[level].arrays))
+
+        keys = [("leaves_", 0, 0)]
+        for level in range(1, len(levels)):
+            keys += [("parents_", level - 1, level), ("leaves_", level, level)]
+        last = levels[-1]
+        return replace(
+            start,
+            rows=tuple(last.attributes["rows"]),
+            known=LazySequence(keys, leaves, keep=True),
+            frontier=Frontier(**without_prefix("frontier_", last.arrays)),
+            dark=last.arrays["dark"],
+            floodlit_maximum=last.attributes["floodlit_maximum"],
+            floodlit_rms=last.attributes["floodlit_rms"],
+        )
+
+
+def _leaf_arrays(leaves: LeafSet) -> dict[str, NDArray[Any]]:
+    return {"block_a": leaves.block_a, "block_b": leaves.block_b, "values": leaves.values}
+
+
+def _node_arrays(nodes: Frontier) -> dict[str, NDArray[Any]]:
+    return {
+        "block_a": nodes.block_a,
+        "block_b": nodes.block_b,
+        "pieces": nodes.pieces,
+        "energy": nodes.energy,
+        "variance": nodes.variance,
+    }
+
+
+class Symmetric(BlockTreeMethod[SymmetricState]):
     """Symmetric photography as a `Method`."""
 
     name = "symmetric"
@@ -88,17 +155,19 @@ class Symmetric(Descent[SymmetricState]):
         self, camera: RayDomain, projector: RayDomain, channels: int, options: SymmetricOptions
     ) -> SymmetricState:
         """Return the state before the floodlit image."""
-        self.n_levels(camera, projector)
+        check_rays(self, camera, projector)
         tree, nothing = BlockTree(projector), no_nodes(channels)
         dark = np.zeros(projector.size, np.bool_)
         return SymmetricState(
             camera, projector, channels, options, tree=tree, frontier=nothing, dark=dark
         )
 
-    def schedule(self, state: SymmetricState) -> Schedule:
+    def next_schedule(self, state: SymmetricState) -> Schedule | None:
         """Return the floodlit pattern, or the patterns of the unknown nodes' children."""
         if state.level == 0:
             return Schedule.floodlit(state.tree.domain.shape)
+        if not len(state.frontier):
+            return None
         return schedule_children(state.tree, state.level, state.frontier, state.dark)
 
     def refine(
@@ -108,8 +177,6 @@ class Symmetric(Descent[SymmetricState]):
         if state.level == 0:
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
-        if not images.schedule.count:
-            return state.after(level_row(level, 0))
         limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
         batches = [
             _refine_nodes(
@@ -121,9 +188,11 @@ class Symmetric(Descent[SymmetricState]):
         counts = _total([it.counts for it in batches])
         previous = state.rows[-1]
         counts["rank1"] += previous["rank1"]
-        return replace(state, rows=(*state.rows[:-1], {**previous, **counts})).after(
-            row,
+        return replace(
+            state,
+            rows=(*state.rows[:-1], {**previous, **counts}, row),
             known=(
+                *state.known,
                 joined([batch.leaves for batch in batches]),
                 joined([batch.children.leaves for batch in batches]),
             ),
@@ -133,19 +202,20 @@ class Symmetric(Descent[SymmetricState]):
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
         """Make the root node from the floodlit image."""
         root, first = np.zeros(1, np.int32), np.zeros(1, np.int64)
-        pieces = residual_pieces(state.tree, root, root, (), state.channels, images, MEMORY_BYTES)
+        pieces = residual_pieces(
+            state.tree, 0, root, root, (), state.channels, images, MEMORY_BYTES
+        )
         significant = pieces.values > state.options.noise_significance * np.sqrt(pieces.variances)
         maximum = float(pieces.values.max(initial=0.0))
         rms = float(np.sqrt(np.mean(np.square(pieces.values, dtype=np.float64))))
         state = replace(state, floodlit_maximum=maximum, floodlit_rms=rms)
         candidates = Candidates(first, np.zeros(1, np.bool_), no_nodes(state.channels), first)
         root_node = classify(state.tree, 0, pieces, candidates, _limits(state, tests=1))
-        return state.after(
-            level_row(0, 1, nodes=1, **root_node.counts),
+        return replace(
+            state,
+            rows=(level_row(0, 1, nodes=1, **root_node.counts),),
             known=(root_node.leaves,),
             frontier=root_node.frontier,
-            floodlit_maximum=maximum,
-            floodlit_rms=rms,
             dark=np.logical_not(significant.any(axis=0)),
         )
 
@@ -212,7 +282,7 @@ def _refine_nodes(
 
     tree, level = state.tree, state.level
     parent, a, b = child_pairs(tree, level - 1, nodes)
-    pieces = residual_pieces(tree, a, b, state.known, state.channels, images, memory_bytes)
+    pieces = residual_pieces(tree, level, a, b, state.known, state.channels, images, memory_bytes)
     subdivision = Subdivision.of(tree, level - 1, nodes, parent, pieces)
     outcome = rank_test(tree, level - 1, nodes, subdivision, limits)
     is_leaf = outcome == Outcome.PASSED_CLEARLY

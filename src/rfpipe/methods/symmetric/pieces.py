@@ -157,6 +157,7 @@ def node_batches(
 
 def residual_pieces(
     tree: BlockTree,
+    level: int,
     block_a: Blocks,
     block_b: Blocks,
     known: Sequence[LeafSet],
@@ -169,8 +170,10 @@ def residual_pieces(
     Parameters
     ----------
     tree : BlockTree
+    level : int
+        Level of the images.
     block_a, block_b : ndarray of int32, shape (n,)
-        Pairs of blocks of the images' level.
+        Pairs of blocks of that level.
     known : sequence of LeafSet
     channels : int
     images : LevelImages
@@ -180,10 +183,9 @@ def residual_pieces(
     """
     from rfpipe.methods.symmetric import kernels
 
-    level = images.schedule.level
     starts = tree.starts[level]
     pairs, n_values = Pairs.of(starts, block_a, block_b)
-    pattern_of_block = images.schedule.pattern_of_block(tree)
+    pattern_of_block = images.schedule.pattern_of_block(tree, level)
     unknown = np.zeros(tree.domain.size, np.bool_)
     values = np.zeros((channels, n_values), np.float32)
     variances = np.zeros_like(values)

@@ -26,18 +26,17 @@ def schedule_children(tree: BlockTree, level: int, nodes: Frontier, dark: Bools)
     level : int
         At least 1.
     nodes : Frontier
-        Unknown nodes of the level above.
+        Unknown nodes of the level above, at least one.
     dark : ndarray of bool, shape (N,)
         Rays, in tree order, without light in the floodlit image.
     """
     block_a, block_b = child_blocks(tree, level - 1, nodes)
     scheduled = np.zeros(tree.n_blocks(level), np.bool_)
     scheduled[block_a] = scheduled[block_b] = True
+    number = np.cumsum(scheduled, dtype=np.int32) - 1
+    graph = conflict_graph(int(number[-1]) + 1, number[block_a], number[block_b])
+    del block_a, block_b
     pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
-    if scheduled.any():
-        number = np.cumsum(scheduled, dtype=np.int32) - 1
-        graph = conflict_graph(int(number[-1]) + 1, number[block_a], number[block_b])
-        del block_a, block_b
-        pattern_of_block[scheduled] = colour_square(graph)
+    pattern_of_block[scheduled] = colour_square(graph)
     lit = pattern_of_block[tree.block_of_position(level)] >= 0
     return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | dark).all()))

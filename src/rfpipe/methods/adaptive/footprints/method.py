@@ -7,9 +7,10 @@ with no structured light. Where the model doesn't fit, dual photography follows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import log2
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,8 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import ASIDE
 from rfpipe.methods.adaptive.rounds import Adaptive
-from rfpipe.methods.adaptive.state import AdaptiveState
-from rfpipe.methods.base import LevelImages
+from rfpipe.methods.adaptive.state import AdaptiveState, latest, merged
+from rfpipe.methods.base import LevelImages, StateArrays
 from rfpipe.methods.error_estimate import HELD_OUT, held_out_patterns
 from rfpipe.methods.footprints.candidates import Candidates
 from rfpipe.methods.footprints.fit import fit_model
@@ -27,7 +28,7 @@ from rfpipe.methods.footprints.patterns import view_patterns
 from rfpipe.methods.footprints.pictures import radiance_unit, split_pictures
 from rfpipe.methods.images import nearest, relight_white
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, residual_cells, root_factor
-from rfpipe.methods.states import kept
+from rfpipe.methods.states import with_prefix, without_prefix
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport, sparse_arrays
@@ -60,8 +61,36 @@ class FootprintState(AdaptiveState):
         With what the next search begins, in the unit of the fits.
     """
 
-    model: dict[str, NDArray[Any]] | None = kept(dict)
-    found: Candidates | None = kept(Candidates)
+    hierarchy = "dual"
+
+    model: dict[str, NDArray[Any]] | None = None
+    found: Candidates | None = None
+
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return what the last level changed, the model and the candidates among it."""
+        parts = super().to_arrays(previous)
+        if self.model is not None and self.model is not previous.model:
+            parts = merged(parts, with_prefix("model_", self.model), has_model=True)
+        if self.found is not None and self.found is not previous.found:
+            names = ("keys", "variance", "weights")
+            arrays = {name: getattr(self.found, name) for name in names}
+            sizes = [self.found.camera_size, self.found.projector_size]
+            parts = merged(parts, with_prefix("found_", arrays), candidates=sizes)
+        return parts
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state."""
+        state = super().from_arrays(start, levels)
+        level = latest("has_model", levels)
+        if level is not None:
+            state = replace(state, model=dict(without_prefix("model_", level.arrays)))
+        level = latest("candidates", levels)
+        if level is not None:
+            sizes = level.attributes["candidates"]
+            arrays = without_prefix("found_", level.arrays)
+            state = replace(state, found=Candidates(*sizes, **arrays))
+        return state
 
 
 class Footprints(Adaptive):
@@ -79,7 +108,6 @@ class Footprints(Adaptive):
     marker = "p"
     bytes_per_ray = 100_000
     way = ASIDE
-    goes_down = "dual"
     trials = (0.05, 0.01, 0.005)
     State = FootprintState
 
@@ -88,16 +116,16 @@ class Footprints(Adaptive):
         rounds = (("model", in_round(k, projector.views)) for k in range(len(ROUNDS)))
         return (*rounds, *self.below(projector))
 
-    def _in_round(self, state: AdaptiveState) -> int:
-        """Return the patterns of the next round; none where held-out ones are all that is left."""
-        return 0 if state.unfit and not state.inner else super()._in_round(state)
+    def _in_round(self, state: AdaptiveState, slot: int) -> int:
+        """Return the patterns of a round; none where held-out ones are all that is left."""
+        return 0 if state.unfit and not state.inner else super()._in_round(state, slot)
 
-    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        return view_patterns(state.projector.shape, state.level, count)
+    def _patterns(self, state: AdaptiveState, slot: int, count: int) -> NDArray[np.bool_]:
+        return view_patterns(state.projector.shape, slot, count)
 
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         after = super()._begun(state, images)
-        return after.changed(unfit=not after.pictures.shine() or not self._fits(state))
+        return replace(after, unfit=not after.pictures.shine() or not self._fits(state))
 
     def _fits(self, state: AdaptiveState) -> bool:
         """Tell whether a rig is large enough for random patterns to pay."""
@@ -125,7 +153,7 @@ class Footprints(Adaptive):
         arrays = transport_arrays(model, unit)
         nodes, scalar = len(arrays["cores_columns"]), len(arrays["footprints_columns"])
         state = state.counted(nodes=nodes, scalar=scalar)
-        return self._with_residual(state.changed(model=arrays, found=model.grey, residual=None))
+        return self._with_residual(replace(state, model=arrays, found=model.grey, residual=None))
 
     def _sender(self, state: AdaptiveState, base: Transport, canvas: CameraCells) -> ProjectorCells:
         """Return the projector's cells, what they send, and where the camera sees them lit."""

@@ -1,0 +1,193 @@
+"""Storage of an acquisition in memory: no digests, no fingerprints, no journal."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from itertools import count
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from rfpipe.errors import StoreError
+from rfpipe.rigs import Rig
+from rfpipe.rigs.base import is_simulated
+from rfpipe.storage.base import Arrays, Facts, WhenChanged, level_name, rig_settings
+from rfpipe.units import RADIANCE
+
+# ruff: noqa: D102, ARG002 - methods and arguments are those of Storage and Frames
+
+
+class AcquisitionInMemory:
+    """Storage of an acquisition that ends with its process; see `rfpipe.storage.base.Storage`.
+
+    Raw frames are dropped once they are merged. States aren't stored: the loop passes them on.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        Wall time of each stage.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._arrays: dict[tuple[int, str], tuple[Arrays, Facts]] = {}
+        self._manifests: dict[tuple[int, str], Facts] = {}
+        self._frames: dict[tuple[int, str], FramesInMemory] = {}
+
+    def exists(self, level: int, stage: str) -> bool:
+        return (level, stage) in self._manifests
+
+    def read_manifest(self, level: int, stage: str) -> Facts:
+        return self._manifests[level, stage]
+
+    def current_manifest(self, level: int, stage: str, fingerprint: str) -> Facts | None:
+        return None
+
+    def write(
+        self,
+        level: int,
+        stage: str,
+        fingerprint: str,
+        arrays: Arrays,
+        facts: Facts,
+        **attributes: Any,
+    ) -> None:
+        if stage != "refine":
+            self._arrays[level, stage] = arrays, {"facts": facts, **attributes}
+        self._manifests[level, stage] = {**facts, "digest": ""}
+
+    def write_part(self, level: int, part: str, arrays: Arrays, **attributes: Any) -> Facts:
+        self._arrays[level, part] = arrays, attributes
+        return {"digest": ""}
+
+    def write_manifest(self, level: int, stage: str, facts: Facts) -> None:
+        self._manifests[level, stage] = facts
+
+    def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
+        return self._arrays[level, part or stage]
+
+    def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
+        return self.read(level, stage, part)
+
+    def frames(
+        self, level: int, stage: str, part: str | None = None
+    ) -> AbstractContextManager[FramesInMemory]:
+        return nullcontext(self._frames[level, part or stage])
+
+    def partial_frames(self, level: int, part: str) -> AbstractContextManager[FramesInMemory]:
+        if (level, part) not in self._frames:
+            raise StoreError(f"{level_name(level)}: no frames of {part} were captured")
+        return nullcontext(self._frames[level, part])
+
+    def missing_frames(
+        self, level: int, part: str, count: int, longest: int
+    ) -> list[tuple[int, int]]:
+        return _runs(count, longest)
+
+    def make_room(
+        self, level: int, part: str, fingerprint: str, settings: Facts, when_changed: WhenChanged
+    ) -> None:
+        """Do nothing: an acquisition in memory captures each pattern once."""
+
+    def record_frames(
+        self,
+        level: int,
+        part: str,
+        shape: tuple[int, ...],
+        dtype: DTypeLike,
+        fingerprint: str,
+        settings: Facts,
+    ) -> AbstractContextManager[FramesInMemory]:
+        self._frames[level, part] = FramesInMemory(shape, dtype)
+        return nullcontext(self._frames[level, part])
+
+    @contextmanager
+    def record_images(
+        self, level: int, shape: tuple[int, ...], fingerprint: str, layout: tuple[int, int]
+    ) -> Iterator[tuple[FramesInMemory, FramesInMemory]]:
+        images = self._frames[level, "merge"] = FramesInMemory(shape, RADIANCE)
+        yield images, images
+        del self._frames[level, "capture"]
+
+    def folder(self, level: int) -> Path:
+        return Path()
+
+    def images_without_raw(self, level: int, inputs: Facts, fingerprint: str) -> Facts | None:
+        return None
+
+    def drop_raw(self, level: int) -> None:
+        """Do nothing: raw frames are dropped as soon as they are merged."""
+
+    def describe_rig(self, rig: Rig) -> Facts:
+        """Describe a rig; not a simulated one, whose fingerprint takes as long as a level."""
+        return {} if is_simulated(rig) else rig_settings(rig)
+
+    def check_space(self, level: int, needed: int) -> None:
+        """Do nothing: nothing is written to a disk."""
+
+    def seconds_since_capture(self) -> float:
+        return np.inf
+
+    def recovery_advice(self, level: int) -> str:
+        return "watch='warn' continues despite it"
+
+    @contextmanager
+    def timing(self, level: int, stage: str) -> Iterator[None]:
+        began = perf_counter()
+        yield
+        self.seconds[stage] += perf_counter() - began
+
+    def levels(self) -> Iterator[int]:
+        for level in count():
+            schedule = self._manifests.get((level, "schedule"))
+            if not schedule or not schedule["patterns"]:
+                return
+            yield level
+
+
+class FramesInMemory:
+    """Frames in memory; see `rfpipe.storage.base.Frames` and `rfpipe.store.ItemWriter`."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: DTypeLike) -> None:
+        self.attributes: Facts = {}
+        self.shape, self.dtype = shape, np.dtype(dtype)
+        self.done = np.zeros(shape[0], np.bool_)
+        self._items = np.empty(shape, dtype)
+
+    def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
+        return _runs(self.shape[0], longest or self.shape[0])
+
+    def write(self, start: int, block: NDArray[Any]) -> None:
+        self._items[start : start + len(block)] = block
+        self.done[start : start + len(block)] = True
+
+    @contextmanager
+    def adding(self, start: int) -> Iterator[Callable[[NDArray[Any]], list[str]]]:
+        """Provide a function that writes items from `start` on and returns their digests."""
+        position = start
+
+        def add(block: NDArray[Any]) -> list[str]:
+            nonlocal position
+            self.write(position, block)
+            position += len(block)
+            return []
+
+        yield add
+
+    def enter(self, start: int, digests: list[str]) -> None:
+        """Do nothing: there is no journal."""
+
+    def read(self, start: int, stop: int) -> NDArray[Any]:
+        return self._items[start:stop]
+
+    def entry(self) -> Facts:
+        return {"digest": "", "dtype": self.dtype.str, "shape": list(self.shape)}
+
+
+def _runs(count: int, longest: int) -> list[tuple[int, int]]:
+    return [(first, min(first + longest, count)) for first in range(0, count, max(1, longest))]
