@@ -42,7 +42,7 @@ class Case(NamedTuple):
 FAULTS: dict[str, Case] = {
     "late": Case(
         lambda projector, camera, after: (projector, faults.LateCamera(camera, after)),
-        r"frames are of the picture before.*(queue|settle_seconds|latency)",
+        r"frames show the previous picture.*(queue|settle_seconds|latency)",
     ),
     "gain": Case(
         lambda projector, camera, after: (projector, faults.jittering_gain(camera, after)),

@@ -71,5 +71,5 @@ def test_pictures_of_the_pattern_before_are_taken_again(
     noise = np.abs(frames - expected).mean(axis=tuple(range(1, frames.ndim)))
     step = np.abs(expected[1:] - expected[:-1]).mean()
     assert (noise < 0.1 * step).all()
-    assert "frames are of the picture before" in caplog.text
+    assert "frames show the previous picture" in caplog.text
     assert "settle_seconds" in caplog.text

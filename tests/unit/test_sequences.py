@@ -165,14 +165,16 @@ def merged(plain: OperatorRig, frames: Float) -> Float:
     return plain.sensor.merge(frames, mean, 4).radiance
 
 
-def test_what_a_sequence_never_gives_is_taken_one_by_one(caplog: pytest.LogCaptureFixture) -> None:
+def test_patterns_without_certain_frames_are_captured_one_by_one(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     plain, given = rig(), patterns("half")
     for faults in ({"dropped": 1.0}, {"dropped": 0.3, "swapped": 1.0}):
         sequences = SimulatedSequences(plain, **faults)
         np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
         assert sequences.statistics["sequences"]["one_by_one"] > 0
-    assert "does each picture trigger the camera" in caplog.text
-    assert "taking them one by one" in caplog.text
+    assert "check that each picture triggers the camera" in caplog.text
+    assert "capturing them one by one" in caplog.text
 
 
 def test_long_lists_are_cut_and_short_ones_are_none() -> None:

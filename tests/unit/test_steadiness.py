@@ -226,9 +226,9 @@ def test_frames_of_the_picture_before_are_told_from_flicker(
 ) -> None:
     monkeypatch.setattr(stale, "RETAKE_SECONDS", 0.0)
     watch = StaleWatch(CAMERA)
-    watch.kept("first", picture(1), lambda: frames(picture(1)))
+    watch.capture("first", picture(1), lambda: frames(picture(1)))
     takes = iter([second, again])
-    watch.kept("second", picture(2), lambda: next(takes))
+    watch.capture("second", picture(2), lambda: next(takes))
     assert watch.statistics == {"doubted": 0, "stale": 0, "unsteady": 0, **counted}
     assert said in caplog.text
     assert bool(caplog.text) is bool(said)

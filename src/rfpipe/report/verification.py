@@ -11,7 +11,7 @@ from rfpipe.report.drawing import Drawn, draw
 from rfpipe.report.inputs import Inputs, Run, rig_of
 from rfpipe.report.page import Block, Column, Illustration, Section, Table, table_of
 from rfpipe.report.text import ERROR, number, percent
-from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
+from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, poor_verdicts
 
 
 def verification_section(inputs: Inputs) -> Section | None:
@@ -150,7 +150,7 @@ def verdicts_section(inputs: Inputs) -> Section:
         # as steps are done: manifests sort their names
         known = [step for step in STEPS if step in stated]
         steps = {step: stated[step] for step in dict.fromkeys([*known, *stated])}
-        text += [f"{who}: {fault}" for fault in faults_of(steps)]
+        text += [f"{who}: {fault}" for fault in poor_verdicts(steps)]
         rows = [[one["title"], STANDINGS[one["standing"]]] for one in steps.values()]
         if not rows:
             rows = [["no calibration", STANDINGS["unknown"]]]

@@ -38,7 +38,7 @@ class Rig(Protocol):
 
     @property
     def seconds_per_pattern(self) -> float:
-        """Seconds that a real rig takes for a bracket; simulations don't wait."""
+        """Seconds that a real rig takes for a bracket; a simulation doesn't wait."""
 
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets.
@@ -48,7 +48,7 @@ class Rig(Protocol):
         patterns : ndarray of float32, shape (B, *projector_shape)
             Weights in [0, 1].
         keys : sequence of B tuples of int
-            (level, index) of each pattern; with the rig's seed, all that its noise depends on.
+            (level, index) of each pattern. Simulated noise depends on key and seed only.
 
         Returns
         -------
@@ -63,30 +63,29 @@ class Rig(Protocol):
         """
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        """Plain data for fingerprints and manifests: everything that affects a frame."""
 
 
 def sequence_patterns(rig: Rig) -> int:
-    """Return the most patterns that a rig shows in a sequence by hardware, 0 where it shows none.
+    """Largest number of patterns that a rig shows in a hardware sequence, 0 without sequences.
 
-    A rig that does has this number as its attribute `sequence_patterns`, and
-    ``show_sequence(patterns, keys)``: as `Rig.capture`; what the hardware lost or mixed up is taken
-    again.
+    A rig with sequences has this number as its attribute `sequence_patterns`, and a method
+    ``show_sequence(patterns, keys)`` like `Rig.capture`, which repeats lost or misplaced frames.
     """
     return int(getattr(rig, "sequence_patterns", 0))
 
 
 def is_simulated(rig: Rig) -> bool:
-    """Test whether a rig is computed rather than built of devices.
+    """Test whether a rig is simulated: whether it has an attribute `is_simulated` that is True.
 
-    A simulated rig has the attribute `is_simulated`, True. All others may move, and their lamps may
-    change: they are watched and verified by default, see `rfpipe.config.capture.PRECAUTIONS`.
+    Other rigs may move, and their lamps may change, so that by default check pictures and
+    verification pictures are taken; see `rfpipe.config.capture.PRECAUTIONS`.
     """
     return bool(getattr(rig, "is_simulated", False))
 
 
 def capture_batch(rig: Rig, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-    """Return the brackets of patterns, by hardware where the rig does so; see `Rig.capture`."""
+    """Capture the brackets of patterns, by hardware sequences if the rig has them."""
     capture: Any = rig.capture
     if len(patterns) > 1 and sequence_patterns(rig):
         capture = rig.show_sequence  # type: ignore[attr-defined]
@@ -97,24 +96,24 @@ def capture_batch(rig: Rig, patterns: Float, keys: Sequence[Key]) -> NDArray[Any
 def check_patterns(
     patterns: NDArray[Any], keys: Sequence[Key], projector_shape: tuple[int, ...]
 ) -> Float:
-    """Return patterns as float32, or raise InputError where a rig can't show them."""
+    """Convert patterns to float32; InputError if the projector can't show them."""
     patterns = np.asarray(patterns)
     if patterns.shape[1:] != projector_shape or patterns.ndim != len(projector_shape) + 1:
         raise InputError(
-            f"patterns have the shape {patterns.shape}; this projector shows (patterns, "
+            f"the patterns have the shape {patterns.shape}; this projector needs (patterns, "
             f"{', '.join(map(str, projector_shape))})"
         )
     if len(keys) != len(patterns):
-        raise InputError(f"{len(patterns)} patterns came with {len(keys)} keys; one key each")
+        raise InputError(f"{len(patterns)} patterns have {len(keys)} keys; give one key a pattern")
     return check_weights(patterns, "the batch of patterns", [picture_name(key) for key in keys])
 
 
 def check_weights(weights: NDArray[Any], what: str, names: Sequence[str]) -> Float:
-    """Return pictures (n, ...) as float32; InputError names the first that leaves [0, 1]."""
+    """Convert pictures (n, ...) to float32; InputError names the first weight outside [0, 1]."""
     weights = as_weights(weights, what)
-    is_right = (weights >= 0) & (weights <= 1)  # NaN is neither
-    if not is_right.all():
-        first, *pixel = (int(i) for i in np.argwhere(~is_right)[0])
+    is_valid = (weights >= 0) & (weights <= 1)  # False for NaN
+    if not is_valid.all():
+        first, *pixel = (int(i) for i in np.argwhere(~is_valid)[0])
         raise InputError(
             f"{names[first]} is {weights[(first, *pixel)]} at projector pixel {tuple(pixel)}; a "
             "projector shows weights from 0 to 1"

@@ -37,24 +37,23 @@ Float = NDArray[np.float32]
 
 
 class DeviceRig(Closing):
-    """A rig of two devices: shows a pattern on the projector, then has the camera take a bracket.
+    """A rig of two devices: the projector shows a pattern, then the camera takes a bracket.
 
-    Retries of failed frames are the camera's; what reaches this rig is good or an error. Where both
-    devices have sequences, see `rfpipe.rigs.devices`, the rig has them, too.
+    The camera's driver repeats failed frames. If both devices support hardware sequences, see
+    `rfpipe.rigs.devices`, so does the rig.
 
     Parameters
     ----------
     projector : Projector
     camera : Camera
     layout : ProjectorLayout, optional
-        Where the rays lie on the projector. None: each of its pixels is a ray.
+        Positions of the rays on the projector. None: each projector pixel is a ray.
     resampling : Resampling, optional
-        How the camera's merged images become images on the ray grid. None: the camera's pixels
-        are its rays.
+        Weights of camera pixels in each ray. None: each camera pixel is a ray.
     seconds_per_pattern : float
-        Seconds that a bracket takes about, for estimates; at least 0.
+        Approximate duration of a bracket in seconds, for estimates; at least 0.
     verdicts : mapping, optional
-        Of its calibration, see `rfpipe.rigs.calibrated`: whoever acquires with the rig is told.
+        Verdicts of the calibration, see `rfpipe.rigs.calibrated`, for the rig's description.
 
     Raises
     ------
@@ -77,8 +76,8 @@ class DeviceRig(Closing):
         ):
             if calibrated is not None and tuple(calibrated) != tuple(shape):
                 raise InputError(
-                    f"the calibration is of a {device} of {tuple(calibrated)} pixels; this one has "
-                    f"{tuple(shape)}. Calibrate again, or set the {device}'s size back"
+                    f"the {device} has {tuple(shape)} pixels, but the calibration was made with "
+                    f"{tuple(calibrated)}. Calibrate again, or restore the {device}'s size"
                 )
         self.projector, self.camera = projector, camera
         self.layout = layout
@@ -103,16 +102,16 @@ class DeviceRig(Closing):
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
             name, picture = picture_name(key), self._picture(pattern)
             take = partial(bracket_of, self.projector, self.camera, picture, name)
-            frames[index] = self._watch.kept(name, picture, take)
+            frames[index] = self._watch.capture(name, picture, take)
         return frames
 
     @property
     def sequence_patterns(self) -> int:
-        """The most patterns of a sequence; 0 where the devices have none together."""
-        return 0 if self._sequencer is None else self._sequencer.most
+        """Largest number of patterns in a sequence; 0 where the devices don't support them."""
+        return 0 if self._sequencer is None else self._sequencer.limit
 
     def show_sequence(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Show patterns by sequences; see `rfpipe.rigs.base.sequence_patterns`."""
+        """Show patterns in hardware sequences; see `rfpipe.rigs.base.sequence_patterns`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)
         is_binary = ((patterns == 0) | (patterns == 1)).all()
         can_show = is_binary or getattr(self.projector, "sequence_levels", None) != 2
@@ -125,7 +124,7 @@ class DeviceRig(Closing):
         return pattern if self.layout is None else self.layout.picture(pattern)
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        """Plain data for fingerprints and manifests: everything that affects a frame."""
         return {
             "kind": "devices",
             "projector": self.projector.describe(),
@@ -141,15 +140,21 @@ class DeviceRig(Closing):
 
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
-        """Counts of the devices so far, such as failed frames."""
-        of = {"projector": self.projector, "camera": self.camera, "sequences": self._sequencer}
-        of["brackets"] = self._watch
+        """Counters of the devices since their start, such as failed frames."""
+        sources = {
+            "projector": self.projector,
+            "camera": self.camera,
+            "sequences": self._sequencer,
+            "brackets": self._watch,
+        }
         return {
-            name: dict(one.statistics) for name, one in of.items() if hasattr(one, "statistics")
+            name: dict(source.statistics)
+            for name, source in sources.items()
+            if hasattr(source, "statistics")
         }
 
     def close(self) -> None:
-        """Give both devices back; closing twice is no error."""
+        """Close both devices; further calls have no effect."""
         try:
             self.camera.close()
         finally:
@@ -159,7 +164,7 @@ class DeviceRig(Closing):
 def rig_from_config(
     config: RigConfig, source: str = "the rig's settings", *, force: bool = False
 ) -> Rig:
-    """Return the rig of a settings file; close it, if it has devices, when done.
+    """Create the rig of a settings file. The caller closes it, if it has devices.
 
     Parameters
     ----------
@@ -167,7 +172,7 @@ def rig_from_config(
     source : str
         Name of the settings in messages, such as their file.
     force : bool
-        Whether settings and devices may differ from those that were calibrated.
+        Whether settings and devices may differ from those of the calibration.
 
     Raises
     ------
@@ -178,7 +183,7 @@ def rig_from_config(
     ConfigError
         When settings or devices changed after the calibration.
     InputError
-        When the calibration doesn't fit the devices.
+        When the sizes of calibration and devices differ.
     """
     if config.rig is not None:
         rig: Rig = config.rig.make(sensor=config.sensor and sensor_of(config))
@@ -213,14 +218,13 @@ def rig_from_config(
 
 
 def devices_from_config(config: RigConfig) -> tuple[Projector, Camera]:
-    """Return projector and camera of a rig of devices, or those of its bench.
+    """Open projector and camera of a rig of devices, or of its simulated bench.
 
-    ConfigError where the rig is a simulated one or a whole, CaptureError where a device doesn't
-    answer.
+    ConfigError when the rig has no separate devices, CaptureError when a device doesn't answer.
     """
     if config.kind == "simulated" or config.rig is not None:
-        what = "simulated" if config.rig is None else f"a whole, {config.rig.driver}"
-        raise ConfigError(f"the rig is {what}; expected one of devices, or with a bench")
+        kind = "simulated" if config.rig is None else f"driven as a whole, by {config.rig.driver}"
+        raise ConfigError(f"the rig is {kind}; expected a rig of devices, or one with a bench")
     if config.bench is not None:
         devices: tuple[Projector, Camera] = plugins.find(
             plugins.CAMERAS, config.camera.bench or ""

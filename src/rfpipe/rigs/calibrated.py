@@ -1,4 +1,4 @@
-"""What a calibration knows of a rig, and whether the rig is to be used."""
+"""Result of a calibration, and checks of a rig against it."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from rfpipe.config import RigConfig
 
 FACTS, ARRAYS = "calibration.json", "calibration.zarr"
-"""What lies in the folder: facts that a person reads, and the arrays."""
+"""Files in a calibration's folder: a manifest, and the arrays."""
 
 VERDICTS_KEY = "calibration"
-"""Key of a rig's description under which its calibration's verdicts stand."""
+"""Key of the calibration's verdicts in a rig's description."""
 
 STANDINGS = {
     "good": "good",
@@ -35,29 +35,29 @@ STANDINGS = {
     "poor": "NOT GOOD",
     "failed": "NOT MEASURED",
 }
-"""How verdicts read, by their standing, from the best to the worst."""
+"""Standings of verdicts as displayed, from the best to the worst."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What is known of a rig; None or empty where it wasn't calibrated.
+    """Calibration of a rig; parts that were not measured are None or empty.
 
     Attributes
     ----------
     layout : ProjectorLayout or None
-        Where the rays lie on the projector; dark where the camera doesn't see them.
+        Positions of the rays on the projector; dark where the camera doesn't see them.
     resampling : Resampling or None
-        How the camera's images become images on the rays.
+        Weights of camera pixels in each ray.
     camera : mapping
-        Measured parameters of `CameraModel`, as far as they were found.
+        Measured parameters of `CameraModel`.
     projector_response : ndarray of float64, shape (256,), or None
-        Light of each code as a fraction of that of code 255, ascending from 0 to 1.
+        Light of each code relative to code 255, ascending from 0 to 1.
     facts : mapping
-        Plain data: verdicts, measured numbers with their standard errors, settings.
+        Plain data by step: verdicts, and measured numbers with their standard errors.
     settings : mapping
-        Settings of the rig's file that it was measured with, by dotted name; empty where unknown.
+        Settings of the rig's file during the measurement, by dotted name.
     devices : mapping
         Models and serial numbers of the devices, by names such as ``camera.serial``.
     """
@@ -72,7 +72,7 @@ class Calibration:
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
-    """Write a calibration; its facts last, so that they tell of a complete one."""
+    """Write a calibration; the manifest last, which marks it as complete."""
     arrays: dict[str, NDArray[Any]] = {}
     for part in (calibration.layout, calibration.resampling):
         if part is not None:
@@ -92,16 +92,21 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 
 def load_calibration(folder: str | Path) -> Calibration:
-    """Read a calibration, such as `rfpipe calibrate` wrote.
+    """Read a calibration that `rfpipe calibrate` wrote.
 
-    StoreError where there is no complete one, IntegrityError where it is damaged.
+    Raises
+    ------
+    StoreError
+        When the folder has no complete calibration.
+    IntegrityError
+        When it is damaged.
     """
     folder = Path(folder)
     if not (folder / FACTS).is_file():
         command = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", str(folder)])
         raise StoreError(
-            f"{folder}: holds no complete calibration ({FACTS} is missing); make one with "
-            f"`{command}`, or set the rig's calibration to null"
+            f"{folder}: has no complete calibration ({FACTS} is missing); run `{command}`, or set "
+            "the rig's calibration to null"
         )
     manifest, arrays = read_parts(folder / FACTS, folder / ARRAYS)
     return Calibration(
@@ -110,125 +115,128 @@ def load_calibration(folder: str | Path) -> Calibration:
         manifest["camera"],
         arrays.get("projector_response"),
         manifest["facts"],
-        manifest.get("settings", {}),  # calibrations of rfpipe's first version have none
-        manifest.get("devices", {}),
+        manifest["settings"],
+        manifest["devices"],
     )
 
 
-def read_parts(manifest: Path, store: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read a manifest and the arrays that it tells of; IntegrityError where they don't belong."""
-    told, bundle = read_manifest(manifest), open_arrays(store)
-    if bundle.digest != told["arrays"]:
+def read_parts(path: Path, store: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read a manifest and its arrays; IntegrityError if the arrays have another digest."""
+    manifest, bundle = read_manifest(path), open_arrays(store)
+    if bundle.digest != manifest["arrays"]:
         raise IntegrityError(
-            f"{store}: is not what {manifest.name} tells of; remove both and calibrate again"
+            f"{store}: its digest is {bundle.digest}, but {path.name} has {manifest['arrays']}; "
+            "remove both and calibrate again"
         )
-    return told, bundle.read_all()
+    return manifest, bundle.read_all()
 
 
 def calibration_of(config: RigConfig) -> Calibration:
-    """Return a rig's calibration, one that says nothing where it has none."""
+    """Calibration of a rig, an empty one if the settings name none."""
     return Calibration() if config.calibration is None else load_calibration(config.calibration)
 
 
 def sensor_of(config: RigConfig) -> CameraModel:
-    """Return the camera of a rig's settings, with its calibration's numbers."""
+    """Camera model of a rig's settings, with the parameters measured by the calibration."""
     sensor = sensor_from_config(config.sensor)
     if not isinstance(sensor, CameraModel):
-        raise ConfigError("sensor is null; a rig of devices needs the camera's numbers")
+        raise ConfigError("sensor is null; a rig of devices needs the camera's parameters")
     numbers: dict[str, Any] = dict(calibration_of(config).camera)
-    if "black_level_counts" in numbers:  # of a fixed pattern's mean
+    if "black_level_counts" in numbers:  # measured as a mean over photosites
         numbers["black_level_counts"] = round(numbers["black_level_counts"])
     try:
         return replace(sensor, **numbers)
     except (TypeError, InputError) as error:
         raise ConfigError(
-            f"calibration {config.calibration}: its numbers of the camera don't fit the settings "
-            f"of sensor: {error}. Calibrate again"
+            f"calibration {config.calibration}: its camera parameters are inconsistent with the "
+            f"setting sensor: {error}. Calibrate again"
         ) from error
 
 
 def resampled_sensor(sensor: Sensor, resampling: Resampling | None) -> Sensor:
-    """Return the sensor that merges brackets onto the ray grid, where there is one."""
+    """Add a resampling to rays, if there is one, to a camera's sensor."""
     if resampling is None:
         return sensor
     if not isinstance(sensor, CameraModel):
         raise InputError(
-            "frames are resampled to rays for a camera of counts alone (CameraModel), not for a "
-            f"{type(sensor).__name__}; give the camera its numbers, or frames of the rays' size"
+            f"the sensor is a {type(sensor).__name__}; only frames of counts (CameraModel) can be "
+            "resampled to rays. Set the camera's parameters, or use frames of the rays' size"
         )
     return ResampledSensor(sensor, resampling)
 
 
 def verdicts_of(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """Return title, standing and verdict of each step in a calibration's facts."""
+    """Title, standing and verdict of each step in a calibration's facts."""
     names = "title", "standing", "verdict"
     return {step: {name: str(of_step[name]) for name in names} for step, of_step in facts.items()}
 
 
-def faults_of(verdicts: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Return a line for each step that isn't good."""
+def poor_verdicts(verdicts: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Describe each step whose standing is poor or failed, in one line."""
     return [
-        f"{one['title']}: {STANDINGS[one['standing']]}. {one['verdict']}"
-        for one in verdicts.values()
-        if one["standing"] in ("poor", "failed")
+        f"{verdict['title']}: {STANDINGS[verdict['standing']]}. {verdict['verdict']}"
+        for verdict in verdicts.values()
+        if verdict["standing"] in ("poor", "failed")
     ]
 
 
 def check_verdicts(facts: Mapping[str, Any], folder: str | None, *, force: bool) -> None:
-    """Refuse a rig whose calibration is not good, or warn of it where that is forced.
+    """Raise ConfigError if a rig's calibration isn't good; log warnings instead with `force`.
 
-    `facts` are those of a `Calibration`, and `folder` is where it lies, None for a rig without one.
-    ConfigError names each step that is not good, and what to do.
+    Parameters
+    ----------
+    facts : mapping
+        Facts of the `Calibration`.
+    folder : str or None
+        Folder of the calibration, None for a rig without one.
+    force : bool
     """
     if folder is None:
         _log.warning(
-            "the rig has no calibration: nothing is known of its noise, its response and its rays. "
-            "Make one with `rfpipe calibrate`, and name its folder in the setting calibration"
+            "the rig has no calibration, so that its noise, its response and its rays are unknown. "
+            "Run `rfpipe calibrate`, and set calibration to its folder"
         )
         return
-    faults = faults_of(verdicts_of(facts))
-    if faults and not force:
-        lines = "\n".join(f"  {fault}" for fault in faults)
+    lines = poor_verdicts(verdicts_of(facts))
+    if lines and not force:
+        listed = "\n".join(f"  {line}" for line in lines)
         raise ConfigError(
-            f"{folder}: the calibration is not good, so that pictures of this rig can't be relied "
-            f"on:\n{lines}\nSee {folder}/report.html; mend it, and run `rfpipe calibrate` again. "
-            "To go on all the same, add --force: the reports will say so"
+            f"{folder}: the calibration is not good, so that pictures of this rig are unreliable:\n"
+            f"{listed}\nSee {folder}/report.html, mend the rig, and run `rfpipe calibrate` again. "
+            "To use the rig nevertheless, add --force; the reports will state it"
         )
-    for fault in faults:
-        _log.warning("%s: %s", folder, fault)
+    for line in lines:
+        _log.warning("%s: %s", folder, line)
 
 
 def check_settings(config: RigConfig, source: str, *, force: bool = False) -> None:
-    """Raise an error where a rig's settings aren't those that it was calibrated with.
+    """Check that a rig's settings are the same as during its calibration.
 
     Parameters
     ----------
     config : RigConfig
-        The settings of a rig of devices.
+        Settings of a rig of devices.
     source : str
         Name of the settings in messages, such as their file.
     force : bool
-        Whether to log warnings instead.
+        Whether to log warnings instead of raising an error.
 
     Raises
     ------
     ConfigError
-        Names each setting that changed, both values, and what to do.
+        Names each setting that changed, both values, and the remedy.
     """
     if config.calibration is None:
         return
-    made_with = load_calibration(config.calibration).settings
-    if not made_with:
-        _log.warning(
-            "%s: doesn't record the settings that it was made with, as rfpipe's first version made "
-            "it: nothing can be said of changes since. Calibrate again", config.calibration,
-        )  # fmt: skip
-        return
-    now = shaping_settings(config) | flat({"calibrate": config.calibrate.model_dump(mode="json")})
+    calibrated = load_calibration(config.calibration).settings
+    calibrate = flat({"calibrate": config.calibrate.model_dump(mode="json")})
+    current = shaping_settings(config) | calibrate
     relevant = {
-        name: value for name, value in now.items() if name in made_with or not is_of_a_step(name)
+        name: value
+        for name, value in current.items()
+        if name in calibrated or not is_of_a_step(name)
     }
-    _refuse(differences(made_with, relevant), "settings", config.calibration, source, force=force)
+    _refuse(differences(calibrated, relevant), "settings", config.calibration, source, force=force)
 
 
 def check_devices(
@@ -239,9 +247,10 @@ def check_devices(
     *,
     force: bool = False,
 ) -> None:
-    """Raise an error where models or serial numbers aren't those of the calibrated devices.
+    """Check that models and serial numbers are those of the calibrated devices.
 
-    `devices` are the descriptions of ``projector`` and ``camera``; the others as `check_settings`.
+    `devices` has the descriptions of ``projector`` and ``camera``; other parameters and errors as
+    `check_settings`.
     """
     connected = identities(flat(devices))
     lines = differences(calibration.devices, connected) if calibration.devices else []
@@ -249,24 +258,25 @@ def check_devices(
 
 
 def _refuse(lines: list[str], what: str, folder: str, source: str, *, force: bool) -> None:
-    """Raise ConfigError with lines of what changed since the calibration, or log them if forced."""
+    """Raise ConfigError with the changes since the calibration, if any; log them with `force`."""
     if lines and not force:
         listed = "\n".join(f"  {line}" for line in lines)
         raise ConfigError(
-            f"{source}: has other {what} than its calibration {folder} was made with:\n{listed}\n"
-            "Run `rfpipe calibrate` again, or set them back. To go on all the same, add --force"
+            f"{source}: the {what} changed since the calibration {folder}:\n{listed}\n"
+            "Run `rfpipe calibrate` again, or undo the changes. To use the rig nevertheless, add "
+            "--force"
         )
     for line in lines:
         _log.warning("%s: since its calibration %s, %s", source, folder, line)
 
 
 def was_coaxial(described: Mapping[str, Any]) -> bool:
-    """Test whether a rig's description has a calibration that found the rig coaxial."""
+    """Test whether a rig's calibration found it coaxial, by the rig's description."""
     symmetry = (described.get(VERDICTS_KEY) or {}).get("symmetry", {})
     return bool(symmetry.get("standing") == "good")
 
 
 def warn_of(described: Mapping[str, Any], name: str) -> None:
-    """Warn of the faults in the verdicts of a rig's description."""
-    for fault in faults_of(described.get(VERDICTS_KEY) or {}):
-        _log.warning("%s: its calibration is not good. %s", name, fault)
+    """Log a warning for each poor verdict in a rig's description."""
+    for line in poor_verdicts(described.get(VERDICTS_KEY) or {}):
+        _log.warning("%s: its calibration is not good. %s", name, line)

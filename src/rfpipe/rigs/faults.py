@@ -1,8 +1,8 @@
-"""Faults of a rig: what each is called, from which size on it matters, and what to do about it.
+"""Faults of a rig: names, limits, and remedies.
 
-Calibration, capture and offline import estimate a fault from different pictures, and describe it
-by the functions of this module. Sizes are relative: of the light, of the projector's white picture
-for light of the room, and of the picture's norm for motion.
+Calibration, capture and offline import detect a fault in different pictures, and describe it by the
+functions of this module. Sizes are relative: to the light; for light of the room, to the
+projector's white picture; for motion, to the picture's norm.
 
 ========= ======================================================================================
 kind      change between pictures of one pattern
@@ -42,9 +42,10 @@ WHOLE_PERIODS = (
 WARM_UP = "let the lamp warm up, half an hour or more"
 
 SIGNIFICANCE = 6.0
-"""Standard errors beyond which a change is more than noise. Over 100 clean simulated calibrations
-and 60 captures the largest was 3.9 of gains and black pictures, 1.9 of room light, and 6.5 of the
-ratios of exposures, which only matter beside a significant change of gain."""
+"""Standard errors beyond which a change is significant. In 100 simulated calibrations and 60
+captures without faults, the largest changes were 3.9 standard errors for gains and black pictures,
+1.9 for room light, and 6.5 for the ratios of exposures, which are used after a significant change
+of gain only."""
 
 
 class Limits(NamedTuple):
@@ -53,12 +54,12 @@ class Limits(NamedTuple):
     Attributes
     ----------
     light : float
-        Of the light that gain and lamp multiply.
+        Change by gain or lamp, relative to the light.
     room : float
-        Of the room's light, relative to the white picture's. It is in all pictures, and others are
-        dim beside the white one.
+        Change of the room's light, relative to the white picture. The limit is small since room
+        light is added to all pictures, and most are darker than the white one.
     moved : float
-        Of a picture's shape, beyond brightness and noise, relative to its norm.
+        Change of a picture's shape beyond brightness and noise, relative to its norm.
     """
 
     light: float
@@ -67,17 +68,17 @@ class Limits(NamedTuple):
 
 
 CALIBRATION = Limits(light=0.01, room=0.002, moved=0.05)
-"""Of a calibration's looks. Half a pixel of motion makes 0.15 of the shape of their fields."""
+"""Limits for a calibration's check pictures. Motion by half a pixel changes them by 0.15."""
 
 CAPTURE = Limits(light=0.02, room=0.01, moved=0.02)
-"""Of an acquisition. Half a pixel makes 1 of the shape of its fine random pattern, a lamp whose
-light changes in parts of the image at most 0.002."""
+"""Limits for an acquisition. Motion by half a pixel changes its fine random pattern by 1; a lamp
+whose light changes in parts of the image, by at most 0.002."""
 
 OFFLINE = Limits(light=0.03, room=0.006, moved=0.05)
-"""Of pictures that are taken elsewhere: shutters and lenses repeat their exposure within 2 %."""
+"""Limits for offline pictures: shutters and lenses repeat their exposure within 2 %."""
 
 NOTED = Limits(light=0.005, room=0.005, moved=0.02)
-"""Of an acquisition: smaller changes aren't logged."""
+"""Limits for an acquisition below which changes aren't logged."""
 
 
 class Fault(NamedTuple):
@@ -89,9 +90,8 @@ class Fault(NamedTuple):
     size : float
         Relative change of light or picture.
     change : str
-        What is wrong, such as "the room's light changes by 2.00% of ...".
+        Description, such as "the room's light changes by 2.00% of ...".
     remedy : str
-        What to do.
     """
 
     kind: Kind
@@ -101,36 +101,36 @@ class Fault(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Change and remedy, as the end of a sentence."""
+        """Change and remedy, for the end of a sentence."""
         return f"{self.change}: {self.remedy}"
 
     @property
     def sentence(self) -> str:
-        """Change and remedy, from a capital letter to a full stop."""
+        """Change and remedy as a complete sentence."""
         return f"{self.text[0].upper()}{self.text[1:]}."
 
     def exceeds(self, limits: Limits) -> bool:
-        """Test whether it is larger than accepted."""
+        """Test whether the fault is larger than accepted."""
         limit = {"room": limits.room, "moved": limits.moved}.get(self.kind, limits.light)
         return self.size > limit
 
 
 def late_fault(share: float, sign: str = "") -> Fault:
-    """Return the fault of frames of the picture before.
+    """Describe frames that show the previous picture.
 
     Parameters
     ----------
     share : float
-        Share of the pictures that have it.
+        Share of the pictures with this fault.
     sign : str
-        What shows it, such as "a longer exposure is darker".
+        Evidence, such as "a longer exposure is darker".
     """
-    change = "the camera's frames are of the picture before"
+    change = "the camera's frames show the previous picture"
     return Fault("late", share, f"{change} ({sign})" if sign else change, EMPTY_QUEUE)
 
 
 def room_fault(size: float, period: str) -> Fault:
-    """Return the fault of room light that changes by `size` in a period such as "in 20 s"."""
+    """Describe room light that changes by `size` in a period such as "in 20 s"."""
     return Fault(
         "room",
         size,
@@ -140,26 +140,26 @@ def room_fault(size: float, period: str) -> Fault:
 
 
 def moved_fault(size: float) -> Fault:
-    """Return the fault of a picture that differs by `size` from an earlier one of its pattern."""
+    """Describe a picture that differs by `size` from an earlier one of the same pattern."""
     return Fault(
         "moved",
         size,
-        f"{RIG_MOVED}, as the picture of the same pattern differs by {size:.1%} from an earlier "
-        "one, and not in brightness",
-        "fix camera, projector and scene in place, and check the projector's cable and menu, as "
-        "its picture may be mirrored, scaled, cut off or dark in a part",
+        f"{RIG_MOVED}: a picture differs by {size:.1%} from an earlier one of the same pattern, "
+        "and not in brightness only",
+        "fix camera, projector and scene in place, and check the projector's cable and menu, since "
+        "its picture may be mirrored, scaled, cut off or partly dark",
     )
 
 
 def gain_fault(size: float) -> Fault:
-    """Return the fault of a gain that changes from picture to picture by `size`."""
+    """Describe a gain that changes from picture to picture by `size`."""
     return Fault("gain", size, f"the camera's {GAIN_CHANGES}, by {size:.1%}", AUTOMATIC_OFF)
 
 
 def flicker_fault(size: float, exposures: Sequence[float]) -> Fault:
-    """Return the fault of a lamp whose flicker changes exposures (E,) by up to `size`."""
-    at_50 = ", ".join(f"{each:g}" for each in whole_periods(exposures, 100))
-    at_60 = ", ".join(f"{each:.3g}" for each in whole_periods(exposures, 120))
+    """Describe a lamp whose flicker changes exposures (E,) by up to `size`."""
+    at_50 = ", ".join(f"{seconds:g}" for seconds in whole_periods(exposures, 100))
+    at_60 = ", ".join(f"{seconds:.3g}" for seconds in whole_periods(exposures, 120))
     return Fault(
         "flicker",
         size,
@@ -170,18 +170,18 @@ def flicker_fault(size: float, exposures: Sequence[float]) -> Fault:
 
 
 def unsteady_fault(size: float) -> Fault:
-    """Return the fault of light that changes by `size`, where one exposure can't say why."""
+    """Describe light that changes by `size`, where one exposure can't show the cause."""
     return Fault(
         "unsteady",
         size,
         f"the camera's {GAIN_CHANGES}, or the lamp flickers, by {size:.1%}",
         f"first {AUTOMATIC_OFF}. If that changes nothing, {WHOLE_PERIODS}. A bracket of two "
-        "exposures, a few times apart, shows which it is",
+        "exposures, a few times apart, shows the cause",
     )
 
 
 def ends_fault(change: float) -> Fault:
-    """Return the fault of light that changed by `change` from the first picture to the last."""
+    """Describe light that changed by `change` from the first picture to the last."""
     return Fault(
         "unsteady",
         abs(change),
@@ -192,13 +192,13 @@ def ends_fault(change: float) -> Fault:
 
 
 def drift_fault(change: float, duration: str) -> Fault:
-    """Return the fault of a lamp whose light changed by `change` in a time such as "20 s"."""
+    """Describe a lamp whose light changed by `change` in a time such as "20 s"."""
     text = f"the lamp's light changed by {change:+.1%} in {duration}"
     return Fault("drift", abs(change), text, WARM_UP)
 
 
 def whole_periods(exposures: Sequence[float], hertz: float) -> list[float]:
-    """Return the multiples of a period that are next to exposures, ascending and all different."""
+    """Round exposures to multiples of the period 1 / `hertz`, ascending and all different."""
     periods: list[int] = []
     for exposure in sorted(exposures):
         least = periods[-1] + 1 if periods else 1
@@ -207,5 +207,5 @@ def whole_periods(exposures: Sequence[float], hertz: float) -> list[float]:
 
 
 def is_whole_period(exposure: float) -> bool:
-    """Test whether an exposure has whole periods of flicker at 100 Hz and at 120 Hz."""
+    """Test whether an exposure is a multiple of the periods of flicker at 100 Hz and 120 Hz."""
     return all(abs(exposure * hertz - round(exposure * hertz)) < 0.02 for hertz in (100, 120))

@@ -1,4 +1,4 @@
-"""Flicker of the lamp against gain, from the exposures of each bracket.
+"""Distinction of flicker of the lamp from changes of gain, by the exposures of each bracket.
 
 Light in exposure e + 1 over that in exposure e, of a bracket with counts F and black B:
 
@@ -39,9 +39,9 @@ _COMMON = 0.3  # spread of q, relative to the spread of gains, from which on bra
 def exposure_ratios(
     frames: NDArray[np.floating], black: Double, exposures: Sequence[float], saturated: float
 ) -> Double:
-    """Return the ratios q of a bracket (E, n), and their standard errors.
+    """Compute the ratios q of a bracket (E, n), and their standard errors.
 
-    The pixels of a ratio are those that its longer exposure does not saturate.
+    A ratio uses the pixels that its longer exposure doesn't saturate.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def flicker_of(
     spread: Callable[[Double], float],
     significance: float,
 ) -> float | None:
-    """Return the spread of the ratios where flicker can cause it, else 0.
+    """Estimate the spread of the ratios if flicker can have caused it, else 0.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def flicker_of(
 
 
 def gain_or_flicker(size: float, flicker: float | None, exposures: Sequence[float]) -> Fault:
-    """Return the fault of light that changes by `size`, by the `flicker_of` its exposures."""
+    """Decide whether gain or flicker changes the light by `size`, given `flicker_of` the ratios."""
     if flicker is None:
         is_averaged = all(map(is_whole_period, exposures))
         return gain_fault(size) if is_averaged else unsteady_fault(size)

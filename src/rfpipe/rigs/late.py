@@ -11,7 +11,7 @@ F      frames   (E, n) counts of n camera pixels; light above black in the sum
 P      previous (E, n) reference of the picture that was shown before, in all exposures
 R      expected (E, n) reference of the picture that is shown
 c      _CLOSER  ()     ratio of distances, 0 of a late frame without noise
-s      most     ()     ratio that flicker or gain can't explain
+s      ratio    ()     ratio that flicker or gain can't explain
 ====== ======== ====== =======================================================================
 """
 
@@ -30,7 +30,7 @@ _CLOSER = 0.5
 
 
 def is_of_previous(frames: NDArray[Any], previous: Double, expected: Double) -> bool:
-    """Test whether a frame of a bracket agrees with the previous picture, not with the expected.
+    """Test whether a frame of a bracket agrees better with the previous than the expected picture.
 
     Parameters
     ----------
@@ -43,20 +43,20 @@ def is_of_previous(frames: NDArray[Any], previous: Double, expected: Double) -> 
     )
 
 
-def is_out_of_order(light: Sequence[float], most: float, least: float = 0.0) -> bool:
-    """Test whether a longer exposure is darker than `most` times the next shorter one.
+def is_out_of_order(light: Sequence[float], ratio: float, least: float = 0.0) -> bool:
+    """Test whether a longer exposure is darker than `ratio` times the next shorter one.
 
     Parameters
     ----------
     light : sequence of E floats
-        Sum or mean of each exposure above black, ascending exposures.
-    most : float
+        Sum or mean above black of each exposure, for ascending exposures.
+    ratio : float
     least : float
-        Light up to which the shorter exposure may be noise.
+        Light above which the shorter exposure is more than noise.
     """
-    return any(shorter > least and longer < most * shorter for shorter, longer in pairwise(light))
+    return any(shorter > least and longer < ratio * shorter for shorter, longer in pairwise(light))
 
 
 def _distance(frame: NDArray[Any], references: Double) -> float:
-    """Return the least distance of a frame (n,) from references (E, n) of all exposures."""
+    """RMS distance of a frame (n,) from the nearest of references (E, n)."""
     return float(np.sqrt(np.square(frame - references).mean(axis=1).min()))

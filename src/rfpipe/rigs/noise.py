@@ -1,4 +1,4 @@
-"""Noise of a camera's counts by its settings.
+"""Noise of a camera's counts according to its settings.
 
 Variance of y counts above black in an exposure of t seconds:
 
@@ -28,8 +28,8 @@ from rfpipe.photometry.camera import CameraModel
 Double = NDArray[np.float64]
 
 UNSURE = 4.0
-"""Factor on the variance, as settings may not be measured yet: it covers a full well that is four
-times smaller than they say."""
+"""Factor on the variance, since settings may not be measured yet: it covers a full well that is
+four times smaller than in the settings."""
 
 
 class CountNoise(NamedTuple):
@@ -38,9 +38,9 @@ class CountNoise(NamedTuple):
     Attributes
     ----------
     fixed : ndarray of float64, shape (E,)
-        Without light, in counts squared.
+        Variance without light, in squared counts.
     per_count : float
-        Of each count above black.
+        Variance per count above black.
     """
 
     fixed: Double
@@ -48,12 +48,12 @@ class CountNoise(NamedTuple):
 
     @classmethod
     def of(cls, camera: CameraModel) -> CountNoise:
-        """Return the noise of a camera's exposures."""
+        """Compute the noise of a camera's exposures."""
         electrons = camera.electrons_per_count
         glow = camera.dark_current_electrons * np.asarray(camera.exposures)
         fixed = (camera.read_noise_electrons**2 + glow) / electrons**2 + 1 / 12
         return cls(UNSURE * fixed, UNSURE / electrons)
 
     def variance(self, light: Double) -> Double:
-        """Return the variance of counts above black, (E, n)."""
+        """Variance of counts above black, (E, n)."""
         return np.asarray(self.fixed[:, None] + self.per_count * np.maximum(light, 0))

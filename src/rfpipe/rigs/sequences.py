@@ -1,10 +1,12 @@
-"""Sequences: lists of patterns that a projector shows and a camera exposes in hardware.
+"""Hardware sequences: lists of patterns that a projector shows and a camera exposes by triggers.
 
-Triggers are missed, frames come late, twice or in another order. So a list begins, is parted and
-ends with a *word*: white, black, black, white. Each pattern is followed, half a list later, by its
-complement: their pictures must add up to the white one. No scene and no geometry needs to be known
-for that. At longer exposures, each frame must be what the one before promises. All frames may come
-late by as many; what isn't told beyond doubt is played again, then taken one by one.
+Triggers may be missed, and frames may be late, doubled or out of order. Therefore a list begins and
+ends with a *marker*, the pictures white, black, black, white, and has another one in the middle. At
+the shortest exposure, the second half of the list shows the complements of the patterns; a frame
+and the frame of its complement must add up to the white picture. This requires no knowledge of the
+scene. At longer exposures, each frame must agree with the next shorter exposure. All frames may be
+late by the same number. Patterns whose frames are uncertain are played again, and finally captured
+one by one.
 """
 
 from __future__ import annotations
@@ -20,74 +22,88 @@ from numpy.typing import NDArray
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key
 from rfpipe.rigs.devices import check_frames
-from rfpipe.rigs.stale import Light, is_little
+from rfpipe.rigs.stale import ExposureNoise, is_small
 from rfpipe.units import SATURATION_FRACTION, SEQUENCE_KEY
 
 Float = NDArray[np.float32]
 OneByOne = Callable[[Float, Sequence[Key]], NDArray[Any]]
 
-WORD = (0, 1, 1, 0)
-"""Places of white and black among the loaded pictures, which they begin."""
+MARKER = (0, 1, 1, 0)
+"""Indices of white and black among the loaded pictures."""
 
 MOST_LAG = 4
-"""Frames by which all may come late."""
+"""Largest number of frames by which all frames may be late."""
 
-ALIKE = 0.25
-"""Difference of two pictures of one thing, as a share of that of white and black."""
+SAME_PICTURE = 0.25
+"""Accepted difference of two frames of one picture, relative to white minus black."""
 
 REPLAYS = 3
-"""How often missing patterns are played again."""
+"""Largest number of times that uncertain patterns are played again."""
 
 _log = logging.getLogger(__name__)
 
 
 class Player(Protocol):
-    """Shows lists of patterns, and returns the frames of them."""
+    """Hardware, or its simulation, that shows lists of patterns and returns their frames."""
 
     def load(self, patterns: Float, keys: Sequence[Key]) -> None:
-        """Take patterns (N, *projector_shape), in the place of those before."""
+        """Load patterns (N, *projector_shape), in place of the previous ones."""
 
     def play(self, order: Sequence[int], exposure: int) -> NDArray[Any]:
-        """Show them in this order, and return the frames of the exposure of that number.
+        """Show loaded patterns in this order, and return frames (n, ...) of one exposure.
 
-        There may be fewer frames than patterns, old ones, and ones in another order.
+        `exposure` is the index of the exposure. Frames may be missing, old or out of order.
         """
 
 
 class Sequencer:
-    """Takes brackets by sequences of at most `most` patterns: a list for each exposure.
+    """Captures brackets by hardware sequences, one list of patterns for each exposure.
 
-    ``one_by_one(patterns, keys)`` takes brackets without a sequence. `statistics` counts ``played``
-    lists; ``lost`` frames, which weren't told beyond doubt and were played again; ``one_by_one``:
-    patterns that no sequence gave.
+    Parameters
+    ----------
+    player : Player
+    sensor : Sensor
+    one_by_one : callable
+        ``one_by_one(patterns, keys)`` captures brackets without a sequence.
+    limit : int
+        Largest number of patterns in a list.
+
+    Attributes
+    ----------
+    statistics : dict
+        Numbers of ``played`` lists; of ``lost`` frames, which were uncertain and played again; and
+        of patterns captured ``one_by_one``, after all repetitions.
     """
 
-    def __init__(self, player: Player, sensor: Sensor, one_by_one: OneByOne, most: int) -> None:
+    def __init__(self, player: Player, sensor: Sensor, one_by_one: OneByOne, limit: int) -> None:
         self._player = player
         self._sensor = sensor
         self._one_by_one = one_by_one
-        self.most = most
+        self.limit = limit
         self.statistics = {"played": 0, "lost": 0, "one_by_one": 0}
 
     def brackets(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Return the brackets (B, E, ...) of patterns; CaptureError where a device fails."""
-        starts = range(0, len(patterns), self.most)
-        lists = [slice(start, start + self.most) for start in starts]
-        return np.concatenate([self._list(patterns[part], keys[part]) for part in lists])
+        """Capture the brackets (B, E, ...) of patterns; CaptureError when a device fails."""
+        starts = range(0, len(patterns), self.limit)
+        lists = [slice(start, start + self.limit) for start in starts]
+        return np.concatenate([self._list_brackets(patterns[part], keys[part]) for part in lists])
 
-    def _list(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+    def _list_brackets(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+        """Capture the brackets of one list of patterns."""
         self._load(patterns, keys)
-        frames: list[dict[int, Any]] = self._played(len(patterns))
-        if missing := [i for i in range(len(patterns)) if any(i not in one for one in frames)]:
+        exposures: list[dict[int, Any]] = self._play_exposures(len(patterns))
+        indices = range(len(patterns))
+        if missing := [i for i in indices if any(i not in frames for frames in exposures)]:
             names = ", ".join(str(tuple(keys[index])) for index in missing)
-            _log.warning("patterns %s don't come by a sequence; taking them one by one", names)
+            _log.warning(
+                "patterns %s are still uncertain after %d repetitions of their sequence; capturing "
+                "them one by one", names, REPLAYS,
+            )  # fmt: skip
             self.statistics["one_by_one"] += len(missing)
             brackets = self._one_by_one(patterns[missing], [keys[index] for index in missing])
-            for number, of_exposure in enumerate(frames):
-                of_exposure |= {
-                    i: bracket[number] for i, bracket in zip(missing, brackets, strict=True)
-                }
-        return np.stack([[one[i] for one in frames] for i in range(len(patterns))])
+            for number, frames in enumerate(exposures):
+                frames |= {i: bracket[number] for i, bracket in zip(missing, brackets, strict=True)}
+        return np.stack([[frames[i] for frames in exposures] for i in indices])
 
     def _load(self, patterns: Float, keys: Sequence[Key]) -> None:
         """Load white, black, the patterns and their complements."""
@@ -96,31 +112,34 @@ class Sequencer:
         all_keys += [(SEQUENCE_KEY, *key) for key in keys]
         self._player.load(np.concatenate([uniform, patterns, 1 - patterns]), all_keys)
 
-    def _played(self, count: int) -> list[dict[int, NDArray[Any]]]:
-        """Play the loaded patterns; return the certain frames of each exposure, by place."""
+    def _play_exposures(self, count: int) -> list[dict[int, NDArray[Any]]]:
+        """Play the loaded patterns; return the certain frames of each exposure, by pattern."""
         per_exposure: list[dict[int, NDArray[Any]]] = []
-        lights: list[Light] = []
+        noise: list[ExposureNoise] = []
         indices = list(range(count))
         for number in range(len(self._sensor.exposures)):
             certain: dict[int, NDArray[Any]] = {}
             for _ in range(REPLAYS + 1):
                 if missing := [index for index in indices if index not in certain]:
-                    before = per_exposure[-1] if per_exposure else {}
-                    certain |= self._certain(count, missing, number, before, lights)
+                    shorter = per_exposure[-1] if per_exposure else {}
+                    certain |= self._play(count, missing, number, shorter, noise)
             per_exposure.append(certain)
-            indices = sorted(certain)  # what is lost at one exposure isn't asked for at the others
+            indices = sorted(certain)  # patterns lost at one exposure aren't played at longer ones
         return per_exposure
 
-    def _certain(
+    def _play(
         self,
         count: int,
-        shown: Sequence[int],
+        displayed: Sequence[int],
         number: int,
-        before: dict[int, NDArray[Any]],
-        lights: list[Light],
+        shorter_frames: dict[int, NDArray[Any]],
+        noise: list[ExposureNoise],
     ) -> dict[int, NDArray[Any]]:
-        """Play some patterns at one exposure; return the certain frames."""
-        playlist = Playlist(count, shown, with_complements=number == 0)
+        """Play patterns at the exposure `number`, and return their certain frames.
+
+        The first certain list of an exposure appends its noise to `noise`.
+        """
+        playlist = Playlist(count, displayed, with_complements=number == 0)
         raw = self._player.play(playlist.order, number)
         self.statistics["played"] += 1
         frames = raw.astype(np.float32)
@@ -128,120 +147,134 @@ class Sequencer:
         certain: dict[int, NDArray[Any]] = {}
         if lag is not None:
             places = playlist.places(lag)
-            shorter = lights[number - 1] if number else None
+            shorter = noise[number - 1] if number else None
             saturated = SATURATION_FRACTION * getattr(self._sensor, "white_level", np.inf)
-            white, light = playlist.light(frames, lag, saturated, shorter)
-            if len(lights) == number:
-                lights.append(light)
+            white, measured = playlist.marker_noise(frames, lag, saturated, shorter)
+            if len(noise) == number:
+                noise.append(measured)
             if shorter is None:
-                indices = playlist.by_complements(frames, lag, white, light)
+                indices = playlist.confirmed_by_complements(frames, lag, white, measured)
             else:
                 ratio = self._sensor.exposures[number] / self._sensor.exposures[number - 1]
                 indices = [
                     index
                     for index, place in places.items()
-                    if light.is_promised(
-                        frames[place], before[index].astype(np.float32), shorter, ratio
+                    if measured.agrees(
+                        frames[place], shorter_frames[index].astype(np.float32), shorter, ratio
                     )
                 ]
             certain = {index: raw[places[index]] for index in indices}
-        if lost := len(shown) - len(certain):
+        if lost := len(displayed) - len(certain):
             self.statistics["lost"] += lost
             _log.warning(
-                "a sequence of %d frames at %g s gave %d: %d of its %d patterns aren't told beyond "
-                "doubt; playing these again%s",
-                len(playlist.order), self._sensor.exposures[number], len(raw), lost, len(shown),
-                "" if lag is not None else " (white and black pictures weren't found: does each "
-                "picture trigger the camera, and is white bright?)",
+                "a sequence of %d frames at %g s gave %d: %d of its %d patterns are uncertain; "
+                "playing them again%s",
+                len(playlist.order), self._sensor.exposures[number], len(raw), lost, len(displayed),
+                "" if lag is not None else " (the white and black pictures are missing: check that "
+                "each picture triggers the camera, and that white is bright)",
             )  # fmt: skip
         return certain
 
 
 @dataclass(frozen=True)
 class Playlist:
-    """One list of `shown` patterns of the `count` that are loaded; which frame is of which pattern.
+    """A list of displayed patterns, and the assignment of frames to patterns.
 
-    Loaded are white, black, then the patterns, then the complements of all of them.
+    The loaded pictures are white, black, the patterns, and the complements of all patterns.
+
+    Attributes
+    ----------
+    count : int
+        Number of loaded patterns.
+    displayed : sequence of int
+        Indices of the patterns in this list.
+    with_complements : bool
     """
 
     count: int
-    shown: Sequence[int]
+    displayed: Sequence[int]
     with_complements: bool
 
     @property
     def order(self) -> list[int]:
-        """Places of the loaded pictures in the order in which they are shown."""
-        order = [*WORD, *(2 + index for index in self.shown), *WORD]
+        """Indices of the loaded pictures in the order of display."""
+        order = [*MARKER, *(2 + index for index in self.displayed), *MARKER]
         if self.with_complements:
-            order += [*(2 + self.count + index for index in self.shown), *WORD]
+            order += [*(2 + self.count + index for index in self.displayed), *MARKER]
         return order
 
     @property
-    def words(self) -> list[int]:
-        """Where words begin in that order."""
-        step = len(WORD) + len(self.shown)
+    def markers(self) -> list[int]:
+        """Positions in `order` at which markers begin."""
+        step = len(MARKER) + len(self.displayed)
         return [0, step, 2 * step][: 2 + self.with_complements]
 
     def lag(self, frames: Float) -> int | None:
-        """Return by how many frames all of (n, ...) came late, or None where any was lost."""
+        """Number of frames by which all frames (n, ...) are late; None if frames are missing."""
         cells = np.stack([_cells(frame) for frame in frames]) if len(frames) else np.zeros((0, 1))
-        lags, words = range(MOST_LAG + 1), self.words
-        return next((lag for lag in lags if all(_is_word(cells, at + lag) for at in words)), None)
+        lags, begins = range(MOST_LAG + 1), self.markers
+        return next(
+            (lag for lag in lags if all(_is_marker(cells, begin + lag) for begin in begins)), None
+        )
 
     def places(self, lag: int, part: int = 0) -> dict[int, int]:
-        """Return which frame is of each pattern (part 0) or complement (part 1)."""
-        first = self.words[part] + len(WORD) + lag
-        return {index: first + at for at, index in enumerate(self.shown)}
+        """Index of the frame of each pattern (part 0) or complement (part 1)."""
+        first = self.markers[part] + len(MARKER) + lag
+        return {index: first + offset for offset, index in enumerate(self.displayed)}
 
-    def light(
-        self, frames: Float, lag: int, saturated: float, shorter: Light | None
-    ) -> tuple[Float, Light]:
-        """Return the mean white frame, and black and noise by the words' frames."""
-        starts = [begin + lag for begin in self.words]
-        whites = [start + at for start in starts for at in (0, 3)]
+    def marker_noise(
+        self, frames: Float, lag: int, saturated: float, shorter: ExposureNoise | None
+    ) -> tuple[Float, ExposureNoise]:
+        """Mean white frame, and noise, estimated from the markers' frames."""
+        starts = [begin + lag for begin in self.markers]
+        whites = [start + offset for start in starts for offset in (0, 3)]
         white = np.stack([frames[place] for place in whites if place < len(frames)])
-        black = np.stack([frames[start + at] for start in starts for at in (1, 2)])
+        black = np.stack([frames[start + offset] for start in starts for offset in (1, 2)])
         mean, dark, variance = white.mean(axis=0), black.mean(axis=0), _variance(black)
-        if shorter is not None:  # where white was less saturated
+        if shorter is not None:  # a shorter exposure has fewer saturated pixels
             gain = shorter.gain
         else:
             usable = mean < saturated
             above = float((mean - dark)[usable].mean()) if usable.any() else 0.0
             noise = _variance(white[:, usable]) if usable.any() else 0.0
             gain = max(0.0, noise - variance) / above if above > 0 else 0.0
-        return mean, Light(dark, variance, gain, saturated)
+        return mean, ExposureNoise(dark, variance, gain, saturated)
 
-    def by_complements(self, frames: Float, lag: int, white: Float, light: Light) -> list[int]:
-        """Return the patterns whose frame and their complement's add up to the white one."""
+    def confirmed_by_complements(
+        self, frames: Float, lag: int, white: Float, noise: ExposureNoise
+    ) -> list[int]:
+        """Select patterns for which frame and complement add up to the white frame."""
         complements = self.places(lag, 1)
         return [
             index
             for index, place in self.places(lag).items()
-            if _is_complement(frames[place], frames[complements[index]], white, light)
+            if _is_complement(frames[place], frames[complements[index]], white, noise)
         ]
 
 
-def _is_complement(picture: Float, other: Float, white: Float, light: Light) -> bool:
-    """Tell whether two frames add up to the white one."""
-    usable = np.maximum(np.maximum(picture, other), white) < light.saturated
-    off = np.where(usable, picture + other - white - light.black, 0)
-    variance = 2 * (light.variance(picture) + light.variance(other))
-    return is_little(off, variance, white - light.black, min(light.sum(picture), light.sum(other)))
+def _is_complement(frame: Float, complement: Float, white: Float, noise: ExposureNoise) -> bool:
+    """Test whether two frames add up to the white frame."""
+    usable = np.maximum(np.maximum(frame, complement), white) < noise.saturated
+    difference = np.where(usable, frame + complement - white - noise.black, 0)
+    variance = 2 * (noise.variance(frame) + noise.variance(complement))
+    total = min(noise.sum(frame), noise.sum(complement))
+    return is_small(difference, variance, white - noise.black, total)
 
 
-def _is_word(cells: NDArray[np.float64], begin: int) -> bool:
-    if begin + len(WORD) > len(cells) + 1:
+def _is_marker(cells: NDArray[np.float64], begin: int) -> bool:
+    """Test whether the frames from `begin` on are white, black, black, white."""
+    if begin + len(MARKER) > len(cells) + 1:
         return False
-    # the very last frame doesn't come where all come late
-    white, black, black_again, *rest = cells[begin : begin + len(WORD)]
-    white_again = rest[0] if rest else white
+    # if all frames are late, the last one is missing
+    white, black, second_black, *last = cells[begin : begin + len(MARKER)]
+    second_white = last[0] if last else white
     contrast = float((white - black).sum())
-    off = max(np.abs(white - white_again).sum(), np.abs(black - black_again).sum())
-    return contrast > 0 and float(off) < ALIKE * contrast
+    difference = max(np.abs(white - second_white).sum(), np.abs(black - second_black).sum())
+    return contrast > 0 and float(difference) < SAME_PICTURE * contrast
 
 
 def _cells(frame: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the sums of at most 32 x 32 cells of a frame, whose noise is little."""
+    """Sums over at most 32 x 32 cells of a frame, which have little noise."""
     image = frame.reshape(*frame.shape[-3:]) if frame.ndim > 3 else frame
     rows, columns = (
         np.arange(min(extent, 32)) * extent // min(extent, 32) for extent in image.shape[:2]
@@ -251,7 +284,7 @@ def _cells(frame: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _variance(frames: Float) -> float:
-    """Return the variance of a frame of one thing, few outliers aside."""
+    """Variance of repeated frames of one picture, without the largest 1 % of the differences."""
     squares = np.square(np.diff(frames, axis=0).ravel().astype(np.float64))
     if not squares.size:
         return 0.0
@@ -259,27 +292,27 @@ def _variance(frames: Float) -> float:
 
 
 class DevicePlayer:
-    """Plays lists on a projector and a camera that have sequences, see `rfpipe.rigs.devices`.
+    """Player on a projector and a camera with sequences, see `rfpipe.rigs.devices`.
 
-    ``picture(pattern)`` returns the projector's picture of a pattern.
+    ``picture(pattern)`` converts a pattern to the projector's picture.
     """
 
     def __init__(self, projector: Any, camera: Any, picture: Callable[[Float], Float]) -> None:
         self._projector, self._camera, self._picture = projector, camera, picture
 
     def load(self, patterns: Float, keys: Sequence[Key]) -> None:  # noqa: ARG002
-        """Give the projector its pictures; devices make their own noise, whatever the keys."""
+        """Load the projector's pictures; devices don't need keys."""
         self._projector.load(self._picture(pattern) for pattern in patterns)
 
     def play(self, order: Sequence[int], exposure: int) -> NDArray[Any]:
-        """Have pictures shown and taken; see `Player.play`."""
+        """Show and expose pictures; see `Player.play`."""
         camera = self._camera
         seconds = camera.sensor.exposures[exposure]
         camera.arm(seconds, len(order))
         try:
             self._projector.play(order, camera.seconds_between(seconds))
         finally:
-            frames = np.asarray(camera.collect())  # also disarms it
+            frames = np.asarray(camera.collect())  # also disarms the camera
         item = camera.sensor.frame_shape(camera.shape, camera.channels)[1:]
         return check_frames(frames, (len(frames), *item), camera.sensor.frame_dtype)
 
@@ -287,7 +320,7 @@ class DevicePlayer:
 def device_sequencer(
     projector: Any, camera: Any, picture: Callable[[Float], Float], one_by_one: OneByOne
 ) -> Sequencer:
-    """Return the sequencer of a projector and a camera that is triggered by it."""
-    limit = (projector.sequence_pictures - 2) // 2  # each with its complement
+    """Create the sequencer of a projector and a camera that is triggered by it."""
+    limit = (projector.sequence_pictures - 2) // 2  # patterns and complements
     player = DevicePlayer(projector, camera, picture)
     return Sequencer(player, camera.sensor, one_by_one, limit)

@@ -1,6 +1,6 @@
-"""Settings of a rig's file that shape its light and its frames, and how two sets of them differ.
+"""Settings of a rig that affect its light and its frames, and their comparison.
 
-A calibration records them. A rig whose settings changed afterwards needs a new calibration.
+A calibration records them; after a change, the rig needs a new calibration.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ RAYS = "rays"
 SETTLE = "projector.options.settle_seconds"
 
 _WITHOUT_EFFECT: Any = {
-    "calibrate": True,  # added step by step, see `rfpipe.calibration.run`
+    "calibrate": True,  # added for each step, see `rfpipe.calibration.run`
     "calibration": True,
-    "seconds_per_pattern": True,  # for estimates
-    "bench": {"knock"},  # an event: rehearsed after the calibration
+    "seconds_per_pattern": True,  # for estimates only
+    "bench": {"knock"},  # simulates an event after the calibration
 }
 
 _CODE = ".driver: its code"
@@ -35,10 +35,7 @@ _MOST_LINES = 12
 
 
 def shaping_settings(config: RigConfig) -> Flat:
-    """Return the settings of a rig that shape its light and its frames, and its drivers' code.
-
-    The code counts of drivers that aren't rfpipe's: a digest of the file of the class.
-    """
+    """Settings of a rig that affect its light and its frames, and digests of users' drivers."""
     plain = config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
     for name, device in (("projector", config.projector), ("camera", config.camera)):
         for option in type(device.options).without_effect_on_frames:
@@ -48,24 +45,24 @@ def shaping_settings(config: RigConfig) -> Flat:
 
 
 def _code_of(name: str, device: DeviceDriver) -> Flat:
-    """Return the digest of a driver's code; nothing for a driver of rfpipe."""
+    """Digest of a driver's code; empty for a driver of rfpipe."""
     if plugins.is_of_rfpipe(device.group, device.driver):
         return {}
     return {f"{name}{_CODE}": source_digest(*plugins.sources_of(device.group, device.driver))}
 
 
 def is_of_a_step(name: str) -> bool:
-    """Test whether a setting shapes only some steps of a calibration: ``calibrate.codes``."""
+    """Test whether a setting affects some steps of a calibration only, as ``calibrate.codes``."""
     return name in (RAYS, SETTLE) or name.startswith("calibrate.")
 
 
 def settings_of_all_steps(settings: Mapping[str, Any]) -> Flat:
-    """Return the settings that shape every step of a calibration."""
+    """Select the settings that affect every step of a calibration."""
     return {name: value for name, value in settings.items() if not is_of_a_step(name)}
 
 
 def identities(devices: Mapping[str, Any]) -> Flat:
-    """Return the models and serial numbers in descriptions of devices.
+    """Select models and serial numbers from descriptions of devices.
 
     Parameters
     ----------
@@ -76,7 +73,7 @@ def identities(devices: Mapping[str, Any]) -> Flat:
 
 
 def flat(groups: Mapping[str, Any], prefix: str = "") -> Flat:
-    """Return nested settings by dotted names; an empty group has none."""
+    """Flatten nested settings to dotted names; empty groups disappear."""
     values: Flat = {}
     for name, value in groups.items():
         if isinstance(value, Mapping):
@@ -87,9 +84,9 @@ def flat(groups: Mapping[str, Any], prefix: str = "") -> Flat:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return a line for each setting whose value changed: its name and both values.
+    """Describe each setting whose value changed, in one line: its name and both values.
 
-    A setting that is missing counts as null, so that an option which a newer driver adds is no
+    A missing setting is equal to null, so that an option added by a newer driver is no
     change.
     """
     lines = []

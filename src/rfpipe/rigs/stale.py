@@ -1,11 +1,11 @@
-"""Frames of the picture before: noticed while patterns are taken one by one.
+"""Detection of stale frames, which show the previous picture, while patterns are captured.
 
-A projector that is slower at times than its `settle_seconds` gives brackets that begin with, or
-are, the picture before: exposures of a bracket contradict each other, or a bracket is like one
-before although another pattern is shown. Neither proves it, as a camera may not be linear, and a
-scene may look alike under two patterns. So a doubtful bracket is taken again, later: only where the
-second one is another, the first was wrong. Where its frames are only brighter or darker, the lamp
-flickers or the gain changes, and neither is better.
+If a projector is slower than its `settle_seconds`, brackets show the previous picture in part or
+wholly: their exposures contradict each other, or a bracket equals a previous one although the
+pattern differs. Neither is a proof, since a camera may not be linear, and a scene may look the same
+under two patterns. Therefore a doubtful bracket is repeated after a pause, and was stale only if
+the repetition differs. If the repetition differs in brightness only, the lamp flickers or the gain
+changes, and both brackets are equally good.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from rfpipe.units import SATURATION_FRACTION
 Float = NDArray[np.float32]
 
 RETAKE_SECONDS = 0.5
-"""Wait before a doubtful bracket is taken again: longer than any display is late."""
+"""Pause before a doubtful bracket is repeated, longer than the delay of any display."""
 
 FLICKER = 0.05
-"""Share of the light by which it may differ beside: lamps flicker."""
+"""Accepted difference of two frames, relative to the light of a pixel, due to flicker."""
 
 ASTRAY = 0.02
-"""Share of a picture's light that may be astray in all."""
+"""Accepted sum of larger differences, relative to the light of the picture."""
 
 CONTRADICTION = 0.25
-"""The same for exposures that contradict each other: cameras are not quite linear."""
+"""Accepted sum between exposures of one bracket: cameras are not exactly linear."""
 
 BRIGHTER = 3.0
-"""Factor by which gain or a flickering lamp changes a frame at most."""
+"""Largest factor by which gain or a flickering lamp changes a frame."""
 
 _MOST_PIXELS = 2**20
-_STALE = f"taken again: {late_fault(1.0, 'in part at least').text}"
+_STALE = f"captured again: {late_fault(1.0, 'at least in part').text}"
 _UNSTEADY = (
-    "exposures of one picture contradict each other, and differ when they are taken again: the "
-    f"lamp flickers, or {GAIN_CHANGES}. First {AUTOMATIC_OFF}; if that changes nothing, "
+    "exposures of one picture contradict each other, and differ when they are repeated: the lamp "
+    f"flickers, or {GAIN_CHANGES}. First {AUTOMATIC_OFF}; if that changes nothing, "
     f"{WHOLE_PERIODS}"
 )
 
@@ -57,17 +57,17 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Light:
-    """Black and noise of the frames of one exposure.
+class ExposureNoise:
+    """Black level and noise of the frames of one exposure.
 
     Attributes
     ----------
     black : ndarray of float32
         Mean frame without light.
     black_variance, gain : float
-        Its variance, in counts squared; variance a count above black.
+        Variance without light, in squared counts; variance per count above black.
     saturated : float
-        Counts from which on a pixel says no more.
+        Counts from which on a pixel is saturated.
     """
 
     black: Float
@@ -76,70 +76,84 @@ class Light:
     saturated: float
 
     def variance(self, counts: Float) -> Float:
-        """Return the variance of a frame."""
+        """Expected variance of a frame's counts."""
         above = np.maximum(counts - self.black, 0)
         return np.asarray(self.black_variance + self.gain * above, np.float32)
 
     def sum(self, frame: Float) -> float:
-        """Return the light of a frame in counts."""
+        """Total light of a frame in counts."""
         return float(np.maximum(frame - self.black, 0).sum(dtype=np.float64))
 
-    def is_promised(
-        self, frame: Float, before: Float, shorter: Light, ratio: float, share: float = ASTRAY
+    def agrees(
+        self,
+        frame: Float,
+        shorter_frame: Float,
+        shorter: ExposureNoise,
+        ratio: float,
+        share: float = ASTRAY,
     ) -> bool:
-        """Test whether a frame is `ratio` times that of a shorter exposure, up to saturation."""
-        promised = self.black + np.float32(ratio) * (before - shorter.black)
-        promised[before >= shorter.saturated] = self.saturated
-        promised, frame = (np.minimum(one, self.saturated) for one in (promised, frame))
-        variance = self.variance(frame) + np.float32(ratio**2) * shorter.variance(before)
+        """Test whether a frame is `ratio` times a shorter exposure, up to saturation."""
+        expected = self.black + np.float32(ratio) * (shorter_frame - shorter.black)
+        expected[shorter_frame >= shorter.saturated] = self.saturated
+        expected, frame = (np.minimum(counts, self.saturated) for counts in (expected, frame))
+        variance = self.variance(frame) + np.float32(ratio**2) * shorter.variance(shorter_frame)
         # saturated pixels have no expected light, which would allow other pixels to differ
-        light = np.where(promised < self.saturated, np.maximum(promised - self.black, 0), 0)
+        light = np.where(expected < self.saturated, np.maximum(expected - self.black, 0), 0)
         total = float(light.sum(dtype=np.float64))
-        return is_little(frame - promised, variance, light, total, share)
+        return is_small(frame - expected, variance, light, total, share)
 
 
-def is_little(
-    off: Float, variance: Float, light: Float, total: float, share: float = ASTRAY
+def is_small(
+    difference: Float, variance: Float, light: Float, total: float, share: float = ASTRAY
 ) -> bool:
-    """Test whether a difference of frames is little beside their noise and light.
+    """Test whether a difference of frames is small compared to their noise and light.
 
     Parameters
     ----------
-    off, variance : ndarray of float32
+    difference, variance : ndarray of float32
         Difference of two frames, and its variance.
     light : ndarray of float32
         Expected light of each pixel.
     total : float
-        Light of the picture, of which `share` may be astray, and that of a tenth of a pixel.
+        Light of the picture. Significant differences may add up to `share` of it, plus a tenth of
+        a pixel's light.
     """
-    off, light = np.abs(off), np.maximum(light, 0)
-    beyond = off > SIGNIFICANCE * np.sqrt(variance) + FLICKER * light
-    most = share * total + 0.1 * float(light.mean(dtype=np.float64))
-    return float(off[beyond].sum(dtype=np.float64)) <= most
+    difference, light = np.abs(difference), np.maximum(light, 0)
+    significant = difference > SIGNIFICANCE * np.sqrt(variance) + FLICKER * light
+    limit = share * total + 0.1 * float(light.mean(dtype=np.float64))
+    return float(difference[significant].sum(dtype=np.float64)) <= limit
 
 
 class StaleWatch:
-    """Compares each bracket with itself and with the last four: a quick capture may lag by several.
+    """Captures brackets, and repeats stale ones.
 
-    Watched are cameras whose counts are in proportion to light. `statistics` counts ``doubted``,
-    brackets taken again; ``stale``, wrong ones; and ``unsteady``, brackets whose repetition differs
-    in brightness alone.
+    Each bracket is checked in itself and compared with the previous four, since a fast capture may
+    lag by several pictures. Cameras whose counts aren't proportional to light are not checked.
+
+    Attributes
+    ----------
+    statistics : dict
+        Numbers of brackets: ``doubted``, which were repeated; ``stale``; and ``unsteady``, whose
+        repetition differs in brightness only.
     """
 
     def __init__(self, sensor: Sensor) -> None:
-        self._lights: list[Light] = []
+        self._noise: list[ExposureNoise] = []
         self._exposures = sensor.exposures
         if isinstance(sensor, CameraModel) and sensor.response_gamma == 1:
-            self._lights = _lights_of(sensor)
-        self._last: deque[tuple[Float, Float]] = deque(maxlen=4)
+            self._noise = _noise_of(sensor)
+        self._previous: deque[tuple[Float, Float]] = deque(maxlen=4)
         self._pause = 1
         self._skipped = 0
         self.statistics = {"doubted": 0, "stale": 0, "unsteady": 0}
 
-    def kept(self, name: str, picture: Float, take: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """Take a bracket (E, ...) of a picture and return it, or one taken later in its place."""
+    def capture(self, name: str, picture: Float, take: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Capture a bracket (E, ...) of a picture by `take`; return its repetition if it is stale.
+
+        `name` describes the picture in log messages.
+        """
         frames = take()
-        if not self._lights:
+        if not self._noise:
             return frames
         sample = thinned(frames, _MOST_PIXELS)
         if self._skipped:
@@ -151,14 +165,14 @@ class StaleWatch:
             self.statistics["doubted"] += 1
             is_steady = self._are_alike(sample, sample_of_repeated)
             if is_steady or self._differ_in_brightness(sample, sample_of_repeated):
-                # an unfounded doubt: pause the watch, twice as long the next time
+                # the doubt was unfounded: skip brackets, twice as many the next time
                 self._skipped, self._pause = self._pause, min(2 * self._pause, 64)
                 if not is_steady:
                     self._count("unsteady", name, _UNSTEADY)
             else:
                 self._count("stale", name, _STALE)
                 self._pause, frames, sample = 1, repeated, sample_of_repeated
-        self._last.append((picture.copy(), sample.copy()))
+        self._previous.append((picture.copy(), sample.copy()))
         return frames
 
     def _count(self, kind: str, name: str, text: str) -> None:
@@ -169,58 +183,60 @@ class StaleWatch:
             _log.warning("%s: %s", name, text if count == 1 else f"{text} ({count} times so far)")
 
     def _is_doubtful(self, bracket: Float, picture: Float) -> bool:
-        """Test whether a bracket may be, in part or wholly, of the picture before."""
+        """Test whether a bracket may show the previous picture, in part or wholly."""
         return any(self._contradicts(bracket, number) for number in range(1, len(bracket))) or any(
             self._are_alike(bracket, previous)
-            for shown, previous in self._last
-            if not np.array_equal(shown, picture)
+            for displayed, previous in self._previous
+            if not np.array_equal(displayed, picture)
         )
 
     def _contradicts(self, bracket: Float, number: int) -> bool:
+        """Test whether an exposure of a bracket contradicts the next shorter one."""
         ratio = self._exposures[number] / self._exposures[number - 1]
-        shorter, longer = self._lights[number - 1 : number + 1]
-        frame, before = bracket[number], bracket[number - 1]
-        return not longer.is_promised(frame, before, shorter, ratio, CONTRADICTION)
+        shorter, longer = self._noise[number - 1 : number + 1]
+        frame, shorter_frame = bracket[number], bracket[number - 1]
+        return not longer.agrees(frame, shorter_frame, shorter, ratio, CONTRADICTION)
 
-    def _differ_in_brightness(self, bracket: Float, other: Float) -> bool:
-        """Test whether the frames of two brackets are the same but for a factor each."""
+    def _differ_in_brightness(self, bracket: Float, repetition: Float) -> bool:
+        """Test whether the frames of two brackets differ by one factor per exposure only."""
         if self._is_out_of_order(bracket):
             return False
-        for light, one, two in zip(self._lights, bracket, other, strict=True):
-            usable = np.maximum(one, two) < light.saturated
-            sums = [np.where(usable, frame - light.black, 0).sum() for frame in (one, two)]
+        for noise, first, second in zip(self._noise, bracket, repetition, strict=True):
+            usable = np.maximum(first, second) < noise.saturated
+            sums = [np.where(usable, frame - noise.black, 0).sum() for frame in (first, second)]
             factor = float(sums[1] / sums[0]) if min(sums) > 0 else 1.0  # without light: noise
             if not 1 / BRIGHTER < factor < BRIGHTER:
                 return False
-            off = np.where(usable, two - light.black - factor * (one - light.black), 0)
-            variance = light.variance(two) + np.float32(factor**2) * light.variance(one)
-            if not is_little(off, variance, two - light.black, light.sum(two)):
+            difference = np.where(usable, second - noise.black - factor * (first - noise.black), 0)
+            variance = noise.variance(second) + np.float32(factor**2) * noise.variance(first)
+            if not is_small(difference, variance, second - noise.black, noise.sum(second)):
                 return False
         return True
 
     def _is_out_of_order(self, bracket: Float) -> bool:
-        """Test whether a longer exposure is much darker, as no lamp makes it."""
-        sums = [light.sum(frame) for light, frame in zip(self._lights, bracket, strict=True)]
+        """Test whether a longer exposure is much darker, more than a lamp can cause."""
+        sums = [noise.sum(frame) for noise, frame in zip(self._noise, bracket, strict=True)]
         return is_out_of_order(sums, 1 / BRIGHTER)
 
-    def _are_alike(self, bracket: Float, other: Float) -> bool:
+    def _are_alike(self, bracket: Float, previous: Float) -> bool:
+        """Test whether two brackets agree within noise and flicker."""
         return all(
-            is_little(
-                one - two,
-                2 * (light.variance(one) + light.variance(two)),
-                one - light.black,
-                light.sum(one),
+            is_small(
+                first - second,
+                2 * (noise.variance(first) + noise.variance(second)),
+                first - noise.black,
+                noise.sum(first),
             )
-            for light, one, two in zip(self._lights, bracket, other, strict=True)
+            for noise, first, second in zip(self._noise, bracket, previous, strict=True)
         )
 
 
-def _lights_of(camera: CameraModel) -> list[Light]:
-    """Return black and noise of each exposure by the camera's numbers."""
+def _noise_of(camera: CameraModel) -> list[ExposureNoise]:
+    """Black level and noise of each exposure according to the camera's settings."""
     noise, saturated = CountNoise.of(camera), SATURATION_FRACTION * camera.white_level
     glow = camera.dark_current_electrons * np.asarray(camera.exposures) / camera.electrons_per_count
     return [
-        Light(
+        ExposureNoise(
             np.asarray(camera.black_level_counts + counts, np.float32),
             float(variance), noise.per_count, saturated,
         )
