@@ -192,7 +192,7 @@ def with_errors(levels: Sequence[Any], truth: Any, columns: int = 5) -> list[lis
 def level_pictures(result: Any, light: Float) -> list[Float]:
     """Return the contribution of each level to the dual picture."""
     transport = result.transport
-    by_level = {pairs.level: pairs for pairs in transport.pair_sets}
+    by_level = {pairs.level: pairs for pairs in transport.level_responses}
     pictures = []
     for level in range(transport.last_level + 1):
         level_matrices = [by_level[level]] if level in by_level else []

@@ -29,7 +29,7 @@ def test_it_is_the_dense_product_whichever_patterns_stand_together(
     pattern_of_block[0] = n_patterns - 1
     leaf_sets = list(transport.leaf_sets)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(apply, "_TILE", tile)
+        patch.setattr(apply, "_TILE_RAYS", tile)
         images = predict(tree, leaf_sets, level, pattern_of_block, 0, n_patterns, channels)
     pattern_of_ray = pattern_of_block[tree.labels(level).ravel()]
     lit = np.arange(n_patterns)[:, None] == pattern_of_ray

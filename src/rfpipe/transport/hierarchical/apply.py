@@ -1,4 +1,4 @@
-"""What the leaves of the hierarchical tensor make of patterns."""
+"""Products of the hierarchical tensor's leaves with patterns."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Float, Index
 from rfpipe.blocks import BlockTree
-from rfpipe.transport.base import Float
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
     factor_offsets,
@@ -16,95 +16,100 @@ from rfpipe.transport.hierarchical.leaves import (
     ragged_ranges,
 )
 
-# Patterns relit together: bounds the memory of their images.
-_BATCH = 16
-# Patterns for which a task fetches each leaf once.
-_GROUP = 4
+# Patterns that are relit at a time: bounds the memory of their images.
+_PATTERNS_PER_BATCH = 16
+# Patterns of a task, for which each leaf is fetched once.
+_PATTERNS_PER_GROUP = 4
 # Values that stay in a core's cache from one pattern to the next.
 _RUN_VALUES = 2**14
-# The work is cut into this many tasks or a few more, whatever the machine, so that results are the
-# same everywhere. More would feed more cores, and each adds an image to be cleared and summed.
+# At least this number of tasks on every machine, so that results are the same everywhere. More
+# tasks use more cores, and each adds an image to be cleared and summed.
 _TASKS = 6
-
 # Rays whose images under a batch of patterns stay in a core's cache.
-_TILE = 1024
-
-Index = NDArray[np.int64]
+_TILE_RAYS = 1024
 
 
 def apply_leaf_sets(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Sequence[int]
 ) -> Float:
-    """Return what the leaves make of patterns, both in the order of images.
+    """Return ``T p`` for patterns, both in the order of images.
 
-    Patterns and images are float32 (P, K, N), one plane for each of `channels`. The sets are gone
-    through once for every 16 patterns, one at a time. Images are the same whatever the number of
-    threads; their last bits may differ between calls with fewer and with more patterns.
+    The sets are read one at a time, once for every 16 patterns. Images don't depend on the number
+    of threads; their last bits may differ between calls with fewer and with more patterns.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    leaf_sets : sequence of LeafSet
+    patterns : ndarray of float32, shape (P, K, N)
+        A plane for each of `channels`.
+    channels : sequence of int
+
+    Returns
+    -------
+    ndarray of float32, shape (P, K, N)
     """
     result = np.empty(patterns.shape, np.float32)
     if not patterns.size:
         return result
     chosen = np.array(list(channels), np.int64)
-    groups = -(-min(len(patterns), _BATCH) // _GROUP)
-    shares = -(-_TASKS // (groups * len(chosen)))
-    for first in range(0, len(patterns), _BATCH):
-        part, images = patterns[first : first + _BATCH], result[first : first + _BATCH]
-        if part.strides[1] == 0:
-            part = part[:, :1]  # white light, the same for all channels
-        sums = np.zeros((shares, *images.shape), np.float32)
-        _add_up(tree, leaf_sets, part[..., tree.order], chosen, sums)
+    groups = -(-min(len(patterns), _PATTERNS_PER_BATCH) // _PATTERNS_PER_GROUP)
+    n_shares = -(-_TASKS // (groups * len(chosen)))
+    for first in range(0, len(patterns), _PATTERNS_PER_BATCH):
+        batch = slice(first, first + _PATTERNS_PER_BATCH)
+        light, images = patterns[batch], result[batch]
+        if light.strides[1] == 0:
+            light = light[:, :1]  # white light, the same for all channels
+        sums = np.zeros((n_shares, *images.shape), np.float32)
+        _add_products(tree, leaf_sets, light[..., tree.order], chosen, sums)
         np.take(sums.sum(axis=0), tree.inverse, axis=-1, out=images)
     return result
 
 
-def _add_up(
+def _add_products(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Index, sums: Float
 ) -> None:
-    """Add what each share of the leaves makes of patterns."""
+    """Add the product of each share of the leaves, (shares, P, K, N), in tree order."""
     from rfpipe.transport.hierarchical import kernels
 
     lit = _lit_blocks(tree, patterns)
     for leaves in filter(len, leaf_sets):
-        bounds, offsets = _cut(tree, leaves, len(sums))
+        shares = kernels.Shares(*_divide(tree, leaves, len(sums)), _PATTERNS_PER_GROUP)
         blocks = leaves.block_a, leaves.block_b
+        arrays = kernels.Leaves(tree.starts[leaves.level], *blocks, leaves.values, _scales(leaves))
         if leaves.level == tree.n_levels - 1:
-            kernels.apply_scalars(
-                *blocks, leaves.values, channels, bounds, _GROUP, patterns, sums
-            )  # fmt: skip
+            kernels.apply_scalars(arrays, channels, shares, patterns, sums)
         else:
-            kernels.apply_leaves(
-                tree.starts[leaves.level], *blocks, leaves.values, _scales(leaves),
-                channels, bounds, offsets, _GROUP, patterns, lit[leaves.level], sums,
-            )  # fmt: skip
+            kernels.apply_leaves(arrays, channels, shares, patterns, lit[leaves.level], sums)
 
 
 def _scales(leaves: LeafSet) -> Float:
-    """Return the scales by which the kernels multiply factors, 1 where none are rounded."""
+    """Return the scales of the leaves' factors, 1 where they are not rounded."""
     if leaves.scales is not None:
         return leaves.scales
     return np.broadcast_to(np.float32(1), (len(leaves.values), len(leaves)))
 
 
-def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.bool_]]:
-    """Tell for each level which blocks each pattern lights, ``(P, n_blocks)``."""
+def _lit_blocks(tree: BlockTree, patterns: Float) -> list[Bools]:
+    """Return for each level the blocks that each pattern lights, bool ``(P, n_blocks)``."""
     lit = [(patterns != 0).any(axis=1)]
     for child_starts in reversed(tree.child_starts):
         lit.append(np.logical_or.reduceat(lit[-1], child_starts[:-1], axis=1))
     return lit[::-1]
 
 
-def _cut(tree: BlockTree, leaves: LeafSet, shares: int) -> tuple[Index, Index]:
-    """Cut leaves into shares of about equal work, and these into runs of `_RUN_VALUES`."""
-    name = f"{shares} shares"
-    if name not in leaves.kept:
+def _divide(tree: BlockTree, leaves: LeafSet, n_shares: int) -> tuple[Index, Index]:
+    """Divide leaves into shares of about equal work and these into runs; see `kernels.Shares`."""
+    key = f"{n_shares} shares"
+    if key not in leaves.cache:
         offsets = leaf_offsets(tree, leaves)
-        runs = max(1, -(-int(offsets[-1]) // (_RUN_VALUES * shares)))
-        aims = np.arange(shares * runs + 1) * (offsets[-1] / (shares * runs))
-        cuts = np.searchsorted(offsets, aims)
-        bounds = cuts[np.arange(shares)[:, None] * runs + np.arange(runs + 1)]
-        leaves.kept[name] = bounds, offsets[bounds]
-    limits: tuple[Index, Index] = leaves.kept[name]
-    return limits
+        n_runs = max(1, -(-int(offsets[-1]) // (_RUN_VALUES * n_shares)))
+        targets = np.arange(n_shares * n_runs + 1) * (offsets[-1] / (n_shares * n_runs))
+        ends = np.searchsorted(offsets, targets)
+        bounds = ends[np.arange(n_shares)[:, None] * n_runs + np.arange(n_runs + 1)]
+        leaves.cache[key] = bounds, offsets[bounds]
+    shares: tuple[Index, Index] = leaves.cache[key]
+    return shares
 
 
 def predict(
@@ -116,13 +121,25 @@ def predict(
     last: int,
     channels: int,
 ) -> Float:
-    """Return the images of some patterns of a level's schedule, by the leaves alone.
+    """Return the images of patterns ``first:last`` of a level's schedule, by the leaves alone.
 
-    Each ray is lit in one pattern at most, so that a leaf's factor is read once for many patterns,
-    and nothing is added where a pattern leaves a block dark.
+    The schedule lights each ray in at most one pattern, so that a leaf's factor is read once for
+    many patterns and dark blocks take no time.
 
-    `pattern_of_block` is the pattern that lights each block of `level`, -1 for none; the images,
-    float32 (last - first, channels, N) in tree order, don't depend on which are asked for together.
+    Parameters
+    ----------
+    tree : BlockTree
+    leaf_sets : sequence of LeafSet
+    level : int
+        Level of the scheduled blocks.
+    pattern_of_block : ndarray of int32, shape (n_blocks,)
+        Pattern that lights each block, -1 for none.
+    first, last, channels : int
+
+    Returns
+    -------
+    ndarray of float32, shape (last - first, channels, N)
+        In tree order; an image doesn't depend on the other patterns of the call.
     """
     from rfpipe.transport.hierarchical import kernels
 
@@ -130,52 +147,48 @@ def predict(
     pattern_of_part = pattern_of_block - np.int32(first)
     lit_parts = np.flatnonzero((pattern_of_part >= 0) & (pattern_of_part < last - first))
     part_starts = tree.starts[level]
-    for leaves in leaf_sets:
-        if not len(leaves):
-            continue
+    for leaves in filter(len, leaf_sets):
+        blocks = leaves.block_a, leaves.block_b
         if leaves.level == tree.n_levels - 1:
             pattern_of_ray = np.repeat(pattern_of_part, np.diff(part_starts))
-            kernels.scalars_to_partition(
-                leaves.block_a, leaves.block_b, leaves.values, pattern_of_ray, images
-            )
+            kernels.scalars_to_partition(*blocks, leaves.values, pattern_of_ray, images)
             continue
         starts = tree.starts[leaves.level]
-        offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
-        first_lit = np.searchsorted(lit_parts, _met(starts, part_starts))
+        first_lit = np.searchsorted(lit_parts, _overlaps(starts, part_starts))
+        offset_a, offset_b, _ = factor_offsets(starts, *blocks)
         kernels.apply_to_partition(
-            starts, leaves.block_a, leaves.block_b, offset_a, offset_b, leaves.values,
-            *_sides(leaves, tree), _tiles(starts), lit_parts, first_lit, part_starts,
-            pattern_of_part, images,
-        )  # fmt: skip
+            kernels.LeafSides(
+                starts, *blocks, offset_a, offset_b, leaves.values, *_sides(leaves, tree)
+            ),
+            _tiles(starts),
+            kernels.Partition(part_starts, pattern_of_part, lit_parts, first_lit),
+            images,
+        )
     return images
 
 
 def _tiles(starts: Index) -> Index:
-    """Cut blocks into runs of at most `_TILE` rays, ``(n, 3)``: block, first ray, end."""
-    counts = -(-np.diff(starts) // _TILE)
+    """Divide blocks into tiles of at most `_TILE_RAYS` rays, (n, 3): block, first ray, end."""
+    counts = -(-np.diff(starts) // _TILE_RAYS)
     block = np.repeat(np.arange(len(counts)), counts)
-    ray = starts[block] + ragged_ranges(np.zeros_like(counts), counts) * _TILE
-    return np.stack([block, ray, np.minimum(ray + _TILE, starts[block + 1])], axis=1)
+    ray = starts[block] + ragged_ranges(np.zeros_like(counts), counts) * _TILE_RAYS
+    return np.stack([block, ray, np.minimum(ray + _TILE_RAYS, starts[block + 1])], axis=1)
 
 
-def _met(starts: Index, others: Index) -> Index:
-    """Return which of the other blocks each block meets, ``(n, 2)``: first, and after the last."""
-    first = np.searchsorted(others, starts[:-1], side="right") - 1
-    return np.stack([first, np.searchsorted(others, starts[1:], side="left")], axis=1)
+def _overlaps(starts: Index, part_starts: Index) -> Index:
+    """Return the first and the end of the parts that overlap each block, ``(n_blocks, 2)``."""
+    first = np.searchsorted(part_starts, starts[:-1], side="right") - 1
+    return np.stack([first, np.searchsorted(part_starts, starts[1:], side="left")], axis=1)
 
 
 def _sides(leaves: LeafSet, tree: BlockTree) -> tuple[Index, Index]:
-    """List the leaves that each block has a factor of, block by block; once.
-
-    Returns where each block's list begins, and the lists: twice a leaf's number where the block is
-    its a, one more where it is its b alone.
-    """
-    if "sides" not in leaves.kept:
-        apart = np.flatnonzero(leaves.block_a != leaves.block_b)
-        block = np.concatenate([leaves.block_a, leaves.block_b[apart]])
-        side = np.concatenate([2 * np.arange(len(leaves)), 2 * apart + 1])
+    """List the leaves of each block; see `first_side` and `sides` of `kernels.LeafSides`."""
+    if "sides" not in leaves.cache:
+        off_diagonal = np.flatnonzero(leaves.block_a != leaves.block_b)
+        block = np.concatenate([leaves.block_a, leaves.block_b[off_diagonal]])
+        side = np.concatenate([2 * np.arange(len(leaves)), 2 * off_diagonal + 1])
         order = np.lexsort((side, block))
         first = np.searchsorted(block[order], np.arange(tree.n_blocks(leaves.level) + 1))
-        leaves.kept["sides"] = first, side[order]
-    sides: tuple[Index, Index] = leaves.kept["sides"]
+        leaves.cache["sides"] = first, side[order]
+    sides: tuple[Index, Index] = leaves.cache["sides"]
     return sides

@@ -1,4 +1,4 @@
-"""The leaves that pass light between some rays, read without the others."""
+"""Leaves in a store, read as a whole or only those between some rays."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools
 from rfpipe.blocks import BlockTree
-from rfpipe.errors import StoreError
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.store.places import Place
 from rfpipe.transport.hierarchical.leaves import (
@@ -25,67 +25,74 @@ from rfpipe.transport.hierarchical.leaves import (
 from rfpipe.transport.lazy import LazySequence, names_by_prefix
 
 _BLOCKS = ("block_a", "block_b")
-_AT_ONCE = 16  # requests to a server: each waits for the way there and back
-
-Mask = NDArray[np.bool_]
+_REQUESTS = 16  # to a server at the same time, each of which waits for its answer
 
 
 @dataclass(frozen=True)
-class Rays:
-    """The rays that see, and those that are lit, bool (N,) in tree order."""
+class RayMasks:
+    """Camera rays `seen` and projector rays `lit`, bool (N,) in tree order."""
 
     tree: BlockTree
-    seen: Mask
-    lit: Mask
+    seen: Bools
+    lit: Bools
 
-    def pass_light(self, level: int, block_a: NDArray[Any], block_b: NDArray[Any]) -> Mask:
-        """Return which pairs of blocks have light to pass between them, one way or the other."""
+    def connected(self, level: int, block_a: NDArray[Any], block_b: NDArray[Any]) -> Bools:
+        """Test which pairs of blocks have a seen ray in one and a lit ray in the other, (n,)."""
         starts = self.tree.starts[level][:-1]
         seen, lit = (np.logical_or.reduceat(rays, starts) for rays in (self.seen, self.lit))
-        pairs: Mask = (seen[block_a] & lit[block_b]) | (seen[block_b] & lit[block_a])
+        pairs: Bools = (seen[block_a] & lit[block_b]) | (seen[block_b] & lit[block_a])
         return pairs
 
-    def chosen(self, leaves: LeafSet) -> LeafSet:
-        """Return the leaves that pass light between the rays."""
-        passing = self.pass_light(leaves.level, leaves.block_a, leaves.block_b)
-        return leaves.subset(self.tree, passing)
+    def select(self, leaves: LeafSet) -> LeafSet:
+        """Return the leaves that connect lit and seen rays."""
+        connected = self.connected(leaves.level, leaves.block_a, leaves.block_b)
+        return leaves.subset(self.tree, connected)
 
 
 class StoredLeaves(LazySequence[str, LeafSet]):
-    """The sets of leaves of a store, read when used, as a whole or in part."""
+    """Sets of leaves of a store, read when they are used.
+
+    Parameters
+    ----------
+    bundle : ArrayBundle
+    keep : bool
+        Whether the sets stay in memory.
+    """
 
     def __init__(self, bundle: ArrayBundle, *, keep: bool) -> None:
         self._bundle = bundle
         if any(name.endswith("_signs") for name in bundle.names):
-            raise StoreError(f"{bundle.path}: leaves with signs are no longer read; acquire anew")
+            raise StoreError(
+                f"{bundle.path}: leaves with signs are no longer read; acquire the scene again"
+            )
         self._sets = names_by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
-        super().__init__(list(self._sets), self._whole, keep=keep)
+        super().__init__(list(self._sets), self._read_set, keep=keep)
 
-    def between(self, rays: Rays) -> Sequence[LeafSet]:
-        """Return those of the leaves that pass light between some rays, read when used."""
+    def connecting(self, rays: RayMasks) -> Sequence[LeafSet]:
+        """Return the leaves that connect lit and seen rays, read when they are used."""
 
         def read(index: int) -> LeafSet:
             if index in self.kept:
-                return rays.chosen(self.kept[index])
-            return self._some(self.keys[index], rays)
+                return rays.select(self.kept[index])
+            return self._read_connecting(self.keys[index], rays)
 
-        some = LazySequence(range(len(self)), read, keep=self.keep)
+        leaf_sets = LazySequence(range(len(self)), read, keep=self.keep)
         if self.keep and isinstance(self._bundle.path, Place):
-            with ThreadPoolExecutor(_AT_ONCE) as pool:
-                some.kept |= enumerate(pool.map(read, some.keys))
-        return some
+            with ThreadPoolExecutor(_REQUESTS) as pool:
+                leaf_sets.kept |= enumerate(pool.map(read, leaf_sets.keys))
+        return leaf_sets
 
-    def _whole(self, key: str) -> LeafSet:
+    def _read_set(self, key: str) -> LeafSet:
         names = self._sets[key]
         arrays = {part: self._bundle.read(name) for part, name in names.items()}
         return unpack_leaves(_level(key), arrays)
 
-    def _some(self, key: str, rays: Rays) -> LeafSet:
-        """Read the blocks of a set, and the values of the leaves that pass light."""
+    def _read_connecting(self, key: str, rays: RayMasks) -> LeafSet:
+        """Read the blocks of a set, and the values of the leaves that connect rays."""
         names, level = self._sets[key], _level(key)
-        # of a zip behind an address, what is read ahead would depend on the order of the threads
+        # exactly: the read-ahead of a zip file on a server would depend on the order of the threads
         blocks = [self._bundle.read(names[part], exactly=True) for part in _BLOCKS]
-        chosen = np.flatnonzero(rays.pass_light(level, *blocks))
+        chosen = np.flatnonzero(rays.connected(level, *blocks))
         sizes = leaf_sizes(rays.tree, level, *blocks)
         values = ragged_ranges((np.cumsum(sizes) - sizes)[chosen], sizes[chosen])
         arrays = {part: numbers[chosen] for part, numbers in zip(_BLOCKS, blocks, strict=True)}

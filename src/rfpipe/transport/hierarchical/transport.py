@@ -1,4 +1,4 @@
-"""The hierarchical tensor of a coaxial rig: leaves of low rank over pairs of blocks [ch. 4]."""
+"""Hierarchical tensor of a coaxial rig: rank-1 leaves over pairs of blocks (thesis ch. 4)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Float
 from rfpipe.blocks import BlockTree
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.array_transport import CoaxialTransport
-from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.base import Transport
 from rfpipe.transport.hierarchical.apply import apply_leaf_sets
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
@@ -20,7 +21,7 @@ from rfpipe.transport.hierarchical.leaves import (
     merge_leaf_sets,
     pack_leaves,
 )
-from rfpipe.transport.hierarchical.stored import Rays, StoredLeaves
+from rfpipe.transport.hierarchical.stored import RayMasks, StoredLeaves
 from rfpipe.transport.hierarchical.truncation import collapse
 from rfpipe.transport.lazy import LazySequence
 from rfpipe.transport.level_transport import LevelTransport
@@ -30,12 +31,15 @@ from rfpipe.units import NumberFormat
 class HierarchicalTransport(CoaxialTransport, LevelTransport):
     """Symmetric transport as a hierarchical tensor with rank-1 and scalar leaves.
 
+    The tensor is a sedectree: a node is a pair of blocks of one level, and has up to 16 children.
+    Its leaves are a partition of ``T``: each entry is in exactly one leaf, or in none if it is 0.
+
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.Transport`; one shape twice.
     content : sequence of LeafSet
-        By level, the coarsest first; may be rounded, and may be read when used.
+        By level, the coarsest first; rounded or not, in memory or read when used.
     """
 
     kind = "hierarchical"
@@ -48,7 +52,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
         level_rows: list[dict[str, Any]],
         leaf_sets: Sequence[LeafSet],
     ) -> HierarchicalTransport:
-        """Build a transport from leaf sets in any order."""
+        """Build a transport from sets of leaves in any order."""
         merged = merge_leaf_sets(leaf_sets, tree)
         return cls(tree.domain.shape, tree.domain.shape, channels, level_rows, merged)
 
@@ -59,7 +63,7 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
 
     @property
     def stored_leaf_sets(self) -> Sequence[LeafSet]:
-        """The leaves as they are held, by level: rounded factors as codes, see `LeafSet`."""
+        """The leaves by level, rounded factors as codes, see `LeafSet`."""
         return self._content
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
@@ -78,26 +82,26 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     def _open(cls, bundle: ArrayBundle, keep: bool) -> Sequence[LeafSet]:
         return StoredLeaves(bundle, keep=keep)
 
-    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
-        """Return the leaves that pass light between some rays, see `Relightable.restricted`."""
-        rays = Rays(self.tree, seen[self.tree.order], lit[self.tree.order])
-        held = self._content
-        if isinstance(held, StoredLeaves):
-            return self.with_content(self.level_rows, held.between(rays))
-        return self.with_content(self.level_rows, [rays.chosen(leaves) for leaves in held])
+    def restricted(self, seen: Bools, lit: Bools) -> Transport:
+        """Return the leaves that connect lit and seen rays, see `Relightable.restricted`."""
+        rays = RayMasks(self.tree, seen[self.tree.order], lit[self.tree.order])
+        leaf_sets = self._content
+        if isinstance(leaf_sets, StoredLeaves):
+            return self.with_content(self.level_rows, leaf_sets.connecting(rays))
+        return self.with_content(self.level_rows, [rays.select(leaves) for leaves in leaf_sets])
 
     def relight_per_ray(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
+        """Return each ray under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
         pairs = patterns.tocoo()
-        # T = T^T, and the blocks of rays in order are in order
+        # T = T^T; sorted rays have sorted blocks
         rays = np.sort(self.tree.inverse[np.stack([pairs.row, pairs.col])], axis=0)
-        entries = sum(leaf_entries(self.tree, each, rays, channel) for each in self.leaf_sets)
-        seen = np.bincount(pairs.row, entries * pairs.data, pairs.shape[0])
-        return seen.astype(np.float32)
+        entries = sum(leaf_entries(self.tree, leaves, rays, channel) for leaves in self.leaf_sets)
+        image = np.bincount(pairs.row, entries * pairs.data, pairs.shape[0])
+        return image.astype(np.float32)
 
     def _truncated(self, level: int) -> Sequence[LeafSet]:
-        """Make leaves of what was subdivided at `level` of the blocks."""
-        held: list[LeafSet] = [*self._content]
-        kept = [leaves for leaves in held if leaves.level <= level]
-        below = [leaves for leaves in held if leaves.level > level]
-        return [*kept, *collapse(self.tree, below, level, self.channels)]
+        """Replace the subdivided nodes of `level` by rank-1 leaves."""
+        leaf_sets: list[LeafSet] = [*self._content]
+        coarser = [leaves for leaves in leaf_sets if leaves.level <= level]
+        finer = [leaves for leaves in leaf_sets if leaves.level > level]
+        return [*coarser, *collapse(self.tree, finer, level, self.channels)]

@@ -1,4 +1,8 @@
-"""Leaves of fine levels as rank-1 leaves of a coarser one (thesis Fig. 5.7)."""
+"""Rank-1 leaves of a coarse level from the leaves of finer ones (thesis Fig. 5.7).
+
+The leaves below node (a, b) give the sums c of its columns and r of its rows, and the node becomes
+``c r^T / m``, where m is the sum of either (Fig. 5.1).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Index
 from rfpipe.blocks import BlockTree
 from rfpipe.transport.hierarchical.leaves import (
     LeafSet,
@@ -17,18 +22,16 @@ from rfpipe.transport.hierarchical.leaves import (
     runs,
 )
 
-# Values a channel that are added up at a time, in float64: some 100 MB of RGB.
+# Values per channel that are summed at a time, in float64: 100 MB of RGB.
 _SUMMED_VALUES = 2**22
-
-Index = NDArray[np.int64]
 
 
 def collapse(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int
 ) -> Iterator[LeafSet]:
-    """Sum leaves below `level` into rank-1 leaves of it, which keep their row and column sums.
+    """Yield rank-1 leaves of `level` with the row and column sums of the finer leaves.
 
-    One set is in use at a time.
+    One set of leaves is in memory at a time.
     """
     keys = [_node_keys(tree, leaves, level) for leaves in leaf_sets]
     if not keys:
@@ -44,9 +47,9 @@ def collapse(
 
 
 def _node_keys(tree: BlockTree, leaves: LeafSet, level: int) -> Index:
-    """Number the nodes of `level` above leaves, in the order of their blocks."""
-    above = tree.ancestors(leaves.level, level)
-    keys: Index = above[leaves.block_a] * np.int64(tree.n_blocks(level)) + above[leaves.block_b]
+    """Number of the node of `level` that each leaf is in, in the order of the nodes' blocks."""
+    block = tree.ancestors(leaves.level, level)
+    keys: Index = block[leaves.block_a] * np.int64(tree.n_blocks(level)) + block[leaves.block_b]
     return keys
 
 
@@ -58,7 +61,7 @@ def _collapse_run(
     level: int,
     channels: int,
 ) -> LeafSet:
-    """Return the rank-1 leaves of some nodes, made of the leaves below them."""
+    """Return the rank-1 leaves of some nodes, from the leaves below them."""
     block_a, block_b = (
         blocks.astype(np.int32) for blocks in np.divmod(nodes, tree.n_blocks(level))
     )
@@ -87,25 +90,29 @@ def _add_marginals(
     tree: BlockTree,
     leaves: LeafSet,
     node: Index,
-    own: tuple[Index, Index],
+    node_offsets: tuple[Index, Index],
     marginals: NDArray[np.float64],
 ) -> None:
-    """Add the row and column sums of leaves to those of their nodes."""
+    """Add the row and column sums of leaves to those of their nodes, in place.
+
+    The sum of a node's tree position k is at ``node_offsets[side][node] + k``.
+    """
     starts, values = tree.starts[leaves.level], leaves.values
-    sizes, is_apart = np.diff(starts), leaves.block_a != leaves.block_b
+    sizes, off_diagonal = np.diff(starts), leaves.block_a != leaves.block_b
     if leaves.level == tree.n_levels - 1:
-        # A scalar is the leaf x * 1: give it a second factor of one.
+        # a scalar x is the leaf x * 1
         values = np.concatenate([values, np.ones_like(values)], axis=1)
         offsets = [np.arange(len(leaves)), np.arange(len(leaves)) + len(leaves)]
     else:
         offsets = [*factor_offsets(starts, leaves.block_a, leaves.block_b)[:2]]
     sides = []
-    for block, offset, first in zip((leaves.block_a, leaves.block_b), offsets, own, strict=True):
+    blocks = leaves.block_a, leaves.block_b
+    for block, offset, first in zip(blocks, offsets, node_offsets, strict=True):
         lengths = sizes[block]
         factors = values[:, ragged_ranges(offset, lengths)].astype(np.float64)
         sums = np.add.reduceat(factors, np.cumsum(lengths) - lengths, axis=1)
         sides.append((ragged_ranges(first[node] + starts[block], lengths), lengths, factors, sums))
     a, b = sides
-    for (place, lengths, factors, _), sums in ((a, b[-1]), (b, a[-1] * is_apart)):
+    for (index, lengths, factors, _), sums in ((a, b[-1]), (b, a[-1] * off_diagonal)):
         light = factors * np.repeat(sums, lengths, axis=1)
-        marginals += [np.bincount(place, plane, marginals.shape[1]) for plane in light]
+        marginals += [np.bincount(index, plane, marginals.shape[1]) for plane in light]
