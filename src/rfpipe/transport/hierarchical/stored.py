@@ -61,10 +61,6 @@ class StoredLeaves(LazySequence[str, LeafSet]):
 
     def __init__(self, bundle: ArrayBundle, *, keep: bool) -> None:
         self._bundle = bundle
-        if any(name.endswith("_signs") for name in bundle.names):
-            raise StoreError(
-                f"{bundle.path}: leaves with signs are no longer read; acquire the scene again"
-            )
         self._sets = names_by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
         super().__init__(list(self._sets), self._read_set, keep=keep)
 
