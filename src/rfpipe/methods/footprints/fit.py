@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from math import log2
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,7 +68,8 @@ from rfpipe.transport.multiscale import cells, coarsest_scale
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Pictures = tuple[ViewPictures, ...]
+Views = tuple[ViewPictures, ...]
+"""Pictures of one channel, or of the channels' sum, for each projector view."""
 
 # Seed, and default number, of the camera rays in the fit of indirect light in a light field.
 _SEED, _LIGHT_FIELD_RAYS = 2006, 4096
@@ -114,7 +116,7 @@ class _Problem:
 
     camera: RayDomain
     projector: RayDomain
-    grey: Pictures
+    grey: Views
     templates: list[BoxTemplates]
     camera_rays: Index | None
     largest_core_count: int
@@ -123,8 +125,8 @@ class _Problem:
 def fit_model(
     camera: RayDomain,
     projector: RayDomain,
-    grey: Pictures,
-    channels: Iterable[Pictures],
+    grey: Views,
+    channels: Iterable[Views],
     previous: Candidates | None = None,
     limits: FitLimits | None = None,
 ) -> FootprintModel:
@@ -153,8 +155,16 @@ def fit_model(
     return FootprintModel(combined.footprints, fitted or (combined,))
 
 
+def solution_count(projector: RayDomain, channels: int, *, is_first: bool) -> int:
+    """Return the largest number of fits of S in `fit_model`, for displays of progress."""
+    scales = round(log2(coarsest_scale(projector.image_shape)))
+    searches = 2 if is_first else 1
+    last_fits = 1 + (channels if channels > 1 else 0)
+    return searches * (3 + 2 * scales) + last_fits * min(projector.views, 2)
+
+
 def _problem(
-    camera: RayDomain, projector: RayDomain, grey: Pictures, limits: FitLimits | None
+    camera: RayDomain, projector: RayDomain, grey: Views, limits: FitLimits | None
 ) -> _Problem:
     view = RayDomain(projector.image_shape)
     templates = []
@@ -197,7 +207,7 @@ def _search_footprints(
     return _fit_weights_of_views(grey, with_transposed(footprints), indirect)
 
 
-def _prepare_last_fit(pictures: Pictures, footprints: Candidates) -> Candidates:
+def _prepare_last_fit(pictures: Views, footprints: Candidates) -> Candidates:
     """Drop faint candidates, and set the prior variances for the last fits."""
     parts = zip(pictures, split_views(footprints, len(pictures)), strict=True)
     return join_views(
@@ -209,7 +219,7 @@ def _prepare_last_fit(pictures: Pictures, footprints: Candidates) -> Candidates:
 
 
 def _fit_parts(
-    pictures: Pictures,
+    pictures: Views,
     footprints: Candidates,
     light: IndirectLight,
     camera_rays: Index | None,
@@ -225,7 +235,7 @@ def _fit_parts(
 
 
 def _fit_reciprocal_parts(
-    pictures: Pictures,
+    pictures: Views,
     footprints: Candidates,
     light: IndirectLight,
     camera_rays: Index | None,
@@ -255,13 +265,13 @@ def _fit_reciprocal_parts(
 
 
 def _fit_weights_of_views(
-    pictures: Pictures, footprints: Candidates, indirect: list[Float]
+    pictures: Views, footprints: Candidates, indirect: list[Float]
 ) -> Candidates:
     views = zip(split_views(footprints, len(pictures)), pictures, indirect, strict=True)
     return join_views([fit_weights(part, view, in_view) for part, view, in_view in views])
 
 
-def _fit_channel(problem: _Problem, pictures: Pictures, combined: ChannelModel) -> ChannelModel:
+def _fit_channel(problem: _Problem, pictures: Views, combined: ChannelModel) -> ChannelModel:
     """Fit a channel, starting from the model of the channels' sum, scaled to its brightness."""
     floodlit, grey = floodlit_by_all(pictures), floodlit_by_all(problem.grey)
     share = np.divide(floodlit, grey, out=np.zeros_like(floodlit), where=grey > 0)
@@ -335,9 +345,7 @@ def _chart(problem: _Problem, footprints: Candidates) -> Chart:
     return chart_from_view(problem.camera, direct, shape, floodlit)
 
 
-def _mean_indirect_light(
-    pictures: Pictures, floodlit: Float, direct: csr_array[np.float32]
-) -> float:
+def _mean_indirect_light(pictures: Views, floodlit: Float, direct: csr_array[np.float32]) -> float:
     """Estimate the mean indirect light of the floodlit image, radiance, at least 0.
 
     With one view it is measured where footprints are dark, in patterns with half of the pixels lit.

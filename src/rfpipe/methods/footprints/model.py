@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.methods.footprints.candidates import Candidates
 from rfpipe.methods.footprints.indirect import IndirectLight
 from rfpipe.transport.footprints import sparse_arrays
@@ -66,4 +67,26 @@ def transport_arrays(model: FootprintModel, unit: float) -> dict[str, NDArray[An
         **sparse_arrays("cores", cores[0], [S.data for S in cores]),
         "camera_factor": np.stack([light.f * np.float32(unit) for light in lights]),
         "projector_factor": np.stack([light.g for light in lights]),
+    }
+
+
+def uniform_arrays(floodlit: Float, projector_size: int) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a `FootprintTransport` before any fit, from the floodlit image.
+
+    Every projector ray contributes equally to every camera pixel. `floodlit` is the image of each
+    channel, radiance, float32 (C, M).
+    """
+    from scipy.sparse import csr_array
+
+    channels, camera_size = floodlit.shape
+    no_footprints: Any = csr_array((camera_size, projector_size), dtype=np.float32)
+    one: Any = csr_array(np.ones((1, 1), np.float32))
+    share = np.full(1, 1 / projector_size, np.float32)
+    return {
+        **sparse_arrays("footprints", no_footprints, [no_footprints.data] * channels),
+        **sparse_arrays("left", csr_array(np.ones((camera_size, 1), np.float32))),
+        **sparse_arrays("right", csr_array(np.ones((projector_size, 1), np.float32))),
+        **sparse_arrays("cores", one, [share] * channels),
+        "camera_factor": np.maximum(floodlit, 0),
+        "projector_factor": np.ones((channels, projector_size), np.float32),
     }

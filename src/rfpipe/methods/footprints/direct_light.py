@@ -1,0 +1,73 @@
+"""Direct light of the footprint model, as the error estimate and the residual model use it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rfpipe.array_types import Bools
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.error_estimate import HELD_OUT, held_out_patterns
+from rfpipe.methods.images import nearest, relight_white
+from rfpipe.methods.residual.model import CameraCells, ProjectorCells, residual_cells, root_factor
+from rfpipe.transport.base import Transport
+from rfpipe.transport.footprints import FootprintTransport
+
+# Direct light below this fraction of a pixel's direct light under full light is dark.
+_DARK = 0.02
+
+
+def pixels_without_direct_light(direct: FootprintTransport) -> Bools:
+    """Find the camera pixels with at most 2 % of their direct light in each held-out picture.
+
+    Parameters
+    ----------
+    direct : FootprintTransport
+        Direct light, `FootprintTransport.direct`.
+
+    Returns
+    -------
+    ndarray of bool, shape (held-out pictures, M)
+    """
+    lit = held_out_patterns(direct.projector_shape).reshape(len(HELD_OUT), -1)
+    patterns = np.concatenate([np.ones_like(lit[:1]), lit])
+    full, *images = relight_white(direct, patterns).sum(axis=1)
+    return ~np.asarray(np.stack(images) > _DARK * full)
+
+
+def projector_cells(
+    direct: FootprintTransport, model: Transport, camera_cells: CameraCells
+) -> ProjectorCells:
+    """Find the places in the camera's image that the projector's cells light.
+
+    The place of a cell is the mean place of its direct light. A cell that lights no camera pixel
+    has the place of the nearest one that does.
+
+    Parameters
+    ----------
+    direct : FootprintTransport
+        Direct light.
+    model : Transport
+        All light, of which the residual is fitted; it gives the factor of the projector's rays.
+    camera_cells : CameraCells
+    """
+    channels, camera = range(direct.channels), RayDomain(direct.camera_shape)
+    cells = residual_cells(direct.projector_shape)
+    light, *moments = cells.total(
+        direct.adjoint(_moment_images(camera, channels), channels).sum(axis=1)
+    ).T.astype(np.float64)
+    lights_camera = light > 0
+    places = np.stack(moments) / np.where(lights_camera, light, 1) / camera_cells.cells.side
+    if lights_camera.any() and not lights_camera.all():
+        places = places[:, nearest(lights_camera.reshape(cells.stack))]
+    white = np.ones((1, len(channels), camera.size), np.float32)
+    sent = np.maximum(model.adjoint(white, channels)[0], 0)
+    return ProjectorCells(cells, root_factor(sent), places.T.astype(np.float32))
+
+
+def _moment_images(camera: RayDomain, channels: Sequence[int]) -> np.ndarray:
+    """Return the images 1, row and column in all channels, float32 (3, C, M)."""
+    _, row, column = np.indices(camera.stack_shape).reshape(3, -1)
+    images = np.stack([np.ones_like(row), row, column]).astype(np.float32)
+    return np.repeat(images[:, None], len(channels), axis=1)
