@@ -107,7 +107,7 @@ onsuccess:
 onerror:
     write_failures(Path("results"), failed_jobs.failures())
     if workflow.execution_settings.keep_going:
-        report_others(failed_jobs.failures())
+        report_remaining(failed_jobs.failures())
     print(
         "rfpipe: the run ended early. If a stage failed, its message stands above and, with more "
         "detail, in the .log file beside its results. What was captured is kept; if a signal ended "

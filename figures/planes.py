@@ -81,7 +81,7 @@ def _matrices(method: str, runs: list[Acquired]) -> Picture:
         "direct light. (d) Level of the leaf that holds each entry; pale blue none. (e) Unlit "
         f"pixels {UNLIT_GAIN} times brighter; below it the truth, and the difference."
     )
-    figure = draw([*rows.values()], left=[*rows])
+    figure = draw([*rows.values()], labels=[*rows])
     return Picture(f"fig_2_1_{method}", f"Fig. 2.1, {method}", _MATRICES, caption, figure)
 
 

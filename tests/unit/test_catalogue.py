@@ -97,7 +97,7 @@ def test_what_is_left_of_a_scene_that_was_taken_out_is_named(listed: Path) -> No
     settings = listed.parents[2] / "run.yaml"
     (listed.parents[1] / "taken_out/dual/L00").mkdir(parents=True)
     write_catalogue(load_config(settings), listed.parents[1])
-    assert "their folders are there: taken_out." in listed.read_text()
+    assert "no longer in the settings: taken_out." in listed.read_text()
 
 
 def test_a_small_picture_is_made_again_only_when_its_scene_is(listed: Path) -> None:
@@ -121,10 +121,10 @@ def test_a_missed_target_stands_beside_the_state(listed: Path) -> None:
         write_manifest(manifest, {key: it for key, it in facts.items() if key != "checksum"})
         write_catalogue(settings, results)
         page = listed.read_text("utf-8")
-        assert page.count('<div class="why missed">') == 1
+        assert page.count('<div class="reason missed">') == 1
         assert "TARGET MISSED: the mean error is 2.00 %" in page
         assert "it is &lt;dark&gt;" in page
     finally:
         manifest.write_bytes(kept)
     write_catalogue(settings, results)
-    assert '<div class="why missed">' not in listed.read_text("utf-8")
+    assert '<div class="reason missed">' not in listed.read_text("utf-8")

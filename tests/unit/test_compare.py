@@ -45,9 +45,9 @@ def relit(
 
 
 MISSING = {
-    "nothing": ((), "no acquisition is there"),
+    "nothing": ((), "has no acquisition"),
     "begun": (("L00",), r"desk by dual: .*desk/dual/relight\.json is missing.*rfpipe run"),
-    "no error": (("L00", "relight"), "error of none is known"),
+    "no error": (("L00", "relight"), "but no known error"),
 }
 
 
@@ -132,7 +132,7 @@ def test_other_scenes_and_other_options_are_curves_of_their_own(tmp_path: Path) 
 
 def test_a_captured_scene_counts_by_its_verification(tmp_path: Path) -> None:
     relit(tmp_path, "desk", "dual", [(1, None), (20, None)], truth=0)
-    with pytest.raises(StoreError, match="error of none is known"):
+    with pytest.raises(StoreError, match="but no known error"):
         compare([tmp_path])
     write_manifest(tmp_path / "desk/dual/verification.json", {"mean_error": 0.03})
     (row,) = compare([tmp_path], [0.05]).to_dict("records")

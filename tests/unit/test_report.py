@@ -118,7 +118,7 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
     write_result(folder / "verification.json", "it", arrays, {**found.facts(), **rig})
     page = built(tmp_path, config)
     assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in page.words
-    assert "3 pictures" in page.words
+    assert "3 relit pictures" in page.words
     assert f"ABOVE THE ACCEPTED ERROR: verified {percent(found.mean_error)} %" in page.words
     assert page.source.count('<p class="alarm">') == 2
     assert page.source.count('<tr class="alarm">') == 1
@@ -192,8 +192,8 @@ def image_of_one_colour(path: Path) -> None:
     ("name", "damage", "said"),
     [
         ("figures/leaves.png", image_of_one_colour, "leaves.png: blank"),
-        ("tables/errors.csv", Path.unlink, "links tables/errors.csv, which is missing"),
-        ("index.html", lambda it: it.write_text(""), "shows no picture"),
+        ("tables/errors.csv", Path.unlink, "links to tables/errors.csv, which is missing"),
+        ("index.html", lambda it: it.write_text(""), "has no picture"),
     ],
 )
 def test_a_page_s_faults_are_told(results, tmp_path, name, damage, said):
@@ -348,7 +348,7 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     assert list(gallery.figures[0].light) == ["floodlit", *patterns]
     assert {"12", "not verified"} < set(table.rows[0])
     assert "error, %" not in table.columns
-    assert "the truth of a real scene is not known" in page.words
+    assert "the true light transport of a real scene is unknown" in page.words
     # levels that asked for nothing are left out
     assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
 

@@ -108,7 +108,7 @@ def test_an_estimate_is_drawn_where_it_was_made_and_not_as_the_truth_is(tmp_path
     assert len(alone) == 3
     assert all(line.get_markersize() > 6 for line in alone)
     names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert {*map(inputs.title, inputs.methods), "as a method estimated it"} < {*names}
+    assert {*map(inputs.title, inputs.methods), "as the method estimated it"} < {*names}
     assert len(names) == len({*names})
 
 

@@ -25,7 +25,7 @@ def list_collection():
     print(f"rfpipe: results/catalogue/index.html: {states}")
 
 
-def report_others(failures):
+def report_remaining(failures):
     """Write the report of the acquisitions in which no job failed, in a run that keeps going."""
     failed = {
         (failure.scene, failure.method): failure
@@ -34,14 +34,14 @@ def report_others(failures):
     }
     if not failed or len(failed) < len(failures) or not SETTINGS.has_report:
         return
-    from rfpipe.report.others import build_report_of_others
+    from rfpipe.report.partial import build_partial_report
 
     try:
-        page = build_report_of_others(SETTINGS, Path("results"), failed)
+        page = build_partial_report(SETTINGS, Path("results"), failed)
     except RfpipeError as error:
-        print(f"rfpipe: no report of the others: {error}")
+        print(f"rfpipe: no report of the remaining acquisitions: {error}")
     else:
-        print(f"rfpipe: report of the others: {page}" if page else "")
+        print(f"rfpipe: report of the remaining acquisitions: {page}" if page else "")
 
 
 PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"

@@ -27,19 +27,19 @@ def build_report(
     ----------
     config : Config
     results : Path
-        What the stages left, see `rfpipe.report.inputs.load_inputs`.
+        Folder of results, see `rfpipe.report.inputs.load_inputs`.
     page : Path
-        The page to write; pictures embedded. ``figures/*.png``, ``*.pdf`` and ``*.exr``,
-        ``tables/*.csv`` and ``*.tex``, and ``results.json`` come to lie beside it.
+        Page to write, with embedded pictures. ``figures/*.png``, ``*.pdf`` and ``*.exr``,
+        ``tables/*.csv`` and ``*.tex``, and ``results.json`` are written to its folder.
     errors, speed_error : Path
-        The tables of the evaluate stage.
+        Tables of the evaluate stage.
     note : str
-        A sentence that follows the lead.
+        Sentence that follows the lead.
 
     Raises
     ------
     StoreError
-        When no acquisition of the configuration has been relit.
+        If no acquisition of the configuration is relit.
     """
     inputs = load_inputs(config, results, errors, speed_error)
     if not inputs.runs:
@@ -51,14 +51,14 @@ def build_report(
     colours = {inputs.title(name): inputs.style(name)["color"] for name in inputs.methods}
     swatches = colours | STANDING_COLOURS
     write_page(page, config.title, lead, make_sections(inputs), swatches, _views(inputs, page))
-    about = {"title": config.title, "lead": lead, "provenance": setup.provenance_of(inputs)}
-    write_atomically(page.with_name("results.json"), json.dumps(about, indent=2).encode())
+    facts = {"title": config.title, "lead": lead, "provenance": setup.provenance_of(inputs)}
+    write_atomically(page.with_name("results.json"), json.dumps(facts, indent=2).encode())
     files = (path for path in sorted(page.parent.rglob("*")) if path.suffix in _SUFFIXES)
     write_files(page.with_name(FILES), (path for path in files if path.name != FILES))
 
 
 def make_sections(inputs: Inputs) -> list[Section]:
-    """Return the sections that there is something to show in."""
+    """Return the sections of a report that aren't empty."""
     candidates = [
         glance.glance_section(inputs),
         verification.verification_section(inputs),
@@ -71,7 +71,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
 
 
 def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
-    """Return the viewer's pages that lie in the folder ``view`` beside the page, by scene."""
+    """Return title and path of the viewer's pages of each scene, in the folder ``view``."""
     views: dict[str, list[tuple[str, str]]] = {}
     for run in inputs.runs:
         path = f"view/{run.scene}_{run.method}.html"
@@ -81,6 +81,6 @@ def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
 
 
 def _lead(inputs: Inputs) -> str:
-    """Say in a sentence what the report is about."""
-    of = [f"{scene}, {ray_size(inputs.config.scenes[scene])} rays" for scene in inputs.scenes]
-    return f"The light transport between a projector and a camera: {'; '.join(of)}."
+    """Return the first sentence of the page."""
+    scenes = [f"{scene}, {ray_size(inputs.config.scenes[scene])} rays" for scene in inputs.scenes]
+    return f"The light transport between a projector and a camera: {'; '.join(scenes)}."

@@ -1,4 +1,4 @@
-"""The page of a rig's calibration: each step's verdict, numbers and pictures."""
+"""Page of a rig's calibration: verdict, numbers and charts of each step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _DOTS: dict[str, Any] = {"marker": "o", "markersize": 3, "linestyle": ""}
 
 
 def build_calibration_report(folder: CalibrationFolder) -> Path:
-    """Write the page of the steps that are done.
+    """Write the page of the finished steps.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     Returns
     -------
     Path
-        ``report.html`` in the folder; pictures embedded, and beside it in ``figures/``; tables in
-        ``tables/``.
+        ``report.html`` in the folder, with embedded pictures; they are also in ``figures/``, and
+        tables in ``tables/``.
 
     Raises
     ------
     StoreError
-        When no step is done.
+        If no step is finished.
     """
     done = {name: folder.read(name) for name in STEPS if folder.is_done(name)}
     if not done:
@@ -75,24 +75,24 @@ def _section(name: str, findings: Findings) -> Section:
         if isinstance(value, bool | int | float | str)
     ]
     labels = [("number", "number", str), ("value", "value", str)]
-    about = "Units stand in the names."
-    table = table_of("Numbers", about, numbers, labels, [], csv=f"{name}.csv")
+    caption = "Units are part of the names."
+    table = table_of("Numbers", caption, numbers, labels, [], csv=f"{name}.csv")
     blocks: list[Block] = [table]
     if name in _CHARTS:
-        chart, caption = _CHARTS[name]
-        blocks.insert(0, Illustration(title, caption, name, chart(findings)))
+        chart, chart_caption = _CHARTS[name]
+        blocks.insert(0, Illustration(title, chart_caption, name, chart(findings)))
     return Section(name, title, blocks, [verdict])
 
 
-def _plot(below: str, left: str) -> tuple[Figure, Axes]:
+def _plot(x_label: str, y_label: str) -> tuple[Figure, Axes]:
     """Return a figure of one plot, with its labels."""
     figure, ((axis,),) = new_figure(1, 1, (5.0, 3.1))
-    axis.set(xlabel=below, ylabel=left)
+    axis.set(xlabel=x_label, ylabel=y_label)
     return figure, axis
 
 
 def _maps(**images: NDArray[Any]) -> Figure:
-    """Show maps side by side, each with its scale."""
+    """Draw maps side by side, each with its scale."""
     maps = [Map(image, scale=name.replace("_", " ")) for name, image in images.items()]
     return draw([maps], 2.6)
 
@@ -102,105 +102,117 @@ def _errors(axis: Axes, x: Any, y: Any, error: Any, **style: Any) -> None:
     axis.errorbar(x, y, 2 * error, **{"color": _BLUE, "linewidth": 0.8, **_DOTS, **style})
 
 
-def _latency(one: Findings) -> Figure:
-    figure, axis = _plot("wait after a picture was drawn, ms", "share of the step seen")
-    axis.plot(1000 * one["waits"], one["worst"], color=_BLUE, **_DOTS)
-    axis.axvline(1000 * one["settle_seconds"], color=_GREY, linestyle="--")
+def _latency(findings: Findings) -> Figure:
+    figure, axis = _plot("wait after a picture was drawn, ms", "visible share of the step")
+    axis.plot(1000 * findings["waits"], findings["worst"], color=_BLUE, **_DOTS)
+    axis.axvline(1000 * findings["settle_seconds"], color=_GREY, linestyle="--")
     axis.set_ylim(-0.1, 1.1)
     return figure
 
 
-def _steadiness(one: Findings) -> Figure:
-    """Draw the light of lit looks, by the exposures that the verdict is about."""
-    figure, axis = _plot("lit look", "light over that of the references, less 1, %")
+def _steadiness(findings: Findings) -> Figure:
+    """Draw the light of lit check pictures, for the exposures that the verdict is about."""
+    figure, axis = _plot("lit check picture", "light over that of the references, less 1, %")
     axis.axhline(0, color=_GREY, linewidth=0.8)
-    gains, exposures = one["gain"], one.facts.get("exposures_s")
-    judged = one.arrays.get("judged", np.ones(gains.shape[1], bool))
-    looks = np.arange(1, 1 + len(gains))
+    gains, exposures = findings["gain"], findings.facts.get("exposures_s")
+    judged = findings.arrays.get("judged", np.ones(gains.shape[1], bool))
+    numbers = np.arange(1, 1 + len(gains))
     for index in np.flatnonzero(judged):
         name = f"exposure {index + 1}" if exposures is None else f"{exposures[index]:.3g} s"
-        look = {"color": _EXPOSURES[index % len(_EXPOSURES)], "label": name, **_DOTS}
-        axis.plot(looks, 100 * (gains[:, index] - 1), **look)
+        style = {"color": _EXPOSURES[index % len(_EXPOSURES)], "label": name, **_DOTS}
+        axis.plot(numbers, 100 * (gains[:, index] - 1), **style)
     if judged.any():
         shared_legend(figure)
     return figure
 
 
-def _scene(one: Findings) -> Figure:
-    picture = scene_image(*(one[name] for name in ("white", "saturated", "dark", "lit")))
+def _scene(findings: Findings) -> Figure:
+    picture = scene_image(*(findings[name] for name in ("white", "saturated", "dark", "lit")))
     sight = Map(picture, "white, less black")
-    dark = Map(one["black"], "all off", scale="counts")
-    focus = Map(one["focus"], "contrast of stripes", scale="contrast")
+    dark = Map(findings["black"], "all off", scale="counts")
+    focus = Map(findings["focus"], "contrast of stripes", scale="contrast")
     return draw([[sight, dark, focus]], 2.6)
 
 
-def _dark(one: Findings) -> Figure:
+def _dark(findings: Findings) -> Figure:
     figure, axis = _plot("exposure, s", "mean without light, counts")
-    times = np.array(one["exposures_s"])
-    axis.plot(times, one["level_counts"], "o", color=_BLUE)
-    axis.plot(times, one["black_level_counts"] + one["current_counts_per_s"] * times, **_FIT)
+    times = np.array(findings["exposures_s"])
+    axis.plot(times, findings["level_counts"], "o", color=_BLUE)
+    axis.plot(
+        times, findings["black_level_counts"] + findings["current_counts_per_s"] * times, **_FIT
+    )
     axis.ticklabel_format(axis="y", useOffset=False)
     return figure
 
 
-def _linearity(one: Findings) -> Figure:
+def _linearity(findings: Findings) -> Figure:
     figure, axis = _plot("counts above black, fraction of full scale", "deviation, %")
     axis.axhline(0, color=_GREY, linewidth=0.8)
-    _errors(axis, one["level"], 100 * one["deviation"], 100 * one["error"])
+    _errors(axis, findings["level"], 100 * findings["deviation"], 100 * findings["error"])
     axis.set_xscale("log")
     plain_numbers(axis.xaxis, (1, 3))
     return figure
 
 
-def _light(one: Findings) -> Figure:
+def _light(findings: Findings) -> Figure:
     figure, axis = _plot("code", "light, fraction of code 255")
-    axis.plot(np.arange(256), one["light"], **_FIT)
-    _errors(axis, one["codes"], one["measured"], one["error"])
+    axis.plot(np.arange(256), findings["light"], **_FIT)
+    _errors(axis, findings["codes"], findings["measured"], findings["error"])
     return figure
 
 
-def _transfer(one: Findings) -> Figure:
-    signal, variance, model, used = (one[name] for name in ("signal", "variance", "model", "used"))
+def _transfer(findings: Findings) -> Figure:
+    signal, variance, model, used = (
+        findings[name] for name in ("signal", "variance", "model", "used")
+    )
     figure, axis = _plot("signal, counts", "variance, counts²")
-    other = ~used & (signal > 0) & (variance > 0)
-    axis.loglog(signal[other], variance[other], color=_GREY, fillstyle="none", **_DOTS)
+    unused = ~used & (signal > 0) & (variance > 0)
+    axis.loglog(signal[unused], variance[unused], color=_GREY, fillstyle="none", **_DOTS)
     axis.loglog(signal[used], model[used], **_FIT)
-    _errors(axis, signal[used], variance[used], one["error"][used])
+    _errors(axis, signal[used], variance[used], findings["error"][used])
     return figure
 
 
-def _correspondence(one: Findings) -> Figure:
-    x, y, above = (np.where(one["valid"], one[name], np.nan) for name in ("x", "y", "modulation"))
+def _correspondence(findings: Findings) -> Figure:
+    x, y, above = (
+        np.where(findings["valid"], findings[name], np.nan) for name in ("x", "y", "modulation")
+    )
     return _maps(x__projector_pixels=x, y__projector_pixels=y, stripes_over_noise=above)
 
 
-def _rays(one: Findings) -> Figure:
-    coverage = np.diff(one["resampling_starts"]).reshape(one["pixels"].shape) > 0
+def _rays(findings: Findings) -> Figure:
+    coverage = np.diff(findings["resampling_starts"]).reshape(findings["pixels"].shape) > 0
     pixels, leak, noise = (
-        np.where(coverage, one[name], np.nan).reshape(-1, coverage.shape[-1])
+        np.where(coverage, findings[name], np.nan).reshape(-1, coverage.shape[-1])
         for name in ("pixels", "leak", "noise")
     )
     return _maps(camera_pixels_a_ray=pixels, leak__share=leak, noise_over_a_pixel_s=noise)
 
 
 _CHARTS: dict[str, tuple[Callable[[Findings], Figure], str]] = {
-    "latency": (_latency, "Least share of a picture's step that the first exposure saw."),
+    "latency": (
+        _latency,
+        "Smallest share of a picture's step that was visible in the first exposure.",
+    ),
     "steadiness": (
         _steadiness,
         (
-            "Light of the looks at a pattern and at its complement, by exposures; looks at black "
-            "are not shown. The verdict is about the mean of these exposures; others, mostly "
-            "saturated or dark, are too noisy and are left out."
+            "Light of the check pictures of a pattern and of its complement, by exposures; black "
+            "check pictures are not shown. The verdict is about the mean of these exposures; "
+            "further ones, mostly saturated or dark, are too noisy and are omitted."
         ),
     ),
     "scene": (_scene, "Red: saturated; blue: within the noise; yellow: the projector's outline."),
-    "dark": (_dark, "Counts without light, whose slope is dark current and leaking light."),
+    "dark": (_dark, "Counts without light; their slope is dark current and stray light."),
     "linearity": (
         _linearity,
-        "Light by the shorter of two exposures over the longer's, less 1.",
+        "Light by the shorter of two exposures over that by the longer one, less 1.",
     ),
     "light": (_light, "Light of each code over the lit camera pixels, and the curve through it."),
     "transfer": (_transfer, "Variance between two pictures of the same light, and its model."),
-    "correspondence": (_correspondence, "Where on the projector each camera pixel looks."),
-    "rays": (_rays, "Camera pixels a ray, light that leaks into each, and its noise, by views."),
+    "correspondence": (_correspondence, "Projector coordinates of each camera pixel."),
+    "rays": (
+        _rays,
+        "Camera pixels of each ray, light that leaks into it, and its noise, view by view.",
+    ),
 }

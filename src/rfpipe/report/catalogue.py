@@ -1,4 +1,4 @@
-"""The catalogue: every acquisition of a run on one page, with what became of it."""
+"""Catalogue: a page with every acquisition of a run, its state and its numbers."""
 
 from __future__ import annotations
 
@@ -27,15 +27,19 @@ if TYPE_CHECKING:
     from rfpipe.config import Config
 
 CATALOGUE = Path("catalogue") / "index.html"
-"""In the folder of results."""
+"""Path of the page in the folder of results."""
 
 State = Literal["failed", "running", "stopped", "waiting", "done"]
 _STATES: tuple[State, ...] = ("failed", "running", "stopped", "waiting", "done")
 
 _ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
-_LONGEST_WHY = 400
+_MAX_REASON_LENGTH = 400
+"""Characters of an error message that the page shows."""
+
 _TAIL_BYTES = 65_536
-_SIDE = 96  # pixels of a small picture
+"""Bytes at the end of a log that are searched for errors."""
+
+_THUMBNAIL_PIXELS = 96
 _WHITE_PERCENTILE = 99.5
 
 
@@ -46,13 +50,12 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     ----------
     settings : Config
     results : Path
-        The run's folder of results; the page is its ``catalogue/index.html``, small pictures lie
-        beside it.
+        Folder of results. The page is its ``catalogue/index.html``, in a folder with thumbnails.
 
     Returns
     -------
     dict
-        Acquisitions by state.
+        Number of acquisitions in each state.
     """
     begun = {folder.parents[1].name for folder in results.glob("*/*/L00")}
     rows = [_row(settings, results, *names) for names in settings.acquisitions]
@@ -61,12 +64,12 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
         "catalogue.html.j2",
         title=Path(settings.collection).stem if settings.collection else settings.title,
         rows=rows,
-        about=list(dict.fromkeys(key for row in rows for key in row["about"])),
+        annotations=list(dict.fromkeys(key for row in rows for key in row["annotations"])),
         shown={
             name: any(row[name] not in (None, "") for row in rows)
             for name in ("error", "indirect", "estimate", "verified", "rig")
         },
-        left=sorted(begun - {*settings.scenes}),
+        former_scenes=sorted(begun - {*settings.scenes}),
         states=[(state, counts[state]) for state in _STATES if counts[state]],
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )
@@ -75,8 +78,8 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
 
 
 def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, Any]:
-    folder, about = results / scene / method, settings.scenes[scene]
-    state, why = state_of(folder)
+    folder, scene_settings = results / scene / method, settings.scenes[scene]
+    state, reason = state_of(folder)
     view, log = f"report/view/{scene}_{method}.html", last_log(folder)
     picture = (results / CATALOGUE).with_name(f"{scene}_{method}.png")
     numbers = _numbers(folder, settings.capture.seconds_per_pattern)
@@ -84,12 +87,12 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
         "scene": scene,
         "method": method,
         "state": state,
-        "why": why,
+        "reason": reason,
         "order": _STATES.index(state),
-        "kind": about.kind,
-        "rays": ray_size(about),
-        "rig": about.rig or "",
-        "about": about.about,
+        "kind": scene_settings.kind,
+        "rays": ray_size(scene_settings),
+        "rig": scene_settings.rig or "",
+        "annotations": scene_settings.about,
         "picture": picture.name if write_thumbnail(folder, picture) else None,
         "view": f"../{view}" if (results / view).exists() else None,
         "log": f"../{log.relative_to(results).as_posix()}" if log else None,
@@ -98,29 +101,30 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
     }
 
 
-class Standing(NamedTuple):
-    """What became of an acquisition.
+class Progress(NamedTuple):
+    """State of an acquisition.
 
     Attributes
     ----------
     state : {"failed", "running", "stopped", "waiting", "done"}
-    why : str
-        Of one that failed, the message; of one that runs or was stopped, where and how far it came.
+    reason : str
+        Error message of a failed acquisition; process and captured levels of a running or stopped
+        one.
     """
 
     state: State
-    why: str = ""
+    reason: str = ""
 
 
-def state_of(folder: Path) -> Standing:
-    """Return the state of the acquisition in a folder, which needn't exist."""
+def state_of(folder: Path) -> Progress:
+    """Return the state of the acquisition in a folder; a missing folder is waiting."""
     if not folder.exists():
-        return Standing("waiting")
+        return Progress("waiting")
     holder = StoreLock.holder(folder)
     if holder is not None:
-        return Standing("running", f"process {holder}: {_reached(folder)}")
+        return Progress("running", f"process {holder}: {_reached(folder)}")
     if (folder / "transport.json").exists():
-        return Standing("done")
+        return Progress("done")
     return _ended(folder)
 
 
@@ -132,41 +136,44 @@ def _modified(path: Path) -> int:
 
 
 def last_log(folder: Path) -> Path | None:
-    """Return the log that was written last, of the acquisition or of a stage; None for none."""
+    """Return the newest log of an acquisition or its stages; None without logs."""
     logs = [*folder.glob("*.log"), *folder.glob("L[0-9][0-9]/*.log")]
     return max(logs, key=_modified, default=None)
 
 
 def _reached(folder: Path) -> str:
-    """Say to what level captures are complete."""
+    """Describe the last captured level."""
     done = sorted(folder.glob("L[0-9][0-9]/capture.json"))
     return f"level {int(done[-1].parent.name[1:])} is captured" if done else "nothing captured yet"
 
 
-def _ended(folder: Path) -> Standing:
-    """Tell how an acquisition without a transport ended, by its last log."""
+def _ended(folder: Path) -> Progress:
+    """Return the state of an acquisition without a transport, from its last log.
+
+    A job that ends by an error logs it with the level ERROR, an interrupted job logs a warning.
+    """
     try:
         with (last_log(folder) or folder / "acquire.log").open("rb") as file:
             file.seek(max(0, file.seek(0, 2) - _TAIL_BYTES))
             errors = _ERROR.findall(file.read().decode(errors="replace"))
     except OSError:
         begun = any(folder.iterdir())
-        return Standing("stopped", _reached(folder)) if begun else Standing("waiting")
+        return Progress("stopped", _reached(folder)) if begun else Progress("waiting")
     if not errors:
-        return Standing("stopped", _reached(folder))
-    return Standing("failed", errors[-1][:_LONGEST_WHY])
+        return Progress("stopped", _reached(folder))
+    return Progress("failed", errors[-1][:_MAX_REASON_LENGTH])
 
 
 def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
-    """Return the numbers of an acquisition; what is missing or damaged is None.
+    """Return the numbers of an acquisition, None where they are missing or damaged.
 
     Returns
     -------
     dict
         ``patterns``; ``seconds`` on the rig and of processing; ``nbytes`` of the stored transport.
-        ``error``, ``estimate`` and ``verified``: mean relative errors of relit pictures, against
-        the truth, by the method's estimate, and against pictures that no method saw; ``indirect``:
-        of their indirect light, against the truth.
+        ``error``, ``estimate`` and ``verified``: mean relative errors of relit pictures: against
+        the truth, as the method estimated it, and against verification pictures. ``indirect``: mean
+        error of their indirect light against the truth.
     """
     acquired, relit = (
         manifest_or_empty(folder / "transport.json"),
@@ -203,20 +210,26 @@ def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:
         **last,
         "mean_error": numbers["error"] if has_truth else numbers["verified"],
         "mean_indirect": numbers["indirect"],
-        "verified": "truth" if has_truth else "pictures that no method saw",
+        "verified": "truth" if has_truth else "verification pictures",
     }
     reason = ending_of(acquired.get("levels", []))
     return [*missed_targets(row, reason, by_few_pictures=not has_truth)]
 
 
 def write_thumbnail(folder: Path, picture: Path) -> bool:
-    """Write the floodlit picture of an acquisition as a small PNG, unless it stands; tell if so.
+    """Write the floodlit image of an acquisition as a small PNG, unless it is up to date.
 
     Parameters
     ----------
     folder : Path
         ``results/{scene}/{method}``.
     picture : Path
+        Path of the PNG.
+
+    Returns
+    -------
+    bool
+        Whether there is such a picture.
     """
     from rfpipe.pictures.images import resized, write_image
     from rfpipe.references.reference_images import read_floodlit
@@ -228,11 +241,11 @@ def write_thumbnail(folder: Path, picture: Path) -> bool:
         floodlit = read_floodlit(AcquisitionFolder(folder))[0]
     except (RfpipeError, KeyError):
         return False
-    # of a light field, the view in the middle
+    # a light field is represented by its middle view
     domain = RayDomain(floodlit.shape[:-1])
     views = floodlit.reshape(domain.views, *domain.image_shape, floodlit.shape[-1])
     height, width = domain.image_shape
-    step = max(1.0, max(height, width) / _SIDE)
+    step = max(1.0, max(height, width) / _THUMBNAIL_PIXELS)
     shape = max(1, round(height / step)), max(1, round(width / step))
     image = resized(np.nan_to_num(views[domain.views // 2]), shape)
     white = float(np.percentile(image, _WHITE_PERCENTILE))

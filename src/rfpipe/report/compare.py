@@ -1,9 +1,9 @@
-"""Methods at equal error: patterns, pictures and seconds that each takes for it on each scene.
+"""Comparison of methods at equal error: patterns, pictures and seconds that each method needs.
 
-Every acquisition gives points (patterns, error), one a level where its transport is known level by
-level, else one alone. The points of all acquisitions of a scene by one method, whatever its
-tolerance or target, make the method's curve: those with the least error for their patterns. Between
-two points of a curve, costs are interpolated with the logarithm of the error.
+Every acquisition gives points (patterns, error): one for each level if the error is known level by
+level, else a single one. The points of all acquisitions of a scene by a method, with any tolerance
+or target, make the method's curve: the points with the smallest error for their number of patterns.
+Between two points of a curve, costs are interpolated linearly in the logarithm of the error.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ERRORS = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-"""Errors at which methods are compared where none are given."""
+"""Errors at which methods are compared by default."""
 
 COLUMNS = ("scene", "error", "method", "patterns", "pictures", "seconds", "note")
 
@@ -37,15 +37,18 @@ _SECONDS_PER_PATTERN = 2.0
 
 @dataclass(frozen=True)
 class Point:
-    """Cost and error of an acquisition that ends after some level.
+    """Cost and error of an acquisition up to a level.
 
     Attributes
     ----------
     error : float
         Mean error of relit pictures, a fraction.
-    patterns, pictures, seconds : float
-        Patterns of the method; pictures that the rig took for it, references included; seconds of
-        these pictures and of processing. NaN where not known.
+    patterns : float
+        Number of patterns of the method.
+    pictures : float
+        Number of pictures taken on the rig, with references; NaN where unknown.
+    seconds : float
+        Time of these pictures and of processing; NaN where unknown.
     """
 
     error: float
@@ -64,11 +67,11 @@ class Acquired:
         Folder of results.
     scene : str
     truth : str
-        Fingerprint of the scene's floodlit image; "" of a captured scene.
+        Fingerprint of the scene's true floodlit image; "" for a captured scene.
     method : str
         Title of the method.
     variant : str
-        Fingerprint of its options except the one that trades patterns for accuracy.
+        Fingerprint of the options, without the one that trades patterns for accuracy.
     points : tuple of Point
     """
 
@@ -94,13 +97,13 @@ def compare(
     errors : sequence of float
         Fractions above 0.
     seconds_per_pattern : float, optional
-        Seconds that the rig takes for a picture; by default those of each run's settings.
+        Time of a picture on the rig; by default that in each run's settings.
 
     Returns
     -------
     DataFrame
-        `COLUMNS`: a row for each scene, error and method; costs are NaN where the ``note`` says
-        that the method doesn't reach the error.
+        `COLUMNS`, with a row for each scene, error and method. Costs are NaN where the method
+        doesn't reach the error; the ``note`` says so.
 
     Raises
     ------
@@ -114,14 +117,18 @@ def compare(
     wrong = [error for error in errors if not error > 0]
     if wrong:
         raise InputError(f"error {wrong[0]:g}; expected a fraction above 0, such as 0.01")
-    acquired = [one for folder in folders for one in acquisitions(folder, seconds_per_pattern)]
+    acquired = [
+        acquisition
+        for folder in folders
+        for acquisition in acquisitions(folder, seconds_per_pattern)
+    ]
     curves = curves_of(acquired)
     rows = [
         {"scene": scene, "error": error, "method": method, **_cost(curve, error)}
         for scene in dict.fromkeys(scene for scene, _ in curves)
         for error in sorted(errors, reverse=True)
-        for (of_scene, method), curve in curves.items()
-        if of_scene == scene
+        for (curve_scene, method), curve in curves.items()
+        if curve_scene == scene
     ]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
@@ -136,41 +143,41 @@ def acquisitions(folder: Path, seconds_per_pattern: float | None) -> list[Acquir
         _acquired(results, path, configuration, seconds)
         for path in sorted(results.glob("*/*/relight.json"))
     )
-    known = [one for one in read if one.points]
+    known = [acquisition for acquisition in read if acquisition.points]
     if not known:
         raise StoreError(f"{folder}: {_missing(results)}")
     return known
 
 
 def _missing(results: Path) -> str:
-    """Reason why no acquisition of a folder of results can be compared, and the remedy."""
+    """Return the reason why no acquisition of a folder can be compared, and the remedy."""
     begun = sorted({level.parent for level in results.glob("*/*/L00")})
     complete = {manifest.parent for manifest in results.glob("*/*/relight.json")}
     names = ", ".join(f"{path.parent.name} by {path.name}" for path in begun[:4])
     if complete:
         return (
-            "has relit acquisitions, but the error of none is known: these scenes have neither "
-            "the truth nor verification pictures; set verification.pictures, then run "
-            "again"
+            "has relit acquisitions, but no known error: these scenes have neither a truth nor "
+            "verification pictures; set verification.pictures, then run again"
         )
     if begun:
         return (
-            f"no acquisition there is relit ({names}: {begun[0] / 'relight.json'} is missing); "
+            f"has no relit acquisition ({names}: {begun[0] / 'relight.json'} is missing); "
             "complete the run with 'rfpipe run', then compare"
         )
     return (
-        "no acquisition is there (no <scene>/<method>/relight.json); name the folder of a "
+        "has no acquisition (no <scene>/<method>/relight.json); name the folder of a "
         "finished run, such as results, or run it first with 'rfpipe run'"
     )
 
 
 def _configuration(results: Path) -> dict[str, Any]:
-    """Return the settings of the run that made results, as its report has them; {} without one."""
+    """Return the settings of a run from its report; {} without a report."""
     path = results / "report" / "results.json"
     if not path.is_file():
         return {}
-    about: dict[str, Any] = json.loads(path.read_text("utf-8"))["provenance"]["configuration"]
-    return about
+    report = json.loads(path.read_text("utf-8"))
+    configuration: dict[str, Any] = report["provenance"]["configuration"]
+    return configuration
 
 
 def _acquired(
@@ -180,8 +187,8 @@ def _acquired(
     facts, folder = read_json(manifest), manifest.parent
     scene, section = facts["scene"], facts["method"]
     sections = configuration.get("scenes", {}).get(scene, {}).get("methods") or {}
-    about = {**configuration.get("methods", {}), **sections}.get(section) or {}
-    title, trades = _titled(about.get("method") or section)
+    method_settings = {**configuration.get("methods", {}), **sections}.get(section) or {}
+    title, trades = _titled(method_settings.get("method") or section)
     options = {name: value for name, value in facts["options"].items() if name != trades}
     truth = ""
     if "level_errors" in facts:
@@ -193,10 +200,10 @@ def _acquired(
 def _titled(method: str) -> tuple[str, str | None]:
     """Return a method's title and the option that trades patterns for accuracy."""
     try:
-        found = get_method(method)
-    except InputError:  # a method of a user's own, whose file isn't here
+        known = get_method(method)
+    except InputError:  # a user's method whose file isn't available
         return method, None
-    return found.title, found.trades
+    return known.title, known.trades
 
 
 def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[Point]:
@@ -209,43 +216,44 @@ def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[
         errors = [] if error is None else [(last, facts["patterns"], error)]
     pictures = pictures_by_level(folder)
     for level, patterns, error in errors:
-        taken = sum(count for at, count in pictures.items() if at <= level) or math.nan
-        yield Point(error, patterns, taken, seconds_spent(folder, seconds, level).total)
+        count = sum(number for at, number in pictures.items() if at <= level) or math.nan
+        yield Point(error, patterns, count, seconds_spent(folder, seconds, level).total)
 
 
 def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[Point]]:
     """Return the curve of each scene and method, by their names in the table.
 
-    Scenes of one name whose floodlit images differ have their folders beside their names, methods
-    whose other options differ have numbers.
+    The folder is added to the names of scenes that share their name and differ in their floodlit
+    images, a number to methods that differ in their options.
     """
     acquired = list(acquired)
     points: dict[tuple[str, str], list[Point]] = {}
-    for one in acquired:
-        truths = {other.truth for other in acquired if other.scene == one.scene}
-        scene = f"{one.scene} ({one.folder})" if len(truths) > 1 else one.scene
-        variants = dict.fromkeys(
-            other.variant
-            for other in acquired
-            if (other.scene, other.method) == (one.scene, one.method)
-        )
-        number = [*variants].index(one.variant) + 1
-        method = f"{one.method} ({number})" if len(variants) > 1 else one.method
-        points.setdefault((scene, method), []).extend(one.points)
-    return {names: frontier(of) for names, of in points.items()}
+    truths: dict[str, set[str]] = {}
+    variants: dict[tuple[str, str], dict[str, None]] = {}
+    for item in acquired:
+        truths.setdefault(item.scene, set()).add(item.truth)
+        variants.setdefault((item.scene, item.method), {})[item.variant] = None
+    for item in acquired:
+        is_ambiguous = len(truths[item.scene]) > 1
+        scene = f"{item.scene} ({item.folder})" if is_ambiguous else item.scene
+        options = [*variants[item.scene, item.method]]
+        number = options.index(item.variant) + 1
+        method = f"{item.method} ({number})" if len(options) > 1 else item.method
+        points.setdefault((scene, method), []).extend(item.points)
+    return {names: frontier(curve) for names, curve in points.items()}
 
 
 def frontier(points: Iterable[Point]) -> list[Point]:
-    """Return the points with a smaller error than any of fewer patterns, by patterns."""
+    """Return the points whose error is smaller than that of all points with fewer patterns."""
     best: list[Point] = []
-    for point in sorted(points, key=lambda it: (it.patterns, it.error)):
+    for point in sorted(points, key=lambda point: (point.patterns, point.error)):
         if not best or point.error < best[-1].error:
             best.append(point)
     return best
 
 
 def _cost(curve: Sequence[Point], error: float) -> dict[str, Any]:
-    """Return what an error costs on a curve, with a note where it isn't between two points."""
+    """Return the cost of an error on a curve, with a note unless it is between two points."""
     reached = next((index for index, point in enumerate(curve) if point.error <= error), None)
     if reached is None:
         last = curve[-1]

@@ -1,4 +1,4 @@
-"""Figures without global state: pictures of light in rows, maps of errors, and curves."""
+"""Figures without matplotlib's global state: rows of pictures, maps of errors, and curves."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 UNLIT_GAIN = 4
-"""Factor on the radiance of the pixels that a pattern leaves dark, to show them."""
+"""Factor on the radiance of pixels that a pattern leaves dark, to make it visible."""
 
 ABREAST = 4
-"""Panels beside one another."""
+"""Number of panels in a row."""
 
 _ERROR = "difference,\n% of white"
 _WIDTH, _LINE = 2.2, 0.16  # inches of a panel, and of a line of text
 _RATIOS = (0.25, 1.4)
 _LEGEND_MARK, _LEGEND_SIGN, _LEGEND_ROW = 0.6, 0.062, 0.18  # inches of a mark, a letter and a row
-_LEAST_LIMIT = 1e-3  # per cent of white, of pictures without any error
+_LEAST_LIMIT = 1e-3  # per cent of white, for pictures without errors
 _STYLE: Any = {
     "font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
     "axes.linewidth": 0.6,
@@ -35,7 +35,7 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Map:
-    """Values (H, W), or sRGB (H, W, 3), with a scale of that name beside the last of them."""
+    """Map of values (H, W) or sRGB (H, W, 3); maps with the same `scale` share a colour bar."""
 
     values: NDArray[Any]
     title: str = ""
@@ -50,7 +50,7 @@ class Map:
 
 @dataclass(frozen=True)
 class Panel:
-    """A picture of light.
+    """Picture of light.
 
     Attributes
     ----------
@@ -71,12 +71,12 @@ class Panel:
 
     @property
     def drawn(self) -> Map:
-        """As sRGB."""
+        """The picture as a map of sRGB."""
         light = np.atleast_3d(self.image) * np.asarray(self.gain)[..., None]
         return Map(srgb(light, self.white), self.title, self.below)
 
     def less(self, truth: Panel) -> Map:
-        """Return its error, brightened as it is."""
+        """Return the difference to the truth, brightened by the same gain."""
         return difference(self.image, truth.image, self.white, self.gain)
 
 
@@ -92,7 +92,7 @@ Drawn = Panel | Map | None
 Rows = Sequence[Sequence[Drawn]]
 
 
-def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
+def draw(rows: Rows, width: float = _WIDTH, labels: Sequence[str] = ()) -> Figure:
     """Draw rows of panels pixel by pixel; all errors have one scale.
 
     Parameters
@@ -100,23 +100,23 @@ def draw(rows: Rows, width: float = _WIDTH, left: Sequence[str] = ()) -> Figure:
     rows : sequence of sequences of Panel, Map or None
         None leaves a place empty.
     width : float
-        Of a panel, in inches.
-    left : sequence of str
-        What stands at the left of each row.
+        Width of a panel in inches.
+    labels : sequence of str
+        Labels of the rows.
     """
     columns = max(map(len, rows))
     heights = [width * _ratio(filter(None, row)) for row in rows]
-    lines = max((name.count("\n") + 1 for name in left), default=0)
+    lines = max((name.count("\n") + 1 for name in labels), default=0)
     size = (width * columns + 0.9 + _LINE * lines, sum(heights) + sum(map(_text_height, rows)))
     figure, axes = new_figure(len(rows), columns, size, "compressed", height_ratios=heights)
     _fill(figure, axes, rows)
-    for axis, name in zip(axes[:, 0], left, strict=False):
+    for axis, name in zip(axes[:, 0], labels, strict=False):
         axis.set_ylabel(name)
     return figure
 
 
 def _fill(figure: Figure, axes: Iterable[Any], rows: Rows) -> None:
-    """Draw panels into axes, row by row; all errors have one scale, each other map its own."""
+    """Draw panels into axes, row by row; all maps of errors share one scale."""
     maps = [[panel.drawn if isinstance(panel, Panel) else panel for panel in row] for row in rows]
     errors = [panel.values for row in maps for panel in row if panel and panel.scale == _ERROR]
     limit = _round_limit(errors)
@@ -149,9 +149,9 @@ def _text_height(row: Sequence[Drawn]) -> float:
 
 
 def _ratio(panels: Iterable[Panel | Map]) -> float:
-    """Return height over width of panels, as the tallest of them needs, within reason."""
+    """Return the largest ratio of height to width of panels, within `_RATIOS`."""
     maps = (panel.image if isinstance(panel, Panel) else panel.values for panel in panels)
-    ratios = (it.shape[0] / it.shape[1] for it in maps)
+    ratios = (values.shape[0] / values.shape[1] for values in maps)
     return float(np.clip(max(ratios, default=1), *_RATIOS))
 
 
@@ -178,12 +178,12 @@ def new_figure(
 def scene_curves(
     scenes: Sequence[tuple[str, Any]], draw_scene: Callable[[Axes, Any], None]
 ) -> Figure:
-    """Draw errors against patterns, both logarithmic, a panel a scene.
+    """Draw errors against patterns on logarithmic axes, with a panel for each scene.
 
     Parameters
     ----------
     scenes : sequence of (str, object)
-        Title of the panel, and what `draw_scene` takes.
+        Title of each panel, and the argument of `draw_scene`.
     draw_scene : callable
         Draws the curves of a scene, errors in per cent.
     """
@@ -215,7 +215,7 @@ def plain_numbers(axis: Any, marks: tuple[int, ...]) -> None:
 
 
 def shared_legend(figure: Figure) -> None:
-    """Put a legend below a figure of all that its panels name, each name once."""
+    """Put a common legend of all panels below a figure."""
     handles: dict[str, Any] = {}
     for axis in figure.axes:
         handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))

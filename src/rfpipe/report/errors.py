@@ -1,4 +1,4 @@
-"""Errors: against the patterns shown, as methods estimated them, and by relighting pattern."""
+"""Errors against the number of patterns, true and estimated, and errors by relighting pattern."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _GREY = "#5c5c5c"
-_FILLING = 0.35  # opacity of a mark's inside: what lies on it shows
+_FILLING = 0.35
+"""Opacity of the inside of a mark, so that marks below it stay visible."""
+
 _ESTIMATED: dict[str, Any] = {
     "linestyle": ":", "linewidth": 1.1, "marker": "x", "markersize": 4.5,
 }  # fmt: skip
 
 
 def speed_section(inputs: Inputs) -> Section | None:
-    """Error against patterns, level by level, true and as methods estimated it; and by pattern."""
+    """Return the section of errors: level by level, true and estimated, and by pattern."""
     table, steps = known_errors(inputs), histories(inputs.runs)
     names = {*table["scene"], *steps["scene"]}
     if not names:
         return None
     groups = [group for group in inputs.seed_groups if names & {*group.scenes}]
     caption = (
-        "Mean error of relit pictures, as if the acquisition had stopped after each level, against "
-        "the patterns shown by then. Filled marks: methods that fit all their pictures together, "
-        "whose error is known after their last level alone. Crosses: the mean error that a method "
-        "itself estimated while it ran, each where the estimate was made. "
+        "Mean error of relit pictures against the number of patterns, for an acquisition that ends "
+        "after each level. Filled marks: methods that fit all their pictures together, whose error "
+        "is known only after their last level. Crosses: the mean error as the method estimated it "
+        "during the acquisition. "
     )
     if any(is_verified_alone(run) for run in inputs.runs):
-        caption += "Of real scenes: the error of pictures that no method saw. "
+        caption += "Real scenes: error of verification pictures. "
     if any(len(group.scenes) > 1 for group in groups):
         caption += "Means over seeds; bars: standard deviations. "
     caption += "Numbers: tables/speed_error.csv."
@@ -46,11 +48,11 @@ def speed_section(inputs: Inputs) -> Section | None:
     name = "Speed against error"
     blocks: list[Block] = [Illustration(name, caption, "speed_error", figure)]
     if len(inputs.errors):
-        about = (
-            f"{ERROR}; means of shapes, bars and spots, and single patterns. Plain error: relative "
-            "to the picture's norm alone, which is larger for dark pictures. Error of indirect "
-            "light: on pixels that a pattern leaves dark, relative to the light there, where those "
-            "are known."
+        table_caption = (
+            f"{ERROR}; means over shapes, bars and spots, and single patterns. Plain error: "
+            "relative to the picture's norm alone, which is larger for dark pictures. Error of "
+            "indirect light: on pixels that a pattern leaves dark, relative to the light there; "
+            "coaxial rigs only."
         )
         columns: list[Column] = [
             ("error, %", "error", percent),
@@ -59,18 +61,18 @@ def speed_section(inputs: Inputs) -> Section | None:
             ("CIEDE2000", "ciede2000", fixed(2)),
         ]
         labels = [*inputs.labels, ("pattern", "pattern", words)]
-        tabled = table_of("Errors by pattern", about, inputs.errors, labels, columns)
+        tabled = table_of("Errors by pattern", table_caption, inputs.errors, labels, columns)
         blocks.append(replace(tabled, csv="errors.csv", numbers=None))
     return Section("speed", name, blocks)
 
 
 def is_verified_alone(run: Run) -> bool:
-    """Whether the error of a run is known by verification pictures and not by a truth."""
+    """Test whether the error of a run is known from verification pictures only."""
     return not run.has_truth and run.verified.get("mean_error") is not None
 
 
 def known_errors(inputs: Inputs) -> pd.DataFrame:
-    """Return the speed table, with a row for each run that is known by verification alone."""
+    """Return the speed table, with a row for each run whose error only verification measured."""
     import pandas as pd
 
     verified = [
@@ -87,7 +89,7 @@ def known_errors(inputs: Inputs) -> pd.DataFrame:
 def speed_figure(
     inputs: Inputs, groups: Sequence[SeedGroup], table: pd.DataFrame, steps: pd.DataFrame
 ) -> Figure:
-    """Draw true errors of the speed table, and the estimates of `histories`, a panel a group."""
+    """Draw the errors of the speed table and the estimates of `histories`, a panel a group."""
     labelled = {*table["method"]}
 
     def draw_group(axis: Axes, group: SeedGroup) -> None:
@@ -101,7 +103,7 @@ def speed_figure(
         rays = inputs.of_scene(group.scenes[0])[0].rays
         axis.axvline(rays, label="patterns of brute force", **brute)
         if len(steps):
-            axis.plot([], [], label="as a method estimated it", color=_GREY, **_ESTIMATED)
+            axis.plot([], [], label="as the method estimated it", color=_GREY, **_ESTIMATED)
 
     return scene_curves([(group.title, group) for group in groups], draw_group)
 
@@ -114,7 +116,7 @@ def _of_group(table: pd.DataFrame, group: SeedGroup) -> Iterator[tuple[str, pd.D
 
 
 def _draw_curve(axis: Axes, rows: pd.DataFrame, style: Mapping[str, Any]) -> None:
-    """Draw a method's true errors; a single one as a large filled mark."""
+    """Draw a method's true errors; a single error as a large filled mark."""
     if len(rows) == 1:
         filled = {"markerfacecolor": (style["color"], _FILLING), "markersize": 8, "linestyle": ""}
         style = {**style, **filled, "marker": style["marker"] or "o"}
@@ -137,15 +139,15 @@ def over_seeds(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     Parameters
     ----------
     rows : DataFrame
-        ``scene``, ``patterns`` and the column, of one method, the steps of each scene in order.
+        ``scene``, ``patterns`` and the column, for a method; the steps of each scene in order.
     column : str
         Errors as fractions.
 
     Returns
     -------
     DataFrame
-        ``patterns``, ``error``, ``patterns_sd`` and ``error_sd``, a row a step; NaN for the
-        deviations of one scene.
+        ``patterns``, ``error``, ``patterns_sd`` and ``error_sd``, a row a step; the deviations are
+        NaN for a single scene.
     """
     step = rows.groupby("scene", sort=False).cumcount()
     groups = rows.assign(error=100 * rows[column]).groupby(step)[["patterns", "error"]]
@@ -153,14 +155,13 @@ def over_seeds(rows: pd.DataFrame, column: str) -> pd.DataFrame:
 
 
 def histories(runs: Sequence[Run]) -> pd.DataFrame:
-    """Return the estimates of all runs where they were made.
+    """Return the error estimates of all runs.
 
     Returns
     -------
     DataFrame
-        ``scene``, ``method`` and `HISTORY_COLUMNS`. While a hierarchy is refined, and where a fit
-        to more pictures is worse, the estimate of the previous level stands in a level's row;
-        such rows are left out.
+        ``scene``, ``method`` and `HISTORY_COLUMNS`. Rows that repeat the estimate of the previous
+        level are omitted: levels that refine a hierarchy, and fits to more pictures that are worse.
     """
     import pandas as pd
 
@@ -173,7 +174,7 @@ def histories(runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def made_estimates(level_rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return the `estimates` of levels that differ from the one before them."""
+    """Return the `estimates` that differ from the previous one."""
     steps = estimates(level_rows)
     previous = [None, *(step["estimated_error"] for step in steps[:-1])]
     pairs = zip(steps, previous, strict=True) if steps else ()

@@ -1,4 +1,4 @@
-"""What each run took and how good it is: one table, and pictures of each scene."""
+"""Cost and error of each acquisition in one table, and pictures of each scene."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TIME: Column = ("time, min", "minutes", fixed(1))
 
 
 def glance_section(inputs: Inputs) -> Section:
-    """Every run on one line, what missed its target, and pictures of each scene."""
+    """Return the section with a table of all acquisitions, missed targets, and pictures."""
     results = [result_of(inputs, run) for run in inputs.runs]
     missed = [
         [*missed_targets(row, ending_of(run.facts["levels"]), by_few_pictures=not run.has_truth)]
@@ -63,9 +63,9 @@ def _main_table(
     shown: Sequence[Mapping[str, Any]],
     alarmed: frozenset[int],
 ) -> Table:
-    """Return the table of all runs; what is the same of all simulated ones stands in its caption.
+    """Return the table of all acquisitions.
 
-    `shown` are the results with their ``target`` as text, `alarmed` the rows in red.
+    `shown` are the results with their ``target`` as text, `alarmed` the indices of red rows.
     """
     import pandas as pd
 
@@ -80,14 +80,14 @@ def _main_table(
         ("stored, MB", "megabytes", fixed(2)),
     ]
     return table_of(
-        "What it took", _about(inputs, results), shown, inputs.labels, columns,
+        "Cost and error", _caption(inputs, results), shown, inputs.labels, columns,
         csv="results.csv", numbers=pd.DataFrame(results), is_folded=False, has_latex=True,
         alarmed=alarmed,
     )  # fmt: skip
 
 
 def _omissions(inputs: Inputs) -> list[str]:
-    """Return sentences on the light that scenes have and their simulation leaves out."""
+    """Return sentences on the light that the simulation of a scene omits."""
     return [
         f"{scene}: {sentence}."
         for scene in inputs.scenes
@@ -95,22 +95,22 @@ def _omissions(inputs: Inputs) -> list[str]:
     ]
 
 
-def _about(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
+def _caption(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
     """Return the caption of the main table."""
     kinds = {row["verified"] for row in results}
     pictures = (
-        "Pictures on the rig: of the patterns, black and white references, patterns that test "
-        "symmetry, and looks at the rig; those that verify are not counted."
+        "Pictures on the rig: of the patterns, reference brackets, random patterns of the symmetry "
+        "test, and check pictures; verification pictures are not counted."
     )
-    about = [pictures]
+    sentences = [pictures]
     if kinds != {_NOTHING}:
-        about.append(f"{ERROR}, mean of shapes, bars and spots.")
+        sentences.append(f"{ERROR}; mean over shapes, bars and spots.")
     if kinds == {_EXACT}:
-        about.append("Errors are against the exact truth.")
+        sentences.append("Errors are relative to the exact truth.")
     if any(row["mean_indirect"] is not None for row in results):
-        about.append(
-            "Error of indirect light: on pixels that a picture leaves dark, relative to the light "
-            "there; it is no share of the light."
+        sentences.append(
+            "Error of indirect light: on pixels that a pattern leaves dark, relative to the light "
+            "there."
         )
     if _RECORDED in kinds:
         grains = dict.fromkeys(
@@ -119,37 +119,40 @@ def _about(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
             for row in results
             if row["grain"] is not None
         )
-        about.append(
-            "Recording: the truth is light transport that was traced by Monte Carlo, by which the "
-            "rig is simulated, too; its grain is its standard error, in a half-lit picture: "
+        sentences.append(
+            "Recording: the truth is light transport traced by Monte Carlo, by which the rig is "
+            "simulated, too. Its standard error in a half-lit picture: "
             f"{', '.join(grains)}."
         )
     if _NOTHING in kinds:
-        about.append("Not verified: the truth of a real scene is not known.")
-    about.append(
-        f"Time: capture of the pictures on the rig, at "
+        sentences.append("Not verified: the true light transport of a real scene is unknown.")
+    sentences.append(
+        "Time: capture of the pictures on the rig, at "
         f"{inputs.config.capture.seconds_per_pattern:g} s each, and processing. 1 MB = 10⁶ bytes."
     )
-    return " ".join(about)
+    return " ".join(sentences)
 
 
 def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
-    """Return what a run cost and how far off its relit pictures are.
+    """Return the cost of an acquisition and the errors of its relit pictures.
 
     Returns
     -------
     dict
-        ``scene``, ``method``; ``rays``: patterns of brute force; ``patterns``; ``pictures`` that
-        the rig took, see `rfpipe.report.inputs.pictures_of`; ``megabytes`` (10^6 bytes on disk);
-        ``capture_s`` of these pictures at the rig's stated seconds each, and ``processing_s``: wall
-        seconds of all jobs except captures, see `rfpipe.report.inputs.seconds_spent`; ``minutes``
-        of capture and processing;
-        ``verified``: by what, in words, and ``rig``: what it is or how good; ``mean_error``,
-        ``mean_indirect`` (the error of indirect light), ``worst_error`` as of `mean_errors` in
-        `rfpipe.stages.relight`, or of pictures that no method saw where the truth isn't known;
-        ``target_error``, ``target_indirect``, ``estimated_error`` and ``estimated_indirect`` of the
-        method; ``grain``, ``grain_unlit`` of the truth, see `Scene.recorded`; None of what isn't
-        known.
+        Values that are unknown are None.
+
+        ``scene``, ``method``; ``rays``, the number of patterns of brute force; ``patterns``;
+        ``pictures`` on the rig, see `rfpipe.report.inputs.pictures_of`; ``megabytes`` of the
+        transport, 10^6 bytes on disk.
+
+        ``capture_s``: time of these pictures; ``processing_s``: wall time of all jobs except
+        captures, see `rfpipe.report.inputs.seconds_spent`; ``minutes``: their sum.
+
+        ``mean_error``, ``worst_error`` and ``mean_indirect`` (error of indirect light): against the
+        truth, see `rfpipe.stages.relight.mean_errors`, or else in the verification pictures.
+        ``verified``: kind of that truth, in words. ``rig``: kind or calibration of the rig.
+        ``target_error``, ``target_indirect``, ``estimated_error``, ``estimated_indirect``: of the
+        method. ``grain``, ``grain_unlit``: of the truth, see `Scene.recorded`.
     """
     errors = run.facts if run.has_truth else run.verified
     folder = inputs.results / run.scene / run.method
@@ -185,18 +188,18 @@ def _known(value: float | None) -> float | None:
 
 
 def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table | None:
-    """Return the means and standard deviations over scenes that differ by their seeds alone."""
+    """Return the means and standard deviations over scenes that differ only in their seeds."""
     import pandas as pd
 
-    every, rows = pd.DataFrame(results), []
+    table, rows = pd.DataFrame(results), []
     for group in inputs.seed_groups:
         if len(group.scenes) < 2:
             continue
-        of_group = every[every["scene"].isin(group.scenes)]
-        for method, of_method in of_group.groupby("method", sort=False):
-            row: dict[str, Any] = {"scene": group.name, "method": method, "seeds": len(of_method)}
+        group_rows = table[table["scene"].isin(group.scenes)]
+        for method, method_rows in group_rows.groupby("method", sort=False):
+            row: dict[str, Any] = {"scene": group.name, "method": method, "seeds": len(method_rows)}
             for _, name, _ in (*_NUMBERS, _TIME):
-                values: pd.Series[Any] = of_method[str(name)].astype("float64")
+                values: pd.Series[Any] = method_rows[str(name)].astype("float64")
                 row |= {name: values.mean(), f"{name}_sd": values.std()}
             rows.append(row)
     if not rows:
@@ -207,15 +210,15 @@ def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table |
         columns.append((heading, f"{name}_text", str))
         for row in shown:
             row[f"{name}_text"] = _with_deviation(row[name], row[f"{name}_sd"], text)
-    about = "Mean ± standard deviation over scenes that differ by their seeds alone."
+    caption = "Mean ± standard deviation over scenes that differ only in their seeds."
     return table_of(
-        "Over seeds", about, shown, inputs.labels, columns,
+        "Over seeds", caption, shown, inputs.labels, columns,
         csv="seeds.csv", numbers=pd.DataFrame(rows), is_folded=False, has_latex=True,
     )  # fmt: skip
 
 
 def _with_deviation(mean: float, deviation: float, text: Callable[[Any], str]) -> str:
-    """Return a mean and its standard deviation, to as many digits, as text; a word for none."""
+    """Return a mean and its standard deviation as text, with the same number of decimals."""
     shown = text(mean)
     if not any(map(str.isdigit, shown)):
         return shown

@@ -1,4 +1,4 @@
-"""What a report is made from: the files that the stages left."""
+"""Inputs of a report: manifests and arrays of the stages, and times of the jobs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h", "<", ">", "p", "*")
 
 @dataclass(frozen=True)
 class Run:
-    """One scene acquired with one method, relit.
+    """Relit acquisition of a scene by a method.
 
     Attributes
     ----------
@@ -62,27 +62,27 @@ class Run:
 
     @property
     def patterns(self) -> int:
-        """Patterns shown."""
+        """Number of patterns."""
         return int(self.facts["patterns"])
 
     @property
     def rays(self) -> int:
-        """Rays of the projector, and so the patterns of brute force."""
+        """Number of the projector's rays, which is the number of patterns of brute force."""
         return math.prod(self.settings.ray_shape)
 
     @property
     def is_coaxial(self) -> bool:
-        """Whether camera and projector share their rays, so that it is known which are unlit."""
+        """True if camera and projector share their rays, so that unlit pixels are known."""
         return bool(self.facts["coaxial"])
 
     @property
     def has_truth(self) -> bool:
-        """Whether the scene's light transport is known, to be compared with."""
+        """True if the scene's true light transport is known."""
         return "truth" in self.images.names
 
     @cached_property
     def white(self) -> float:
-        """Radiance shown as white: the maximum of the floodlit image, the true one if known."""
+        """Radiance shown as white: the maximum of the floodlit image, the true image if known."""
         name = "floodlit_truth" if self.has_truth else "floodlit_captured"
         return float(self.read(name).max(initial=0.0)) or 1.0
 
@@ -92,8 +92,8 @@ class Run:
         """Return a picture (H, W, C) of the scene with the run's exposure."""
         return Panel(radiance, title, below, self.white, gain)
 
-    def own(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows of a table with ``scene`` and ``method`` that are this run's."""
+    def rows_of(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows of a table with this run's ``scene`` and ``method``."""
         return table[(table["scene"] == self.scene) & (table["method"] == self.method)]
 
     def read(self, name: str) -> NDArray[Any]:
@@ -101,7 +101,7 @@ class Run:
         return self.images.read(name)
 
     def middle(self, images: NDArray[Any]) -> NDArray[Any]:
-        """Return images (..., H, W, C) of the camera's rays; of several views the middle one's."""
+        """Return images (..., H, W, C) of the camera's rays; the middle view of a light field."""
         if len(self.settings.camera_ray_shape) == 2:
             return images
         rows, columns = self.settings.view_grid
@@ -110,12 +110,12 @@ class Run:
 
 @dataclass(frozen=True)
 class SeedGroup:
-    """Scenes that differ by their seeds alone.
+    """Scenes that differ only in their seeds.
 
     Attributes
     ----------
     name : str
-        What their names have in common.
+        Common part of their names.
     scenes : tuple of str
     """
 
@@ -124,13 +124,13 @@ class SeedGroup:
 
     @property
     def title(self) -> str:
-        """The name, and how many seeds if there are several."""
+        """The name, with the number of seeds if there are several."""
         return self.name if len(self.scenes) == 1 else f"{self.name}, {len(self.scenes)} seeds"
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """All that a report shows.
+    """Inputs of a report.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class Inputs:
     errors, speed_error : DataFrame
         See `rfpipe.stages.evaluate`.
     results : Path
-        The folder of it all.
+        Folder of results.
     """
 
     config: Config
@@ -174,7 +174,7 @@ class Inputs:
         return {name: section.plugin for group in sections for name, section in group}
 
     def title(self, method: str) -> str:
-        """Return a method's name in words, with its section's where that is another."""
+        """Return a method's title, with the name of its section in the settings if that differs."""
         subject = self._subjects[method]
         suffix = "" if subject.name == method else f" ({words(method)})"
         return f"{subject.title}{suffix}"
@@ -182,7 +182,7 @@ class Inputs:
     def style(self, method: str) -> dict[str, Any]:
         """Return matplotlib's label, colour, marker and line of a method's curve.
 
-        A second setting of a method has a colour and a marker that no other curve has.
+        Two settings of one method have different colours and markers.
         """
         return self._styles[method]
 
@@ -192,19 +192,24 @@ class Inputs:
         size = {"linewidth": 1.4, "markersize": 4.5, "markerfacecolor": "white"}
         used: dict[str, set[str]] = {"color": set(), "marker": set()}
         for method in self.methods:
-            of = self._subjects[method]
+            subject = self._subjects[method]
             drawn = {
-                "color": _unused(of.colour, _COLOURS, used["color"]),
-                "marker": of.marker and _unused(of.marker, _MARKERS, used["marker"]),
+                "color": _unused(subject.colour, _COLOURS, used["color"]),
+                "marker": subject.marker and _unused(subject.marker, _MARKERS, used["marker"]),
             }
             for name, value in drawn.items():
                 used[name].add(value)
-            styles[method] = {"label": self.title(method), **drawn, "linestyle": of.line, **size}
+            styles[method] = {
+                "label": self.title(method),
+                **drawn,
+                "linestyle": subject.line,
+                **size,
+            }
         return styles
 
     @cached_property
     def seed_groups(self) -> list[SeedGroup]:
-        """The scenes, those that differ by their seeds alone together."""
+        """The scenes, grouped by their settings without seeds."""
         groups: dict[str, list[str]] = {}
         for scene in self.scenes:
             groups.setdefault(_without_seeds(self.config, scene), []).append(scene)
@@ -212,25 +217,25 @@ class Inputs:
 
     @property
     def labels(self) -> list[Column]:
-        """The columns that name a run at the left of a table."""
+        """Columns of a table that name a run."""
         return [("scene", "scene", str), ("method", "method", self.title)]
 
 
-def _unused(wished: str, others: Sequence[str], used: set[str]) -> str:
-    """Return the wished one, or the first of others that isn't used; once all are, the wished."""
-    return next((one for one in (wished, *others) if one not in used), wished)
+def _unused(preferred: str, alternatives: Sequence[str], used: set[str]) -> str:
+    """Return the preferred value if it is unused, else an unused alternative if there is one."""
+    return next((it for it in (preferred, *alternatives) if it not in used), preferred)
 
 
 def _without_seeds(config: Config, scene: str) -> str:
-    """Return a fingerprint of all that shapes the results of a scene except its seeds."""
+    """Return a fingerprint of the settings that shape a scene's results, except seeds."""
     shaping = config.of_scene(scene).result_settings()
-    of_scene = {**shaping.pop("scenes")[scene], "seed": None, "settings": None}
-    methods = {name: one.model_dump() for name, one in config.methods_of(scene).items()}
-    return fingerprint([{**shaping, "seed": None}, {**of_scene, "methods": None}, methods])
+    scene_settings = {**shaping.pop("scenes")[scene], "seed": None, "settings": None}
+    methods = {name: section.model_dump() for name, section in config.methods_of(scene).items()}
+    return fingerprint([{**shaping, "seed": None}, {**scene_settings, "methods": None}, methods])
 
 
 def _common_name(scenes: Sequence[str]) -> str:
-    """Return what the names of scenes begin with; of names without it, the first."""
+    """Return the common prefix of scenes' names without digits, or the first name."""
     if len(scenes) == 1:
         return scenes[0]
     alike = takewhile(lambda signs: len({*signs}) == 1, zip(*scenes, strict=False))
@@ -238,15 +243,15 @@ def _common_name(scenes: Sequence[str]) -> str:
 
 
 def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) -> Inputs:
-    """Read what the stages left in a results folder.
+    """Read the inputs of a report.
 
     Parameters
     ----------
     config : Config
     results : Path
-        Holds ``{scene}/{method}/relight.json``; what is missing is not reported.
+        Folder of results. Acquisitions without ``{scene}/{method}/relight.json`` are omitted.
     errors, speed_error : Path
-        The tables of the evaluate stage.
+        Tables of the evaluate stage.
     """
     import pandas as pd
 
@@ -265,18 +270,18 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
 
 
 def read_json(manifest: Path) -> dict[str, Any]:
-    """Return a manifest, or {} where there is none."""
+    """Return a manifest, or {} if it is missing."""
     return read_manifest(manifest) if manifest.exists() else {}
 
 
 def _opened(manifest: Path) -> tuple[dict[str, Any], ArrayBundle | None]:
-    """Return a manifest and the arrays beside it, or ({}, None)."""
+    """Return a manifest and its arrays, or ({}, None) if it is missing."""
     facts = read_json(manifest)
     return facts, open_arrays(manifest.with_suffix(".zarr")) if facts else None
 
 
 def job_times(folder: Path) -> Iterator[tuple[str, float]]:
-    """Yield stage and seconds of the jobs of an acquisition, as many as left them."""
+    """Yield stage and wall seconds of the jobs of an acquisition that recorded them."""
     for path in sorted([*folder.glob("*.benchmark.tsv"), *folder.glob("L*/*.benchmark.tsv")]):
         stage = path.name.removesuffix(".benchmark.tsv").replace("transport", "assemble")
         seconds = job_seconds(path)
@@ -285,7 +290,7 @@ def job_times(folder: Path) -> Iterator[tuple[str, float]]:
 
 
 def job_seconds(path: Path) -> float | None:
-    """Return the wall seconds in a job's ``*.benchmark.tsv``, None where it has none."""
+    """Return the wall seconds in a job's ``*.benchmark.tsv``; None if it has none."""
     lines = path.read_text(encoding="ascii").splitlines()[1:]
     return float(lines[0].split("\t")[0]) if lines else None
 
@@ -296,21 +301,21 @@ def rig_of(results: Path, run: Run) -> dict[str, Any]:
 
 
 def pictures_of(folder: Path) -> int | None:
-    """Return the pictures that a rig took for an acquisition, None where that isn't known."""
+    """Return the number of pictures taken for an acquisition; None if it is unknown."""
     by_level = pictures_by_level(folder)
     return sum(by_level.values()) if by_level else None
 
 
 class Spent(NamedTuple):
-    """Seconds that an acquisition takes.
+    """Time of an acquisition in seconds.
 
     Attributes
     ----------
     capture : float
-        Of all pictures on the rig, see `rfpipe.stages.evaluate.pictures_by_level`; NaN where their
-        number isn't known.
+        Time of all pictures on the rig, see `rfpipe.stages.evaluate.pictures_by_level`; NaN if
+        their number is unknown.
     processing : float
-        Of all jobs except the captures; NaN where they recorded none.
+        Wall time of all jobs except captures; NaN if they recorded none.
     """
 
     capture: float
@@ -318,34 +323,34 @@ class Spent(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Capture, and processing where it is known."""
+        """Time of capture, and of processing if it is known."""
         return self.capture + (0.0 if math.isnan(self.processing) else self.processing)
 
 
 def seconds_spent(folder: Path, seconds_per_picture: float, last_level: float = math.inf) -> Spent:
-    """Return the seconds of an acquisition up to a level, with the assembly of its transport.
+    """Return the time of an acquisition up to a level, including the assembly of its transport.
 
     Parameters
     ----------
     folder : Path
         ``results/{scene}/{method}``.
     seconds_per_picture : float
-        Seconds that the rig takes for a picture, ``capture.seconds_per_pattern``.
+        Time of a picture on the rig in seconds, ``capture.seconds_per_pattern``.
     last_level : float
-        Last level that counts; by default all count.
+        Last level to include; by default all levels.
     """
     pictures = pictures_by_level(folder)
-    taken = sum(count for level, count in pictures.items() if level <= last_level)
+    n_pictures = sum(count for level, count in pictures.items() if level <= last_level)
     jobs = [*seconds_by_level(folder).items()]
     jobs += [(0, seconds) for stage, seconds in job_times(folder) if stage == "assemble"]
     processing = sum(seconds for level, seconds in jobs if level <= last_level)
     return Spent(
-        seconds_per_picture * taken if pictures else math.nan, processing if jobs else math.nan
+        seconds_per_picture * n_pictures if pictures else math.nan, processing if jobs else math.nan
     )
 
 
 def seconds_by_level(folder: Path) -> dict[int, float]:
-    """Return the wall seconds of all jobs of each level of an acquisition except the captures."""
+    """Return the wall seconds of the jobs of each level, except captures."""
     seconds: dict[int, float] = {}
     for path in sorted(folder.glob("L[0-9]*/*.benchmark.tsv")):
         stage, level = path.name.removesuffix(".benchmark.tsv"), int(path.parent.name[1:])

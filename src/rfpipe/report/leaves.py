@@ -1,4 +1,4 @@
-"""What becomes of each level's nodes, as in Fig. 5.10."""
+"""Empty, stored and subdivided nodes of each level, as in Fig. 5.10."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-_TITLE = 26  # letters of a panel's title on a line
+_TITLE_WIDTH = 26
+"""Characters on a line of a panel's title."""
+
 _KINDS = {
     "rank1": ("rank-1 leaves (dual: stored)", "#3a6fb0"),
     "scalar": ("scalar leaves", "#9dc0e6"),
@@ -25,7 +27,7 @@ _KINDS = {
 
 
 def leaves_section(inputs: Inputs) -> Section | None:
-    """Leaves a level, in per cent of the nodes, and their numbers; None for runs without leaves."""
+    """Return the section of leaves at each level; None if no acquisition has leaves."""
     import pandas as pd
 
     levels = pd.DataFrame(
@@ -37,7 +39,7 @@ def leaves_section(inputs: Inputs) -> Section | None:
         ]
     )
     runs = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
-    drawn = [run for run in runs if _is_hierarchy(run.own(levels))]
+    drawn = [run for run in runs if _is_hierarchy(run.rows_of(levels))]
     if not drawn:
         return None
     kinds = {"rank1": "rank-1 or stored"}
@@ -52,16 +54,16 @@ def leaves_section(inputs: Inputs) -> Section | None:
         csv="levels.csv",
     )
     caption = (
-        "What becomes of the nodes of each level, in per cent: a leaf is stored as it is, the "
-        "others are subdivided. With symmetric photography a node is a pair of blocks, with "
-        "dual photography a block as seen by one camera pixel."
+        "Kinds of the nodes of each level, in per cent: leaves are stored, the remaining nodes are "
+        "subdivided. With symmetric photography a node is a pair of blocks, with dual photography "
+        "a block and a camera pixel."
     )
     figure = Illustration("Leaves", caption, "leaves", _figure(inputs, drawn, levels))
     return Section("leaves", "Leaves at each level", [figure, table])
 
 
 def _is_hierarchy(levels: pd.DataFrame) -> bool:
-    """Test whether there are nodes, and each of them became one thing."""
+    """Test whether there are nodes, each of exactly one kind."""
     return bool(
         levels["nodes"].any() and (levels[list(_KINDS)].sum(axis=1) == levels["nodes"]).all()
     )
@@ -76,7 +78,7 @@ def _figure(inputs: Inputs, runs: list[Run], table: pd.DataFrame) -> Figure:
     for axis in axes.flat[len(runs) :]:
         axis.set_axis_off()
     for axis, run in zip(axes.flat, runs, strict=False):
-        levels = run.own(table).query("nodes > 0").set_index("level")
+        levels = run.rows_of(table).query("nodes > 0").set_index("level")
         shares = 100 * levels[list(_KINDS)].div(levels["nodes"], axis=0).set_axis(names, axis=1)
         bars: dict[str, Any] = {
             "width": 0.82,
@@ -86,7 +88,7 @@ def _figure(inputs: Inputs, runs: list[Run], table: pd.DataFrame) -> Figure:
         }
         shares.plot.bar(stacked=True, ax=axis, color=[*colours], rot=0, **bars)
         axis.set(ylim=(0, 100), yticks=[0, 50, 100], ylabel="nodes, %")
-        title = textwrap.fill(inputs.title(run.method), _TITLE)
+        title = textwrap.fill(inputs.title(run.method), _TITLE_WIDTH)
         axis.set_title(f"{run.scene}\n{title}", fontsize=8.5, pad=4)
     shared_legend(figure)
     return figure

@@ -1,4 +1,4 @@
-"""A page that opens from disk: sections of pictures, figures and tables, their files beside it."""
+"""Self-contained page of sections with figures and tables, and the files of these."""
 
 from __future__ import annotations
 
@@ -21,14 +21,18 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-_SHARPER = 1.5  # pixels of a figure for each at which it is shown, for larger and finer screens
-_PRINTED = 300  # dots an inch of the pictures in a figure of vectors
+_PIXEL_RATIO = 1.5
+"""Pixels of a PNG per displayed pixel, for high-resolution screens."""
+
+_PRINT_DPI = 300
+"""Dots per inch of pictures in a PDF."""
+
 _LINK = re.compile(r'(?:href|src)="(?!#|data:|https?:)([^"]+)"')
 
 
 @dataclass(frozen=True)
 class Illustration:
-    """A figure with its caption.
+    """Figure with its caption.
 
     Attributes
     ----------
@@ -38,7 +42,7 @@ class Illustration:
         ``figures/{slug}_{picture}.exr``.
     figure : Figure
     light : mapping of str to ndarray, shape (H, W, C)
-        Pictures that are kept as linear radiance, too.
+        Linear radiance of pictures in the figure, written as EXR files.
     """
 
     name: str
@@ -50,14 +54,14 @@ class Illustration:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Figures that flow over the page's width."""
+    """Figures in a row that wraps at the page's width."""
 
     figures: Sequence[Illustration]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with its caption.
+    """Table with its caption.
 
     Attributes
     ----------
@@ -65,15 +69,15 @@ class Table:
     columns : list of str
     rows : list of list of str
     text_columns : int
-        Columns from the left that hold text.
+        Number of columns with text, from the left.
     csv : str
-        Name of the file in ``tables/`` with its numbers, or "".
+        Name of the file with its numbers in ``tables/``; "" for no file.
     numbers : DataFrame, optional
-        What is written there; None where another stage wrote it.
+        Content of that file; None if another stage wrote it.
     is_folded : bool
-        Whether a reader has to open it.
+        Whether the table is collapsed at first.
     has_latex : bool
-        Whether a ``.tex`` file of it lies beside the CSV file.
+        Whether the table is also written as a ``.tex`` file.
     alarmed : frozenset of int
         Rows that are shown in red.
     """
@@ -91,7 +95,7 @@ class Table:
 
     @property
     def files(self) -> dict[str, str]:
-        """Paths of its files, as seen from the page, and texts of the links to them."""
+        """Paths of its files, relative to the page, and texts of the links to them."""
         if not self.csv:
             return {}
         path = f"tables/{self.csv}"
@@ -105,7 +109,7 @@ Column = tuple[str, Any, Callable[[Any], str]]
 
 @dataclass(frozen=True)
 class Section:
-    """Alarms, shown in red, then paragraphs, then blocks."""
+    """Section of a page: alarms in red, then paragraphs, then blocks."""
 
     anchor: str
     title: str
@@ -122,23 +126,27 @@ def table_of(
     columns: Sequence[Column],
     **options: Any,
 ) -> Table:
-    """Return a table of records, a row each, which its CSV file holds as numbers.
+    """Return a table with a row for each record; its CSV file has the records' values.
 
     Parameters
     ----------
     name, caption : str
     records : DataFrame or sequence of mapping
     labels, columns : sequence of (str, object, callable)
-        Columns of text at the left, and the others: heading, key, and what makes text of a value.
+        Columns of text and of numbers: heading, key, and a function that formats a value.
+        Columns without any value are omitted.
     **options
-        The rest of `Table`.
+        Further fields of `Table`.
     """
     import pandas as pd
 
     fields, numbers = [*labels, *columns], pd.DataFrame(records)
     entries = records.to_dict("records") if isinstance(records, pd.DataFrame) else records
-    # a column without any number tells nothing
-    fields = [one for one in fields if any(one[2](it.get(one[1])) != DASH for it in entries)]
+    fields = [
+        (heading, key, text)
+        for heading, key, text in fields
+        if any(text(entry.get(key)) != DASH for entry in entries)
+    ]
     rows = [[text(record.get(key)) for _, key, text in fields] for record in entries]
     options = {"text_columns": len(labels), "numbers": numbers, **options}
     return Table(name, caption, [heading for heading, *_ in fields], rows, **options)
@@ -152,7 +160,7 @@ def write_page(
     swatches: Mapping[str, str],
     views: Mapping[str, Sequence[tuple[str, str]]] | None = None,
 ) -> None:
-    """Write a page; figures are embedded, and lie in ``figures/``, tables in ``tables/``.
+    """Write a page with embedded figures, and the files in ``figures/`` and ``tables/``.
 
     Parameters
     ----------
@@ -160,15 +168,18 @@ def write_page(
     title, lead : str
     sections : sequence of Section
     swatches : mapping of str to str
-        Colours of texts in tables.
+        Colours of marks before texts in tables.
     views : mapping of str to sequence of (str, str), optional
-        The viewer's pages by scene: method, and path from this page.
+        Pages of the viewer by scene: title of the method, and path relative to this page.
     """
     text = rendered(
         "page.html.j2",
         title=title,
         lead=lead,
-        sections=[(one, [_placed(page.parent, block) for block in one.blocks]) for one in sections],
+        sections=[
+            (section, [_written(page.parent, block) for block in section.blocks])
+            for section in sections
+        ],
         swatches=swatches,
         views=views or {},
     )
@@ -176,7 +187,7 @@ def write_page(
 
 
 def rendered(template: str, **parts: Any) -> str:
-    """Return a template of this package, filled in."""
+    """Render a template of this package."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     options: Any = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
@@ -185,10 +196,10 @@ def rendered(template: str, **parts: Any) -> str:
     return environment.get_template(template).render(parts)
 
 
-def _placed(folder: Path, block: Block) -> dict[str, Any]:
-    """Write a block's files; return what the template needs of it."""
+def _written(folder: Path, block: Block) -> dict[str, Any]:
+    """Write a block's files; return the template's variables of the block."""
     if isinstance(block, Gallery):
-        return {"gallery": [_placed(folder, figure) for figure in block.figures]}
+        return {"gallery": [_written(folder, figure) for figure in block.figures]}
     if isinstance(block, Table):
         if block.numbers is not None and block.csv:
             write_table(folder / "tables" / block.csv, block.numbers)
@@ -199,13 +210,13 @@ def _placed(folder: Path, block: Block) -> dict[str, Any]:
     image, name = _png(block.figure), f"figures/{block.slug}.png"
     vectors = f"figures/{block.slug}.pdf"
     write_atomically(folder / name, image)
-    block.figure.set_layout_engine("none")  # as it was laid out for the PNG
+    block.figure.set_layout_engine("none")  # keep the layout of the PNG
     write_atomically(folder / vectors, pdf_of(block.figure))
     files = {name: name, vectors: "PDF"}
-    for of, radiance in block.light.items():
-        name = f"figures/{block.slug}_{of}.exr"
-        write_image(folder / name, radiance, about={"DateTime": ""})  # of writing otherwise
-        files[name] = f"{of}.exr"
+    for picture, radiance in block.light.items():
+        name = f"figures/{block.slug}_{picture}.exr"
+        write_image(folder / name, radiance, about={"DateTime": ""})  # reproducible bytes
+        files[name] = f"{picture}.exr"
     box = block.figure.bbox
     size = {"width": int(box.width), "height": int(box.height)}
     return {"figure": block, "files": files, "image": b64encode(image).decode(), **size}
@@ -213,18 +224,18 @@ def _placed(folder: Path, block: Block) -> dict[str, Any]:
 
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_SHARPER * figure.dpi, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=_PIXEL_RATIO * figure.dpi, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def pdf_of(figure: Figure) -> bytes:
-    """Return a figure as PDF: lines and text as vectors, pictures pixel by pixel."""
+    """Return a figure as PDF: lines and text as vectors, pictures as pixels."""
     from matplotlib import rc_context
 
     buffer = io.BytesIO()
-    about: Any = {"Creator": None, "Producer": None, "CreationDate": None}
-    with rc_context({"pdf.fonttype": 42}):  # fonts that publishers accept, and texts to search for
-        figure.savefig(buffer, format="pdf", dpi=_PRINTED, metadata=about)
+    metadata: Any = {"Creator": None, "Producer": None, "CreationDate": None}
+    with rc_context({"pdf.fonttype": 42}):  # TrueType fonts: accepted by publishers, searchable
+        figure.savefig(buffer, format="pdf", dpi=_PRINT_DPI, metadata=metadata)
     return buffer.getvalue()
 
 
@@ -244,8 +255,8 @@ def latex_table(table: Table) -> str:
         return " & ".join(map(latex_text, cells)) + r" \\"
 
     columns = [*zip(*table.rows, strict=True)][table.text_columns :]
-    others = ("l" if any(cell[:1].isalpha() for cell in column) else "r" for column in columns)
-    kinds = "l" * table.text_columns + "".join(others)
+    alignments = ("l" if any(cell[:1].isalpha() for cell in column) else "r" for column in columns)
+    kinds = "l" * table.text_columns + "".join(alignments)
     lines = [
         "% needs \\usepackage{booktabs}",
         rf"\begin{{tabular}}{{{kinds}}}",
@@ -260,36 +271,36 @@ def latex_table(table: Table) -> str:
 
 
 def latex_text(text: str) -> str:
-    """Return a text as LaTeX shows it, whatever signs it has."""
+    """Return a text with LaTeX's special characters escaped."""
     return "".join(_LATEX.get(sign, sign) for sign in text)
 
 
 def check_page(page: Path) -> list[str]:
-    """Return the faults of a page and of the figures beside it.
+    """Return the faults of a page and of its figures.
 
     Parameters
     ----------
     page : Path
-        Such as ``results/report/index.html``, with ``figures/*.png`` beside it.
+        Such as ``results/report/index.html``, in a folder with ``figures/*.png``.
 
     Returns
     -------
     list of str
-        A sentence each: a link to a file that is missing, a picture of one colour, a page without
-        any picture.
+        Sentences on links to missing files, pictures of a single colour, and pages without
+        pictures.
     """
     import OpenImageIO as oiio
 
     text = page.read_text(encoding="utf-8")
     faults = [
-        f"{page}: links {link}, which is missing"
+        f"{page}: links to {link}, which is missing"
         for link in dict.fromkeys(_LINK.findall(text))
         if not (page.parent / link).is_file()
     ]
     if "<img" not in text:
-        faults.append(f"{page}: shows no picture")
+        faults.append(f"{page}: has no picture")
     for picture in sorted(page.parent.glob("figures/*.png")):
         pixels = oiio.ImageBuf(str(picture)).get_pixels(oiio.UINT8)
         if pixels is None or (pixels == pixels[:1, :1]).all():
-            faults.append(f"{picture}: blank, all pixels are of one colour")
+            faults.append(f"{picture}: blank, all pixels have one colour")
     return faults

@@ -1,4 +1,4 @@
-"""What a report was made from: settings, rigs, versions and digests."""
+"""Origin of a report: settings, rigs, versions and digests."""
 
 from __future__ import annotations
 
@@ -15,87 +15,93 @@ from rfpipe.rigs.settings import flat
 
 
 def setup_section(inputs: Inputs) -> Section:
-    """Settings, with what scenes choose for those that are null, and versions."""
+    """Return the section of settings, values that scenes choose for null, rigs, and versions."""
     names = ["setting", "value"]
     shaping = inputs.config.result_settings()
     shaping = _without_idle_methods(shaping, {run.method for run in inputs.runs})
-    about = "As config/all.yaml describes them; methods that did not run are left out."
+    caption = "config/all.yaml describes them; methods that did not run are omitted."
     if inputs.config.capture.rig == "remote":
-        # the camera of the settings is that of a simulated or offline rig
+        # the camera of the settings belongs to simulated and offline rigs
         shaping = {name: value for name, value in shaping.items() if name != "camera"}
-        about += " The camera is the rig's, below."
+        caption += " The camera is described with the rig, below."
     settings = [[name, str(value)] for name, value in _with_values(shaping)]
     packages = [[name, version] for name, version in _versions(inputs).items()]
     tables = [
         *_choices_table(inputs),
-        Table("Settings", about, names, settings, 2),
+        Table("Settings", caption, names, settings, 2),
         *_rig_tables(inputs),
-        Table("Versions", "Of the report's packages.", ["package", "version"], packages, 2),
+        Table(
+            "Versions",
+            "Packages by which the report was made.",
+            ["package", "version"],
+            packages,
+            2,
+        ),
     ]
     return Section("setup", "Settings and versions", tables)
 
 
 def _without_idle_methods(settings: Mapping[str, Any], ran: Set[str]) -> dict[str, Any]:
-    """Return settings, of the run and of its scenes, without the methods that did not run."""
+    """Return settings of the run and of its scenes without the methods that did not run."""
 
-    def of_ran(group: Mapping[str, Any]) -> dict[str, Any]:
+    def without_idle(group: Mapping[str, Any]) -> dict[str, Any]:
         methods = group.get("methods") or {}
         return {**group, "methods": {name: it for name, it in methods.items() if name in ran}}
 
-    scenes = {name: of_ran(scene) for name, scene in settings.get("scenes", {}).items()}
-    return {**of_ran(settings), "scenes": scenes}
+    scenes = {name: without_idle(scene) for name, scene in settings.get("scenes", {}).items()}
+    return {**without_idle(settings), "scenes": scenes}
 
 
 def _choices_table(inputs: Inputs) -> list[Table]:
-    """Return the table of what scenes choose for settings that are null, if any does."""
+    """Return the table of values that scenes choose for null settings, in a list, or none."""
     rows = [
         [scene, choice["setting"], plain(choice["value"]), choice["reason"]]
         for scene in inputs.scenes
         for choice in inputs.light_of(scene).get("choices", [])
     ]
     names = ["scene", "setting", "value", "reason"]
-    caption = "Settings that are null, and what the scene chooses for them."
+    caption = "Values that a scene chooses for settings that are null."
     return [Table("Chosen by scenes", caption, names, rows, 4, is_folded=False)] if rows else []
 
 
 def _rig_tables(inputs: Inputs) -> Iterator[Table]:
-    """Yield the devices and the sensor of each rig that isn't simulated, as it described itself."""
+    """Yield the description of devices and sensor of each rig that isn't simulated."""
     groups: dict[str, list[str]] = {}
     rigs: dict[str, dict[str, Any]] = {}
     for run in inputs.runs:
         rig = rig_of(inputs.results, run)
         if not rig or rig.get("kind") == "simulated":
             continue
-        others = {name: it for name, it in rig.items() if name not in ("sensor", VERDICTS_KEY)}
-        described = {"sensor": _camera_of(rig.get("sensor", {})), **others}
+        devices = {name: it for name, it in rig.items() if name not in ("sensor", VERDICTS_KEY)}
+        described = {"sensor": _camera_of(rig.get("sensor", {})), **devices}
         key = fingerprint(described)
         rigs[key] = described
         groups.setdefault(key, []).append(f"{run.scene} by {run.method}")
     for number, (key, runs) in enumerate(groups.items(), 1):
         name = "Rig" if len(groups) == 1 else f"Rig {number}"
         rows = [[fact, str(value)] for fact, value in _with_values(rigs[key])]
-        about = f"As it described itself when it captured {', '.join(runs)}."
-        yield Table(name, about, ["fact", "value"], rows, 2)
+        caption = f"Description by the rig at the capture of {', '.join(runs)}."
+        yield Table(name, caption, ["fact", "value"], rows, 2)
 
 
 def _camera_of(sensor: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the camera of a sensor's description, whether it is resampled onto rays or not."""
+    """Return the description of a sensor's camera; a resampled sensor contains another one."""
     return _camera_of(sensor["sensor"]) if "sensor" in sensor else dict(sensor)
 
 
 def _versions(inputs: Inputs) -> dict[str, str]:
-    """Return the versions of what made the report, and of what recorded its scenes."""
+    """Return the versions of the packages that made the report or recorded its scenes."""
     recorded = [run.facts.get("recorded", {}).get("versions", {}) for run in inputs.runs]
     return dict(ChainMap(versions(), *recorded))
 
 
 def _with_values(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the settings that have a value, by their dotted names."""
+    """Yield dotted name and value of the settings that aren't null or empty."""
     yield from ((name, value) for name, value in flat(settings).items() if value not in (None, []))
 
 
 def provenance_of(inputs: Inputs) -> dict[str, Any]:
-    """Return plain data that tells a report's origin."""
+    """Return the origin of a report as plain data."""
     shaping = inputs.config.result_settings()
     return {
         "versions": _versions(inputs),

@@ -11,8 +11,11 @@ from rfpipe.config import SceneSettings
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY
 from rfpipe.text import percent as decimals
 
-ERROR = "Error: norm of the difference, relative to the picture's, at least to half a typical one's"
-"""Of a relit picture, as captions say it."""
+ERROR = (
+    "Error: norm of the difference, relative to the norm of the picture or half that of a typical "
+    "picture, whichever is larger"
+)
+"""Definition of the error of a relit picture, for captions."""
 
 DASH = "\N{EN DASH}"
 
@@ -22,47 +25,47 @@ STANDING_COLOURS = {
     "can't tell": "#d99a00",
     "NOT MEASURED": "#7b1f1f",
 }
-"""Colours of the verdicts, as they read."""
+"""Colours of the verdicts, by their texts."""
 
 
 def number(value: Any, form: str = ",.0f", scale: float = 1.0) -> str:
-    """Return a number, scaled, as text; a dash for none."""
+    """Return a scaled number as text; a dash for None and NaN."""
     if value is None or not math.isfinite(value):
         return DASH
     return format(value * scale, form)
 
 
 def percent(value: Any) -> str:
-    """Return a fraction in per cent, to a hundredth or finer below ten; a dash for none."""
+    """Return a fraction in per cent, with two decimals or more below 10 %; a dash for None."""
     is_small = value is not None and value < 0.1
     return decimals(value) if is_small and math.isfinite(value) else number(value, ".0f", 100)
 
 
 def indirect_percent(value: Any) -> str:
-    """Return an error of indirect light in per cent; "none" where there is no such light."""
+    """Return an error of indirect light in per cent; "none" for a scene without indirect light."""
     return "none" if value == 0 else percent(value)
 
 
 def fixed(digits: int) -> Callable[[Any], str]:
-    """Return `number` with so many digits behind the point."""
+    """Return a formatter of numbers with this number of decimals."""
     return partial(number, form=f",.{digits}f")
 
 
 def rig_standing(rig: Mapping[str, Any]) -> str:
-    """Return, of a rig's description, what its calibration found at worst, or what else it is."""
+    """Return the worst verdict of a rig's calibration, or the kind of a rig without devices."""
     if rig.get("kind") != "devices":
         return str(rig.get("kind", DASH))
-    found = {one["standing"] for one in (rig.get(VERDICTS_KEY) or {}).values()}
-    return next((STANDINGS[it] for it in reversed(STANDINGS) if it in found), "no calibration")
+    verdicts = {step["standing"] for step in (rig.get(VERDICTS_KEY) or {}).values()}
+    return next((STANDINGS[it] for it in reversed(STANDINGS) if it in verdicts), "no calibration")
 
 
 def plain(value: Any) -> str:
-    """Return a setting's value as YAML has it."""
+    """Return a setting's value as in YAML."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def words(name: Any) -> str:
-    """Return a name of the settings or of a table as words."""
+    """Return a name from settings or tables as words."""
     return str(name).replace("_", " ")
 
 
@@ -72,7 +75,7 @@ def size(*lengths: int) -> str:
 
 
 def ray_size(scene: SceneSettings) -> str:
-    """Return the size of a projector's rays, views first; and the camera's where it differs."""
+    """Return the size of a projector's rays, views first, and of the camera's if it differs."""
     if not scene.is_coaxial:
         return f"{size(*scene.ray_shape)} to {size(*scene.camera_ray_shape)}"
     views = scene.view_grid if scene.is_light_field else ()

@@ -1,4 +1,4 @@
-"""What pictures that no method saw tell of a transport; devices and calibration of its rig."""
+"""Verification of transports by separate pictures, and the calibration of their rigs."""
 
 from __future__ import annotations
 
@@ -15,48 +15,51 @@ from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, poor_verdicts
 
 
 def verification_section(inputs: Inputs) -> Section | None:
-    """What each transport is wrong by on pictures that were captured for this alone."""
+    """Return the section of errors in verification pictures; None without such pictures."""
     runs = [run for run in inputs.runs if run.verified]
     if not runs:
         return None
-    shown = ("mean_error", "worst_error", "worst_picture", "noise", "drift", "moved", "saturated")
-    about = [
+    blocks: list[Block] = [
+        _error_table(inputs, runs),
+        *(_pictures(inputs, run) for run in runs),
+        _picture_table(inputs, runs),
+    ]
+    return Section("verification", "Verification by separate pictures", blocks)
+
+
+def _error_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
+    """Return the table of errors in verification pictures and of changes during the capture."""
+    names = ("mean_error", "worst_error", "worst_picture", "noise", "drift", "moved", "saturated")
+    rows = [
         {
             "scene": run.scene,
             "method": run.method,
             "pictures": len(run.verified["pictures"]),
-            **{name: run.verified[name] for name in (*shown, "samples")},
+            **{name: run.verified[name] for name in (*names, "samples")},
         }
         for run in runs
     ]
-    blocks: list[Block] = [
-        table_of(
-            "Verification",
-            "Pictures captured after the acquisition, beside what the transport makes of their "
-            "patterns, on the rays that the camera knows, brightness brought to that at the "
-            f"beginning, the captured pictures' noise taken off. {ERROR}. Changes, during the "
-            "capture: the largest of a repeated random pattern, of its brightness, and beyond that "
-            "and noise.",
-            about,
-            inputs.labels,
-            [
-                ("pictures", "pictures", number),
-                ("mean error, %", "mean_error", percent),
-                ("largest error, %", "worst_error", percent),
-                ("under", "worst_picture", str),
-                ("noise floor, %", "noise", percent),
-                ("change of the lamp, %", "drift", percent),
-                ("of the picture, %", "moved", percent),
-                ("saturated samples", "saturated", number),
-            ],
-            csv="verification.csv",
-            is_folded=False,
-        ),
-        *(_pictures(inputs, run) for run in runs),
-        _picture_table(inputs, runs),
+    caption = (
+        "Error of relit pictures relative to pictures captured after the acquisition, which no "
+        "method uses, on unmasked rays. Brightness is corrected for drift of the lamp; the noise "
+        f"of the captured pictures is subtracted. {ERROR}. Largest changes during the capture, "
+        "from check pictures: of the lamp's brightness, and of the picture beyond brightness and "
+        "noise."
+    )
+    columns: list[Column] = [
+        ("pictures", "pictures", number),
+        ("mean error, %", "mean_error", percent),
+        ("largest error, %", "worst_error", percent),
+        ("in picture", "worst_picture", str),
+        ("noise floor, %", "noise", percent),
+        ("change of the lamp, %", "drift", percent),
+        ("change of the picture, %", "moved", percent),
+        ("saturated samples", "saturated", number),
     ]
-    title = "Verified by pictures that no method saw"
-    return Section("verification", title, blocks)
+    return table_of(
+        "Verification", caption, rows, inputs.labels, columns,
+        csv="verification.csv", is_folded=False,
+    )  # fmt: skip
 
 
 def _picture_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
@@ -66,7 +69,7 @@ def _picture_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
         for run in runs
         for picture in run.verified["pictures"]
     ]
-    about = (
+    caption = (
         f"{ERROR}. Plain error: relative to the picture's norm alone, which is larger for dark "
         "pictures."
     )
@@ -77,16 +80,17 @@ def _picture_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
         ("noise floor, %", "noise", percent),
     ]
     labels: list[Column] = [*inputs.labels, ("picture", "name", str)]
-    return table_of("Errors by picture", about, rows, labels, columns, csv="pictures.csv")
+    return table_of("Errors by picture", caption, rows, labels, columns, csv="pictures.csv")
 
 
 def summary(inputs: Inputs, run: Run) -> str:
-    """Sum a run's verification up."""
+    """Return a sentence on a run's verification."""
     facts = run.verified
+    name = f"{run.scene}, {inputs.title(run.method).lower()}"
+    mean, largest = percent(facts["mean_error"]), percent(facts["worst_error"])
     return (
-        f"{run.scene}, {inputs.title(run.method).lower()}: {len(facts['pictures'])} pictures are "
-        f"relit to {percent(facts['mean_error'])} % on average, the worst, "
-        f"{facts['worst_picture']}, to {percent(facts['worst_error'])} %; the noise floor is "
+        f"{name}: the mean error of {len(facts['pictures'])} relit pictures is {mean} %; the "
+        f"largest, of {facts['worst_picture']}, is {largest} %; the noise floor is "
         f"{percent(facts['noise'])} %.{_within_bound(inputs, run)}"
     )
 
@@ -99,13 +103,13 @@ def _within_bound(inputs: Inputs, run: Run) -> str:
 
 
 def _is_above(inputs: Inputs, run: Run) -> bool:
-    """Whether a verified error is above the one that is accepted, or not known."""
+    """Test whether the measured error exceeds the accepted error, or is unknown."""
     bound, error = inputs.config.bound_of(run.scene, run.method), run.verified["mean_error"]
     return bound is not None and (error is None or error > bound)
 
 
 def alarms_of(inputs: Inputs, run: Run) -> list[str]:
-    """Return what was wrong with a run's capture, and a verified error above the accepted one."""
+    """Return sentences on changes during the capture, and on an error above the accepted one."""
     if not run.verified:
         return []
     alarms = [f"NOTICED DURING THE CAPTURE, {alarm}." for alarm in run.verified["alarms"]]
@@ -117,18 +121,21 @@ def alarms_of(inputs: Inputs, run: Run) -> list[str]:
 
 
 def _pictures(inputs: Inputs, run: Run) -> Illustration:
-    """Show each picture as captured and as relit, and their difference, two in a row."""
+    """Draw each picture as captured and as relit, and their difference, two pictures in a row."""
     assert run.verified_images is not None
     relit, captured = (run.verified_images.read(name) for name in ("relit", "captured"))
     radiance: dict[str, Any] = {}
     panels: list[Drawn] = []
     for index, picture in enumerate(run.verified["pictures"]):
         name, error = picture["name"], f"error {percent(picture['error'])} %"
-        seen = run.panel(run.middle(captured[index]), name)
-        made = run.panel(run.middle(relit[index]), "relit", error)
+        captured_panel = run.panel(run.middle(captured[index]), name)
+        relit_panel = run.panel(run.middle(relit[index]), "relit", error)
         slug = name.replace(" ", "_")
-        radiance |= {f"{slug}_captured": seen.image, f"{slug}_relit": made.image}
-        panels += [seen, made, made.less(seen)]
+        radiance |= {
+            f"{slug}_captured": captured_panel.image,
+            f"{slug}_relit": relit_panel.image,
+        }
+        panels += [captured_panel, relit_panel, relit_panel.less(captured_panel)]
     figure = draw([panels[at : at + 6] for at in range(0, len(panels), 6)], 1.6)
     caption = "Each picture as captured, as relit, and the difference."
     slug = f"verified_{run.scene}_{run.method}"
@@ -136,7 +143,7 @@ def _pictures(inputs: Inputs, run: Run) -> Illustration:
 
 
 def verdicts_section(inputs: Inputs) -> Section:
-    """What the calibration found of the rig that captured the runs; no blocks without such one."""
+    """Return the section of the rigs' calibrations; it has no blocks for simulated rigs."""
     groups: dict[str, list[str]] = {}
     for run in inputs.runs:
         rig = rig_of(inputs.results, run)
@@ -145,16 +152,16 @@ def verdicts_section(inputs: Inputs) -> Section:
             groups.setdefault(verdicts, []).append(f"{run.scene} by {run.method}")
     text: list[str] = []
     blocks = []
-    for same, runs in groups.items():
-        stated, who = json.loads(same), ", ".join(runs)
-        # as steps are done: manifests sort their names
-        known = [step for step in STEPS if step in stated]
-        steps = {step: stated[step] for step in dict.fromkeys([*known, *stated])}
-        text += [f"{who}: {fault}" for fault in poor_verdicts(steps)]
-        rows = [[one["title"], STANDINGS[one["standing"]]] for one in steps.values()]
+    for verdicts_text, runs in groups.items():
+        verdicts, names = json.loads(verdicts_text), ", ".join(runs)
+        # in the order of the steps: manifests sort their names
+        known = [step for step in STEPS if step in verdicts]
+        steps = {step: verdicts[step] for step in dict.fromkeys([*known, *verdicts])}
+        text += [f"{names}: {fault}" for fault in poor_verdicts(steps)]
+        rows = [[step["title"], STANDINGS[step["standing"]]] for step in steps.values()]
         if not rows:
             rows = [["no calibration", STANDINGS["unknown"]]]
-            text.append(f"{who}: without a calibration; pictures may not be radiance.")
-        table = Table("Verdicts", who, ["step", "verdict"], rows, 2, is_folded=False)
+            text.append(f"{names}: without a calibration; pictures may not be radiance.")
+        table = Table("Verdicts", names, ["step", "verdict"], rows, 2, is_folded=False)
         blocks.append(table)
     return Section("calibration", "Calibration of the rig", blocks, text)
