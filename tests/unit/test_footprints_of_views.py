@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.rigs.known_matrix import dense, picture_error
 
-from rfpipe.methods.adaptive.footprints.method import Footprints, in_round
+from rfpipe.methods.adaptive.footprints.method import Footprints, patterns_in_round
 from rfpipe.scenes import room_scene
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MethodContract, run_method
@@ -57,7 +57,9 @@ def test_a_state_of_views_is_restored() -> None:
 def test_light_field_needs_two_rounds_for_2_percent() -> None:
     matrix, target = room(), 0.015
     acquired = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=2e-4, target_error=target)
-    assert sum(acquired.patterns) <= 1 + 6 + in_round(0, VIEWS) + in_round(1, VIEWS)
+    assert sum(acquired.patterns) <= 1 + 6 + patterns_in_round(0, VIEWS) + patterns_in_round(
+        1, VIEWS
+    )
     error, estimate = (
         relighting_error(acquired.transport, matrix),
         acquired.states[-1].estimates[-1].error,
