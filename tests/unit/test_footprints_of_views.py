@@ -51,7 +51,7 @@ class OnViews(MethodContract):
 
 
 def test_a_state_of_views_is_restored() -> None:
-    OnViews().test_a_state_is_restored_from_its_packs()
+    OnViews().test_a_state_is_restored_from_its_arrays()
 
 
 def test_light_field_needs_two_rounds_for_2_percent() -> None:
