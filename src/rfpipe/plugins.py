@@ -187,7 +187,7 @@ def _file(path: str) -> ModuleType:
     spec = spec_from_file_location(name, file)
     if spec is None or spec.loader is None or not file.is_file():
         raise InputError(
-            "no such file of Python code", place=Path.cwd() / path, remedy="check the path"
+            f"there is no file {path} in {Path.cwd()}", remedy="give the path of a Python file"
         )
     module = module_from_spec(spec)
     sys.modules[name] = module

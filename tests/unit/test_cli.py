@@ -68,7 +68,7 @@ def failure(
 
 def test_validate_names_the_acquisitions() -> None:
     planned = run("plan", CONFIG)
-    assert "valid. 6 acquisitions. One job a stage, since a scene has 10,368 rays" in planned
+    assert "valid. 6 acquisitions. One job per stage, since a scene has 10,368 rays" in planned
     (room,) = (line.split() for line in planned.splitlines() if " auto " in line and "room" in line)
     assert room[:6] == ["room", "auto", "10,368", "31", "30", "2,527"]
 
@@ -112,7 +112,7 @@ def test_relight_writes_the_radiance(
 def test_unknown_pattern(transport: Path, tmp_path: Path, failure: Callable[..., str]) -> None:
     output = tmp_path / "image.exr"
     text = failure("relight", transport, "--pattern", "barr", "--output", output)
-    assert "pattern barr: is no file and no name of a pattern" in text
+    assert "there is no pattern or file barr" in text
 
 
 def test_relight_with_white_light_into_a_picture_for_the_eye(
@@ -163,7 +163,7 @@ def test_scenes_are_listed_with_their_options() -> None:
     assert "wedge_120: Two planes that meet at 120 degrees" in text
     assert "    surfaces ([]): Each white (albedo 0.8) or texture" in text
     assert "    projector (null): The projector aside of the camera" in text
-    assert text.startswith("every kind:\n    shape ([62,70]): Rays of the rig")
+    assert text.startswith("every kind:\n    shape ([62,70]): Height and width")
     assert text.count("    settings ({}): ") == 1
     assert "Undefined" not in text
 

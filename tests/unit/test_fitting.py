@@ -114,7 +114,7 @@ def test_a_foreign_folder_of_single_lights(tmp_path: Path) -> None:
     output = tmp_path / "out.zarr"
     told = run("fit", tmp_path / "stage", "-o", output, "--lights", 1, 7)
     assert "7 pictures of 7 projector rays (complete)" in told
-    assert "no error is known" in told
+    assert "the error is unknown" in told
     transport = open_transport(output)
     assert (transport.camera_shape, transport.projector_shape) == (SHAPE, (1, 7))
     weights = np.array([[0, 1, 0, 0, 0.5, 0, 0]], np.float32)

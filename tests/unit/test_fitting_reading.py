@@ -146,7 +146,7 @@ def test_a_dead_light_of_a_dome_is_refused_by_name(tmp_path: Path) -> None:
         write(tmp_path / f"light_{index:02d}.png", np.rint(230 * picture[..., None]).astype("u1"))
     output = tmp_path / "dome.zarr"
     said = run("fit", tmp_path, "-o", output)
-    assert "left-out pictures (14) are off by" in said
+    assert "error in 14 held-out pictures: " in said
     assert open_transport(output).lights.shape == (14, 3)
     write(tmp_path / "light_05.png", np.zeros((24, 24, 1), np.uint8))
     with pytest.raises(InputError, match=r"light_05\.png"):

@@ -57,7 +57,7 @@ def test_the_help_of_run_is_ours_and_short() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "passed_on", "retake", "looks"),
+    ("arguments", "passed_on", "retake", "inspects"),
     [
         (["--cores", "2"], ["--cores", "2"], [], False),
         (["-n", "--retake", "a/b"], ["-n"], ["a/b"], True),
@@ -66,11 +66,11 @@ def test_the_help_of_run_is_ours_and_short() -> None:
         (["--list-changes=params"], ["--list-changes=params"], [], True),
     ],
 )
-def test_what_is_not_ours_is_passed_on(
-    arguments: list[str], passed_on: list[str], retake: list[str], looks: bool
+def test_unknown_options_are_passed_on_to_snakemake(
+    arguments: list[str], passed_on: list[str], retake: list[str], inspects: bool
 ) -> None:
-    asked = _Options.of(arguments)
-    assert (asked.passed_on, asked.retake, asked.looks) == (passed_on, retake, looks)
+    options = _Options.of(arguments)
+    assert (options.passed_on, options.retake, options.inspects) == (passed_on, retake, inspects)
 
 
 def test_all_options_are_snakemake_s(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,6 +121,6 @@ def test_right_targets_are_passed_on(
     Path("stages.yaml").write_text(scene + "resources: {jobs: stage}\n")
     started: list[list[str]] = []
     cli_run = sys.modules["rfpipe.cli.run"]
-    monkeypatch.setattr(cli_run, "_to_its_end", lambda command: started.append(command) or 0)
+    monkeypatch.setattr(cli_run, "_status_of", lambda command: started.append(command) or 0)
     run("run", *arguments)
     assert started[0][-len(arguments) :] == arguments

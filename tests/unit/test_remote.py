@@ -173,9 +173,9 @@ def test_a_zip_made_again_by_another_program_is_read_and_checked(run: Path, tmp_
 
 
 def test_a_zip_of_transports_is_verified_where_it_lies(run: Path) -> None:
-    assert "whole. 1 stores" in verified(run / "crate.zip")
-    assert "whole. 2 stores" in verified(run / "both.zip")
-    assert "whole. 1 stores" in verified(run / "both.zip" / DESK)
+    assert "undamaged. 1 stores" in verified(run / "crate.zip")
+    assert "undamaged. 2 stores" in verified(run / "both.zip")
+    assert "undamaged. 1 stores" in verified(run / "both.zip" / DESK)
     with pytest.raises(InputError, match="holds nothing of a run"):
         verified(run / "nothing.zip")
 
@@ -187,7 +187,7 @@ def test_what_a_published_folder_on_a_web_server_lacks_is_found(tmp_path: Path) 
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     with serving(tmp_path) as server:
-        assert "whole. 0 stores, 0 manifests and 4 other files" in verified(server.address)
+        assert "undamaged. 0 stores, 0 manifests and 4 other files" in verified(server.address)
         (tmp_path / "b.txt").unlink()
         (tmp_path / "d.txt").write_bytes(b"of another")
         said = verified(server.address, status=1)

@@ -157,7 +157,7 @@ def test_a_rehearsal_sets_nothing_aside(results: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(results.parent)
     before = present(results)
     said = run("run", "--dry-run", "--retake", "vase/dual/2")
-    assert "results/vase/dual/L02: its pictures would be taken again" in said
+    assert "results/vase/dual/L02: its pictures would be captured again" in said
     assert present(results) == before
 
 

@@ -103,7 +103,7 @@ def test_results_without_snakemake_s_records_are_named(
     name = "cmVzdWx0cy9yZWNvcmRlZC9kdWFsL3RyYW5zcG9ydC5qc29u"
     (records / name).write_text("{}")
     assert unrecorded(Path()) == ["copied/dual"]
-    monkeypatch.setattr(sys.modules["rfpipe.cli.run"], "_to_its_end", lambda command: 0)
+    monkeypatch.setattr(sys.modules["rfpipe.cli.run"], "_status_of", lambda command: 0)
     said = run_command("run")
     assert "no records of the settings of copied/dual" in said
     assert "--forceall" in said

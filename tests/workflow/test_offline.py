@@ -103,8 +103,8 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
 
     output = command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
     passes = 0
-    while "nothing more is asked for" not in output:
-        assert re.search(r"level \d asks for \d+ patterns and 3 markers", output)
+    while "complete; the transport is" not in output:
+        assert re.search(r"level \d has \d+ patterns and 3 markers", output)
         sheet = sheets(tmp_path / "p")[-1]
         photographer.photograph(sheet, symmetric_matrix()[None], expose)
         output = command("import", sheet)
@@ -113,7 +113,7 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     found = contents(tmp_path / "r" / "desk" / "symmetric" / "transport.zarr")
     assert found == contents(direct / "transport.zarr")
     # a sheet twice changes nothing
-    assert "nothing more is asked for" in command("import", sheet)
+    assert "complete; the transport is" in command("import", sheet)
     assert verified(path, tmp_path / "r")["mean_error"] < 0.01
 
 
@@ -136,7 +136,7 @@ def acquired(tmp_path: Path, settings: Path, matrix_of: Any) -> list[str]:
     """Take sheet by sheet what is asked for, `matrix_of(sheet)` being before the camera."""
     at = "-o", tmp_path / "p", "--results", tmp_path / "r"
     outputs = [command("patterns", settings, *at)]
-    while "nothing more is asked for" not in outputs[-1]:
+    while "complete; the transport is" not in outputs[-1]:
         newest = max(sheets(tmp_path / "p"), key=lambda sheet: sheet.stat().st_mtime_ns)
         photographer.photograph(newest, matrix_of(newest)[None], photographer.counts)
         outputs.append(command("import", newest))
@@ -159,7 +159,7 @@ def test_pictures_that_are_asked_for_later_have_a_sheet_of_their_own(tmp_path: P
     assert not (tmp_path / "r" / "desk" / "symmetric" / "verification").exists()
     settings_file(tmp_path, camera=QUIET, verification={"pictures": 4})
     outputs = acquired(tmp_path, path, lambda _: symmetric_matrix())
-    assert "verification asks for 4 patterns and 3 markers" in outputs[0]
+    assert "verification has 4 patterns and 3 markers" in outputs[0]
     sheet = tmp_path / "p" / "desk_symmetric_verification"
     assert verified(path, tmp_path / "r")["mean_error"] < 0.01
     command("import", sheet, "--take-back")
@@ -183,7 +183,7 @@ def test_the_workflow_goes_on_from_pictures_that_a_script_took(tmp_path: Path) -
         [sys.executable, photographer.__file__, sheet, tmp_path / "matrix.npy"], check=False
     )
     assert done.returncode == 0
-    assert "nothing more is asked for" in command("import", sheet)
+    assert "complete; the transport is" in command("import", sheet)
     assert "patterns in" not in workflow.run(target)
     transport = open_transport(workflow.path("desk/brute_force/transport.zarr"))
     # radiance in the camera's own unit

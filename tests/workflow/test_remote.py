@@ -176,7 +176,7 @@ def test_a_missed_target_fails_the_run_and_a_level_is_taken_again(
     settings["verification"]["fail_above"] = 0.99
     workflow.config.write_text(yaml.safe_dump(settings))
     output = run(workflow, "--retake", "long/near_far/1")
-    assert "the old ones are kept beside the new ones, as capture.before_1.zarr" in output
+    assert "the previous ones stay next to the new ones, as capture.before_1.zarr" in output
     # pictures for verification are those of before
     assert server.status()["brackets"] == shown + len(before)
     assert "missed the target error" in output.splitlines()[-1]

@@ -81,7 +81,7 @@ def test_a_level_is_taken_again_and_nothing_else(tmp_path: Path, kind: str) -> N
     before = workflow.contents("wall/dual")
     times = {path: path.stat().st_mtime_ns for path in workflow.path("").rglob("journal.jsonl")}
     output = run(workflow, "--retake", "wall/dual/1")
-    assert "L01: its pictures are taken again; the old ones are kept" in output
+    assert "L01: its pictures are captured again; the previous ones stay" in output
     after = workflow.contents("wall/dual")
     aside = {name for name in after if "capture.before_1.zarr" in name}
     assert {name: after[name] for name in after if name not in aside} == before
@@ -111,7 +111,7 @@ def test_a_run_after_kill_9_goes_on_by_itself(tmp_path: Path) -> None:
     process.communicate()
     kept = len(journal(store))
     said = run(workflow, target)
-    assert "the last run in this folder was killed; going on from there" in said
+    assert "continuing the last run in this folder, which was killed" in said
     assert f"going on at pattern {kept}" in said
 
 

@@ -1,4 +1,4 @@
-"""The commands of ``rfpipe``: thin, each importing what it needs when it runs."""
+"""Command line of rfpipe; each command imports the packages that it needs when it runs."""
 
 from __future__ import annotations
 
@@ -69,9 +69,9 @@ app.command()(view)
 
 
 def _reflow(commands: typer.Typer) -> None:
-    """Join the lines of each paragraph of the commands' docstrings, for terminals of any width.
+    """Join the lines of each paragraph in the commands' help, for terminals of any width.
 
-    A paragraph of indented lines, such as a table, stays as it is.
+    Indented paragraphs, such as tables, keep their lines.
     """
     for command in commands.registered_commands:
         text = inspect.getdoc(command.callback) if command.callback else None
@@ -89,7 +89,7 @@ _reflow(app)
 
 
 def main() -> None:
-    """Run the command line; an expected error is a message and exit status 1."""
+    """Run the command line; an `RfpipeError` prints its message and exits with status 1."""
     try:
         app()
     except RfpipeError as error:
@@ -98,7 +98,7 @@ def main() -> None:
     except OSError as error:
         if not is_full(error):
             raise
-        # Python writes what is left of its output when it ends, which would fail again
+        # at exit, Python flushes the remaining output, which would fail again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         typer.echo(f"rfpipe: a file can't be written: {error}; make room and run again", err=True)
         sys.exit(1)

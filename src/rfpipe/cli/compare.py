@@ -1,4 +1,4 @@
-"""``rfpipe compare``: the methods of finished runs at equal error."""
+"""``rfpipe compare``: cost of the methods of finished runs at equal error."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ def compare(
         typer.Option(
             "--error",
             "-e",
-            help="Mean error of relit pictures to compare at, a fraction such as 0.01; may be "
-            "given several times. By default 0.05 to 0.001, as far as any method reaches them.",
+            help="Mean relative error of relit pictures at which to compare, a fraction such as "
+            "0.01; may be repeated. By default several from 0.05 to 0.001, as far as at least one "
+            "method reaches them.",
         ),
     ] = None,
     seconds: Annotated[
@@ -37,39 +38,40 @@ def compare(
         typer.Option(
             "--seconds-per-pattern",
             min=0,
-            help="Seconds that the rig takes for a picture; by default as the runs' settings say.",
+            help="Seconds that the rig needs for a picture; by default the runs' setting "
+            "capture.seconds_per_pattern.",
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File to write as well: .csv, or .tex for LaTeX."),
+        typer.Option("--output", "-o", help="File for the table: .csv, or .tex for LaTeX."),
     ] = None,
 ) -> None:
     """Compare methods at equal error: patterns, pictures on the rig and seconds for each scene.
 
-    A method's acquisitions at several tolerances or targets, also of several runs, make one curve.
-    Costs are interpolated between its points, which are levels where a transport is known level by
-    level. The note says where a method does not reach an error.
+    The acquisitions of a scene by one method, at several tolerances or target errors and from any
+    of the runs, form a curve of cost against error, with a point per level where the method has
+    levels. Costs are interpolated on this curve. A note marks errors that a method did not reach.
     """
     from rfpipe.errors import InputError
     from rfpipe.output import checked_output
     from rfpipe.report.compare import ERRORS
-    from rfpipe.report.compare import compare as compared
+    from rfpipe.report.compare import compare as costs_at_errors
     from rfpipe.report.page import latex_table
     from rfpipe.store.files import write_atomically
 
     for error in errors or ():
         if not 0 < error < 1:
-            percent = f"; for {error:g} % write {error / 100:g}" if 1 <= error < 100 else ""
+            example = f"; for {error:g} % write {error / 100:g}" if 1 <= error < 100 else ""
             raise InputError(
-                f"--error {error:g}: should be a fraction above 0 and below 1{percent}"
+                f"--error {error:g}: should be a fraction above 0 and below 1{example}"
             )
     suffix = checked_output("compare", output) if output is not None else ""
-    rows = compared(folders, errors or ERRORS, seconds)
+    rows = costs_at_errors(folders, errors or ERRORS, seconds)
     if errors is None:
         reached = rows["patterns"].notna().groupby(rows["error"]).transform("any")
         rows = rows[reached] if reached.any() else rows
-    table = _shown(rows)
+    table = _text_table(rows)
     typer.echo(_aligned(table))
     if output is not None:
         text = rows.to_csv(index=False, float_format="%.6g", lineterminator="\n")
@@ -78,8 +80,8 @@ def compare(
         typer.echo(f"\nwritten: {output}")
 
 
-def _shown(rows: pd.DataFrame) -> Table:
-    """Return the comparison as a table of text."""
+def _text_table(rows: pd.DataFrame) -> Table:
+    """Format the comparison as a table of text."""
     from rfpipe.report.page import Table
     from rfpipe.report.text import number
 
@@ -94,7 +96,7 @@ def _shown(rows: pd.DataFrame) -> Table:
 
 
 def _aligned(table: Table) -> str:
-    """Return a table in columns; a scene and an error that repeat are left out."""
+    """Align the columns of a table, and omit scene and error where they repeat."""
     lines = [table.columns, *table.rows]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     text, previous = [], ["", ""]

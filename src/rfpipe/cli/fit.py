@@ -14,78 +14,88 @@ def fit(
         Path,
         typer.Argument(
             metavar="FOLDER",
-            help="Pictures in its folder 'pictures' or in itself, patterns as pictures in its "
-            "folder 'patterns' or in patterns.npy, (pictures, H, W[, 3]); or in cam/raw/train and "
-            "test, patterns in train and test. Or an EXR file with a part for each light.",
+            help="Folder with the pictures, directly or in 'pictures', and the patterns, as image "
+            "files in 'patterns' or as an array (pictures, H, W[, 3]) in patterns.npy. A folder "
+            "with pictures in cam/raw/train and cam/raw/test and patterns in train and test is "
+            "read as well, and so is an EXR file with a part for each light.",
         ),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The transport to write, such as transport.zarr.")
+        Path, typer.Option("--output", "-o", help="Transport to write, such as transport.zarr.")
     ],
     lights: Annotated[
         tuple[int, int] | None,
         typer.Option(
             metavar="ROWS COLUMNS",
-            help="One light at a time instead of patterns, OLAT: how the lights stand; 1 N for a "
-            "light stage. Needless where a file of their directions or positions lies in FOLDER: "
-            "any .lp of RTI, light_directions.txt, lights.txt, light_pos.npy or lights.npy.",
+            help="For one light at a time (OLAT) instead of patterns: rows and columns of the "
+            "array of lights; 1 N for a light stage. Not needed if FOLDER has a file with the "
+            "lights' directions or positions: an .lp file of RTI, light_directions.txt, "
+            "lights.txt, light_pos.npy or lights.npy.",
         ),
     ] = None,
     patterns: Annotated[
         str | None,
         typer.Option(
             metavar="CODE",
-            help="Name of the code that the pictures show, such as gray:1920x1080 (OpenCV's Gray "
-            "code) or phase:1920x1080,period=32,steps=4; docs/photographs.md has all options.",
+            help="Code that the projector displayed, such as gray:1920x1080 (OpenCV's Gray code) "
+            "or phase:1920x1080,period=32,steps=4; docs/photographs.md lists all options.",
         ),
     ] = None,
     settings: Annotated[
         Path | None,
         typer.Option(
-            help="A run's settings whose camera took the pictures: their brackets are merged, and "
-            "their noise is known. Without it, pictures are light, one for each pattern."
+            help="Settings file of a run whose section camera describes the camera. The brackets "
+            "are then merged, and the noise is known. By default, there is one picture per "
+            "pattern, with values proportional to light."
         ),
     ] = None,
     black: Annotated[
-        Path | None, typer.Option(help="A picture without light to subtract, or a folder of some.")
+        Path | None,
+        typer.Option(help="Picture without light, to be subtracted; or a folder of several."),
     ] = None,
     ambient: Annotated[
-        Path | None, typer.Option(help="A picture of the room's light alone, to subtract as well.")
+        Path | None, typer.Option(help="Picture of the ambient light, to be subtracted as well.")
     ] = None,
     transfer: Annotated[
         Literal["linear", "srgb"] | None,
         typer.Option(
-            help="Transfer curve of integers in pictures; by default linear, beside cam/raw srgb."
+            help="Transfer curve of integer pictures; by default linear, or srgb in cam/raw."
         ),
     ] = None,
     camera_bin: Annotated[
         int | None,
-        typer.Option(min=1, help="Average pictures over squares of so many pixels a side."),
+        typer.Option(min=1, help="Average pictures over squares of this side in pixels."),
     ] = None,
     projector_bin: Annotated[
         int | None,
-        typer.Option(min=1, help="Average patterns over squares of so many pixels a side."),
+        typer.Option(min=1, help="Average patterns over squares of this side in pixels."),
     ] = None,
     memory_gib: Annotated[
         float,
-        typer.Option(min=0.1, help="Memory that the fit may take; bins are chosen accordingly."),
+        typer.Option(
+            min=0.1, help="Memory that the fit may use, in GiB; the bins are chosen accordingly."
+        ),
     ] = 2.0,
     coaxial: Annotated[
         bool, typer.Option("--coaxial", help="Camera and projector share their rays.")
     ] = False,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Write a transport that is worth nothing, too.")
+        bool,
+        typer.Option("--anyway", help="Write the transport even if the pictures contradict it."),
     ] = False,
 ) -> None:
-    """Fit the light transport to pictures of patterns that were chosen elsewhere.
+    """Fit the light transport to existing pictures of known patterns.
 
-    Patterns may be one light at a time, Gray code, Hadamard, random or any others, as weights of
-    light. Models are least squares, footprints with smooth light, and, on a coaxial rig, near/far;
-    the one that predicts left-out pictures best fits all of them. Its error is that of these
-    pictures, or of those that are there for validation. Coloured patterns light each channel by
-    itself. Nothing is written where pictures contradict each other, or where left-out ones are
-    predicted no better than by the mean picture. The transport opens in Python by
-    rfpipe.open_transport, and relights by 'rfpipe relight'.
+    Any patterns will do: one light at a time, Gray code, Hadamard, random and so on, given as
+    weights of the projector's light. The models are least squares, footprints with smooth light,
+    and, for a coaxial rig, near/far. Each model is fitted without some held-out pictures; the
+    model that predicts these best is then fitted to all pictures. Its error is the error in the
+    held-out pictures, or in the validation pictures if there are any. Coloured patterns are fitted
+    per channel.
+
+    Nothing is written if the pictures contradict each other, or if the mean picture predicts the
+    held-out pictures as well as the best model. Open the transport in Python with
+    rfpipe.open_transport, or relight it with 'rfpipe relight'.
     """
     from rfpipe.config import load_camera
     from rfpipe.errors import InputError
@@ -99,12 +109,14 @@ def fit(
 
     checked_output("fit", output)
     if patterns and lights:
-        raise InputError("--patterns and --lights: give the one that the pictures show")
+        raise InputError("--patterns and --lights exclude each other; give one of them")
     camera = None
     if settings is not None:
         sensor = sensor_from_config(load_camera(settings))
         if not isinstance(sensor, CameraModel):
-            raise InputError(f"{settings}: camera is null; without --settings pictures are light")
+            raise InputError(
+                "the section camera is null", place=settings, remedy="leave --settings out"
+            )
         camera = sensor
     series = read_series(
         folder, lights=lights, patterns=patterns, camera=camera, black=black, ambient=ambient,
@@ -126,9 +138,11 @@ def fit(
         f"{'' if series.lights is None else ', with the directions of lights'}"
     )
     if result.error is None:
-        typer.echo("no error is known: each pattern is needed. A few more patterns would tell")
+        typer.echo(
+            "the error is unknown, since the fit needs every picture; take a few more patterns"
+        )
         return
-    typer.echo(f"left-out pictures ({result.held_out}) are off by {percent(result.error)}%")
-    others = {name: error for name, error in result.errors.items() if name != result.model}
-    if others:
-        typer.echo("; ".join(f"by {name} {percent(error)}%" for name, error in others.items()))
+    typer.echo(f"error in {result.held_out} held-out pictures: {percent(result.error)}%")
+    rivals = {name: error for name, error in result.errors.items() if name != result.model}
+    if rivals:
+        typer.echo("; ".join(f"by {name} {percent(error)}%" for name, error in rivals.items()))

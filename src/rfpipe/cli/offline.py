@@ -1,11 +1,11 @@
-"""``rfpipe patterns`` and ``rfpipe import``: acquisitions whose pictures are taken elsewhere."""
+"""``rfpipe patterns`` and ``rfpipe import``: acquisitions with an offline rig."""
 
 from __future__ import annotations
 
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,17 +20,19 @@ if TYPE_CHECKING:
 def patterns(
     config: ConfigFile,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder of the sheets; each has one in it.")
+        Path, typer.Option("--output", "-o", help="Folder for the sheets, one subfolder per sheet.")
     ] = Path("patterns"),
-    results: Annotated[Path, typer.Option(help="Of the run, there or to come.")] = Path("results"),
+    results: Annotated[Path, typer.Option(help="Folder of the run's results.")] = Path("results"),
 ) -> None:
-    """Write the pictures that a projector is to show next, where the pictures are taken elsewhere.
+    """Write the next patterns as image files, for a projector and camera without drivers.
 
-    For each scene and method a sheet, a folder of PNGs at the projector's resolution, numbered in
-    the order of showing, with patterns.json, which names each. Take a bracket of each picture, all
-    of one exposure after the other or in any order within a bracket, and lay the files into the
-    sheet's folder 'pictures'; then 'rfpipe import' reads them, and writes the next sheet, until
-    nothing is asked for. What is captured already isn't asked for again.
+    For each scene and method, the command writes a sheet: a folder of PNG files at the projector's
+    resolution, numbered in the order of display, and patterns.json, which describes each file.
+
+    Display the files one by one, and take a bracket of each: its exposures in any order, or first
+    all pictures at one exposure, then all at the next. Put the pictures into the sheet's folder
+    'pictures'. Then 'rfpipe import' reads them and writes the next sheet, until the acquisition
+    has all pictures. Pictures that were imported are not needed again.
     """
     from rfpipe.config import load_config
     from rfpipe.output import checked_output
@@ -43,32 +45,38 @@ def patterns(
         rig = acquisition.rig()
         level = acquisition.advance(rig)
         sheet = None if level is None else acquisition.write(rig, output, config, results)
-        _tell(f"{scene} by {name}", sheet, results / scene / name, config)
+        _print_next_step(f"{scene} by {name}", sheet, results / scene / name, config)
 
 
 def import_(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="A sheet's folder, as 'rfpipe patterns' wrote it."),
+        typer.Argument(metavar="FOLDER", help="Folder of a sheet from 'rfpipe patterns'."),
     ],
     pictures: Annotated[
         Path | None,
-        typer.Option(help="Folder of the pictures; 'pictures' in the sheet's folder by default."),
+        typer.Option(help="Folder of the pictures; by default 'pictures' in the sheet's folder."),
     ] = None,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Take pictures that seem wrong.")
+        bool, typer.Option("--anyway", help="Import pictures even if a check finds mistakes.")
     ] = False,
     take_back: Annotated[
-        bool, typer.Option("--take-back", help="Remove what was imported from here on, instead.")
+        bool,
+        typer.Option(
+            "--take-back",
+            help="Undo the import of this sheet and of all later ones instead.",
+        ),
     ] = False,
 ) -> None:
-    """Read the pictures that were taken of a sheet's patterns, go on, and write the next sheet.
+    """Import the pictures of a sheet's patterns, continue the acquisition, write the next sheet.
 
-    Pictures are TIFF, PNG, EXR or raw files, which sort by the numbers in their names as they were
-    taken, a bracket's exposures together. All are checked before any is kept: number, size,
-    channels, bits, exposure times where the files say them, saturation, order by the marker frames,
-    and whether each picture shows its pattern. A sheet that was imported can be taken back, with
-    all that followed from it; its pictures stay.
+    The pictures are TIFF, PNG, EXR or raw files. Sorted by the numbers in their names, they are in
+    the order in which they were taken, with the exposures of a bracket together.
+
+    All pictures are checked before the first is imported: their number, size, channels, bits,
+    exposure times (if the files contain them) and saturation, their order by the marker frames,
+    and whether each picture shows its pattern. --take-back undoes an import and all that followed
+    from it; the picture files stay.
     """
     from rfpipe.config import load_config
     from rfpipe.errors import CaptureError
@@ -77,31 +85,28 @@ def import_(
     from rfpipe.stages.offline import OfflineAcquisition
 
     sheet = read_sheet(folder)
-    about = sheet.about
     config, results = run_paths(sheet)
-    scene, name = about["scene"], about["method"]
+    scene, name, level_of_sheet = (sheet.about[key] for key in ("scene", "method", "level"))
     acquisition = OfflineAcquisition(load_config(config), scene, name, results / scene / name)
     if take_back:
-        picture_files(pictures or folder / PICTURES)  # nothing else is left of them
+        picture_files(pictures or folder / PICTURES)  # raises if the only copies are gone
         _take_back(acquisition, sheet)
         return
     checked = acquisition.read(sheet, pictures or folder / PICTURES, anyway=anyway)
     for note in checked.notes:
         typer.echo(f"{folder}: {note}", err=True)
-    rig, is_new = checked.rig, not acquisition.files.exists(about["level"], "capture")
+    rig, is_new = checked.rig, not acquisition.files.exists(level_of_sheet, "capture")
     try:
         level = acquisition.advance(rig)
     except CaptureError as error:
         if not is_new:
             raise
-        acquisition.take_back(about["level"])
-        raise CaptureError(f"{error}. None of these pictures is kept") from error
-    before = "imported before and left as they are; others come after --take-back"
-    typer.echo(
-        f"{folder}: {counted(len(checked.files), 'bracket')} {'imported' if is_new else before}"
-    )
-    further = None if level is None else acquisition.write(rig, folder.parent, config, results)
-    _tell(f"{scene} by {name}", further, results / scene / name, config)
+        acquisition.take_back(level_of_sheet)
+        raise CaptureError(f"{error}. None of these pictures was imported") from error
+    state = "imported" if is_new else "imported before; to import others, first use --take-back"
+    typer.echo(f"{folder}: {counted(len(checked.files), 'bracket')} {state}")
+    next_sheet = None if level is None else acquisition.write(rig, folder.parent, config, results)
+    _print_next_step(f"{scene} by {name}", next_sheet, results / scene / name, config)
 
 
 def _take_back(acquisition: OfflineAcquisition, sheet: Sheet) -> None:
@@ -115,31 +120,30 @@ def _take_back(acquisition: OfflineAcquisition, sheet: Sheet) -> None:
             typer.echo(f"{later.folder}: removed")
         else:
             typer.echo(
-                f"{later.folder / PICTURES}: holds pictures of patterns that may be others now; "
-                "move them away",
+                f"{later.folder / PICTURES}: contains pictures of patterns that may change; move "
+                "them away",
                 err=True,
             )
-    typer.echo(f"{sheet.folder}: taken back. Import its pictures again when they are right")
+    typer.echo(f"{sheet.folder}: import undone. Correct the pictures and import them again")
 
 
-def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
-    """Say what is to be done next."""
+def _print_next_step(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
+    """Print the user's next step: pictures to take, or the command for the report."""
     from rfpipe.storage.base import level_name
 
     if sheet is None:
         home, settings = str(folder.absolute().parents[2]), str(config.absolute())
         run = [sys.argv[0], "run", "--directory", home, "--configfile", settings]
         typer.echo(
-            f"{acquisition}: nothing more is asked for; the transport is "
-            f"{folder / 'transport.zarr'}. For the report: {shlex.join(run)}"
+            f"{acquisition}: complete; the transport is {folder / 'transport.zarr'}. For the "
+            f"report: {shlex.join(run)}"
         )
         return
-    about: dict[str, Any] = sheet.about
+    level = level_name(sheet.about["level"])
     times = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
-        f"{acquisition}: {level_name(about['level'])} asks for "
-        f"{counted(len(sheet.shown) - 3, 'pattern')} "
-        f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
-        f"{times} s, put the pictures into {sheet.folder / 'pictures'}, then: "
+        f"{acquisition}: {level} has {counted(len(sheet.shown) - 3, 'pattern')} and 3 markers. "
+        f"Display {sheet.folder}/*.png in order, take exposures of {times} s of each, put the "
+        f"pictures into {sheet.folder / 'pictures'}, then: "
         f"{shlex.join([sys.argv[0], 'import', str(sheet.folder)])}"
     )

@@ -1,4 +1,4 @@
-"""``rfpipe relight``: the scene under patterns or the light around, as pictures or a movie."""
+"""``rfpipe relight``: the scene under patterns or an environment, as pictures or a movie."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 _COMPLETE = 0.999
-"""Share of a panorama's light above which no note is printed."""
+"""Fraction of a panorama's light above which the coverage by the lights isn't reported."""
 
 
 def relight(
@@ -45,34 +45,36 @@ def relight(
         typer.Option(
             "--output",
             "-o",
-            help="Picture to write, .exr (radiance, float32) or .png (8 bits, sRGB); .npy for all "
-            "pictures as one array of radiance, (count, H, W, channels); .mp4 for a movie, which "
-            "needs the extra 'export'; else, of several patterns, the folder of their pictures.",
+            help="Picture to write, .exr (radiance, float32) or .png (8 bits, sRGB). For several "
+            "pictures: a folder; .npy for an array of radiance, (count, H, W, channels); or .mp4 "
+            "for a movie, which needs the extra 'export'.",
         ),
     ],
     pattern: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; a picture "
-            "of the projector's size, one channel (white light) or RGB, its values taken as linear "
-            "weights, whole numbers as fractions of their largest; or a .npy file of weights, "
-            "(*rays) or (*rays, channels), or of many such. May be repeated.",
+            help="Pattern of the projector: white, vertical_bar, horizontal_bar, noise, binary or "
+            "spot; an image file of the projector's size, grey or RGB, whose values are linear "
+            "weights (integers are divided by their largest possible value); or a .npy file of "
+            "weights, (*rays) or (*rays, channels), or with several such patterns along the first "
+            "axis. May be repeated.",
         ),
     ] = None,
     environment: Annotated[
         Path | None,
         typer.Option(
-            help="The light instead: a panorama, twice as wide as high, .hdr, .exr or a picture of "
-            "linear values, around a transport of single lights in known directions. Its centre is "
-            "+z, +x is left of it, as in OpenEXR and USD."
+            help="Environment instead of a pattern, for a transport of lights in known directions: "
+            "a panorama, twice as wide as high, .hdr, .exr or another picture with linear values. "
+            "Its centre is in direction +z, and +x is left of it, as in OpenEXR and USD."
         ),
     ] = None,
     mirror: Annotated[
-        bool, typer.Option("--mirror", help="In the panorama, +x is right of the centre instead.")
+        bool, typer.Option("--mirror", help="Mirror the panorama: +x is right of the centre.")
     ] = False,
     turns: Annotated[
-        int, typer.Option(min=1, help="So many pictures while the panorama turns once, rightward.")
+        int,
+        typer.Option(min=1, help="Number of pictures in one turn of the panorama, to the right."),
     ] = 1,
     form: Form = "exr",
     dual: Dual = False,
@@ -80,10 +82,11 @@ def relight(
     level: Level = None,
     white: White = None,
 ) -> None:
-    """Render the image under a pattern, under each of many, or under the light around.
+    """Render the scene under a pattern, under each of several, or in an environment.
 
-    Several views stand one above the other in patterns and pictures. All .png of one call, and a
-    movie, have one white; without --white it is found by relighting twice.
+    In patterns and pictures, several views are stacked vertically. All .png files of a call, or
+    the pictures of a movie, share one white level; without --white, the scene is relit twice, the
+    first time to find the largest radiance.
     """
     from tqdm import tqdm
 
@@ -93,22 +96,27 @@ def relight(
 
     suffix = checked_output("relight", output)
     if bool(pattern) == bool(environment) or (pattern and (turns > 1 or mirror)):
-        raise InputError("give --pattern, or --environment, which alone has --turns and --mirror")
+        raise InputError(
+            "give either --pattern, or --environment with its options --turns and --mirror"
+        )
     light = opened(path, dual, level, view)
     if environment:
-        lit = list(_turning(environment, turns, light, mirror))
+        renderings = list(_environment_renderings(environment, turns, light, mirror))
     else:
-        lit = list(_lit(pattern or (), light))
-    names = [name for name, _ in lit]
+        renderings = list(_pattern_renderings(pattern or (), light))
+    names = [name for name, _ in renderings]
     count, shape = len(names), RayDomain(light.camera_shape).picture_shape
 
-    def pictures(what: str = "relit") -> Iterator[Float]:
-        made = (relit().reshape(*shape, -1) for _, relit in lit)
-        return iter(tqdm(made, what, count, unit="picture", disable=None if count > 1 else True))
+    def pictures(label: str = "relit") -> Iterator[Float]:
+        images = (render().reshape(*shape, -1) for _, render in renderings)
+        disable = None if count > 1 else True
+        return iter(tqdm(images, label, count, unit="picture", disable=disable))
 
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise InputError(
+            f"two patterns are named {min(repeated)}; rename one, or relight them separately"
+        )
     if suffix == ".mp4":
         white = movie_of(pictures, output, enlarge=enlarged(light), white=white)
         typer.echo(f"{output}: {counted(count, 'picture')}, white is {white:.4g}")
@@ -117,7 +125,9 @@ def relight(
     elif suffix == FOLDER:
         _write_folder(output, names, pictures, form, white)
     elif count > 1:
-        raise InputError(f"{output}: for {counted(count, 'picture')}, name a folder, .npy or .mp4")
+        raise InputError(
+            f"{output}: can't contain {counted(count, 'picture')}; name a folder, .npy or .mp4"
+        )
     else:
         _write_picture(output, names[0], next(pictures()), white)
 
@@ -137,7 +147,7 @@ def _write_folder(
     form: str,
     white: float | None,
 ) -> None:
-    """Write pictures of one white into a folder, a file each by its name."""
+    """Write pictures with a common white level into a folder, each to a file of its name."""
     from rfpipe.export.movies import white_of
     from rfpipe.pictures.images import write_image
 
@@ -150,7 +160,7 @@ def _write_folder(
 
 
 def _write_stack(output: Path, shape: tuple[int, ...], pictures: Iterator[Float]) -> None:
-    """Write pictures as one array (count, H, W, channels) of NumPy, one at a time."""
+    """Write pictures one by one to a NumPy file of shape (count, H, W, channels)."""
     import numpy as np
 
     from rfpipe.output import whole_file
@@ -165,12 +175,12 @@ def _write_stack(output: Path, shape: tuple[int, ...], pictures: Iterator[Float]
     typer.echo(f"{output}: {times(shape)}, radiance up to {brightest:.4g}")
 
 
-def _turning(
+def _environment_renderings(
     environment: Path, turns: int, light: Relightable, mirrored: bool
 ) -> Iterator[tuple[str, Callable[[], Float]]]:
-    """Yield the name of each picture under a panorama that turns, and a function that relights it.
+    """Yield name and rendering function of each picture in a rotating panorama.
 
-    Before the first, print the least share of the panorama's light that the lights cover.
+    A note on the terminal reports light of the panorama that the transport's lights don't cover.
     """
     from rfpipe.environment import as_panorama, environment_coverage
     from rfpipe.pictures.images import read_image
@@ -178,11 +188,13 @@ def _turning(
     panorama = as_panorama(read_image(environment), str(environment))
     angles = [360 * turn / turns for turn in range(turns)]
     if light.lights is not None:
-        covered = [environment_coverage(panorama, light.lights, at, mirrored) for at in angles]
-        if min(covered) < _COMPLETE:
+        coverage = min(
+            environment_coverage(panorama, light.lights, angle, mirrored) for angle in angles
+        )
+        if coverage < _COMPLETE:
             typer.echo(
-                f"{environment}: {1 - min(covered):.1%} of its light comes from farther than twice "
-                "the lights' spacing from any light, and is left out",
+                f"{environment}: {1 - coverage:.1%} of its light is omitted, since it comes from "
+                "directions farther than twice the lights' spacing from any light",
                 err=True,
             )
     for turn, angle in enumerate(angles):
@@ -190,12 +202,14 @@ def _turning(
         yield name, partial(light.relight_environment, panorama, None, angle, mirrored)
 
 
-def _lit(sources: Sequence[str], light: Relightable) -> Iterator[tuple[str, Callable[[], Float]]]:
-    """Yield the pictures under all patterns: their names, and what makes them."""
+def _pattern_renderings(
+    sources: Sequence[str], light: Relightable
+) -> Iterator[tuple[str, Callable[[], Float]]]:
+    """Yield name and rendering function of the picture under each pattern."""
     import numpy as np
 
-    def under(weights: Callable[..., Float], *of: Any) -> Float:
-        return light.relight(weights(*of))
+    def render(read_weights: Callable[..., Float], *arguments: Any) -> Float:
+        return light.relight(read_weights(*arguments))
 
     for source in sources:
         file = Path(source)
@@ -205,22 +219,28 @@ def _lit(sources: Sequence[str], light: Relightable) -> Iterator[tuple[str, Call
             except (OSError, ValueError) as error:
                 raise InputError(f"{file}: can't be read as .npy: {error}") from error
             if light.projector_shape in (stack.shape, stack.shape[:-1]):
-                yield file.stem, partial(under, np.asarray, stack)
+                yield file.stem, partial(render, np.asarray, stack)
                 continue
             for index in range(len(stack)):
-                yield f"{file.stem}_{index:04d}", partial(under, stack.__getitem__, index)
+                yield f"{file.stem}_{index:04d}", partial(render, stack.__getitem__, index)
         else:
             shape, channels = light.projector_shape, light.channels
-            yield file.stem, partial(under, pattern_weights, source, shape, channels)
+            yield file.stem, partial(render, pattern_weights, source, shape, channels)
 
 
 def pattern_weights(name: str, shape: tuple[int, ...], channels: int) -> Float:
-    """Return a named pattern, or the weights of a picture: its views one above the other.
+    """Return the weights of a named pattern or of a picture file.
+
+    Returns
+    -------
+    ndarray
+        (*shape) or (*shape, channels), float32.
 
     Raises
     ------
     InputError
-        When it is neither a file nor a name, or a picture of another size or too many channels.
+        When there is no such pattern or file, or the picture has another size or too many
+        channels.
     """
     import numpy as np
 
@@ -232,7 +252,7 @@ def pattern_weights(name: str, shape: tuple[int, ...], channels: int) -> Float:
         return relighting_patterns(shape)[name]
     if not Path(name).is_file():
         raise InputError(
-            f"pattern {name}: is no file and no name of a pattern; expected a picture, white, "
+            f"there is no pattern or file {name}; expected a picture, white, "
             f"{', '.join(RELIGHTING_PATTERNS)}"
         )
     picture = picture_of_rays(f"pattern {name}", Path(name), shape)

@@ -1,4 +1,4 @@
-"""``rfpipe aim``, ``calibrate`` and ``serve``: a rig, from its devices to its server."""
+"""``rfpipe aim``, ``calibrate`` and ``serve``: setting up and running a rig."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import Annotated
 import typer
 
 RigFile = Annotated[
-    Path, typer.Argument(metavar="RIG", help="A YAML file of a rig's settings: config/rig.yaml.")
+    Path, typer.Argument(metavar="RIG", help="Settings file of a rig, such as config/rig.yaml.")
 ]
 
 
 def aim(
     rig: RigFile,
-    port: Annotated[int, typer.Option(help="Port of the page; 0 takes a free one.")] = 8751,
+    port: Annotated[int, typer.Option(help="Port of the page; 0 for any free port.")] = 8751,
 ) -> None:
-    """See live what the camera sees, in a browser: frame, focus and choose exposures.
+    """Show the camera's live image in a browser, to frame the scene, focus and choose exposures.
 
-    Open the address that is printed, on this machine; from another one through an SSH tunnel
-    (ssh -L 8751:127.0.0.1:8751 RIG). The page shows the scene with what is saturated in red, what
-    is too dark in blue and the projector's outline; how sharp stripes are; and a bracket of
-    exposures to paste into the rig's settings. Ctrl-C ends it, and gives the devices back: end it
-    before 'rfpipe calibrate' or 'serve', which need them.
+    Open the printed address on this machine, or on another one through an SSH tunnel
+    (ssh -L 8751:127.0.0.1:8751 RIG). The page shows the scene, with saturated pixels in red, pixels
+    that are too dark in blue, and the outline of the projector's picture; the sharpness of
+    projected stripes; and a bracket of exposures for the rig's settings. Ctrl-C ends the program
+    and releases the devices, which 'rfpipe calibrate' and 'rfpipe serve' need.
     """
     import logging
 
@@ -33,10 +33,10 @@ def aim(
     logging.basicConfig(format="%(message)s")
     config = load_rig_config(rig).model_copy(update={"calibration": None})
 
-    def say(address: str) -> None:
-        typer.echo(f"open {address}; Ctrl-C here ends it")
+    def print_address(address: str) -> None:
+        typer.echo(f"open {address}; end with Ctrl-C")
 
-    run(lambda: devices_from_config(config), config.calibrate.period_pixels, port, say)
+    run(lambda: devices_from_config(config), config.calibrate.period_pixels, port, print_address)
     typer.echo("stopped; the devices are free for rfpipe calibrate")
 
 
@@ -47,23 +47,26 @@ def calibrate(
         typer.Option(
             "--output",
             "-o",
-            help="Folder of the calibration; by default that of the rig's setting calibration.",
+            help="Folder of the calibration; by default the rig's setting calibration.",
         ),
     ] = None,
     step: Annotated[
         list[str] | None,
-        typer.Option(help="Do this step alone, those that it needs being done; may be repeated."),
+        typer.Option(
+            help="Do only this step; the steps on which it depends must be done. May be repeated."
+        ),
     ] = None,
     again: Annotated[
-        bool, typer.Option("--again", help="Do steps anew that are done, as after a move.")
+        bool,
+        typer.Option("--again", help="Repeat steps that are done, such as after moving the rig."),
     ] = False,
 ) -> None:
-    """Calibrate a rig: what it sees, noise, responses, correspondence, rays, symmetry; a report.
+    """Calibrate a rig: view, noise, responses, correspondence, rays and symmetry; write a report.
 
-    Steps that are done and good, for the same devices and settings, are not repeated; where a
-    setting changed, the steps that it concerns are. A whole calibration that is not good is
-    repeated. The report is written whatever happens. Exit status 1 when a step is not good, or
-    could not be measured.
+    Steps with good results for the same devices and settings are not repeated. If a setting
+    changed, the steps that depend on it are. A complete calibration with poor results is repeated
+    as a whole. The report is written in any case. Exit status 1 if a step had a poor result or
+    failed.
     """
     import logging
 
@@ -91,15 +94,16 @@ def calibrate(
     finally:
         if is_complete or folder.written_at() != before:
             typer.echo(f"report: {build_calibration_report(folder)}")
-    bad = [one for one in folder.verdicts().values() if one["standing"] in ("poor", "failed")]
+    verdicts = folder.verdicts().values()
+    bad = [verdict for verdict in verdicts if verdict["standing"] in ("poor", "failed")]
     if bad:
-        names = "; ".join(f"{one['title']}: {STANDINGS[one['standing']]}" for one in bad)
-        typer.echo(f"{names}. rfpipe serve refuses such a rig", err=True)
+        results = "; ".join(f"{step['title']}: {STANDINGS[step['standing']]}" for step in bad)
+        typer.echo(f"{results}. rfpipe serve refuses such a rig", err=True)
         raise typer.Exit(1)
     if config.calibration is None or Path(config.calibration) != path:
-        named = config.calibration or "null"
+        current = config.calibration or "null"
         typer.echo(
-            f"{rig} has calibration: {named}; to use this one, set it to calibration: {path}",
+            f"{rig} has calibration: {current}; to use the new one, set calibration: {path}",
             err=True,
         )
 
@@ -108,30 +112,35 @@ def serve(
     rig: RigFile,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes a free one.")
+        int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any free port.")
     ] = 8750,
     allow_remote: Annotated[
         bool,
-        typer.Option("--allow-remote", help="Let other machines connect; a tunnel is safer."),
+        typer.Option(
+            "--allow-remote", help="Allow other machines to connect; an SSH tunnel is safer."
+        ),
     ] = False,
     token_file: Annotated[
         Path | None,
-        typer.Option(help="File of the token, readable by you alone; else RFPIPE_TOKEN."),
+        typer.Option(
+            help="File with the token, readable only by you; by default, the environment "
+            "variable RFPIPE_TOKEN."
+        ),
     ] = None,
     lease_seconds: Annotated[
         float,
-        typer.Option(min=0.5, help="Seconds that a client keeps the rig without a sign of life."),
+        typer.Option(min=0.5, help="Seconds after which a silent client loses the rig."),
     ] = 15.0,
     force: Annotated[
         bool,
-        typer.Option("--force", help="Serve a rig whose calibration is not good or outdated."),
+        typer.Option("--force", help="Serve a rig whose calibration is poor or outdated."),
     ] = False,
 ) -> None:
     """Run the acquisition server, next to a rig's devices, until Ctrl-C or SIGTERM.
 
-    A rig whose calibration found faults, or whose settings changed afterwards, is refused: mend it
-    and calibrate again, or say --force. Other machines are served over plain HTTP: an SSH tunnel is
-    safer.
+    The server refuses a rig with a poor calibration, or with settings that changed after the
+    calibration: repair it and calibrate again, or use --force. Other machines connect over
+    unencrypted HTTP; an SSH tunnel is safer.
     """
     from rfpipe.config import load_rig_config
     from rfpipe.rigs.build import rig_from_config

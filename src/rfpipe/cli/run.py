@@ -1,4 +1,4 @@
-"""``rfpipe run``, ``plan`` and ``catalogue``: a run, before it begins, and what became of it."""
+"""``rfpipe run``, ``plan`` and ``catalogue``: a run, its forecast, and its overview."""
 
 from __future__ import annotations
 
@@ -24,50 +24,49 @@ if TYPE_CHECKING:
     from rfpipe.config import Config
 
 ConfigFile = Annotated[
-    Path, typer.Argument(metavar="CONFIG", help="A YAML file of a run's settings.")
+    Path,
+    typer.Argument(metavar="CONFIG", help="Settings file of a run, such as config/config.yaml."),
 ]
 PASSED_ON = {
     "allow_extra_args": True,
     "ignore_unknown_options": True,
     "help_option_names": ["--help", "-h"],
 }
-"""How `run` is registered: what isn't ours of all that follows its name is for Snakemake."""
+"""Settings of the command `run`, which passes unknown options on to Snakemake."""
 
 _REPORT = Path("results") / "report" / "index.html"
 
-_LOOKS = (
+_INSPECTIONS = (
     "-n", "--dry-run", "--dryrun", "--unlock", "--lint", "--list", "-l", "--list-rules",
     "--list-target-rules", "--list-changes", "--list-input-changes", "--list-untracked",
     "--summary", "-S", "--detailed-summary", "-D", "--dag", "--rulegraph", "--filegraph", "--d3dag",
     "--archive", "--cleanup-metadata", "--version", "-v",
 )  # fmt: skip
-"""Options of Snakemake with which it runs no job."""
+"""Options with which Snakemake runs no job."""
 
 
 def run(context: typer.Context) -> None:
-    """Run the workflow in this folder, and print the report's path.
+    """Acquire all scenes of a settings file, and print the path of the report.
 
-    The settings of --configfile, or of rfpipe's default run, are checked first. Complete results
-    stay; a run that was stopped or killed continues. Common options:
+    The command checks the settings first. It keeps complete results, and continues a run that was
+    stopped or killed. Common options:
 
-      --configfile FILE    the settings of the run
-      --directory FOLDER   the run's folder, where its results lie
-      --cores N            processor cores to use; all of them by default
-      --dry-run            list the jobs that would run
-      --keep-going         go on with the other scenes where one fails
+      --configfile FILE    settings of the run; by default, rfpipe's example
+      --directory FOLDER   folder of the run, for its results
+      --cores N            number of processor cores; by default, all
+      --dry-run            list the jobs without running them
+      --keep-going         if a scene fails, continue with the next ones
       --retake SCENE/METHOD/LEVEL
-                           take a level's pictures again, or all of SCENE/METHOD;
-                           the old ones are set aside, once the rig has answered
+                           capture the pictures of a level again, or of all levels
+                           of SCENE/METHOD; the previous ones are set aside
       --put-back SCENE/METHOD/LEVEL
-                           take the pictures that were set aside last in place of
-                           those that were taken since
-      --forcerun STAGE     run a stage again, such as report
-      --unlock             free a folder that an unknown Snakemake has locked
-      --help-all           all options, which are Snakemake's
+                           undo the last --retake: use the previous pictures again
+      --forcerun STAGE     repeat a stage, such as report
+      --unlock             remove the lock of another Snakemake on the folder
+      --help-all           list all options of Snakemake, which can be used, too
 
-    Exit status 1 where a job failed, or a real rig's pictures are further from the transport than
-    the target error allows. A Snakefile in this folder, or --snakefile, takes the place of
-    rfpipe's own.
+    Exit status 1 if a job failed, or if the error in the verification pictures of a real rig
+    exceeds the target error. A Snakefile in the current folder, or --snakefile, replaces rfpipe's.
     """
     from rfpipe.cli.targets import check_forced_rules, check_no_settings_file
     from rfpipe.storage.run_record import program
@@ -76,80 +75,99 @@ def run(context: typer.Context) -> None:
     if options.help_all:
         raise typer.Exit(subprocess.call([program("snakemake"), "--help"]))
     settings = _checked(options)
-    if not options.is_named:
-        check_no_settings_file(options.rest)
-        is_whole = settings is not None and "--config" not in options.passed_on
-        jobs = settings.jobs if settings is not None and is_whole else None
-        check_forced_rules(options.passed_on, _own_snakefile().parent / "workflow/rules", jobs)
-    if not options.looks or "--unlock" in options.passed_on:
-        _free(options)
-    if options.retake and _retaken(options, settings):
+    if not options.has_own_snakefile:
+        check_no_settings_file(options.without_files)
+        is_known = settings is not None and "--config" not in options.passed_on
+        jobs = settings.jobs if settings is not None and is_known else None
+        check_forced_rules(options.passed_on, _rfpipe_snakefile().parent / "workflow/rules", jobs)
+    if not options.inspects or "--unlock" in options.passed_on:
+        _unlock_after_kill(options)
+    if options.retake and _retake(options, settings):
         return
     if options.put_back and _put_back(options, settings):
         return
     _warn_unrecorded(options)
-    own = [] if options.is_named else ["--snakefile", str(_own_snakefile())]
-    ended = _to_its_end([program("snakemake"), *own, *options.passed_on])
-    if not options.looks:
-        _say_outcome(options.folder, ended)
-    if ended:
-        raise typer.Exit(ended if ended > 0 else 1)
+    snakefile = [] if options.has_own_snakefile else ["--snakefile", str(_rfpipe_snakefile())]
+    status = _status_of([program("snakemake"), *snakefile, *options.passed_on])
+    if not options.inspects:
+        _print_outcome(options.folder, status)
+    if status:
+        raise typer.Exit(status if status > 0 else 1)
 
 
 @dataclass(frozen=True)
 class _Options:
-    """The options of `run`: ours, and those that are passed on to Snakemake."""
+    """Options of `run`.
+
+    Attributes
+    ----------
+    files : list of str
+        Settings files.
+    folder : Path
+        Folder of the run.
+    has_own_snakefile : bool
+        The user's Snakefile replaces rfpipe's.
+    help_all : bool
+        Print Snakemake's help.
+    inspects : bool
+        An option makes Snakemake run no job.
+    retake, put_back : list of str
+        Levels or acquisitions whose pictures are captured again or put back.
+    passed_on : list of str
+        Arguments for Snakemake.
+    without_files : list of str
+        Those of `passed_on` except settings files, folder and Snakefile.
+    """
 
     files: list[str]
     folder: Path
-    is_named: bool
+    has_own_snakefile: bool
     help_all: bool
-    looks: bool
+    inspects: bool
     retake: list[str]
     put_back: list[str]
     passed_on: list[str]
-    rest: list[str]
-    """Those that are passed on without settings files and folders."""
+    without_files: list[str]
 
     @classmethod
     def of(cls, arguments: list[str]) -> _Options:
-        ours = ArgumentParser(add_help=False, allow_abbrev=False)
-        ours.add_argument("--retake", nargs="+", action="extend", default=[])
-        ours.add_argument("--put-back", nargs="+", action="extend", default=[])
-        ours.add_argument("--help-all", action="store_true")
-        own, passed_on = ours.parse_known_args(arguments)
+        rfpipe_only = ArgumentParser(add_help=False, allow_abbrev=False)
+        rfpipe_only.add_argument("--retake", nargs="+", action="extend", default=[])
+        rfpipe_only.add_argument("--put-back", nargs="+", action="extend", default=[])
+        rfpipe_only.add_argument("--help-all", action="store_true")
+        options, passed_on = rfpipe_only.parse_known_args(arguments)
         shared = ArgumentParser(add_help=False, allow_abbrev=False)
         shared.add_argument("--configfile", "--configfiles", nargs="+", action="extend", default=[])
         shared.add_argument("--directory", "-d", type=Path, default=Path())
         shared.add_argument("--snakefile", "-s")
-        known, rest = shared.parse_known_args(passed_on)
+        files, without_files = shared.parse_known_args(passed_on)
         return cls(
-            files=known.configfile,
-            folder=known.directory,
-            is_named=bool(known.snakefile) or Path("Snakefile").is_file(),
-            help_all=own.help_all,
-            looks=any(option.partition("=")[0] in _LOOKS for option in passed_on),
-            retake=own.retake,
-            put_back=own.put_back,
+            files=files.configfile,
+            folder=files.directory,
+            has_own_snakefile=bool(files.snakefile) or Path("Snakefile").is_file(),
+            help_all=options.help_all,
+            inspects=any(option.partition("=")[0] in _INSPECTIONS for option in passed_on),
+            retake=options.retake,
+            put_back=options.put_back,
             passed_on=passed_on,
-            rest=rest,
+            without_files=without_files,
         )
 
 
-def _own_snakefile() -> Path:
+def _rfpipe_snakefile() -> Path:
     from rfpipe.provenance import workflow_folder
 
     return workflow_folder() / "Snakefile"
 
 
 def _checked(options: _Options) -> Config | None:
-    """Check folders and settings; return these where they are of one file."""
+    """Check folders and settings; return the settings if they are in a single file."""
     from rfpipe.config import load_config, read_yaml
     from rfpipe.jobs.snakemake import check_no_braces
 
     check_no_braces("the run's folder", options.folder.absolute())
-    if not options.is_named:
-        check_no_braces("rfpipe's own folder", _own_snakefile().parent)
+    if not options.has_own_snakefile:
+        check_no_braces("rfpipe's own folder", _rfpipe_snakefile().parent)
     for file in options.files:
         read_yaml(file)
     if len(options.files) != 1:
@@ -158,18 +176,18 @@ def _checked(options: _Options) -> Config | None:
         return load_config(path)
 
 
-def _free(options: _Options) -> None:
-    """Free the folder where its last run was killed; raise LockedError where a run works in it."""
+def _unlock_after_kill(options: _Options) -> None:
+    """Unlock the folder if its last run was killed; LockedError if a run is working in it."""
     from rfpipe.jobs.snakemake_lock import free_if_dead
 
     unlocks = "--unlock" in options.passed_on
     command = shlex.join(["rfpipe", "run", *options.passed_on, "--unlock"])
     if free_if_dead(options.folder, None if unlocks else command) and not unlocks:
-        typer.echo("rfpipe: the last run in this folder was killed; going on from there", err=True)
+        typer.echo("rfpipe: continuing the last run in this folder, which was killed", err=True)
 
 
-def _retaken(options: _Options, settings: Config | None) -> bool:
-    """Set aside the pictures to take again; return True for a rehearsal, with --dry-run."""
+def _retake(options: _Options, settings: Config | None) -> bool:
+    """Set aside the pictures to capture again; return True if only inspected (--dry-run)."""
     from rfpipe.errors import InputError
     from rfpipe.stages.rig_sources import check_retakes
     from rfpipe.storage.retake import find_retakes
@@ -177,71 +195,71 @@ def _retaken(options: _Options, settings: Config | None) -> bool:
     acquisitions = None if settings is None else settings.acquisitions
     if settings is not None and settings.capture.rig == "offline":
         raise InputError(
-            "--retake: these pictures are taken by hand (capture.rig is offline). Take them back "
-            "with 'rfpipe import FOLDER --take-back', FOLDER being the sheet's"
+            "--retake: the pictures of an offline rig are taken by hand. Undo their import with "
+            "'rfpipe import FOLDER --take-back', where FOLDER is the folder of the sheet"
         )
     retakes = find_retakes(options.folder / "results", options.retake, acquisitions)
-    if settings is not None and not options.looks:
-        with chdir(options.folder):  # where a token's file is looked for
+    if settings is not None and not options.inspects:
+        with chdir(options.folder):  # the path of a token file is relative to it
             check_retakes(settings, retakes)
     for retake in retakes:
-        if options.looks:
-            typer.echo(f"{retake.path}: its pictures would be taken again")
+        if options.inspects:
+            typer.echo(f"{retake.path}: its pictures would be captured again")
             continue
-        kept = ", ".join(path.name for path in retake.set_aside())
+        names = ", ".join(path.name for path in retake.set_aside())
         typer.echo(
-            f"{retake.path}: its pictures are taken again; the old ones are kept beside the new "
-            f"ones, as {kept}. Remove them to free the space, or put them back with --put-back "
-            f"{'/'.join(retake.path.parts[-3:])} in place of --retake"
+            f"{retake.path}: its pictures are captured again; the previous ones stay next to the "
+            f"new ones, as {names}. Remove them to free space, or use them again by --put-back "
+            f"{'/'.join(retake.path.parts[-3:])}"
         )
-    return options.looks
+    return options.inspects
 
 
 def _put_back(options: _Options, settings: Config | None) -> bool:
-    """Put pictures back that were set aside; return True for a rehearsal, with --dry-run."""
+    """Put back pictures that were set aside; return True if only inspected (--dry-run)."""
     from rfpipe.storage.retake import find_retakes
 
     acquisitions = None if settings is None else settings.acquisitions
     results = options.folder / "results"
     levels = find_retakes(results, options.put_back, acquisitions, "--put-back")
     for retake in [level for level in levels if level.is_set_aside] or levels:
-        if options.looks:
-            typer.echo(f"{retake.path}: the pictures set aside last would be put back")
+        if options.inspects:
+            typer.echo(f"{retake.path}: the previous pictures would be put back")
             continue
         names = ", ".join(path.name for path in retake.put_back())
-        typer.echo(f"{retake.path}: the pictures set aside last are put back, as {names}")
-    return options.looks
+        typer.echo(f"{retake.path}: the previous pictures are put back, as {names}")
+    return options.inspects
 
 
 def _warn_unrecorded(options: _Options) -> None:
-    """Warn of results that were copied without Snakemake's records of their settings."""
+    """Warn if results were copied without Snakemake's records of their settings."""
     from rfpipe.jobs.snakemake_lock import unrecorded
 
     names = [] if {"--forceall", "-F"} & set(options.passed_on) else unrecorded(options.folder)
     if names:
-        several = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
         typer.echo(
             f"rfpipe: warning: {options.folder / '.snakemake'} has no records of the settings of "
-            f"{names[0]}{several}: settings that changed since can't be noticed, and these results "
-            "stay as they are. Copy .snakemake with results, or run with --forceall: it compares "
-            "all stages with the settings, and takes pictures again only where these changed",
+            f"{names[0]}{more}, so changed settings go unnoticed and these results stay as they "
+            "are. Copy .snakemake together with results, or run with --forceall: this compares all "
+            "stages with the settings, and captures pictures again only where settings changed",
             err=True,
         )
 
 
-def _say_outcome(folder: Path, ended: int) -> None:
+def _print_outcome(folder: Path, status: int) -> None:
     """Print the report's path, the failures, and the acquisitions above their target error."""
     from rfpipe.config.model import TARGET_MARGIN
     from rfpipe.jobs.outcome import failure_line, missed_targets, read_failures
     from rfpipe.storage.run_record import recorded_acquisitions
 
     results = folder / "results"
-    if (folder / _REPORT).is_file() and not ended:
+    if (folder / _REPORT).is_file() and not status:
         typer.echo(f"report: {os.path.normpath(folder / _REPORT)}")
     missed = missed_targets(results, recorded_acquisitions(results), TARGET_MARGIN)
     failures = [
         failure
-        for failure in (read_failures(results) if ended else [])
+        for failure in (read_failures(results) if status else [])
         if not (missed and failure.stage == "bound")
     ]
     if missed:
@@ -252,52 +270,56 @@ def _say_outcome(folder: Path, ended: int) -> None:
 
 @contextmanager
 def _working_in(folder: Path, settings: Path) -> Iterator[Path]:
-    """Go to a run's folder, where the files are looked for that its settings name.
+    """Change to a run's folder, to which the file names in its settings are relative.
 
-    Yields the settings' path as it is from there.
+    Yields
+    ------
+    Path
+        The settings file, relative to the new folder or absolute.
     """
-    from_there = settings.absolute() if folder != Path() else settings
+    path = settings.absolute() if folder != Path() else settings
     with chdir(folder if folder.is_dir() else Path()):
-        yield from_there
+        yield path
 
 
-def _to_its_end(command: list[str]) -> int:
-    """Run a program to its own end and return its status, whatever signals come.
+def _status_of(command: list[str]) -> int:
+    """Run a program and return its exit status, without ending before it on a signal.
 
-    Ctrl-C reaches it as well, from the terminal; SIGTERM is passed on. It ends its jobs by itself.
+    The terminal sends Ctrl-C to the program as well; SIGTERM is passed on. Snakemake then ends its
+    jobs.
     """
     process = subprocess.Popen(command)
-    # handlers, which a program that is started doesn't inherit
-    before = {
+    # handlers aren't inherited by the program, unlike ignored signals
+    previous = {
         signal.SIGINT: signal.signal(signal.SIGINT, lambda *_: None),
         signal.SIGTERM: signal.signal(signal.SIGTERM, lambda *_: process.terminate()),
     }
     try:
         return process.wait()
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
 def plan(
     config: ConfigFile,
     folder: Annotated[
-        Path, typer.Option(help="Where the results are to lie, seen from the run's folder.")
+        Path, typer.Option(help="Folder for the results, relative to the run's folder.")
     ] = Path("results"),
     directory: Annotated[
-        Path, typer.Option("--directory", "-d", help="The run's folder, as 'rfpipe run' takes it.")
+        Path, typer.Option("--directory", "-d", help="Folder of the run, as for 'rfpipe run'.")
     ] = Path(),
 ) -> None:
-    """Check a settings file and tell what its run will take: patterns, time, memory and disk.
+    """Check a settings file, and forecast patterns, time, memory and disk space of its run.
 
-    Every mistake in the file is said, and what a scene needs that this machine lacks. A rig's
-    settings are checked alone.
+    The command reports all mistakes in the file, and requirements of scenes that this machine
+    doesn't meet. The settings file of a rig is checked without a forecast.
 
-    Patterns of auto, near_far and footprints follow from target_error: half of the scenes of
-    docs/benchmark.md took 0.75 to 1.75 times as many, scenes with glass and mirrors 4 to 20 times;
-    "at most" are all rounds that the method knows. Of symmetric and dual they are on the high side:
-    as many a level as the thesis' largest scenes took. Time is for the capture on a rig; disk
-    is before compression.
+    For auto, near_far and footprints, the number of patterns is estimated from target_error: half
+    of the scenes of docs/benchmark.md needed 0.75 to 1.75 times the estimate, scenes with glass and
+    mirrors 4 to 20 times. The column "at most" counts all rounds of the method. For symmetric and
+    dual, the estimate is high: it assumes as many patterns per level as the largest scenes of the
+    thesis. The time is that of the capture on a rig; disk space is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
@@ -312,49 +334,49 @@ def plan(
             return
         settings = load_config(path)
         count = counted(len(settings.acquisitions), "acquisition")
-        jobs, why = settings.jobs_and_reason
-        typer.echo(f"{config}: valid. {count}. One job a{'n' * (jobs[0] == 'a')} {jobs}, {why}\n")
+        jobs, reason = settings.jobs_and_reason
+        typer.echo(f"{config}: valid. {count}. One job per {jobs}, {reason}\n")
         rows = forecast(settings)
         free = files.free_bytes(folder)
-        of_scenes = _lines_of_scenes(settings)
-    typer.echo(_shown(rows))
-    _say_totals(rows, free)
-    for line in of_scenes:
+        scene_lines = _lines_of_scenes(settings)
+    typer.echo(_forecast_table(rows))
+    _print_totals(rows, free)
+    for line in scene_lines:
         typer.echo(line)
 
 
-def _say_totals(rows: pd.DataFrame, free: int) -> None:
-    """Print what all acquisitions take together, and what this machine lacks for them."""
+def _print_totals(rows: pd.DataFrame, free: int) -> None:
+    """Print time and disk space of all acquisitions, and whether this machine has enough."""
     from rfpipe.jobs.workers import machine_memory_mb
     from rfpipe.storage.space import bytes_text
 
     total = rows[["seconds", "max_seconds", "disk", "max_disk"]].sum()
     disk, memory = int(total["disk"]), int(rows["memory"].max())
-    together = "One after the other: " if len(rows) > 1 else "In all: "
+    scope = "One after the other: " if len(rows) > 1 else "In total: "
     is_open = (rows["max_patterns"] > rows["patterns"]).any()
     most = f", at most {_duration(total['max_seconds'])}" if is_open else ""
     most_disk = f", at most {bytes_text(int(total['max_disk']))}" if is_open else ""
     typer.echo(
-        f"\n{together}{_duration(total['seconds'])} of capture on a rig{most}; "
+        f"\n{scope}{_duration(total['seconds'])} of capture on a rig{most}; "
         f"{bytes_text(disk)} of disk{most_disk}; {bytes_text(free)} are free."
     )
     if total["max_disk"] > free:
         typer.echo(
-            "That may not fit: make room, put the results on another disk, or set "
-            "capture.keep_raw to false. A level that doesn't fit is refused before its capture."
+            "The disk may be too small: make room, put the results on another disk, or set "
+            "capture.keep_raw to false. A level that doesn't fit is not captured."
         )
-    have = machine_memory_mb() * 10**6
-    if memory > have:
+    available = machine_memory_mb() * 10**6
+    if memory > available:
         largest = rows.iloc[int(rows["memory"].argmax())]
         typer.echo(
-            f"{largest['scene']} by {largest['method']} is likely to take {bytes_text(memory)} of "
-            f"memory, and this machine has {bytes_text(have)}: acquire it on another one, with "
-            "fewer rays, or by another method."
+            f"{largest['scene']} by {largest['method']} probably needs {bytes_text(memory)} of "
+            f"memory, but this machine has {bytes_text(available)}: use another machine, fewer "
+            "rays, or another method."
         )
 
 
 def _lines_of_scenes(settings: Config) -> list[str]:
-    """Return a line on each choice that scenes make, on light left out and on what is lacking."""
+    """Return lines on the choices, omitted light and missing requirements of each scene."""
     from rfpipe.report.text import plain
 
     lines = []
@@ -367,7 +389,8 @@ def _lines_of_scenes(settings: Config) -> list[str]:
     return lines
 
 
-def _shown(rows: pd.DataFrame) -> str:
+def _forecast_table(rows: pd.DataFrame) -> str:
+    """Format the forecast as a table."""
     from rfpipe.storage.space import bytes_text
 
     table = rows.drop(columns=["max_seconds", "max_disk"])
@@ -389,13 +412,13 @@ def _duration(seconds: float) -> str:
 def catalogue(
     config: ConfigFile,
     folder: Annotated[
-        Path, typer.Option(help="The run's results, finished or not, or while it runs.")
+        Path, typer.Option(help="Results of the run, which may still be running.")
     ] = Path("results"),
 ) -> None:
-    """Write results/catalogue/index.html: what became of each acquisition, with a small picture.
+    """Write results/catalogue/index.html: state and thumbnail of each acquisition.
 
-    A run with a collection writes it when it begins and when it ends, however it ends; this command
-    writes it at any time. Sort and filter it in any browser.
+    A run with a collection writes this page at its start and end, also after errors; this command
+    writes it at any time. The page can be sorted and filtered in any browser.
     """
     from rfpipe.config import load_config
     from rfpipe.report.catalogue import CATALOGUE, write_catalogue

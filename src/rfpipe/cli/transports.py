@@ -1,4 +1,4 @@
-"""Commands on a transport: what it is, and forms that other programs read."""
+"""``rfpipe info``, ``export`` and ``movie``: properties of a transport, and files made from it."""
 
 from __future__ import annotations
 
@@ -24,23 +24,32 @@ TransportPath = Annotated[
     Path,
     typer.Argument(
         metavar="TRANSPORT",
-        help="A transport.zarr that a run left in results/; or a folder, zip file or address "
-        "(https://, s3://) that holds one.",
+        help="A transport.zarr in a run's results; or a folder, zip file or address (https://, "
+        "s3://) that contains one.",
     ),
 ]
-Dual = Annotated[bool, typer.Option("--dual", help="Light from the camera, see the projector.")]
+Dual = Annotated[
+    bool,
+    typer.Option(
+        "--dual",
+        help="Exchange camera and projector: light from the camera, picture from the projector.",
+    ),
+]
 Level = Annotated[
-    int | None, typer.Option(min=0, help="Use the transport as known after this level only.")
+    int | None,
+    typer.Option(
+        min=0, help="Truncate the transport to this level, as if the acquisition had ended there."
+    ),
 ]
 White = Annotated[
-    float | None, typer.Option(help="Radiance shown as white; by default nearly the brightest.")
+    float | None, typer.Option(help="Radiance that becomes white; by default nearly the largest.")
 ]
 View = Annotated[
-    int | None, typer.Option(help="Of several views show this one, from 0; all without it.")
+    int | None, typer.Option(help="Number of a single view, from 0; by default all views.")
 ]
 Form = Annotated[
     Literal["exr", "png"],
-    typer.Option("--format", help="exr: radiance, float32; png: for the eye, 8 bits, sRGB."),
+    typer.Option("--format", help="exr: radiance, float32; png: 8 bits, sRGB, for viewing."),
 ]
 
 _GIB = 2**30
@@ -48,9 +57,9 @@ _SMALLEST_MOVIE = 360  # pixels of its shorter side
 
 
 def info(path: TransportPath) -> None:
-    """Show a transport's shape, channels, bytes and levels that showed or found something.
+    """Print a transport's shape, channels, bytes and the statistics of its levels.
 
-    Of a folder of several transports, show their names.
+    For a folder with several transports, the error message lists their names.
     """
     transport = open_checked(path)
     rows, columns = map(math.prod, (transport.camera_shape, transport.projector_shape))
@@ -62,19 +71,19 @@ def info(path: TransportPath) -> None:
         f"bytes      {transport.nbytes:,} ({transport.nbytes / dense:.2%} of a dense matrix)\n"
     )
     levels = transport.levels
-    told = levels.drop(columns="level", errors="ignore").fillna(0).any(axis=1)
-    typer.echo(levels[told].to_string(index=False))
+    is_used = levels.drop(columns="level", errors="ignore").fillna(0).any(axis=1)
+    typer.echo(levels[is_used].to_string(index=False))
 
 
 def open_checked(path: Path | Place) -> Transport:
-    """Open a transport, or that in a folder, checked against the manifest beside it.
+    """Open a transport, or the only one in a folder, and check it against its manifest.
 
     Raises
     ------
     StoreError
-        When it is a folder of several, or of none.
+        When a folder contains no transport or several.
     IntegrityError
-        When it is damaged, or another than the manifest's.
+        When the transport is damaged, or isn't the one of the manifest beside it.
     """
     from rfpipe.stages.relight import check_transport
     from rfpipe.transport.storage import find_transport, open_transport
@@ -86,7 +95,7 @@ def open_checked(path: Path | Place) -> Transport:
 
 
 def times(shape: tuple[int, ...]) -> str:
-    """Show a shape, as in ``62 x 70``."""
+    """Format a shape as ``62 x 70``."""
     return " x ".join(map(str, shape))
 
 
@@ -97,60 +106,63 @@ def export(
         typer.Option(
             "--output",
             "-o",
-            help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3); .exr, in which each "
-            "projector ray's picture is a part, with the lights' directions in an .lp beside it; "
-            "or the folder of --photographs.",
+            help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3); .exr with a part for the "
+            "picture of each projector ray, and an .lp file with the lights' directions next to "
+            "it; or, with --photographs, a folder.",
         ),
     ],
     rows: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PLACE",
-            help="Camera rays, as numpy's indices: 31,35 is a pixel (row,column), 31,: a line, "
-            "10:20,30:40 a rectangle, ::8,::8 every eighth, 2,31,35 one of view 2; may be "
-            "repeated.",
+            help="Camera rays to export, as NumPy indices: 31,35 is a pixel (row,column), 31,: a "
+            "row, 10:20,30:40 a rectangle, ::8,::8 every eighth pixel in both directions, 2,31,35 "
+            "a pixel of view 2. May be repeated.",
         ),
     ] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(metavar="PLACE", help="Projector rays, likewise."),
+        typer.Option(metavar="PLACE", help="Projector rays to export, as for --rows."),
     ] = None,
     joined: Annotated[
         int,
         typer.Option(
             "--coarser",
             min=1,
-            help="Join so many rays down and across on both sides: 4 makes the matrix 256 times "
-            "smaller. Places are those of joined rays. In .exr the camera keeps its rays.",
+            help="Join blocks of rays of this side on both sides of the matrix: 4 makes it 256 "
+            "times smaller. --rows and --columns then count joined rays. In .exr files, the camera "
+            "keeps its resolution.",
         ),
     ] = 1,
     dual: Dual = False,
     level: Level = None,
     limit_gib: Annotated[
-        float, typer.Option(help="GiB that all of it may take before compression.")
+        float, typer.Option(help="Largest size of the output before compression, in GiB.")
     ] = 8.0,
     photographs: Annotated[
         tuple[int, int] | None,
         typer.Option(
             metavar="TRAINING VALIDATION",
-            help="Write so many patterns and photographs, as CompenNet and its like read them.",
+            help="Write these numbers of random patterns and their pictures instead, in the format "
+            "of CompenNet.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the patterns of --photographs.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the patterns of --photographs.")] = 0,
     form: Form = "png",
     normals: Annotated[
         bool,
         typer.Option(
             "--normals",
-            help="Write surface normals by photometric stereo instead, from one light at a time: "
-            ".exr has the parts normals, albedo and uncertainty (degrees), .png a normal map.",
+            help="Write surface normals instead, from photometric stereo with the lights of the "
+            "transport: .exr with the parts normals, albedo and uncertainty (degrees), or .png "
+            "with a normal map.",
         ),
     ] = False,
 ) -> None:
-    """Write the transport matrix T, or some of its rows and columns; photographs; or normals.
+    """Export the transport matrix T, or some rows and columns; photographs; or normals.
 
-    T is (channels, camera rays, projector rays), written part by part, in little memory.
-    docs/export.md tells how MATLAB, numpy and others read it.
+    T has the shape (channels, camera rays, projector rays). It is written in parts, with little
+    memory. docs/export.md shows how to read it in MATLAB, NumPy and other programs.
     """
     import numpy as np
 
@@ -164,27 +176,31 @@ def export(
     light, limit_bytes = opened(path, level=level), int(limit_gib * _GIB)
     joint = coarser(light, joined) if joined > 1 else light
     light, joint = (light.T, joint.T) if dual else (light, joint)
-    seen, lit = _rays(rows, joint.camera_shape), _rays(columns, joint.projector_shape)
+    camera_rays = _rays(rows, joint.camera_shape)
+    projector_rays = _rays(columns, joint.projector_shape)
     is_exr = suffix == ".exr"
     if (is_exr and rows) or (photographs and (rows or columns)):
-        raise InputError("pictures are of all camera rays, photographs under all projector rays")
+        raise InputError(
+            "an .exr file needs all camera rays, and --photographs needs all rays; leave out "
+            "--rows and, with --photographs, --columns"
+        )
     if normals:
         if photographs or rows or columns or dual or joined > 1:
-            raise InputError("--normals are of all pixels and lights; leave the other options out")
+            raise InputError("--normals needs all pixels and lights; leave out the other options")
         surface = write_normals(light, output)
-        off = np.median(surface.uncertainty[surface.mask]) if surface.mask.any() else np.nan
+        degrees = np.median(surface.uncertainty[surface.mask]) if surface.mask.any() else np.nan
         typer.echo(
-            f"{output}: normals of {surface.mask.mean():.0%} of the pixels, uncertain by {off:.2g} "
-            "degrees in the median, without errors of the lights' directions"
+            f"{output}: normals of {surface.mask.mean():.0%} of the pixels, with a median "
+            f"uncertainty of {degrees:.2g} degrees, assuming exact light directions"
         )
     elif photographs:
         white = write_photographs(joint, output, *photographs, seed=seed, form=form)
         typer.echo(f"{output}: {counted(sum(photographs), 'photograph')}, white is {white:.4g}")
     elif is_exr:
-        count = write_lights(light, output, lit, side=joined, limit_bytes=limit_bytes)
+        count = write_lights(light, output, projector_rays, side=joined, limit_bytes=limit_bytes)
         typer.echo(f"{output}: {counted(count, 'light')} of {times(joint.projector_shape)}")
     else:
-        write_matrix(joint, output, seen, lit, limit_bytes)
+        write_matrix(joint, output, camera_rays, projector_rays, limit_bytes)
         typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
 
 
@@ -195,20 +211,21 @@ def movie(
         str,
         typer.Option(
             "--path",
-            help="How the light moves: across (a bar from left to right), down, circle (a disc) or "
-            "views (of a light field).",
+            help="Movement of the light: across (a bar from left to right), down (a bar from top "
+            "to bottom), circle (a disc), or views (all views of a light field in turn).",
         ),
     ] = "across",
-    seconds: Annotated[float, typer.Option(help="How long the movie is.")] = 6.0,
-    fps: Annotated[float, typer.Option(help="Pictures a second.")] = 25.0,
+    seconds: Annotated[float, typer.Option(help="Duration of the movie in seconds.")] = 6.0,
+    fps: Annotated[float, typer.Option(help="Pictures per second.")] = 25.0,
     white: White = None,
     view: View = None,
     dual: Dual = False,
     level: Level = None,
 ) -> None:
-    """Write a movie of a light that moves over the scene, in mp4 (H.264).
+    """Write a movie of a light that moves over the scene, as mp4 (H.264).
 
-    Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
+    Needs PyAV, from the extra "export". Without --white, the scene is relit twice, the first time
+    to find the largest radiance.
     """
     from rfpipe.export import relit_movie
     from rfpipe.output import checked_output
@@ -217,14 +234,14 @@ def movie(
     light = opened(path, dual, level, view)
     enlarge = enlarged(light)
     count = round(seconds * fps) if 0 < seconds * fps < 1e6 else 0
-    used = relit_movie(
+    white_radiance = relit_movie(
         light, output, along, count, fps=fps, enlarge=enlarge, white=white, progress=True
     )
-    typer.echo(f"{output}: {counted(count, 'picture')}, white is {used:.4g}")
+    typer.echo(f"{output}: {counted(count, 'picture')}, white is {white_radiance:.4g}")
 
 
 def enlarged(light: Relightable) -> int:
-    """Return how many pixels down and across a camera ray has in a movie."""
+    """Return the side of a camera ray in a movie, in pixels."""
     from rfpipe.blocks import RayDomain
 
     return -(-_SMALLEST_MOVIE // min(RayDomain(light.camera_shape).image_shape))
@@ -233,7 +250,7 @@ def enlarged(light: Relightable) -> int:
 def opened(
     path: Path, dual: bool = False, level: int | None = None, view: int | None = None
 ) -> Relightable:
-    """Open a transport, or its dual, as known after a level, to one view of several."""
+    """Open a transport; optionally truncate it, take its dual, and select a view."""
     import numpy as np
 
     from rfpipe.blocks import RayDomain
@@ -247,13 +264,13 @@ def opened(
         return light
     domain = RayDomain(light.camera_shape)
     if not domain.is_stack or not 0 <= view < domain.views:
-        has = f"has {domain.views} views, from 0" if domain.is_stack else "has one view"
-        raise InputError(f"--view {view}: the transport {has}; leave it out for all")
+        views = f"{domain.views} views, numbered from 0" if domain.is_stack else "one view"
+        raise InputError(f"--view {view}: the transport has {views}; leave it out for all views")
     return crop(light, tuple(map(int, np.unravel_index(view, domain.views_shape))))
 
 
 def _rays(places: Sequence[str] | None, shape: tuple[int, ...]) -> NDArray[np.int64] | None:
-    """Return the rays at some places, each once, or None where none are named."""
+    """Return the rays at places without repetitions, in their order; None without places."""
     import numpy as np
 
     from rfpipe.export import rays_at
@@ -265,12 +282,17 @@ def _rays(places: Sequence[str] | None, shape: tuple[int, ...]) -> NDArray[np.in
 
 
 def picture_of_rays(name: str, path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Read a picture of rays, several views one above the other: (*shape) or (*shape, channels).
+    """Read a picture with a pixel per ray, several views one above the other.
+
+    Returns
+    -------
+    ndarray
+        (*shape) or (*shape, channels), float32.
 
     Raises
     ------
     InputError
-        When it has another size.
+        When the picture has another size.
     """
     from rfpipe.blocks import RayDomain
     from rfpipe.pictures.images import read_image

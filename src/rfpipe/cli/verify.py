@@ -1,4 +1,4 @@
-"""``rfpipe verify``: what is wrong in a run's folder, and the command that mends it."""
+"""``rfpipe verify``: damage in a run's folder, and the commands that repair it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from rfpipe.text import counted
 
 if TYPE_CHECKING:
     from rfpipe.storage.checking import Checked
@@ -16,27 +18,27 @@ def verify(
         Path,
         typer.Argument(
             metavar="FOLDER",
-            help="A run's folder, its results or a part of them, a calibration, or a published "
-            "folder or zip with a manifest-sha256.txt, or a zip of a transport; or an address "
-            "(https://, s3://) of such a folder, of what 'rfpipe keep' brought into a bucket, or "
-            "of a transport.",
+            help="A run's folder, its results or a part of them, a calibration, a published folder "
+            "or zip file with a manifest-sha256.txt, or a zip file of a transport; or the address "
+            "(https://, s3://) of a published folder, of a transport, or of a bucket to which "
+            "'rfpipe keep' copied results.",
         ),
     ] = Path("results"),
     mend: Annotated[
         bool,
         typer.Option(
             "--mend",
-            help="Remove what has to go for the next run to make it anew: damaged stages' "
-            "manifests, and no picture that can still be read.",
+            help="Remove the manifests of damaged stages, so that the next run repeats these "
+            "stages. Readable pictures are never removed.",
         ),
     ] = False,
 ) -> None:
-    """Check every store, chunk, manifest and table, and name the command that mends each finding.
+    """Check every store, chunk, manifest and table, and print a repair command for each damage.
 
-    All bytes are read, and nothing is changed without --mend. What was captured is kept: the
-    workflow makes damaged stages anew from those before them, and shows only those patterns again
-    whose pictures are damaged. Of a report it is checked, too, that no figure is missing or blank
-    and no link leads to nothing. Exit status 1 when anything is wrong.
+    The check reads all bytes and changes nothing without --mend. Repairs keep the captured
+    pictures: the workflow repeats damaged stages from the stages before them, and captures only
+    those patterns again whose pictures are damaged. A report is also checked for missing or blank
+    figures and dead links. Exit status 1 if anything is damaged.
     """
     from tqdm import tqdm
 
@@ -54,24 +56,23 @@ def verify(
 
         for path in removals:
             remove_tree(path)
-        again = dict.fromkeys(command.rpartition(" && ")[2] for command in commands if command)
-        typer.echo(f"removed what has to go ({len(removals)}); now run: {' && '.join(again)}")
+        runs = dict.fromkeys(command.rpartition(" && ")[2] for command in commands if command)
+        typer.echo(f"removed {counted(len(removals), 'file')}; now run: {' && '.join(runs)}")
         return
-    pages = [
-        place / "index.html" for place in (folder, folder / "report", folder / "results/report")
-    ]
-    faults = [fault for page in pages if page.is_file() for fault in check_page(page)]
-    for fault in faults:
-        typer.echo(fault)
-    if checked.findings or faults:
+    reports = (folder, folder / "report", folder / "results/report")
+    pages = [report / "index.html" for report in reports]
+    mistakes = [mistake for page in pages if page.is_file() for mistake in check_page(page)]
+    for mistake in mistakes:
+        typer.echo(mistake)
+    if checked.findings or mistakes:
         raise typer.Exit(1)
 
 
 def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
     from rfpipe.store.places import as_address
 
-    named = as_address(folder) or folder
-    copy = "copy it again from where it came from; nothing here can make it anew"
+    name = as_address(folder) or folder
+    copy = "copy it again from its source; no stage of this run can make it"
     for finding, command in zip(checked.findings, commands, strict=True):
         typer.echo(f"{finding.path}: {finding.what}\n    mend: {command or copy}")
         if finding.mend.cost:
@@ -83,9 +84,8 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
         f"{checked.bytes / 1e6:,.1f} MB"
     )
     if checked.unnamed:
-        amount += f"; not read: {len(checked.unnamed)} that no manifest names"
+        amount += f"; not read: {counted(len(checked.unnamed), 'file')} without a manifest"
     if not checked.findings:
-        typer.echo(f"{named}: whole. {amount}")
+        typer.echo(f"{name}: undamaged. {amount}")
         return
-    count = len(checked.findings)
-    typer.echo(f"\n{named}: {count} {'finding' if count == 1 else 'findings'} in {amount}")
+    typer.echo(f"\n{name}: {counted(len(checked.findings), 'finding')} in {amount}")
