@@ -53,13 +53,13 @@ def test_a_smaller_error_takes_more_patterns(method: str) -> None:
         for target in (0.05, 0.01, 0.002)
     ]
     assert [row.patterns for row in rows] == [8, 30, 109]
-    assert all(row.patterns < row.most_patterns for row in rows)
-    assert all(row.seconds < row.most_seconds and row.disk < row.most_disk for row in rows)
+    assert all(row.patterns < row.max_patterns for row in rows)
+    assert all(row.seconds < row.max_seconds and row.disk < row.most_disk for row in rows)
     auto, small = get_method("auto"), RayDomain((16, 18))
     options = options_of(auto, target_error=1e-5)
-    assert auto.most_patterns(small, small, options) > 451  # as a run of such a scene took
+    assert auto.max_patterns(small, small, options) > 451  # as a run of such a scene took
     few = only(scenes={"wall": shape}, methods={method: {"patterns": 20}})
-    assert (few.patterns, few.most_patterns) == (20, 20)
+    assert (few.patterns, few.max_patterns) == (20, 20)
 
 
 @pytest.mark.slow  # kernels of all methods are compiled
@@ -77,7 +77,7 @@ def test_no_acquisition_of_a_small_scene_takes_more_than_the_most(
     result = rfpipe.acquire(rig, method, target_error=1e-5, progress=False)
     rays = RayDomain(shape)
     options = options_of(get_method(method), target_error=1e-5)
-    most = get_method(method).most_patterns(rays, rays, options)
+    most = get_method(method).max_patterns(rays, rays, options)
     assert 72 < result.patterns <= most
 
 
@@ -107,7 +107,7 @@ CAPTURED = {"kind": "captured", "shape": [20, 20]}
             "stage",
             "a scene has 6,400 rays",
         ),
-        ({"resources": {"jobs": "stage"}}, "stage", "as resources.jobs says"),
+        ({"resources": {"jobs": "stage"}}, "stage", "as set by resources.jobs"),
         (
             {"scenes": {"desk": CAPTURED}, "capture": {"rig": "offline"}, "methods": {"dual": {}}},
             "stage",
@@ -127,7 +127,7 @@ def test_the_command_counts_acquisitions(count: int, said: str, tmp_path: Path) 
     scenes = {f"s{index}": {**PLANE, "shape": [5, 7]} for index in range(count)}
     config.write_text(yaml.safe_dump({"scenes": scenes, "methods": {"dual": {}}}))
     told = run("plan", config)
-    assert f"valid. {said} One job an acquisition, since no scene" in told
+    assert f"valid. {said} One job per acquisition, since no scene" in told
     assert ("One after the other" in told) == (count > 1)
 
 
@@ -140,12 +140,12 @@ def test_the_command_says_what_does_not_fit(
     told = run("plan", config, "--folder", tmp_path / "results")
     assert told.count("dual") == 2
     assert "One after the other: 4:54:08" in told
-    assert "may not fit" not in told
+    assert "may be too small" not in told
     assert "of memory, and this machine" not in told
 
     monkeypatch.setattr(workers, "machine_memory_mb", lambda: 128)
     monkeypatch.setattr(files, "free_bytes", lambda _folder: 10)
     told = run("plan", config)
-    assert "may not fit" in told
+    assert "may be too small" in told
     assert "by dual is likely to take" in told
     assert "of memory, and this machine has 128 MB" in told
