@@ -24,7 +24,7 @@ from rfpipe.config import Config, load_config
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, scene_from_config
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.verification import compared
+from rfpipe.stages.verification import verify
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import open_arrays
 from rfpipe.store.files import write_atomically
@@ -96,7 +96,7 @@ def curve(
         )
         errors, indirect = picture_errors(relit, truth, patterns, floodlit, dark)
         known = estimates(transport.level_rows)
-        verified = np.nan if behind is not None else compared(folder, transport).mean_error
+        verified = np.nan if behind is not None else verify(folder, transport).mean_error
         yield {
             "scene": name,
             "method": method,

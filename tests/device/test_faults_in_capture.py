@@ -82,12 +82,12 @@ def test_gain_that_changes_from_picture_to_picture_is_not_divided_out(
         found = acquired(rig, watch="warn", method="near_far", asymmetry=0.5)
     assert "it is divided out" not in caplog.text
     assert "it can't be divided out: switch automatic gain" in caplog.text
-    assert found.verification.against(0.03).standing == "missed"
+    assert found.verification.against(0.03).verdict == "missed"
     assert "the target is missed" in caplog.text
 
 
 @pytest.mark.parametrize(
-    ("name", "target", "standing", "alarm"),
+    ("name", "target", "verdict", "alarm"),
     [
         ("gain", 0.02, "missed", "level 0: gain changes from picture to picture"),
         ("geometry", 0.04, "met", "level 0: this rig was coaxial when it was calibrated"),
@@ -95,7 +95,7 @@ def test_gain_that_changes_from_picture_to_picture_is_not_divided_out(
     ],
 )
 def test_the_files_state_target_error_and_reason(
-    tmp_path: Path, name: str | None, target: float, standing: str, alarm: str | None
+    tmp_path: Path, name: str | None, target: float, verdict: str, alarm: str | None
 ) -> None:
     rig = coaxial_rig(FAULTS[name].inject if name else None, camera=darker(2))
     watching = {"mode": "warn", "check_interval": 8, "asymmetry": 0.05}
@@ -108,11 +108,11 @@ def test_the_files_state_target_error_and_reason(
     verification.run(folder, capturing, pictures=3, settings=settings, resources=Resources())
     stated = read_manifest(folder.path / VERIFICATION_MANIFEST)
     assert stated["target_error"] == target
-    assert stated["standing"] == standing
+    assert stated["verdict"] == verdict
     assert f"{stated['mean_error']:.2%}" in stated["reason"]
     assert f"{target:.2%}" in stated["reason"]
     assert any(one.startswith(alarm) for one in stated["alarms"]) if alarm else not stated["alarms"]
-    if standing == "missed":
+    if verdict == "missed":
         assert stated["reason"].endswith("gain changes from picture to picture")
 
 

@@ -103,9 +103,9 @@ def test_a_bound_names_what_is_above_it() -> None:
     manifests = {"vase": facts, "jug": dark, "cup": {"levels": rows}, "pot": {"levels": []}}
     check_bounds(manifests, {"vase": 0.05, "cup": 0.03, "pot": 0.01}, "report")
     for bounds, expected in (
-        ({"vase": 0.02}, r"vase is off by 3.00%.*above 2.00%.*'spots'"),
+        ({"vase": 0.02}, r"vase has a mean error of 3.00%.*above 2.00%.*'spots'"),
         ({"jug": 0.05}, "jug has no picture with light"),
-        ({"cup": 0.01}, r"cup is off by an estimated 2.00%, above 1.00%"),
+        ({"cup": 0.01}, r"cup has an estimated error of 2.00%, above 1.00%"),
     ):
         with pytest.raises(VerificationError, match=expected):
             check_bounds(manifests, bounds, "report")
@@ -129,7 +129,7 @@ def test_a_real_rig_s_bound_follows_the_target_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "target", "standing"),
+    ("error", "target", "verdict"),
     [
         (0.01, 0.02, "met"),
         (0.05, 0.02, "missed"),
@@ -138,13 +138,13 @@ def test_a_real_rig_s_bound_follows_the_target_error() -> None:
         (np.nan, 0.02, "unknown"),
     ],
 )
-def test_a_target_is_met_or_missed(error: float, target: float | None, standing: str) -> None:
+def test_a_target_is_met_or_missed(error: float, target: float | None, verdict: str) -> None:
     rows = [["shapes 1", error, 0, error * factor, 0.001] for factor in (0.8, 1, 1.2)]
     columns = ["name", "difference", "noise", "error", "standard_error"]
     nothing = np.zeros((3, 2, 2, 1), np.float32)
     table = pd.DataFrame(rows, columns=columns)
     found = Verification(table, nothing[..., 0], nothing, nothing, np.ones(1)).against(target)
-    assert found.standing == standing
+    assert found.verdict == verdict
     if target is not None and np.isfinite(error):
         assert f"{target:.2%}" in found.reason
 

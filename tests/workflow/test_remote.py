@@ -165,7 +165,7 @@ def test_a_missed_target_fails_the_run_and_a_level_is_taken_again(
     settings["verification"] = {"pictures": 3}
     workflow.config.write_text(yaml.safe_dump(settings))
     output = run(workflow, status=1)
-    assert "long by near_far is off by" in workflow.path("verified.log").read_text()
+    assert "long by near_far has a mean error of" in workflow.path("verified.log").read_text()
     last = output.splitlines()[-1]
     assert "missed the target error: long by near_far, measured error" in last
     assert "target 0.01 %" in last

@@ -168,7 +168,7 @@ def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
     settings = {"scenes": {"tiny": scene}, "methods": {"symmetric": {}}}
     run.configure(**settings, verification=verification)
     wanted = "results/tiny/symmetric/verification.json"
-    assert "5 pictures for verification: the transport is off by" in run.run(wanted)
+    assert "verified by 5 pictures: the mean error is" in run.run(wanted)
     facts = read_manifest(tmp_path / wanted)
     assert np.isfinite([picture["error"] for picture in facts["pictures"]]).all()
     planned = run.run("--dry-run")

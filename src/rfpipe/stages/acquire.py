@@ -25,9 +25,9 @@ from rfpipe.stages.schedule import write_schedule
 from rfpipe.stages.settings import AcquisitionSettings
 from rfpipe.stages.verification import (
     Verification,
-    compared,
-    schedule_of,
     verification_context,
+    verification_schedule,
+    verify,
 )
 from rfpipe.storage.base import VERIFICATION
 from rfpipe.storage.memory import AcquisitionInMemory
@@ -214,15 +214,15 @@ def acquire(
 def _verified(acquisition: Acquisition, transport: Transport, pictures: int) -> Verification:
     """Compare the transport with pictures taken for it; log a missed target."""
     storage, plan = acquisition.storage, acquisition.plan
-    schedule = schedule_of(plan.projector.shape, pictures)
+    schedule = verification_schedule(plan.projector.shape, pictures)
     write_schedule(storage, VERIFICATION, "", schedule)
     context = verification_context(acquisition, pictures)
     with storage.timing(VERIFICATION, "capture"):
         capture.run(context, VERIFICATION)
     merge.run(context, VERIFICATION)
-    verified = compared(storage, transport)
+    verified = verify(storage, transport)
     outcome = verified.against(getattr(plan.options, "target_error", None))
-    if outcome.standing == "missed":
+    if outcome.verdict == "missed":
         _log.warning("the target is missed: %s", outcome.reason)
     return verified
 

@@ -31,7 +31,11 @@ from rfpipe.stages.settings import (
     plan_settings,
     stage_settings,
 )
-from rfpipe.stages.verification import schedule_of, schedule_pictures, verification_context
+from rfpipe.stages.verification import (
+    schedule_pictures,
+    verification_context,
+    verification_schedule,
+)
 from rfpipe.storage.base import VERIFICATION, folder_name
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock
@@ -172,6 +176,8 @@ class OfflineAcquisition:
                 patterns, keys = brackets.patterns(first, last)
                 yield from zip(map(tuple, keys), patterns, strict=True)
         if self._level == 0 and self._verification_pictures:
-            weights = schedule_of(rig.projector_shape, self._verification_pictures).weights
+            weights = verification_schedule(
+                rig.projector_shape, self._verification_pictures
+            ).weights
             assert weights is not None
             yield from (((VERIFICATION, index), each) for index, each in enumerate(weights))
