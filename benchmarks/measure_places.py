@@ -20,8 +20,8 @@ from benchmarks.harness import given, write
 from benchmarks.methods.scenes import ASIDE, stage_of
 from rfpipe.calibration.correspondence import AxisCode
 from rfpipe.rigs import Rig
+from rfpipe.scenes.pinholes import Pinhole, first_hits
 from rfpipe.scenes.rooms import GEOMETRIES
-from rfpipe.scenes.sight import Pinhole, sight_of
 
 _GEOMETRY = "wedge_120"
 _LEAST = 0.05  # of the brightest pixel, that counts as lit
@@ -31,7 +31,7 @@ def rows(side: int) -> Iterator[dict[str, Any]]:
     """Yield a row for each way to compute places."""
     scene = stage_of("wedge_aside", str(side), 1, 1, 1, Path()).scene
     camera, lamp = Pinhole((side, side)), Pinhole((side, side), *ASIDE)
-    points = sight_of(camera, GEOMETRIES[_GEOMETRY]).positions
+    points = first_hits(camera, GEOMETRIES[_GEOMETRY]).positions
     truth = lamp.project(points).reshape(*camera.shape, 2)
     floodlit = scene.floodlit[..., 0]
     visible = ((truth > 1) & (truth < side - 1)).all(axis=-1)

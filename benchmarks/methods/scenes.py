@@ -16,7 +16,7 @@ from rfpipe.errors import InputError
 from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, planes_scene
-from rfpipe.scenes.sight import Pinhole
+from rfpipe.scenes.pinholes import Pinhole
 
 if TYPE_CHECKING:
     from rfpipe.mitsuba.scene import MitsubaScene

@@ -13,7 +13,7 @@ from matplotlib import pyplot
 
 import rfpipe
 from rfpipe.scenes import planes_scene
-from rfpipe.scenes.sight import Pinhole
+from rfpipe.scenes.pinholes import Pinhole
 
 side = int(sys.argv[1]) if len(sys.argv) > 1 else 96
 folder = Path(sys.argv[2] if len(sys.argv) > 2 else "results/uses")

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from rfpipe.scenes import GEOMETRIES, Occluder, planes_scene, surface_points
 from rfpipe.scenes.radiosity import FormFactors
-from rfpipe.scenes.surfaces import HIDDEN, MIXED, VISIBLE
+from rfpipe.scenes.surfaces import MIXED, OCCLUDED, VISIBLE
 
 shapes = st.tuples(st.integers(1, 12), st.integers(1, 12))
 
@@ -60,9 +60,9 @@ def test_verdicts_on_clusters_hold_for_all_their_points(seed):
     first, second = centres + random.normal(0, 0.2, (2, 60, 4, 3))
     square = Occluder((0, 0, 0), (1, 0, 0), (0, 1, 0))
     verdicts = square.classify(first, second)
-    assert {HIDDEN, VISIBLE, MIXED} == set(verdicts)
+    assert {OCCLUDED, VISIBLE, MIXED} == set(verdicts)
     weights = random.dirichlet(np.ones(4), (2, 60, 40))
     p, q = (np.einsum("npc,ncx->npx", w, c) for w, c in zip(weights, (first, second), strict=True))
     found = square.blocks(p[:, :, None], q[:, None]).mean((1, 2))
     assert (found[verdicts == VISIBLE] == 0).all()
-    assert (found[verdicts == HIDDEN] == 1).all()
+    assert (found[verdicts == OCCLUDED] == 1).all()

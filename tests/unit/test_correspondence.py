@@ -10,7 +10,7 @@ from rfpipe.errors import InputError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene, reference_scene
 from rfpipe.scenes.geometries import GEOMETRIES
-from rfpipe.scenes.sight import Pinhole, sight_of
+from rfpipe.scenes.pinholes import Pinhole, first_hits
 from rfpipe.transport import Transport, open_transport, save_transport
 from rfpipe.transport.correspondence import _agreement, _probability
 from rfpipe.transport.dense import DenseTransport
@@ -93,7 +93,7 @@ def test_confidence_does_not_exceed_the_fraction_of_right_places(geometry, posit
     dim = rfpipe.CameraModel(electrons_per_radiance=3000)
     rig = rfpipe.OperatorRig(scene, (24, 30), lamp.shape, dim, seed=1)
     result = rfpipe.acquire(rig, "brute_force", progress=False).transport.correspondence()
-    truth = lamp.project(sight_of(Pinhole((24, 30)), GEOMETRIES[geometry]).positions)
+    truth = lamp.project(first_hits(Pinhole((24, 30)), GEOMETRIES[geometry]).positions)
     right = np.linalg.norm(result.places - truth.reshape(24, 30, 2), axis=-1) <= 1
     assert result.mask.sum() > 50
     for lower, upper in ((0.5, 0.9), (0.9, 1.1)):

@@ -23,7 +23,7 @@ from rfpipe.mitsuba.variant import load_mitsuba
 from rfpipe.mitsuba.views import View
 from rfpipe.mitsuba.world import World, load_scene
 from rfpipe.mitsuba.worlds import WORLDS, view
-from rfpipe.scenes.sight import Pinhole
+from rfpipe.scenes.pinholes import Pinhole
 
 SIZE = 12
 AHEAD = view((0, 0, 3), (0, 0, 0), 20)

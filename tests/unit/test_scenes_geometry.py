@@ -18,11 +18,11 @@ from rfpipe.scenes.geometries import (
     PAPER,
     SURFACE_TINTS,
     WHITE,
-    names_of,
     printed_page,
     surface_albedo,
+    surface_names,
 )
-from rfpipe.scenes.surfaces import is_hidden
+from rfpipe.scenes.surfaces import is_occluded
 
 SQUARE = Occluder((0, 0, 1), (0.5, 0, 0), (0, 0.5, 0))  # in the plane z = 1
 
@@ -60,7 +60,7 @@ def test_every_ray_meets_a_surface_and_each_room_is_evenly_shared(geometry, shap
     if min(shape) > 30:
         names = np.array([surface.name for surface in points.surfaces])[points.surface]
         shares = np.unique(names, return_counts=True)[1] / len(names)
-        assert len(shares) == len(names_of(geometry))
+        assert len(shares) == len(surface_names(geometry))
         assert shares.min() > 0.3 / len(shares)
 
 
@@ -98,7 +98,7 @@ def test_surfaces_and_places_that_cannot_be():
 )
 def test_segments_behind_an_occluder(first, second, expected):
     p, q = (np.array(point, dtype=float) for point in (first, second))
-    assert bool(is_hidden(p, q, [SQUARE])) is bool(is_hidden(q, p, [SQUARE])) is expected
+    assert bool(is_occluded(p, q, [SQUARE])) is bool(is_occluded(q, p, [SQUARE])) is expected
 
 
 @pytest.mark.parametrize("shape", [(62, 70), (155, 175)])

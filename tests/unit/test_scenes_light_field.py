@@ -12,10 +12,10 @@ from rfpipe.scenes.light_field import (
     DISTANCE,
     Panel,
     TexelGrid,
-    array_of,
     panels_scene,
     room_panels,
-    sightings,
+    texel_weights,
+    view_array,
 )
 
 SURFACES = ("texture", "white", "white")
@@ -29,13 +29,13 @@ def small():
 
 
 def screen(grid, shape, panel=SCREEN):
-    views = array_of(grid, SPAN, shape)
+    views = view_array(grid, SPAN, shape)
     options = {"channels": 1, "bounces": 1, "seed": 0, "name": "screen"}
     return panels_scene(views, [panel], (len(views), *shape), **options)
 
 
 def test_views_span_the_angles_and_look_at_the_scene():
-    views = array_of((3, 5), SPAN, (4, 6))
+    views = view_array((3, 5), SPAN, (4, 6))
     positions = np.array([view.position for view in views])
     towards = np.array([0, 0, DISTANCE]) - positions
     horizontal = np.degrees(np.arctan2(towards[:, 0], towards[:, 2])).reshape(3, 5)
@@ -50,13 +50,13 @@ def test_views_span_the_angles_and_look_at_the_scene():
 
 
 def test_pixels_see_texels_in_whole_and_footprints_add_up():
-    views = array_of((3, 3), SPAN, (26, 40))
-    seen, _ = sightings(views, TexelGrid(room_panels(SURFACES), DISTANCE * views[0].pitch))
+    views = view_array((3, 3), SPAN, (26, 40))
+    seen, _ = texel_weights(views, TexelGrid(room_panels(SURFACES), DISTANCE * views[0].pitch))
     assert seen.shape[0] == 9 * 26 * 40
     assert seen.sum(axis=1) == pytest.approx(np.ones(seen.shape[0]))
     assert seen.data.min() > 0
-    (one,) = array_of((1, 1), (0, 0), (20, 30))
-    _, footprint = sightings([one], TexelGrid([SCREEN], 0.1))
+    (one,) = view_array((1, 1), (0, 0), (20, 30))
+    _, footprint = texel_weights([one], TexelGrid([SCREEN], 0.1))
     wide = 30 * one.pitch * DISTANCE
     assert footprint.sum() == pytest.approx(wide * wide * 20 / 30, rel=1e-9)
 

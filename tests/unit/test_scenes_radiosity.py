@@ -21,7 +21,7 @@ from rfpipe.scenes import (
     scene_from_config,
     surface_points,
 )
-from rfpipe.scenes.geometries import WHITE, names_of
+from rfpipe.scenes.geometries import WHITE, surface_names
 from rfpipe.scenes.radiosity import FormFactors
 
 TILTED = Occluder((0.2, 0.1, 1.5), (0.2, 0, 0.1), (0, 0.15, 0.05))  # seen by the camera
@@ -32,7 +32,7 @@ def random_patterns(count, rays, seed=0):
 
 
 def textured(shape=(12, 14), geometry="wedge", **settings):
-    surfaces = [kind for _, kind in zip(names_of(geometry), cycle(("texture", "white")))]
+    surfaces = [kind for _, kind in zip(surface_names(geometry), cycle(("texture", "white")))]
     return planes_scene(geometry, surfaces, shape, **settings)
 
 
@@ -161,7 +161,7 @@ def test_the_settings_make_the_same_scenes():
     assert set(GEOMETRIES) == set(names(SCENES)) - others
     for name in GEOMETRIES:
         assert scene_from_config(SceneSettings.of(name, shape=(6, 7))).shape == (6, 7)
-        count = len(names_of(name))
+        count = len(surface_names(name))
         with pytest.raises(ValueError, match=rf"{name} should have {count} surfaces .*, not 0"):
             SceneSettings.of(name, surfaces=())
     given = {"shape": (12, 14), "channels": 1, "bounces": 2, "seed": 5}
@@ -192,7 +192,7 @@ def test_descriptions_are_plain_and_tell_scenes_apart():
 )
 @pytest.mark.parametrize("shape", [(16, 16), (40, 80)])
 def test_no_room_is_too_bright_for_the_default_camera(geometry, shape):
-    scene = planes_scene(geometry, ("white",) * len(names_of(geometry)), shape)
+    scene = planes_scene(geometry, ("white",) * len(surface_names(geometry)), shape)
     brightest = scene.apply(np.ones((1, *shape))).max()
     camera = CameraModel()
     full_scale = camera.full_well_electrons / camera.electrons_per_radiance / camera.exposures[0]

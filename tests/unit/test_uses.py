@@ -11,8 +11,8 @@ import pytest
 import rfpipe
 from rfpipe.errors import InputError
 from rfpipe.scenes import planes_scene
+from rfpipe.scenes.pinholes import Pinhole, first_hits
 from rfpipe.scenes.rooms import GEOMETRIES
-from rfpipe.scenes.sight import Pinhole, sight_of
 from rfpipe.transport.dense import DenseTransport
 
 CAMERA, LAMP = Pinhole((24, 30)), Pinhole((28, 34), (1.72, 0.0, 0.54), (0.0, 0.0, 3.0))
@@ -25,7 +25,7 @@ def aside():
         "wedge_120", ("texture", "white"), CAMERA.shape, projector=LAMP, channels=1
     )
     rig = rfpipe.OperatorRig(scene, CAMERA.shape, LAMP.shape)
-    points = sight_of(CAMERA, GEOMETRIES["wedge_120"]).positions
+    points = first_hits(CAMERA, GEOMETRIES["wedge_120"]).positions
     return rfpipe.acquire(rig, "brute_force", progress=False).transport, points
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rfpipe.mitsuba.variant import load_mitsuba
 from rfpipe.mitsuba.views import Side
-from rfpipe.scenes.sight import Pinhole
+from rfpipe.scenes.pinholes import Pinhole
 
 Double = NDArray[np.float64]
 

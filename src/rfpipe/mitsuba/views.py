@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from rfpipe.config.base import Settings
 from rfpipe.errors import InputError
-from rfpipe.scenes.sight import Pinhole
+from rfpipe.scenes.pinholes import Pinhole
 
 
 class View(Settings):

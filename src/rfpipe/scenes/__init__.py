@@ -1,9 +1,10 @@
-"""Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
+"""Simulated scenes: ground-truth light transport for simulated rigs."""
 
 from rfpipe.scenes.base import CoaxialScene, Scene, apply_in_batches, scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
 from rfpipe.scenes.light_field import room_scene
 from rfpipe.scenes.matrix import MatrixScene
+from rfpipe.scenes.pinholes import Pinhole, surface_points
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.relighting import (
     ONE_VIEW,
@@ -11,7 +12,6 @@ from rfpipe.scenes.relighting import (
     relighting_patterns,
 )
 from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
-from rfpipe.scenes.sight import Pinhole, surface_points
 from rfpipe.scenes.surfaces import Occluder, Plane, Sphere
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""What every simulated scene offers, and how patterns are put through one."""
+"""Base class of simulated scenes, and application of their transport to patterns."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from rfpipe.errors import InputError
 if TYPE_CHECKING:
     from rfpipe.config import SceneSettings
 
-# Columns of each matrix product: with more, a pattern of a few takes as long as many.
+# Patterns per matrix product; padding to a larger number would slow down small batches.
 _PATTERNS_AT_A_TIME = 16
 
 
 class Scene(ABC):
-    """Ground-truth transport of a simulated scene: patterns in, radiance out.
+    """Ground-truth transport of a simulated scene, from patterns to radiance.
 
-    Settings call a kind of scene by the name of its entry point in the group ``rfpipe.scenes``, or
-    by a path, ``module:Class`` or ``file.py:Class``. A scene of your own derives from this class,
-    and is made by ``MyScene(options)``. `rfpipe.testing.SceneContract` has the tests for it.
+    Settings name a kind of scene by its entry point in the group ``rfpipe.scenes``, or by a path,
+    ``module:Class`` or ``file.py:Class``. A user's scene derives from this class and is created by
+    ``MyScene(options)``. `rfpipe.testing.SceneContract` tests it.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Scene(ABC):
     Attributes
     ----------
     Options
-        A pydantic model, each field with a description, its unit and range.
+        A pydantic model; each field has a description with unit and range.
     """
 
     Options: ClassVar[type[SceneSettings]]
@@ -50,9 +50,9 @@ class Scene(ABC):
 
     @classmethod
     def make(cls, options: Any) -> Scene:
-        """Return the scene of some `Options`."""
-        made: Scene = cls(options)  # type: ignore[call-arg]
-        return made
+        """Create the scene from its `Options`."""
+        scene: Scene = cls(options)  # type: ignore[call-arg]
+        return scene
 
     @abstractmethod
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
@@ -60,7 +60,7 @@ class Scene(ABC):
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        """Plain data of everything that determines the transport, for fingerprints (JSON)."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -69,23 +69,23 @@ class Scene(ABC):
 
     @property
     def recorded(self) -> dict[str, Any]:
-        """What is known of a truth that was recorded by chance, as plain data; empty: it is exact.
+        """Noise and software of a Monte Carlo ground truth, as plain data; empty if it is exact.
 
-        ``grain``: standard error of a half-lit picture, relative to its norm, over the ``whole``
-        and where no direct light falls (``unlit``). ``versions`` of what recorded it.
+        ``grain``: standard error of a half-lit picture relative to its norm, of the ``whole``
+        picture and of pixels without direct light (``unlit``). ``versions`` of the software.
         """
         return {}
 
     @property
     def albedo(self) -> NDArray[np.float32]:
-        """Albedo float32 (*camera_shape, C), for pictures; here the floodlit image, 1 at most."""
+        """Albedo float32 (*camera_shape, C) for display; by default the scaled floodlit image."""
         image = self.apply(np.ones((1, math.prod(self.projector_shape))))
         brightest = float(image.max())
         image /= brightest if brightest > 0 else 1
         return image.reshape(*self.camera_shape, self.channels)
 
     def dense(self, channel: int = 0) -> NDArray[np.float64]:
-        """The whole matrix (M, N) of one channel, of a small scene."""
+        """The full matrix (M, N) of one channel, for small scenes."""
         columns = self.apply(np.eye(math.prod(self.projector_shape)))
         return columns[..., channel].T.astype(np.float64)
 
@@ -100,10 +100,10 @@ class CoaxialScene(Scene):
 def scene_from_config(settings: SceneSettings) -> Scene:
     """Build the scene of settings such as ``SceneSettings.of("wedge", shape=(62, 70))``.
 
-    Raises InputError for a captured scene, of which no light transport is known.
+    Raises InputError for a captured scene, whose light transport is unknown.
     """
-    made: Scene = settings.plugin.make(settings)
-    return made
+    scene: Scene = settings.plugin.make(settings)
+    return scene
 
 
 def apply_in_batches(
@@ -115,11 +115,10 @@ def apply_in_batches(
     *,
     padded: bool = True,
 ) -> NDArray[np.float32]:
-    """Put patterns through an operator, some at a time: always the same number if `padded`.
+    """Apply an operator to patterns in batches, of a fixed size if `padded`.
 
-    A product with a dense matrix may round differently for another number of columns. With a fixed
-    number a pattern's radiance is the same whichever patterns stand beside it, and a capture that
-    is resumed repeats its bytes.
+    Rounding of a dense matrix product may depend on its number of columns. With a fixed number, a
+    pattern's radiance doesn't depend on the batch, so that a resumed capture has the same bytes.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ def apply_in_batches(
     camera_rays
         Number of the camera's rays, M; N where None.
     padded
-        Whether to fill up with dark patterns. Sparse matrices round alike for any number.
+        Fill batches with dark patterns; unnecessary for sparse matrices.
 
     Returns
     -------
@@ -156,7 +155,7 @@ def apply_in_batches(
 
 
 def weights_of(patterns: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return patterns (B, N) or (B, *shape) as (B, N); raise InputError where they aren't."""
+    """Reshape patterns (B, N) or (B, *shape) to (B, N); InputError for any other shape."""
     weights, rays = np.asarray(patterns), math.prod(shape)
     if weights.ndim < 2 or weights.shape[1:] not in {(rays,), tuple(shape)}:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The rooms of the simulated scenes, by name: surfaces before a coaxial rig, and their albedo."""
+"""Surfaces of the simulated scenes, by name, and their albedo."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from rfpipe.provenance import generator
 from rfpipe.scenes.surfaces import Plane, Sphere, Surface, Vector, block, rotation, vector
 
-_FARTHEST = (0.0, 0.0, 3.0)  # point on the axis where the planes of a crease or corner meet
+_APEX = (0.0, 0.0, 3.0)  # intersection of the planes of a wedge or corner, on the optical axis
 
 
 def _wedge(opening: float, *, turned: float = 0.0, tipped: float = 0.0) -> tuple[Surface, ...]:
-    """Two planes that meet at an angle: a concave edge, farthest from the camera.
+    """Two planes that meet in a concave edge, which is farthest from the camera.
 
-    `opening` is the angle between the planes, `turned` the crease's from the vertical, clockwise
-    in the image, `tipped` its inclination from the image plane, the lower end nearer; degrees.
+    `opening` is the angle between the planes, `turned` the edge's angle to the vertical, clockwise
+    in the image, `tipped` its angle to the image plane, with the lower end nearer; in degrees.
     """
     half, turn = np.radians(opening / 2), rotation(2, turned) @ rotation(0, tipped)
     return tuple(
-        Plane(name, _FARTHEST, vector(turn @ (side * np.cos(half), 0, -np.sin(half))))
+        Plane(name, _APEX, vector(turn @ (side * np.cos(half), 0, -np.sin(half))))
         for name, side in (("left", 1), ("right", -1))
     )
 
@@ -30,15 +30,14 @@ def _corner() -> tuple[Surface, ...]:
     # directions of the normals in the image, degrees
     directions = (("left", 30), ("right", 150), ("floor", -90))
     return tuple(
-        Plane(name, _FARTHEST, vector(rotation(2, degrees) @ normal))
-        for name, degrees in directions
+        Plane(name, _APEX, vector(rotation(2, degrees) @ normal)) for name, degrees in directions
     )
 
 
 def _sphere_on_plane() -> tuple[Surface, ...]:
-    """A sphere that rests on a floor before a wall.
+    """A sphere on a floor in front of a wall.
 
-    They meet at right angles in a level crease; the camera looks down on the floor.
+    Floor and wall meet at right angles; the camera looks down on the floor.
     """
     tilt = rotation(0, 35)
     up, from_wall = -tilt[:, 1], -tilt[:, 2]
@@ -52,10 +51,10 @@ def _sphere_on_plane() -> tuple[Surface, ...]:
 
 
 def _coloured_room() -> tuple[Surface, ...]:
-    """A room open towards the rig, with a block and a sphere on its floor.
+    """A room, open towards the rig, with a block and a sphere on its floor.
 
-    Its floor and ceiling end at the picture's lower and upper edge, its walls at those of a picture
-    of 96 x 108 pixels, all at half the room's depth or a little more.
+    In a picture of 96 x 108 pixels, floor, ceiling and walls reach the edges of the picture, at
+    half of the room's depth or slightly more.
     """
     x, y, z = 1.125, 1.0, 3.0
     return (
@@ -82,8 +81,10 @@ GEOMETRIES: dict[str, tuple[Surface, ...]] = {
     "sphere_on_plane": _sphere_on_plane(),
     "coloured_room": _coloured_room(),
 }
-"""Surfaces of each geometry, in the order in which their albedo is given, those of one name once.
-Each pixel sees the nearest one; the planes bound the camera's room."""
+"""Surfaces of each geometry, in the order of settings; surfaces of the same name count once.
+
+Each pixel sees the nearest surface; planes enclose the camera.
+"""
 
 _GREY = (0.63, 0.61, 0.59)
 
@@ -96,11 +97,11 @@ TINTS: dict[str, dict[str, Vector]] = {
         "sphere": (0.68, 0.48, 0.15),
     },
 }
-"""Colours of geometries that have colours of their own: factors of the albedo, by surface."""
+"""Colours of the surfaces of some geometries: factors of the albedo in RGB."""
 
 
-def names_of(geometry: str) -> tuple[str, ...]:
-    """Return the names of a geometry's surfaces, the faces of a block as one."""
+def surface_names(geometry: str) -> tuple[str, ...]:
+    """List the names of a geometry's surfaces; the faces of a block have the same name."""
     return tuple(dict.fromkeys(surface.name for surface in GEOMETRIES[geometry]))
 
 
@@ -108,47 +109,47 @@ WHITE = 0.8
 PAPER = 0.85
 INK = 0.15
 
-# Colour of each surface of an RGB scene: factors of its albedo around one, so that the surfaces
-# differ in colour, the middle channel is the grey scene's and no albedo comes near 1.
+# Default factors of the albedo of each surface in RGB: surfaces differ in colour, the middle
+# channel is that of a grey scene, and no albedo is close to 1.
 SURFACE_TINTS = ((1.04, 1.0, 0.92), (0.94, 1.0, 1.05), (1.08, 1.0, 1.02))
 
-# A printed page at the run's resolution, in pixels.
+# Layout of a printed page, in pixels.
 _LETTER_HEIGHT = 7
-_LEADING = 9  # from one line of text to the next
+_LEADING = 9  # distance of lines of text
 _LETTER_WIDTHS = (4, 6)  # bounds, inclusive
 _WORD_LENGTHS = (2, 7)  # letters
 
 
 def printed_page(shape: tuple[int, int], seed: int, page: int = 0) -> NDArray[np.bool_]:
-    """Lines of words of letter-like strokes, one to two pixels wide: bool (H, W), True for ink.
+    """Draw lines of words of letter-like strokes: bool (H, W), True for ink.
 
-    Pages of one seed differ by their number.
+    Strokes are one to two pixels wide. `page` selects different pages of the same seed.
     """
     random = generator(seed, page)
-    # a page with margins, so wide that no word that begins within it goes beyond
+    # margins are wide enough for words that begin at the edge
     margin, word = _LETTER_HEIGHT, _WORD_LENGTHS[1] * (_LETTER_WIDTHS[1] + 1)
     height, width = shape[0] + margin, shape[1] + margin
     ink = np.zeros((height + margin, width + word), dtype=np.bool_)
     for top in range(margin + int(random.integers(-_LETTER_HEIGHT, 1)), height, _LEADING):
-        left = margin + int(random.integers(-_LETTER_WIDTHS[1], 1))
-        while left < width:
+        x = margin + int(random.integers(-_LETTER_WIDTHS[1], 1))
+        while x < width:
             for _ in range(random.integers(_WORD_LENGTHS[0], _WORD_LENGTHS[1] + 1)):
                 letter = _letter(random)
-                ink[top : top + _LETTER_HEIGHT, left : left + letter.shape[1]] |= letter
-                left += letter.shape[1] + 1
-            left += int(random.integers(1, 4))
+                ink[top : top + _LETTER_HEIGHT, x : x + letter.shape[1]] |= letter
+                x += letter.shape[1] + 1
+            x += int(random.integers(1, 4))
     return ink[margin:height, margin:width]
 
 
 def _letter(random: np.random.Generator) -> NDArray[np.bool_]:
-    """A stem on the left and two or three more strokes, like a capital's."""
+    """Draw a vertical stroke on the left and two or three further strokes, as in a capital."""
     width = int(random.integers(_LETTER_WIDTHS[0], _LETTER_WIDTHS[1] + 1))
     letter = np.zeros((_LETTER_HEIGHT, width), dtype=np.bool_)
     letter[:, : random.integers(1, 3)] = True
     rows = np.arange(_LETTER_HEIGHT)
     slant = 1 + rows * (width - 2) // (_LETTER_HEIGHT - 1)
     for stroke in random.choice(6, size=random.integers(2, 4), replace=False):
-        if stroke < 3:  # a bar at the top, in the middle or at the foot
+        if stroke < 3:  # a horizontal bar at the top, in the middle or at the bottom
             letter[stroke * (_LETTER_HEIGHT - 1) // 2] = True
         elif stroke == 3:
             letter[:, -1] = True
@@ -165,7 +166,7 @@ def surface_albedo(
     surface: int,
     tint: tuple[float, float, float] | None = None,
 ) -> NDArray[np.float64]:
-    """Albedo of one surface over an image or its own texels: float64 (H, W, C) in [0, 1].
+    """Albedo of one surface over the pixels of an image or its texels: float64 (H, W, C).
 
     Parameters
     ----------
@@ -174,10 +175,10 @@ def surface_albedo(
     channels
         1 (grey) or 3 (RGB, tinted).
     surface
-        Number of the surface: its page and its tint.
+        Index of the surface, which selects its page and its tint.
     tint
-        Factors of the albedo in red, green and blue, instead of those in `SURFACE_TINTS`; a grey
-        surface takes the middle one.
+        Factors of the albedo in RGB, instead of those in `SURFACE_TINTS`; a grey surface uses the
+        middle one.
     """
     grey = np.full(shape, {"white": WHITE, "texture": PAPER}[kind])
     if kind == "texture":

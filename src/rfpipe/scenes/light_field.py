@@ -1,12 +1,12 @@
-"""The room that an array of coaxial views looks at: an 8D reflectance field [thesis 5.2, Fig. 5.8].
+"""A room in front of an array of coaxial views: an 8D reflectance field [thesis 5.2, Fig. 5.8].
 
-Its surfaces are rectangles with a regular grid of texels. Each ray sees, and lights, a few texels:
-a sparse matrix P, whose rows add up to 1, says which and in what proportion, and
-``T = s P M P^T`` with M the matrix of `rfpipe.scenes.radiosity` over the texels.
+Surfaces are rectangles with a regular grid of texels. Each ray sees and lights a few texels, by the
+weights in the rows of a sparse matrix P, which add up to 1: ``T = s P M P^T``, where M is the
+matrix of `rfpipe.scenes.radiosity` over the texels.
 
-Lengths are in scene units, angles in degrees. The array lies in the plane z = 0, around the origin,
-its rows along y (down) and its columns along x; each pair is a pinhole that looks at
-(0, 0, `DISTANCE`). A single pair is the pinhole at the origin that looks along +z.
+Lengths are in scene units, angles in degrees. The array is in the plane z = 0, centred at the
+origin, with rows along y (down) and columns along x; each view is a pinhole that looks at
+(0, 0, `DISTANCE`). A single view is at the origin and looks along +z.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.scenes.geometries import surface_albedo
+from rfpipe.scenes.pinholes import Pinhole, Points, first_hits, overlaps
 from rfpipe.scenes.radiosity import RadiosityScene, Rays
-from rfpipe.scenes.sight import Pinhole, Points, overlaps, sight_of
-from rfpipe.scenes.surfaces import Rectangle, Vector, block, lying, rotation, standing, vector
+from rfpipe.scenes.surfaces import Rectangle, Vector, block, horizontal, rotation, upright, vector
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 Double = NDArray[np.float64]
 
 DISTANCE = 3.0
-"""From the array's plane to the point at which every view looks."""
+"""Distance from the array's plane to the point at which all views look."""
 
 ROOM_SURFACES = ("left wall", "right wall", "floor")
-"""The surfaces of the room that may be white or textured; all others are textured."""
+"""Surfaces of the room that may be white or textured; the objects in it are textured."""
 
-_WIDTH = 0.76  # of a view's image plane at distance 1: views are 42 degrees wide
-_PARTS = 3  # of a pixel along either side, each seen along a ray of its own
-_PATCH = 2  # texels along either side of a patch that indirect light takes for one
+_WIDTH = 0.76  # width of a view's image plane at distance 1; 42 degrees
+_PARTS = 3  # parts of a pixel along each axis, with a ray for each part
+_PATCH = 2  # texels along each axis of a patch, the unit of indirect light
 _TINTS: dict[str, Vector] = {
     "left wall": (1.05, 0.72, 0.55),
     "right wall": (0.62, 0.85, 1.05),
@@ -51,9 +51,9 @@ _TINTS: dict[str, Vector] = {
 
 @dataclass(frozen=True)
 class Panel(Rectangle):
-    """A rectangle with texels, white or textured, and tinted as of `surface_albedo`.
+    """A rectangle with texels; `surface` and `tint` as in `surface_albedo`.
 
-    One that `encloses` bounds the room, so that nothing of the scene is behind it.
+    Panels that `enclose` bound the room: the scene has no surfaces behind them.
     """
 
     surface: str
@@ -71,26 +71,26 @@ def room_scene(
     bounces: int = 3,
     seed: int = 0,
 ) -> RadiosityScene:
-    """Build the corner of a room with things in it, seen by an array of views [Fig. 5.8].
+    """Build the corner of a room with objects, seen by an array of views [Fig. 5.8].
 
     Parameters
     ----------
     surfaces
         ``"white"`` or ``"texture"`` for each of `ROOM_SURFACES`.
     shape, views
-        Height and width of a view in pixels, rows and columns of the array: 130 x 200 and 3 x 3 are
-        the thesis'. One view, and a ray domain (H, W), where `views` is None.
+        Height and width of a view in pixels, and rows and columns of the array; 130 x 200 and
+        3 x 3 in the thesis. Without `views`, there is one view and a ray domain (H, W).
     span_degrees
-        Angles under which the outermost columns and rows of the array appear from the scene.
+        Angles between the outermost columns, and rows, of the array, seen from the scene.
     channels, bounces, seed
         As for `planes_scene`.
 
     Raises
     ------
     InputError
-        If a ray sees nothing, or settings are out of range.
+        If a ray has no hit, or settings are out of range.
     """
-    pinholes = array_of(views or (1, 1), span_degrees, shape)
+    pinholes = view_array(views or (1, 1), span_degrees, shape)
     domain = shape if views is None else (len(pinholes), *shape)
     name = f"room of {', '.join(surfaces)}"
     return panels_scene(
@@ -114,13 +114,13 @@ def panels_scene(
     seed: int,
     name: str,
 ) -> RadiosityScene:
-    """Build a scene of panels, those that don't enclose it hiding others from each other.
+    """Build a scene of panels; panels that don't enclose it are obstructions.
 
-    A texel is about as large as a pixel where the views look. Only texels that some ray sees take
-    part: light that falls elsewhere is lost. `domain` is the shape of all pinholes' rays.
+    A texel is about as large as a pixel at `DISTANCE`. Only texels that are seen by a ray are
+    included: light on all other texels is lost. `domain` is the shape of all pinholes' rays.
     """
     grid = TexelGrid(panels, DISTANCE * pinholes[0].pitch)
-    visibility, footprint = sightings(pinholes, grid)
+    visibility, footprint = texel_weights(pinholes, grid)
     texels = np.unique(visibility.indices).astype(np.int64)
     albedo = [
         surface_albedo(panel.surface, shape, channels, seed, index, panel.tint)
@@ -128,7 +128,7 @@ def panels_scene(
     ]
     return RadiosityScene(
         grid.points(texels),
-        np.concatenate([each.reshape(-1, channels) for each in albedo])[texels],
+        np.concatenate([texel_albedo.reshape(-1, channels) for texel_albedo in albedo])[texels],
         bounces=bounces,
         scale=float(footprint.mean()) / len(pinholes),
         rays=Rays(domain, domain, visibility[:, texels]),
@@ -143,10 +143,10 @@ def panels_scene(
     )
 
 
-def array_of(
+def view_array(
     grid: tuple[int, int], span_degrees: tuple[float, float], shape: tuple[int, int]
 ) -> list[Pinhole]:
-    """Return the views of an array of rows and columns, row by row, as `room_scene` describes."""
+    """List the views of an array, row by row, as in `room_scene`."""
     x, y = (
         DISTANCE * np.tan(np.radians(span) / 2) * (np.linspace(-1, 1, n) if n > 1 else np.zeros(1))
         for span, n in zip(span_degrees, grid[::-1], strict=True)
@@ -160,9 +160,9 @@ def array_of(
 
 
 class TexelGrid:
-    """The texels of some panels, numbered panel by panel and row by row.
+    """The texels of panels, numbered panel by panel and row by row.
 
-    Their sides are about `pitch`, scene units: a panel has a whole number of them either way.
+    Panels are divided evenly into texels, whose sides are about `pitch` in scene units.
     """
 
     def __init__(self, panels: Sequence[Panel], pitch: float) -> None:
@@ -174,7 +174,7 @@ class TexelGrid:
         self._areas = sides.prod(axis=1) / counts
 
     def points(self, texels: NDArray[np.int64]) -> Points:
-        """The centres of some texels, given by ascending number."""
+        """Centres of texels, given by ascending number."""
         panel = np.searchsorted(self.starts, texels, "right") - 1
         row, column = np.divmod(texels - self.starts[panel], self.shapes[panel, 1])
         v, u = (2 * (np.stack([row, column]) + 0.5) / self.shapes[panel].T - 1)[..., None]
@@ -192,14 +192,14 @@ class TexelGrid:
         )
 
     def patches(self, texels: NDArray[np.int64], side: int) -> tuple[Points, NDArray[np.int64]]:
-        """Take texels, given by ascending number, together in squares of `side` x `side`.
+        """Group texels, given by ascending number, into squares of `side` x `side`.
 
-        Returns the squares as points, and the square that each texel belongs to.
+        Returns the squares as points, and the index of each texel's square.
         """
         points = self.points(texels)
         columns = self.shapes[points.surface, 1]
         row, column = np.divmod(texels - self.starts[points.surface], columns)
-        # the number of the texel in its square's corner tells squares apart
+        # the number of the corner texel identifies the square
         corner = texels - row % side * columns - column % side
         _, first, patch = np.unique(corner, return_index=True, return_inverse=True)
         count = np.bincount(patch)
@@ -210,88 +210,90 @@ class TexelGrid:
         return Points(points.surfaces, surface, centres, areas, clamp), patch
 
 
-def sightings(pinholes: Sequence[Pinhole], grid: TexelGrid) -> tuple[csr_array[np.float64], Double]:
-    """Find the texels that each pixel of each view sees.
+def texel_weights(
+    pinholes: Sequence[Pinhole], grid: TexelGrid
+) -> tuple[csr_array[np.float64], Double]:
+    """Compute the weights of the texels that each pixel of each view sees.
 
-    A pixel is cut into parts, which stand for boxes on the panel that their central rays meet:
-    boxes as wide as the parts' outlines, at most a texel, shared out between the texels that they
-    overlap. Points instead of boxes would make ripples where texels and parts are about as dense.
+    A pixel is divided into parts. Each is represented by a box on the panel that its central ray
+    hits, as wide as the part's outline but at most a texel, and distributed to the texels that it
+    overlaps. Points instead of boxes would cause aliasing where texels and parts are equally dense.
 
     Returns
     -------
     texels, footprint
-        Sparse (N, texels): how much of each texel a pixel sees, rows add up to 1; and float64 (N,):
-        the area that it covers, scene units squared.
+        Sparse (N, texels): weights of texels in each pixel, whose rows add up to 1; and float64
+        (N,): the area that the pixel covers, scene units squared.
 
     Raises
     ------
     InputError
-        If a ray meets no panel, or the back of one.
+        If a ray hits no panel, or the back of one.
     """
     from scipy.sparse import csr_array, vstack
 
     pixels, parts = math.prod(pinholes[0].shape), _PARTS**2
     matrices, footprint = [], []
     for view, pinhole in enumerate(pinholes):
-        sight = sight_of(pinhole, grid.panels, _PARTS)
-        is_front = sight.areas > 0
+        hits = first_hits(pinhole, grid.panels, _PARTS)
+        is_front = hits.areas > 0
         if not is_front.all():
             row, column = np.divmod(int(np.argmin(is_front)) // parts, pinhole.shape[1])
             raise InputError(
-                f"pixel ({row}, {column}) of view {view} sees nothing, or the back of a panel; "
-                "give the views a smaller span"
+                f"pixel ({row}, {column}) of view {view} sees no panel, or the back of one; set a "
+                "smaller span_degrees"
             )
-        moves = sight.moves()
-        place, width = np.empty((2, len(is_front), 2))
+        steps = hits.steps_to_neighbours()
+        centre, width = np.empty((2, len(is_front), 2))
         for index, panel in enumerate(grid.panels):
-            on = sight.surface == index
-            place[on] = panel.coordinates(sight.positions[on])[:, 1:]
-            sides = panel.coordinates(np.asarray(panel.centre) + moves[on])
-            width[on] = np.sqrt((sides[..., 1:] ** 2).sum(axis=1))
-        # rows and columns of texels, where a panel goes from -1 to 1 along either edge
-        counts = grid.shapes[sight.surface]
-        place, width = (place[:, ::-1] + 1) / 2 * counts, width[:, ::-1] * counts / 2
-        box, *at, share = overlaps(place, np.minimum(width, 1))
-        row, column = np.clip(np.stack(at), 0, counts[box].T - 1)  # what is beyond, at the edge
-        texel = grid.starts[sight.surface[box]] + row * counts[box, 1] + column
+            on_panel = hits.surface == index
+            centre[on_panel] = panel.coordinates(hits.positions[on_panel])[:, 1:]
+            sides = panel.coordinates(np.asarray(panel.centre) + steps[on_panel])
+            width[on_panel] = np.sqrt((sides[..., 1:] ** 2).sum(axis=1))
+        # from coordinates in [-1, 1] along both edges to rows and columns of texels
+        counts = grid.shapes[hits.surface]
+        centre, width = (centre[:, ::-1] + 1) / 2 * counts, width[:, ::-1] * counts / 2
+        box, *position, weight = overlaps(centre, np.minimum(width, 1))
+        row, column = np.clip(np.stack(position), 0, counts[box].T - 1)  # clamp to the edge
+        texel = grid.starts[hits.surface[box]] + row * counts[box, 1] + column
         shape = pixels, int(grid.starts[-1])
-        matrices.append(csr_array((share / parts, (box // parts, texel)), shape=shape))
-        footprint.append(sight.areas.reshape(pixels, parts).sum(axis=1))
+        matrices.append(csr_array((weight / parts, (box // parts, texel)), shape=shape))
+        footprint.append(hits.areas.reshape(pixels, parts).sum(axis=1))
     return vstack(matrices, format="csr", dtype=np.float64), np.concatenate(footprint)
 
 
 def room_panels(surfaces: Sequence[str]) -> tuple[Panel, ...]:
-    """Furnish the room, in scene units as the array of views sees it.
+    """Build the panels of the room, in the coordinates of the array of views.
 
-    Two walls that meet at a right angle and a floor; in front of them a box, a poster and a card in
-    the air. They hide parts of the walls from some views, throw shadows that move with the light,
-    and reflect light onto each other.
+    Two walls at a right angle and a floor, and in front of them a box, a poster and a floating
+    card. These occlude parts of the walls from some views, cast shadows that depend on the view,
+    and exchange light.
     """
-    # The room stands in a frame of its own: x to the right, y down, z away, and its origin where
-    # the views look, down at it. Walls and floor have twice `wall` as sides: more than views see.
+    # The room's coordinates have x to the right, y down, z away, and the origin at the point at
+    # which the views look. Walls and floor are 2 x `wall` long, more than the views see.
     floor, corner, wall = 0.42, 0.75, 3.0
-    middle = floor + 0.1 - wall  # a little of the walls goes below the floor: no gap
+    middle = floor + 0.1 - wall  # walls extend below the floor, to avoid a gap
     walls = (
-        standing("left wall", (0, middle, corner), (wall, wall), 45),
-        standing("right wall", (0, middle, corner), (wall, wall), -45),
-        lying("floor", (0, floor, corner - wall + 0.1), (wall, wall), 0),
+        upright("left wall", (0, middle, corner), (wall, wall), 45),
+        upright("right wall", (0, middle, corner), (wall, wall), -45),
+        horizontal("floor", (0, floor, corner - wall + 0.1), (wall, wall), 0),
     )
-    things = (
+    objects = (
         *block("box", (-0.28, floor, 0.02), side=0.42, height=0.5, turned=32),
-        standing("poster", (0.42, floor - 0.3, -0.12), (0.26, 0.3), -20),
-        lying("card", (-0.38, -0.42, -0.1), (0.22, 0.15), 15),
+        upright("poster", (0.42, floor - 0.3, -0.12), (0.26, 0.3), -20),
+        horizontal("card", (-0.38, -0.42, -0.1), (0.22, 0.15), 15),
     )
     return (
-        *(_seen(wall, kind, encloses=True) for wall, kind in zip(walls, surfaces, strict=True)),
-        *(_seen(thing, "texture") for thing in things),
+        *(_panel(wall, kind, encloses=True) for wall, kind in zip(walls, surfaces, strict=True)),
+        *(_panel(rectangle, "texture") for rectangle in objects),
     )
 
 
-def _seen(rectangle: Rectangle, surface: str, *, encloses: bool = False) -> Panel:
-    """Return a panel as the views see it, looking down."""
+def _panel(rectangle: Rectangle, surface: str, *, encloses: bool = False) -> Panel:
+    """Transform a rectangle to the views' coordinates; views look down by 35 degrees."""
     name, tilt = rectangle.name, rotation(0, 35)
     centre, *edges = (
-        tilt @ each for each in (rectangle.centre, rectangle.edge_u, rectangle.edge_v)
+        tilt @ value for value in (rectangle.centre, rectangle.edge_u, rectangle.edge_v)
     )
-    placed = vector(np.add(centre, (0, 0, DISTANCE))), vector(edges[0]), vector(edges[1])
-    return Panel(*placed, name, surface, _TINTS[name], encloses)
+    origin = vector(np.add(centre, (0, 0, DISTANCE)))
+    return Panel(origin, vector(edges[0]), vector(edges[1]), name, surface, _TINTS[name], encloses)

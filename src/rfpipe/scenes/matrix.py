@@ -1,4 +1,4 @@
-"""Scenes whose light transport is a given matrix, and real ones, of which nobody knows it."""
+"""Scenes with a given transport matrix, and captured scenes, whose transport is unknown."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rfpipe.transport.operators import Transportish, as_pattern_operator
 
 
 class MatrixOptions(AnyRig):
-    """What is to be known of a matrix in a file."""
+    """Options of a transport matrix in a file."""
 
     files: ClassVar[tuple[str, ...]] = ("file",)
 
@@ -29,18 +29,17 @@ class MatrixOptions(AnyRig):
     )
     dataset: Text | None = Field(
         None,
-        description="Name of the dataset in a file of several, or names with commas for "
-        "channels; null: the only one.",
+        description="Name of the dataset in a file with several, or comma-separated names for "
+        "channels; null: the only dataset.",
     )
     order: RayOrder = Field(
         "rows",
-        description="How rays are numbered: rows (as NumPy does) or columns (as MATLAB's "
-        "image(:) does).",
+        description="Order of rays: rows (as in NumPy) or columns (as in MATLAB's image(:)).",
     )
     brightest: PositiveFloat | None = Field(
         None,
-        description="Radiance of the brightest camera ray under floodlight, above 0, to which "
-        "the matrix is scaled; null: as it stands.",
+        description="Radiance of the brightest camera ray in the floodlit image, above 0, to which "
+        "the matrix is scaled; null: unscaled.",
     )
 
 
@@ -50,17 +49,17 @@ class MatrixScene(Scene):
     Parameters
     ----------
     matrix : Transportish
-        As `rfpipe.OperatorRig` takes it.
+        As in `rfpipe.OperatorRig`.
     camera_shape, projector_shape : tuple of int
     brightest : float, optional
-        Radiance of the brightest camera ray under floodlight, above 0, to which the matrix is
-        scaled; None leaves it as it stands.
+        Radiance of the brightest camera ray in the floodlit image, above 0, to which the matrix is
+        scaled; None: unscaled.
 
     Raises
     ------
     InputError
-        When the matrix doesn't fit the shapes, holds an entry that is negative or not finite, or
-        is black and to be scaled.
+        When the matrix doesn't fit the shapes, has an entry that is negative or not finite, or is
+        zero and should be scaled.
     """
 
     Options: ClassVar[type[SceneSettings]] = MatrixOptions
@@ -80,19 +79,19 @@ class MatrixScene(Scene):
             largest = float(self.apply(np.ones((1, prod(projector)), np.float32)).max())
             if not largest > 0:
                 raise InputError(
-                    "the matrix has no light under floodlight; brightest can't be reached. Set it "
-                    "to null"
+                    "the floodlit image of the matrix is black, so brightest can't be reached. Set "
+                    "it to null"
                 )
             self._scale = np.float32(brightest / largest)
 
     @classmethod
     def make(cls, options: Any) -> Scene:
-        """Read the file; raise InputError where it doesn't hold what the options say."""
+        """Read the file; raise InputError where it doesn't match the options."""
         camera, projector = options.camera_ray_shape, options.ray_shape
         matrix = read_matrix(options.file, camera, projector, options.dataset, options.order)
         if len(matrix) != options.channels:
             raise InputError(
-                f"{options.file}: holds {len(matrix)} channels; the scene's channels is "
+                f"{options.file}: has {len(matrix)} channels; the scene's channels is "
                 f"{options.channels}. Set it to {len(matrix)}"
             )
         return cls(matrix, camera, projector, options.brightest)
@@ -101,12 +100,12 @@ class MatrixScene(Scene):
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape)."""
         weights = weights_of(patterns, self.projector_shape)
         images = self._operator.apply(weights.astype(np.float32))
-        # a stored transport rounds, below zero, too
+        # a stored transport is rounded, also to negative values
         light: NDArray[np.float32] = np.maximum(np.asarray(images, np.float32), 0) * self._scale
         return light
 
     def describe(self) -> dict[str, Any]:
-        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        """Plain data of everything that determines the transport, for fingerprints (JSON)."""
         describe = getattr(self._operator, "describe", None)
         return {
             "kind": "matrix",
@@ -116,19 +115,19 @@ class MatrixScene(Scene):
 
 
 class CapturedOptions(AnyRig):
-    """What is to be known of a real scene's rig."""
+    """Options of the rig of a real scene."""
 
     is_captured: ClassVar[bool] = True
 
 
 class Captured(Scene):
-    """A real scene, whose light transport nobody knows."""
+    """A real scene, whose light transport is unknown."""
 
     Options: ClassVar[type[SceneSettings]] = CapturedOptions
 
     @classmethod
     def make(cls, options: Any) -> Scene:  # noqa: ARG003
-        """Raise InputError: there is nothing to simulate."""
+        """Raise InputError: a captured scene can't be simulated."""
         raise InputError(
-            "a scene of kind captured can't be simulated; take plane, wedge or another"
+            "a scene of kind captured can't be simulated; use plane, wedge or another kind"
         )

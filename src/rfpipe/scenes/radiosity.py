@@ -1,13 +1,12 @@
-"""Light that bounces between diffuse surface points, between a camera and a projector.
+"""Radiosity: direct light and inter-reflection between diffuse surface points.
 
-With r the albedo, A the points' areas and G the form factors between them, flux f on the points
-leaves them as radiosity ``M f``, ``M = diag(r / A) + diag(r) G diag(r) + diag(r) G diag(r A) G
-diag(r) + ...``: direct light, second bounce, third bounce. M is symmetric.
+For the albedo r, the points' areas A and the form factors G, flux f on the points leads to the
+radiosity ``M f``, with ``M = diag(r / A) + diag(r) G diag(r) + diag(r) G diag(r A) G diag(r) +
+...``: direct light, second bounce, third bounce. M is symmetric.
 
-Of a coaxial rig a projector pixel sends its light onto one point and a camera pixel sees one:
-``T = s M``, symmetric as eq. (2.10) wants it, s being the mean of the areas. Of other rigs a matrix
-P says in what proportion rays see points, and one Q in what proportion rays light them:
-``T = s P M Q``.
+On a coaxial rig with a point per pixel, ``T = s M``, which is symmetric (2.10); s is the mean area.
+In general, a matrix P has the weights with which camera rays see points, and Q those with which
+projector rays light points: ``T = s P M Q``.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
 from rfpipe.scenes.formfactors import Index, facing_pairs
-from rfpipe.scenes.sight import Points
+from rfpipe.scenes.pinholes import Points
 from rfpipe.scenes.surfaces import Occluder
 
 if TYPE_CHECKING:
@@ -36,17 +35,16 @@ if TYPE_CHECKING:
 Double = NDArray[np.float64]
 
 DENSE_LIMIT = 2**25
-"""Entries of G, each unordered pair of points counted once, above which it is compressed: a quarter
-of a gigabyte of float64."""
+"""Largest number of entries (unordered pairs of points) of a dense G: 256 MB of float64."""
 
-DENSE_RAYS = 8192  # above which a dense matrix is refused: it would take over half a gigabyte
-_COLUMNS_AT_A_TIME = 256  # of a dense matrix
+DENSE_RAYS = 8192  # maximum for a dense matrix, which then has half a gigabyte
+_COLUMNS_AT_A_TIME = 256  # columns of a dense matrix computed at a time
 
 
 class FormFactors:
-    """The symmetric operator G on columns of surface points, with occluders between them.
+    """The symmetric operator G on values at surface points, with occlusion.
 
-    It is compressed, or not, as `compress` says; None decides by `DENSE_LIMIT`.
+    `compress` selects compressed or dense blocks; None: by `DENSE_LIMIT`.
     """
 
     def __init__(
@@ -57,9 +55,9 @@ class FormFactors:
         if compress is None:
             compress = sum(pair.size for pair in pairs) > DENSE_LIMIT
         if compress:
-            from rfpipe.scenes.clusters import compressed  # brings in scipy
+            from rfpipe.scenes.clusters import compress_block  # imports scipy
 
-            self.blocks = [(pair.indices, compressed(pair)) for pair in pairs]
+            self.blocks = [(pair.indices, compress_block(pair)) for pair in pairs]
         else:
             self.blocks = [(pair.indices, pair.block()) for pair in pairs]
 
@@ -74,59 +72,57 @@ class FormFactors:
 
 @dataclass(frozen=True)
 class Rays:
-    """Where a rig's rays meet the points of a scene.
+    """Weights between a rig's rays and the points of a scene.
 
     Parameters
     ----------
     camera_shape, projector_shape
         Shapes of the ray domains, of M and of N rays.
-    seen
-        Sparse (M, n): how much of each of the n points a camera ray sees.
+    visibility
+        Sparse (M, n): weights of the n points in each camera ray.
     lit
-        Sparse (n, N): how much of a projector ray's light each point gets; None where camera and
-        projector share their rays, so that it is the transpose of `seen`.
+        Sparse (n, N): fraction of each projector ray's light on each point; None for a coaxial rig,
+        where it is the transpose of `visibility`.
     direct
-        Sparse (M, N), one a channel: light that goes from the projector to the camera besides.
+        Sparse (M, N), one per channel: additional transport of direct light.
     """
 
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, ...]
-    seen: csr_array[np.float64]
+    visibility: csr_array[np.float64]
     lit: csr_array[np.float64] | None = None
     direct: Sequence[csr_array[np.float64]] = ()
 
     @cached_property
-    def spread(self) -> csr_array[np.float64]:
-        """What spreads the projector's light over the points, (n, N)."""
-        return self.seen.T.tocsr() if self.lit is None else self.lit
+    def illumination(self) -> csr_array[np.float64]:
+        """Matrix (n, N) that distributes the projector's light to the points."""
+        return self.visibility.T.tocsr() if self.lit is None else self.lit
 
 
 class RadiosityScene(Scene):
-    """Diffuse surfaces, their albedo, and black occluders between them.
+    """Diffuse surfaces with albedo, and black occluders between them.
 
     Parameters
     ----------
     points
         The n surface points.
     albedo
-        In [0, 1), (*camera_shape, C) where rays and points are the same, else (n, C): C is 1 (grey)
-        or 3 (RGB).
+        In [0, 1): (*camera_shape, C) without `rays`, else (n, C); C is 1 (grey) or 3 (RGB).
     bounces
-        Light simulated: 1 is direct light alone, each further one adds an inter-reflection.
+        Number of reflections: 1 is direct light only, each further one adds inter-reflection.
     occluders
         Black parallelograms that block light between points.
     scale
-        The factor s; None for the mean of the areas, which gives direct light of
-        albedo x mean(A) / A.
+        The factor s; None: the mean area, so that direct light is albedo x mean(A) / A.
     rays
-        Where rays meet points; None for a coaxial rig of which each pixel has a point of its own.
+        Weights between rays and points; None for a coaxial rig with a point per pixel.
     patches
-        Neighbouring points taken together, each patch as a point, between which the form factors
-        are taken, and the patch int64 (n,) that each point belongs to.
+        Patches of neighbouring points, as points, between which indirect light is computed, and
+        the patch int64 (n,) of each point.
     name
-        What the scene is called in its description.
+        Name in the description.
     about
-        What else shapes it, as plain data.
+        Further properties for the description, as plain data.
 
     Raises
     ------
@@ -160,13 +156,15 @@ class RadiosityScene(Scene):
 
     @property
     def albedo(self) -> NDArray[np.float32]:
-        """Albedo float32 (*camera_shape, C) in [0, 1); 0 of an occluder."""
-        albedo = self._values if self.rays is None else np.asarray(self.rays.seen @ self._values)
+        """Albedo float32 (*camera_shape, C) in [0, 1); 0 for occluders."""
+        albedo = (
+            self._values if self.rays is None else np.asarray(self.rays.visibility @ self._values)
+        )
         return albedo.reshape(*self.camera_shape, self.channels).astype(np.float32)
 
     @cached_property
     def form_factors(self) -> FormFactors:
-        """The operator G between points, or patches of them, built when it is first used."""
+        """The operator G between points or patches, computed at the first access."""
         points = self.points if self._patches is None else self._patches[0]
         return FormFactors(points, self.occluders)
 
@@ -176,25 +174,25 @@ class RadiosityScene(Scene):
         return apply_in_batches(self._radiance, patterns, self.projector_shape, self.channels, rays)
 
     def _radiance(self, weights: Double, channels: slice = slice(None)) -> Double:
-        """Radiance (M, B, C) of patterns (N, B), of some channels."""
+        """Radiance (M, B, C) under patterns (N, B), for a slice of channels."""
         albedo = self._values[:, None, channels]
         if self.rays is None:
             return self._radiosity(weights, albedo)
-        light = self._radiosity(np.asarray(self.rays.spread @ weights), albedo)
-        radiance = np.asarray(self.rays.seen @ light.reshape(len(light), -1))
+        light = self._radiosity(np.asarray(self.rays.illumination @ weights), albedo)
+        radiance = np.asarray(self.rays.visibility @ light.reshape(len(light), -1))
         radiance = radiance.reshape(-1, *light.shape[1:])
-        for place, direct in enumerate(self.rays.direct[channels]):
-            radiance[..., place] += direct @ weights
+        for channel, direct in enumerate(self.rays.direct[channels]):
+            radiance[..., channel] += direct @ weights
         return radiance
 
     def _radiosity(self, flux: Double, albedo: Double) -> Double:
-        """Light that leaves points of albedo (n, 1, C) under flux (n, B): float64 (n, B, C)."""
+        """Radiosity (n, B, C) of points with albedo (n, 1, C) under flux (n, B)."""
         areas = self.points.areas[:, None, None]
-        reflected = flux[..., None] * albedo  # leaves a point, per unit of its area
+        reflected = flux[..., None] * albedo  # radiosity times the point's area
         total = reflected / areas
         for _ in range(1, self.bounces):
             columns = reflected.reshape(len(flux), -1)
-            received = self._exchanged(columns).reshape(reflected.shape)
+            received = self._apply_form_factors(columns).reshape(reflected.shape)
             received *= albedo
             total += received
             reflected = received * areas
@@ -203,39 +201,39 @@ class RadiosityScene(Scene):
 
     @cached_property
     def _sums(self) -> csr_array[np.float64]:
-        """The matrix that adds up the points of each patch."""
+        """Matrix that sums over the points of each patch."""
         from scipy.sparse import csr_array
 
         assert self._patches is not None
-        count = np.arange(len(self._patches[1]))
-        return csr_array((np.ones(len(count)), (self._patches[1], count)))
+        points = np.arange(len(self._patches[1]))
+        return csr_array((np.ones(len(points)), (self._patches[1], points)))
 
-    def _exchanged(self, columns: Double) -> Double:
-        """G times columns (n, K)."""
+    def _apply_form_factors(self, columns: Double) -> Double:
+        """Multiply G with columns (n, K)."""
         if self._patches is None:
             return self.form_factors.apply(columns)
         return self.form_factors.apply(np.asarray(self._sums @ columns))[self._patches[1]]
 
     def dense(self, channel: int = 0) -> Double:
-        """The whole matrix (M, N) of one channel; exactly symmetric, of a coaxial scene.
+        """The full matrix (M, N) of one channel, exactly symmetric for a coaxial scene.
 
         Raises InputError above `DENSE_RAYS` rays.
         """
         count = max(math.prod(self.camera_shape), math.prod(self.projector_shape))
         if count > DENSE_RAYS:
             raise InputError(
-                f"a dense matrix of {count} rays would take {8e-9 * count**2:.1f} GB; dense() is "
-                f"for at most {DENSE_RAYS}, apply() for any number"
+                f"a dense matrix of {count} rays has {8e-9 * count**2:.1f} GB; dense() is limited "
+                f"to {DENSE_RAYS} rays: use apply()"
             )
         rays = np.eye(math.prod(self.projector_shape))
         columns = np.array_split(rays, 1 + len(rays) // _COLUMNS_AT_A_TIME, axis=1)
         part = slice(channel, channel + 1)
-        matrix = np.concatenate([self._radiance(each, part)[..., 0] for each in columns], axis=1)
+        matrix = np.concatenate([self._radiance(batch, part)[..., 0] for batch in columns], axis=1)
         coaxial = self.rays is None or self.rays.lit is None
-        return (matrix + matrix.T) / 2 if coaxial else matrix  # products round
+        return (matrix + matrix.T) / 2 if coaxial else matrix  # removes rounding errors
 
     def describe(self) -> dict[str, Any]:
-        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        """Plain data of everything that determines the transport, for fingerprints (JSON)."""
         return {
             "scene": self.name,
             "camera_shape": list(self.camera_shape),

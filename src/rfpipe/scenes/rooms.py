@@ -1,4 +1,4 @@
-"""Scenes of diffuse surfaces: those of [thesis Fig. 2.1], other rooms, and that of Fig. 5.8."""
+"""Kinds of scenes with diffuse surfaces, including those of the thesis [Fig. 2.1, 5.8]."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pydantic import Field, model_validator
 
 from rfpipe.config.base import Extent, Settings
 from rfpipe.config.scenes import SceneSettings, Views
-from rfpipe.scenes.aside import aside_scene
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometries import GEOMETRIES, TINTS, names_of, surface_albedo
+from rfpipe.scenes.geometries import GEOMETRIES, TINTS, surface_albedo, surface_names
 from rfpipe.scenes.light_field import ROOM_SURFACES, room_scene
+from rfpipe.scenes.noncoaxial import noncoaxial_scene
+from rfpipe.scenes.pinholes import Pinhole, surface_points
 from rfpipe.scenes.radiosity import DENSE_LIMIT, RadiosityScene
-from rfpipe.scenes.sight import Pinhole, surface_points
-from rfpipe.scenes.surfaces import Occluder, Vector, is_hidden
+from rfpipe.scenes.surfaces import Occluder, Vector, is_occluded
 
 REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
     "I": ("plane", ("texture",)),
@@ -30,8 +30,8 @@ REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
 
 SpanDegrees = Annotated[float, Field(ge=0, le=45)]
 
-_CONTRAST = 1.9  # of direct light on white: the brightest pixel over one of mean area, at most
-_SURFACES = {name: names_of(name) for name in GEOMETRIES} | {"room": ROOM_SURFACES}
+_CONTRAST = 1.9  # maximum of direct light on white, relative to a pixel of mean area
+_SURFACES = {name: surface_names(name) for name in GEOMETRIES} | {"room": ROOM_SURFACES}
 
 
 def planes_scene(
@@ -47,38 +47,32 @@ def planes_scene(
 ) -> RadiosityScene:
     """Build a scene of white or textured surfaces.
 
-    In rooms that reach much nearer to the projector than their middle, its light is dimmed as far
-    as the nearest pixels need to stay below a radiance of 2, the default camera's full scale.
+    If parts of the room are much closer to the projector than its middle, the light is dimmed so
+    that their radiance stays below 2, the full scale of the default camera.
 
     Parameters
     ----------
     geometry, surfaces
-        A key of `GEOMETRIES`, and ``"white"`` or ``"texture"`` for each name of its surfaces.
+        A key of `GEOMETRIES`, and ``"white"`` or ``"texture"`` for each of its surface names.
     shape
         Height and width of the camera's image in pixels.
     projector
-        Where a projector stands that doesn't share the camera's rays, and its pixels [Fig. 3.10].
-        Textures are printed pixel by pixel of the camera, and repeated beyond its image.
+        A projector separate from the camera [Fig. 3.10]; None: a coaxial rig. Textures have the
+        resolution of the camera, and are repeated beyond its image.
     channels
         1 (grey) or 3 (RGB).
     bounces
-        1 is direct light alone; each further one adds an inter-reflection.
+        1 is direct light only; each further one adds inter-reflection.
     occluders, seed
-        Black parallelograms, and the seed of the texture.
+        Black parallelograms, and the seed of the textures.
 
     Raises
     ------
     InputError
-        For a projector behind a surface.
+        If the projector is behind a surface.
     """
-    facing, camera = GEOMETRIES[geometry], Pinhole(shape)
-    tints = TINTS.get(geometry, {})
-    printed = {
-        name: surface_albedo(kind, shape, channels, seed, index, tints.get(name))
-        for index, (name, kind) in enumerate(zip(names_of(geometry), surfaces, strict=True))
-    }
-    # of each surface, as the camera would see it everywhere
-    pages = np.stack([printed[surface.name] for surface in facing])
+    planes, camera = GEOMETRIES[geometry], Pinhole(shape)
+    pages = _pages(geometry, surfaces, shape, channels, seed)
     options: dict[str, Any] = {"bounces": bounces, "occluders": occluders}
     name = f"{geometry} of {', '.join(surfaces)}"
 
@@ -87,47 +81,59 @@ def planes_scene(
         def albedo_at(
             positions: NDArray[np.float64], surface: NDArray[np.int64]
         ) -> NDArray[np.float64]:
-            place = np.nan_to_num(camera.project(positions))
-            row, column = np.mod(np.floor(place), shape).astype(np.int64).T
+            pixel = np.nan_to_num(camera.project(positions))
+            row, column = np.mod(np.floor(pixel), shape).astype(np.int64).T
             albedo: NDArray[np.float64] = pages[surface, row, column]
             return albedo
 
         options |= {"contrast": _CONTRAST, "name": f"{name}, lit from aside"}
-        return aside_scene(facing, camera, projector, albedo_at, **options)
+        return noncoaxial_scene(planes, camera, projector, albedo_at, **options)
 
-    points = surface_points(shape, facing)
+    points = surface_points(shape, planes)
     rays = np.arange(math.prod(shape))
-    albedo = pages.reshape(len(facing), -1, channels)[points.surface, rays]
-    albedo[is_hidden(camera.origin, points.positions, occluders)] = 0
+    albedo = pages.reshape(len(planes), -1, channels)[points.surface, rays]
+    albedo[is_occluded(camera.origin, points.positions, occluders)] = 0
     scale = points.mean_area
-    if geometry not in ("plane", "wedge"):  # the thesis' own
+    if geometry not in ("plane", "wedge"):  # the scenes of the thesis are not dimmed
         scale *= min(1.0, _CONTRAST * float(points.areas.min()) / points.mean_area)
     return RadiosityScene(
         points, albedo.reshape(*shape, channels), scale=scale, name=name, **options
     )
 
 
+def _pages(
+    geometry: str, surfaces: Sequence[str], shape: tuple[int, int], channels: int, seed: int
+) -> NDArray[np.float64]:
+    """Albedo of each surface at every pixel of the camera: float64 (surfaces, H, W, C)."""
+    tints = TINTS.get(geometry, {})
+    pages = {
+        name: surface_albedo(kind, shape, channels, seed, index, tints.get(name))
+        for index, (name, kind) in enumerate(zip(surface_names(geometry), surfaces, strict=True))
+    }
+    return np.stack([pages[surface.name] for surface in GEOMETRIES[geometry]])
+
+
 def reference_scene(
     name: str, shape: tuple[int, int], *, channels: int = 3, bounces: int = 3, seed: int = 0
 ) -> RadiosityScene:
-    """Build scene I, II, III or IV of Fig. 2.1 as `planes_scene` does; 310 x 350 is the thesis'."""
+    """Build scene I, II, III or IV of Fig. 2.1, there of 310 x 350 pixels; see `planes_scene`."""
     geometry, surfaces = REFERENCE_SCENES[name]
     return planes_scene(geometry, surfaces, shape, channels=channels, bounces=bounces, seed=seed)
 
 
 class ProjectorOptions(Settings):
-    """A projector that stands elsewhere than the camera; its pixels are as wide as the camera's."""
+    """A projector separate from the camera, with the same field of view."""
 
     position: Vector = Field(
-        description="Where it stands, (x, y, z) in scene units: the camera is at the origin, x "
-        "to its right, y down, and looks along +z."
+        description="Position (x, y, z) in scene units; the camera is at the origin, with x to "
+        "the right, y down, and looks along +z."
     )
     look_at: Vector = Field(
-        (0.0, 0.0, 3.0), description="The point (x, y, z) at which it aims, in scene units."
+        (0.0, 0.0, 3.0), description="Point (x, y, z) on its optical axis, in scene units."
     )
     shape: tuple[Extent, Extent] | None = Field(
         None,
-        description="Height and width in pixels, 1 to 4096 each; null for as many as the camera's.",
+        description="Height and width in pixels, 1 to 4096 each; null for those of the camera.",
     )
 
     @model_validator(mode="after")
@@ -136,22 +142,23 @@ class ProjectorOptions(Settings):
         return self
 
     def pinhole(self, shape: tuple[int, int]) -> Pinhole:
-        """Return it; raise InputError where it looks at itself, or straight up or down."""
+        """Build the pinhole; InputError if `look_at` is its position, or straight up or down."""
         return Pinhole(self.shape or shape, self.position, self.look_at)
 
 
 class Diffuse(SceneSettings):
-    """Diffuse surfaces, white or textured, and the light between them."""
+    """Diffuse surfaces, white or textured, with inter-reflection."""
 
     surfaces: tuple[Literal["white", "texture"], ...] = Field(
         (),
-        description="Each white (albedo 0.8) or texture (text-like strokes of albedo 0.15 and "
-        "0.85), all white where left out; in the order "
+        description="Each white (albedo 0.8) or texture (text-like strokes of albedo 0.15 on "
+        "0.85), by default all white; in the order "
         + "; ".join(f"{kind}: {', '.join(names)}" for kind, names in _SURFACES.items())
-        + ". The things in the room are textured; it and the coloured room have colours.",
+        + ". The objects in the room are textured; room and coloured_room are coloured.",
     )
     bounces: Literal[1, 2, 3] = Field(
-        3, description="Light simulated: 1 is direct light alone, 2 and 3 add inter-reflection."
+        3,
+        description="Number of reflections: 1 is direct light only, 2 and 3 add inter-reflection.",
     )
     seed: int = Field(0, ge=0, description="Seed of textures or paths of light, 0 or more.")
 
@@ -175,18 +182,18 @@ class Diffuse(SceneSettings):
             )
         return self
 
-    def arguments(self, *others: str) -> dict[str, Any]:
-        """Return what a scene of diffuse surfaces is made with, by name, and other options."""
-        names = "surfaces", "shape", "channels", "bounces", "seed", *others
+    def arguments(self, *further: str) -> dict[str, Any]:
+        """Arguments of scenes of diffuse surfaces, by name, and of further options."""
+        names = "surfaces", "shape", "channels", "bounces", "seed", *further
         return {name: getattr(self, name) for name in names}
 
 
 class SurfacesOptions(Diffuse):
-    """A room of a few surfaces, before a camera and a projector."""
+    """A scene of a few surfaces."""
 
     projector: ProjectorOptions | None = Field(
         None,
-        description="The projector aside of the camera, such as {position: [1.72, 0, 0.54]}; "
+        description="A projector separate from the camera, such as {position: [1.72, 0, 0.54]}; "
         "null: a coaxial rig.",
     )
 
@@ -202,19 +209,19 @@ class SurfacesOptions(Diffuse):
 
     @property
     def is_coaxial(self) -> bool:
-        """Whether camera and projector share their rays."""
+        """True if camera and projector share their rays."""
         return self.projector is None
 
     @property
     def simulation_bytes(self) -> int:
-        """Bytes of the form factors, float64, between surfaces seen by as many rays each."""
+        """Bytes of dense form factors, float64, if all surfaces cover the same number of rays."""
         share = (1 - 1 / len(self.surfaces)) / 2 if self.bounces > 1 else 0.0
         entries = share * math.prod(self.camera_ray_shape) ** 2
         return int(8 * entries) if entries <= DENSE_LIMIT else 0
 
 
 class RoomOptions(Views, Diffuse):
-    """The room with things in it, and the array of views before it."""
+    """The room with objects, seen by an array of views."""
 
     span_degrees: tuple[SpanDegrees, SpanDegrees] = Field(
         (37.0, 29.0),
@@ -224,23 +231,23 @@ class RoomOptions(Views, Diffuse):
 
 
 class _Surfaces(Scene):
-    """A room of `GEOMETRIES`, as the kind is called."""
+    """Base class of the kinds of scene in `GEOMETRIES`."""
 
     Options: ClassVar[type[SceneSettings]] = SurfacesOptions
 
     @classmethod
     def make(cls, options: Any) -> Scene:
-        """Put up the surfaces."""
-        placed = options.projector
+        """Build the scene."""
+        projector = options.projector
         return planes_scene(
             options.kind,
             **options.arguments(),
-            projector=placed and placed.pinhole(options.shape),
+            projector=projector and projector.pinhole(options.shape),
         )
 
 
 class Plane(_Surfaces):
-    """One plane across the line of sight."""
+    """A plane perpendicular to the optical axis."""
 
 
 class Wedge(_Surfaces):
@@ -256,7 +263,7 @@ class Wedge120(_Surfaces):
 
 
 class TiltedWedge(_Surfaces):
-    """A wedge whose edge is neither upright nor across the line of sight."""
+    """A wedge whose edge is neither vertical nor perpendicular to the optical axis."""
 
 
 class Corner(_Surfaces):
@@ -264,11 +271,11 @@ class Corner(_Surfaces):
 
 
 class SphereOnPlane(_Surfaces):
-    """A sphere on a floor before a wall."""
+    """A sphere on a floor in front of a wall."""
 
 
 class ColouredRoom(_Surfaces):
-    """A room with a red and a green wall, in which a white block and a golden sphere stand."""
+    """A room with a red and a green wall, a white block and a golden sphere."""
 
 
 class Room(Scene):
@@ -278,5 +285,5 @@ class Room(Scene):
 
     @classmethod
     def make(cls, options: Any) -> Scene:
-        """Furnish the room."""
+        """Build the room."""
         return room_scene(**options.arguments("views", "span_degrees"))

@@ -1,13 +1,13 @@
-"""Surfaces of a room, and what hides them from each other.
+"""Surfaces of a scene, and occlusion between them.
 
-Lengths are in scene units: x to the right, y down, z ahead of the camera, a pinhole at the origin.
+Lengths are in scene units: x to the right, y down, z ahead of the camera at the origin.
 
-An occluder and a sphere tell what they hide in coordinates of their own, so that those of a point
-are taken once. A parallelogram is s = 0, |u| <= 1, |v| <= 1 of affine coordinates (s, u, v), with
-``centre + s n + u edge_u + v edge_v`` and n the unit normal; a segment between its two sides
-crosses it at ``u = (u_1 s_2 - u_2 s_1) / (s_2 - s_1)``, likewise v, the same to the last bit when
-the two ends change places. A sphere is the unit sphere of its own. A cluster of points stands for
-the convex hull of k corners.
+Occlusion by an obstruction is computed in its local coordinates, to which points are transformed
+once. A parallelogram is s = 0, |u| <= 1, |v| <= 1 in affine coordinates (s, u, v) of a point
+``centre + s n + u edge_u + v edge_v``, with the unit normal n. A segment between its two sides
+crosses it at ``u = (u_1 s_2 - u_2 s_1) / (s_2 - s_1)``, likewise v; exchanging the ends gives the
+same bits. A sphere is the unit sphere. A cluster of points is represented by the convex hull of k
+corners.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from numpy.typing import NDArray
 Double = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
-# Fraction of a segment at either end in which it can't be blocked, and relative depth below a
-# sphere's surface above which it isn't hidden: surfaces aren't hidden by what they touch.
+# Fractions of a segment at its ends that can't be blocked, and relative depth below a sphere's
+# surface that isn't occluded, so that touching surfaces don't occlude each other.
 _END, _GRAZING = 1e-9, 1e-9
-_MARGIN = 1e-9  # relative margin by which a whole cluster must be clear, against rounding
+_MARGIN = 1e-9  # relative margin of tests of clusters, for rounding errors
 
-# What two clusters can be to each other; `MIXED` where neither is proved of all their points.
-HIDDEN, VISIBLE, MIXED = np.int8(0), np.int8(1), np.int8(2)
+# Visibility between two clusters; `MIXED`: neither is proved for all pairs of points.
+OCCLUDED, VISIBLE, MIXED = np.int8(0), np.int8(1), np.int8(2)
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane that bounds the room: one of its points, and a direction to the camera's side."""
+    """A plane that bounds the room: a point, and a normal towards the camera's side."""
 
     name: str
     point: Vector
@@ -53,18 +53,18 @@ class Plane:
         return np.broadcast_to(self.unit_normal, points.shape)
 
     def depths(self, origin: Double, rays: Double) -> Double:
-        """Depths at which rays (N, 3) meet the plane's front, infinite where they don't."""
+        """Depths at which rays (N, 3) hit the plane's front; infinite without a hit."""
         depth = np.full(len(rays), np.inf)
-        towards = rays @ self.unit_normal  # negative: the ray runs against the front side
+        towards = rays @ self.unit_normal  # negative for rays towards the front
         np.divide(-self.heights(origin), towards, out=depth, where=towards < 0)
         return depth
 
 
 @dataclass(frozen=True)
 class Occluder:
-    """A black parallelogram that blocks light between surfaces and the camera's own view.
+    """A black parallelogram that blocks light between surfaces, and the camera's view.
 
-    `edge_u` and `edge_v` go from its centre to the middle of two neighbouring edges.
+    `edge_u` and `edge_v` point from its centre to the midpoints of two adjacent edges.
     """
 
     centre: Vector
@@ -79,7 +79,7 @@ class Occluder:
         return np.asarray((points - np.asarray(self.centre)) @ frame.T)
 
     def blocks(self, first: Double, second: Double) -> NDArray[np.bool_]:
-        """Whether it stands between points, given their coordinates (..., 3), which broadcast."""
+        """Test whether it blocks segments between points, given by coordinates (..., 3)."""
         s_1, u_1, v_1 = np.moveaxis(first, -1, 0)
         s_2, u_2, v_2 = np.moveaxis(second, -1, 0)
         span = np.abs(s_2 - s_1)
@@ -90,14 +90,14 @@ class Occluder:
         return np.asarray((s_1 * s_2 < 0) & apart & across & along)
 
     def classify(self, first: Double, second: Double) -> NDArray[np.int8]:
-        """What clusters (n, k, 3) in its coordinates are to each other: int8 (n,).
+        """Visibility between clusters (n, k, 3), given by local coordinates: int8 (n,).
 
-        Lines between hulls on opposite sides of the occluder cross it in the convex hull of the
-        corners' crossings, so that bounds of these bound all of them.
+        Segments between hulls on opposite sides cross the occluder's plane in the convex hull of
+        the crossings of segments between corners, so bounds of the latter suffice.
         """
-        both = np.concatenate([first, second], axis=1)
-        low, high = both.min(1), both.max(1)
-        clear = (low[:, 0] >= 0) | (high[:, 0] <= 0) | _beside(low[:, 1:], high[:, 1:])
+        corners = np.concatenate([first, second], axis=1)
+        low, high = corners.min(1), corners.max(1)
+        clear = (low[:, 0] >= 0) | (high[:, 0] <= 0) | _is_outside(low[:, 1:], high[:, 1:])
         verdict: NDArray[np.int8] = np.where(clear, VISIBLE, MIXED)
         margin = _MARGIN * (high[:, 0] - low[:, 0])
         s_1, s_2 = first[..., 0], second[..., 0]
@@ -109,62 +109,62 @@ class Occluder:
             s_p, s_q = p[..., :1], q[..., :1]
             crossing = (p[..., 1:] * s_q - q[..., 1:] * s_p) / (s_q - s_p)
             low, high = crossing.min((1, 2)), crossing.max((1, 2))
-            verdict[todo[_beside(low, high)]] = VISIBLE
-            verdict[todo[((low > -1 + _MARGIN) & (high < 1 - _MARGIN)).all(1)]] = HIDDEN
+            verdict[todo[_is_outside(low, high)]] = VISIBLE
+            verdict[todo[((low > -1 + _MARGIN) & (high < 1 - _MARGIN)).all(1)]] = OCCLUDED
         return verdict
 
 
-def _beside(low: Double, high: Double) -> NDArray[np.bool_]:
-    """Whether bounds (n, 2) of u and v lie beyond a parallelogram."""
+def _is_outside(low: Double, high: Double) -> NDArray[np.bool_]:
+    """Test whether bounds (n, 2) of u and v are outside the parallelogram."""
     return np.asarray((low > 1 + _MARGIN).any(1) | (high < -1 - _MARGIN).any(1))
 
 
 @dataclass(frozen=True)
 class Rectangle(Occluder):
-    """An opaque rectangle in the room that reflects on its front; its back is black.
+    """An opaque rectangle with a reflecting front and a black back.
 
-    The front is where ``edge_v x edge_u`` points. Seen from there with edge_u to the right, edge_v
-    points down, as the rows of a picture do.
+    The front faces in the direction of ``edge_v x edge_u``. Seen from the front, with edge_u to the
+    right, edge_v points down, in the order of a picture's rows.
     """
 
     name: str
 
     @property
     def plane(self) -> Plane:
-        """The plane in which it lies."""
+        """The plane of the rectangle."""
         return Plane(self.name, self.centre, vector(np.cross(self.edge_v, self.edge_u)))
 
     def heights(self, points: Double) -> Double:
-        """Signed distances of points (..., 3) from its plane, positive before its front."""
+        """Signed distances of points (..., 3) from its plane, positive on the front side."""
         return self.plane.heights(points)
 
     def normals(self, points: Double) -> Double:
-        """Unit normals (..., 3) of its front at points (..., 3) of it."""
+        """Unit normals (..., 3) of the front at points (..., 3) of the rectangle."""
         return self.plane.normals(points)
 
     def depths(self, origin: Double, rays: Double) -> Double:
-        """Depths at which rays (N, 3) meet its front or its back, infinite where they don't."""
-        here = self.coordinates(origin)
+        """Depths at which rays (N, 3) hit the front or back; infinite without a hit."""
+        start = self.coordinates(origin)
         along = self.coordinates(np.asarray(self.centre) + rays)
         with np.errstate(divide="ignore", invalid="ignore"):  # rays within the rectangle's plane
-            depth = -here[0] / along[:, 0]
-            within = np.abs(here[1:] + depth[:, None] * along[:, 1:]) <= 1
-        return np.where((depth > 0) & within.all(1), depth, np.inf)
+            depth = -start[0] / along[:, 0]
+            inside = np.abs(start[1:] + depth[:, None] * along[:, 1:]) <= 1
+        return np.where((depth > 0) & inside.all(1), depth, np.inf)
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """An opaque sphere in the room, seen from outside."""
+    """An opaque sphere, seen from outside."""
 
     name: str
     centre: Vector
     radius: float
 
     def coordinates(self, points: Double) -> Double:
-        """Points (..., 3) about its centre, in units of its radius."""
+        """Points (..., 3) relative to the centre, in units of the radius."""
         return np.asarray((points - np.asarray(self.centre)) / self.radius)
 
-    normals = coordinates  # of points of the sphere, pointing outwards
+    normals = coordinates  # outward unit normals at points of the sphere
 
     def heights(self, points: Double) -> Double:
         """Distances of points (..., 3) from the sphere, negative within it."""
@@ -172,95 +172,97 @@ class Sphere:
         return np.asarray(distance - self.radius)
 
     def depths(self, origin: Double, rays: Double) -> Double:
-        """Depths at which rays (N, 3) from outside meet the sphere, infinite where they don't."""
+        """Depths at which rays (N, 3) from outside hit the sphere; infinite without a hit."""
         centre = np.asarray(self.centre) - origin
         squared_length, along = (rays**2).sum(1), rays @ centre
         power = centre @ centre - self.radius**2
         chord = along**2 - squared_length * power
-        met = (chord > 0) & (along > 0)
+        hit = (chord > 0) & (along > 0)
         depth = np.full(len(rays), np.inf)
-        depth[met] = power / (along[met] + np.sqrt(chord[met]))
+        depth[hit] = power / (along[hit] + np.sqrt(chord[hit]))
         return depth
 
     def blocks(self, first: Double, second: Double) -> NDArray[np.bool_]:
-        """Whether it stands between points outside it, given as to `Occluder.blocks`."""
-        hidden: NDArray[np.bool_] = _distance(first, second) < 1 - _GRAZING
-        return hidden
+        """Test whether it blocks segments between points outside it; see `Occluder.blocks`."""
+        occluded: NDArray[np.bool_] = _distance(first, second) < 1 - _GRAZING
+        return occluded
 
     def classify(self, first: Double, second: Double) -> NDArray[np.int8]:
-        """What clusters outside it are to each other, as `Occluder.classify`."""
-        (one, radius_1), (two, radius_2) = _ball(first), _ball(second)
-        # no segment strays farther than this from the one between the centres
-        distance, radius = _distance(one, two), np.maximum(radius_1, radius_2)
-        behind = distance + radius < 1 - 2 * _GRAZING
-        return np.where(distance >= 1 + radius, VISIBLE, np.where(behind, HIDDEN, MIXED))
+        """Visibility between clusters outside it; see `Occluder.classify`."""
+        (centre_1, radius_1), (centre_2, radius_2) = _ball(first), _ball(second)
+        # largest distance of a segment from the one between the centres
+        distance, radius = _distance(centre_1, centre_2), np.maximum(radius_1, radius_2)
+        blocked = distance + radius < 1 - 2 * _GRAZING
+        return np.where(distance >= 1 + radius, VISIBLE, np.where(blocked, OCCLUDED, MIXED))
 
-    def facing(self, own: Double, others: Double) -> NDArray[np.int8]:
-        """What clusters (n, k, 3) of the sphere itself are to others, behind its own bulge.
+    def facing(self, on_sphere: Double, clusters: Double) -> NDArray[np.int8]:
+        """Visibility between clusters (n, k, 3) on the sphere and outside it, by its curvature.
 
-        A point of the sphere sees what lies above its tangent plane.
+        A point of the sphere sees points above its tangent plane.
         """
-        centre, radius = _ball(own)
-        above = np.einsum("nx,nkx->nk", centre, others)
-        spread = radius * np.linalg.norm(others, axis=2).max(1)  # by which normals differ
+        centre, radius = _ball(on_sphere)
+        above = np.einsum("nx,nkx->nk", centre, clusters)
+        spread = radius * np.linalg.norm(clusters, axis=2).max(1)  # due to differing normals
         faces = above.min(1) - spread > 1 + _GRAZING
         away = above.max(1) + spread < 1 - _GRAZING
-        return np.where(faces, VISIBLE, np.where(away, HIDDEN, MIXED))
+        return np.where(faces, VISIBLE, np.where(away, OCCLUDED, MIXED))
 
 
 Surface: TypeAlias = Plane | Rectangle | Sphere
-Hider: TypeAlias = Occluder | Sphere
+Obstruction: TypeAlias = Occluder | Sphere
 
 
 def _distance(first: Double, second: Double) -> Double:
     """Distance of the origin from segments between points (..., 3)."""
-    way = second - first
-    length = np.maximum((way**2).sum(-1), np.finfo(np.float64).tiny)
-    place = np.clip(-(first * way).sum(-1) / length, 0, 1)
-    return np.asarray(np.linalg.norm(first + place[..., None] * way, axis=-1))
+    segment = second - first
+    length = np.maximum((segment**2).sum(-1), np.finfo(np.float64).tiny)
+    nearest = np.clip(-(first * segment).sum(-1) / length, 0, 1)
+    return np.asarray(np.linalg.norm(first + nearest[..., None] * segment, axis=-1))
 
 
 def _ball(corners: Double) -> tuple[Double, Double]:
-    """Centres (n, 3) and radii (n,) of balls that hold clusters (n, k, 3)."""
+    """Centres (n, 3) and radii (n,) of bounding balls of clusters (n, k, 3)."""
     centre = corners.mean(1)
     return centre, np.linalg.norm(corners - centre[:, None], axis=2).max(1)
 
 
-def is_hidden(first: Double, second: Double, hiders: Iterable[Hider]) -> NDArray[np.bool_]:
-    """Whether any hider stands between points (..., 3), which broadcast: bool (...)."""
-    hidden = np.zeros(np.broadcast_shapes(first.shape, second.shape)[:-1], np.bool_)
-    for each in hiders:
-        hidden |= each.blocks(each.coordinates(first), each.coordinates(second))
-    return hidden
+def is_occluded(
+    first: Double, second: Double, obstructions: Iterable[Obstruction]
+) -> NDArray[np.bool_]:
+    """Test whether an obstruction is between points (..., 3), which broadcast: bool (...)."""
+    occluded = np.zeros(np.broadcast_shapes(first.shape, second.shape)[:-1], np.bool_)
+    for item in obstructions:
+        occluded |= item.blocks(item.coordinates(first), item.coordinates(second))
+    return occluded
 
 
 def rotation(axis: int, degrees: float) -> Double:
-    """Matrix (3, 3) that turns y to z, z to x or x to y, about axis 0, 1 or 2."""
+    """Rotation matrix (3, 3) from y to z, z to x or x to y, about axis 0, 1 or 2."""
     sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
-    one, other = (axis + 1) % 3, (axis + 2) % 3
+    i, j = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.eye(3)
-    matrix[[one, other], [one, other]] = cosine
-    matrix[other, one], matrix[one, other] = sine, -sine
+    matrix[[i, j], [i, j]] = cosine
+    matrix[j, i], matrix[i, j] = sine, -sine
     return matrix
 
 
 def vector(values: Double) -> Vector:
-    """Return three numbers as a tuple."""
+    """Convert three numbers to a tuple of float."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 
 
-def standing(name: str, centre: Vector, half: tuple[float, float], turned: float) -> Rectangle:
-    """Return an upright rectangle of half its width and height, scene units.
+def upright(name: str, centre: Vector, half: tuple[float, float], turned: float) -> Rectangle:
+    """Create a vertical rectangle from half its width and height, in scene units.
 
-    `turned` says where it faces, degrees: 0 is towards -z, 90 to the right.
+    `turned` is the direction of its front in degrees: 0 is towards -z, 90 to the right.
     """
     across = rotation(1, -turned)[:, 0] * half[0]
     return Rectangle(centre, vector(across), (0.0, half[1], 0.0), name)
 
 
-def lying(name: str, centre: Vector, half: tuple[float, float], turned: float) -> Rectangle:
-    """Return a rectangle that faces up, of half its width and depth; as `standing`."""
+def horizontal(name: str, centre: Vector, half: tuple[float, float], turned: float) -> Rectangle:
+    """Create a rectangle that faces up from half its width and depth; see `upright`."""
     across, _, ahead = rotation(1, -turned).T
     return Rectangle(centre, vector(across * half[0]), vector(-ahead * half[1]), name)
 
@@ -268,9 +270,9 @@ def lying(name: str, centre: Vector, half: tuple[float, float], turned: float) -
 def block(
     name: str, foot: Vector, *, side: float, height: float, turned: float
 ) -> tuple[Rectangle, ...]:
-    """Return the four sides and the lid of a block whose square base has its middle at `foot`.
+    """Create the four sides and the top of a block with a square base, centred at `foot`.
 
-    `turned` says where one of its sides faces, as of `standing`.
+    `turned` is the direction of one of its sides, see `upright`.
     """
     x, y, z = foot
     half = side / 2
@@ -278,5 +280,5 @@ def block(
     for angle in (turned, turned - 90, turned + 90, turned + 180):
         ahead = rotation(1, -angle)[:, 2] * half
         centre = vector(np.array([x, y - height / 2, z]) - ahead)
-        sides.append(standing(name, centre, (half, height / 2), angle))
-    return (*sides, lying(name, (x, y - height, z), (half, half), turned))
+        sides.append(upright(name, centre, (half, height / 2), angle))
+    return (*sides, horizontal(name, (x, y - height, z), (half, half), turned))

@@ -15,9 +15,9 @@ from rfpipe.scenes import (
     scene_from_config,
     surface_points,
 )
-from rfpipe.scenes.aside import aside_scene
-from rfpipe.scenes.geometries import names_of
-from rfpipe.scenes.sight import sight_of
+from rfpipe.scenes.geometries import surface_names
+from rfpipe.scenes.noncoaxial import noncoaxial_scene
+from rfpipe.scenes.pinholes import first_hits
 from rfpipe.testing import SceneContract
 
 PLATE = Occluder((0.3, 0, 2.2), (0.2, 0, 0.1), (0, 0.3, 0))
@@ -47,7 +47,7 @@ def lamp_at(geometry, shape):
 
 def aside(geometry, camera=(15, 18), projector=(12, 14), albedo=waves, **settings):
     lamp = lamp_at(geometry, projector)
-    return aside_scene(GEOMETRIES[geometry], Pinhole(camera), lamp, albedo, **settings)
+    return noncoaxial_scene(GEOMETRIES[geometry], Pinhole(camera), lamp, albedo, **settings)
 
 
 class TestAside(SceneContract):
@@ -66,7 +66,7 @@ def test_swapping_camera_and_projector_gives_the_transpose(geometry, occluders, 
     settings = {"occluders": occluders, "bounces": bounces}
     one = aside(geometry, **settings)
     swapped = lamp_at(geometry, (12, 14)), Pinhole((15, 18))
-    other = aside_scene(GEOMETRIES[geometry], *swapped, waves, **settings)
+    other = noncoaxial_scene(GEOMETRIES[geometry], *swapped, waves, **settings)
     here, there = one.dense() / one.scale, other.dense() / other.scale
     assert here.shape == (270, 168)
     assert here.min() >= 0
@@ -76,12 +76,12 @@ def test_swapping_camera_and_projector_gives_the_transpose(geometry, occluders, 
 @pytest.mark.parametrize("geometry", PLACES)
 def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
     shape = (13, 17)
-    surfaces = [kind for _, kind in zip(names_of(geometry), cycle(("texture", "white")))]
+    surfaces = [kind for _, kind in zip(surface_names(geometry), cycle(("texture", "white")))]
     coaxial = planes_scene(geometry, surfaces, shape)
     same = planes_scene(geometry, surfaces, shape, projector=Pinhole(shape))
     np.testing.assert_array_equal(same.albedo, coaxial.albedo)
     # pixels on an edge see parts of two surfaces, of which the coaxial one takes the middle's
-    parts = sight_of(Pinhole(shape), GEOMETRIES[geometry], 4).surface.reshape(-1, 16)
+    parts = first_hits(Pinhole(shape), GEOMETRIES[geometry], 4).surface.reshape(-1, 16)
     whole = (parts == parts[:, :1]).all(axis=1)
     assert whole.mean() > 0.6
     found = same.dense(1) / same.scale
@@ -95,7 +95,7 @@ def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
 def test_direct_light_falls_off_as_it_should(geometry):
     scene = aside(geometry, (31, 36), (24, 28), grey, bounces=1)
     lit = scene.apply(np.ones((1, 24 * 28)))[0, :, 0] / scene.scale
-    seen, lamp = sight_of(Pinhole((31, 36)), GEOMETRIES[geometry]), lamp_at(geometry, (24, 28))
+    seen, lamp = first_hits(Pinhole((31, 36)), GEOMETRIES[geometry]), lamp_at(geometry, (24, 28))
     way = seen.positions - lamp.origin
     distance, ahead = np.linalg.norm(way, axis=1), way @ lamp.axes[2]
     cosine = -(way * seen.normals).sum(1) / distance
@@ -121,7 +121,7 @@ def test_what_stands_between_throws_a_shadow_where_geometry_says():
     lamp = Pinhole((24, 28), PLACES["plane"], MIDDLE)
     camera = Pinhole((31, 36))
     free, shaded = (
-        aside_scene(wall, camera, lamp, grey, bounces=1, occluders=occluders)
+        noncoaxial_scene(wall, camera, lamp, grey, bounces=1, occluders=occluders)
         for occluders in ((), (plate,))
     )
     ones = np.ones((1, 24 * 28))
@@ -163,7 +163,7 @@ def test_impossible_places_are_refused():
         ("sphere_on_plane", centre, "sphere"),
         ("coloured_room", within, "block"),
     ):
-        white = ("white",) * len(names_of(geometry))
+        white = ("white",) * len(surface_names(geometry))
         with pytest.raises(InputError, match=f"stands behind the surface {name}"):
             planes_scene(geometry, white, (4, 5), projector=Pinhole((4, 5), place, (9, 0, 9)))
     with pytest.raises(ValueError, match="another point to look at"):
