@@ -205,7 +205,7 @@ class TestMatrixScene(SceneContract):
 
     def test_channels_must_be_those_of_the_settings(self) -> None:
         settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "channels": 1}
-        with pytest.raises(InputError, match=r"holds 3 channels.*Set it to 3"):
+        with pytest.raises(InputError, match=r"has 3 channels.*Set it to 3"):
             scene_from_config(SceneSettings.of("matrix", file=str(self.path), **settings))
 
     def test_negative_entries(self) -> None:

@@ -164,7 +164,7 @@ def test_impossible_places_are_refused():
         ("coloured_room", within, "block"),
     ):
         white = ("white",) * len(surface_names(geometry))
-        with pytest.raises(InputError, match=f"stands behind the surface {name}"):
+        with pytest.raises(InputError, match=f"is behind the surface {name}"):
             planes_scene(geometry, white, (4, 5), projector=Pinhole((4, 5), place, (9, 0, 9)))
     with pytest.raises(ValueError, match="another point to look at"):
         SceneSettings.of("plane", projector={"position": (0, 1, 3)})
