@@ -6,6 +6,8 @@ summed by one thread in the order of the pairs, so that results don't depend on 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -87,24 +89,26 @@ def correlate(first: Functions, second: Functions, seen: Float, light: Float, ou
         out[pair] = total
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
-def couple_asymmetric(
-    first: Functions,
-    second: Functions,
-    symmetric: Float,
-    antisymmetric: Float,
-    light: Float,
-    out: Float,
-) -> None:
-    """Add ``S light`` to `out`, both (functions, columns), for S that is not symmetric.
+class AsymmetricCores(NamedTuple):
+    """Sparse matrix S over functions, by its symmetric and antisymmetric parts.
 
     ``S_ab = symmetric + antisymmetric`` and ``S_ba = symmetric - antisymmetric`` for each pair
-    (a, b), with one value of each kind a pair. The antisymmetric part of a pair (a, a) is 0.
+    (a, b) of functions. The antisymmetric part of a pair (a, a) is 0.
     """
-    for pair in range(len(first)):
-        a, b = first[pair], second[pair]
-        core = symmetric[pair] + antisymmetric[pair]
-        mirrored = symmetric[pair] - antisymmetric[pair]
+
+    first: Functions  # a, (pairs,)
+    second: Functions  # b, (pairs,)
+    symmetric: Float  # (pairs,)
+    antisymmetric: Float  # (pairs,)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def couple_asymmetric(S: AsymmetricCores, light: Float, out: Float) -> None:
+    """Add ``S light`` to `out`, both (functions, columns)."""
+    for pair in range(len(S.first)):
+        a, b = S.first[pair], S.second[pair]
+        core = S.symmetric[pair] + S.antisymmetric[pair]
+        mirrored = S.symmetric[pair] - S.antisymmetric[pair]
         for column in range(light.shape[1]):
             out[a, column] += core * light[b, column]
         if a != b:
@@ -113,24 +117,17 @@ def couple_asymmetric(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def correlate_asymmetric(
-    first: Functions,
-    second: Functions,
-    received: Float,
-    light: Float,
-    symmetric: Float,
-    antisymmetric: Float,
-) -> None:
-    """Write the adjoint of `couple_asymmetric` with respect to the cores.
+def correlate_asymmetric(received: Float, light: Float, S: AsymmetricCores) -> None:
+    """Write the adjoint of `couple_asymmetric` with respect to the cores into S.
 
-    For each pair (a, b): ``r_a l_b + r_b l_a``, and ``r_a l_b - r_b l_a``, summed over columns of
-    `received` and `light`, (functions, columns).
+    For `received` r and `light` l, (functions, columns), the parts of a pair (a, b) are
+    ``r_a . l_b + r_b . l_a`` and ``r_a . l_b - r_b . l_a``, those of (a, a) ``r_a . l_a`` and 0.
     """
-    for pair in range(len(first)):
-        a, b = first[pair], second[pair]
+    for pair in range(len(S.first)):
+        a, b = S.first[pair], S.second[pair]
         core, mirrored = np.float32(0), np.float32(0)
         for column in range(light.shape[1]):
             core += received[a, column] * light[b, column]
             mirrored += received[b, column] * light[a, column]
-        symmetric[pair] = core if a == b else core + mirrored
-        antisymmetric[pair] = 0 if a == b else core - mirrored
+        S.symmetric[pair] = core if a == b else core + mirrored
+        S.antisymmetric[pair] = 0 if a == b else core - mirrored

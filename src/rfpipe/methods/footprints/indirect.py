@@ -176,23 +176,25 @@ class CoreOperator:
 
     def forward(self, cores: Float) -> Float:
         """Compute the pictures of cores, (M, P)."""
-        from rfpipe.transport.pair_kernels import couple_asymmetric
+        from rfpipe.transport.pair_kernels import AsymmetricCores, couple_asymmetric
 
         (first, second), (symmetric, antisymmetric) = self.basis.camera.pairs, np.split(cores, 2)
+        S = AsymmetricCores(first, second, symmetric, antisymmetric)
         received = np.zeros_like(self.sent)
-        couple_asymmetric(first, second, symmetric, antisymmetric, self.sent, received)
+        couple_asymmetric(S, self.sent, received)
         images: Float = (self.L @ received) * self.f[:, None]
         return images
 
     def adjoint(self, images: Float) -> Float:
         """Apply the transpose of `forward` to images (M, P); returns (core_count,)."""
-        from rfpipe.transport.pair_kernels import correlate_asymmetric
+        from rfpipe.transport.pair_kernels import AsymmetricCores, correlate_asymmetric
 
         received = self.L.T @ (images * self.f[:, None])
         received = np.ascontiguousarray(received, np.float32)
         result = np.empty(self.basis.core_count, np.float32)
         (first, second), (symmetric, antisymmetric) = self.basis.camera.pairs, np.split(result, 2)
-        correlate_asymmetric(first, second, received, self.sent, symmetric, antisymmetric)
+        S = AsymmetricCores(first, second, symmetric, antisymmetric)
+        correlate_asymmetric(received, self.sent, S)
         return result
 
     def normal_diagonal(self, data: FitData) -> Float:
