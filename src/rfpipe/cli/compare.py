@@ -106,8 +106,8 @@ def _aligned(table: Table) -> str:
         cells = ["", "", *line[2:]] if repeated else line
         is_left = [index in (0, 2, len(cells) - 1) for index in range(len(cells))]
         padded = [
-            cell.ljust(width) if left else cell.rjust(width)
-            for cell, width, left in zip(cells, widths, is_left, strict=True)
+            cell.ljust(width) if aligns_left else cell.rjust(width)
+            for cell, width, aligns_left in zip(cells, widths, is_left, strict=True)
         ]
         text.append("  ".join(padded).rstrip())
     return "\n".join(text)

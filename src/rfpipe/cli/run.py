@@ -354,11 +354,11 @@ def _print_totals(rows: pd.DataFrame, free: int) -> None:
     disk, memory = int(total["disk"]), int(rows["memory"].max())
     scope = "One after the other: " if len(rows) > 1 else "In total: "
     is_open = (rows["max_patterns"] > rows["patterns"]).any()
-    most = f", at most {_duration(total['max_seconds'])}" if is_open else ""
-    most_disk = f", at most {bytes_text(int(total['max_disk']))}" if is_open else ""
+    max_time = f", at most {_duration(total['max_seconds'])}" if is_open else ""
+    max_disk = f", at most {bytes_text(int(total['max_disk']))}" if is_open else ""
     typer.echo(
-        f"\n{scope}{_duration(total['seconds'])} of capture on a rig{most}; "
-        f"{bytes_text(disk)} of disk{most_disk}; {bytes_text(free)} are free."
+        f"\n{scope}{_duration(total['seconds'])} of capture on a rig{max_time}; "
+        f"{bytes_text(disk)} of disk{max_disk}; {bytes_text(free)} are free."
     )
     if total["max_disk"] > free:
         typer.echo(

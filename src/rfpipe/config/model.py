@@ -153,16 +153,16 @@ class Config(Settings):
         ValidationError
             When the overrides are wrong.
         """
-        about = self.scenes[scene]
-        rig = self.rigs[about.rig] if about.rig else {}
-        if not rig and not about.settings:
+        section = self.scenes[scene]
+        rig = self.rigs[section.rig] if section.rig else {}
+        if not rig and not section.settings:
             return self
-        overrides = merged(rig, about.settings)
+        overrides = merged(rig, section.settings)
         # scenes with equal overrides share the validation
         key, cache = fingerprint(overrides), self._checked_overrides
         if key not in cache:
             cache[key] = self._overridden(scene, overrides)
-        return cache[key].model_copy(update={"scenes": {scene: about}})
+        return cache[key].model_copy(update={"scenes": {scene: section}})
 
     def _overridden(self, scene: str, overrides: Mapping[str, Any]) -> Config:
         """Return the settings of one scene with overrides of the run's settings."""

@@ -1,7 +1,7 @@
-"""What lies on disk: journaled frame stores, array bundles, manifests and their locks.
+"""Data on disk: frame stores with journals, bundles of arrays, manifests and locks.
 
-The only package that imports zarr, and only when a store is created: manifests, journals
-and locks do without it.
+Only this package imports zarr, and only to create a store; manifests, journals and locks don't
+need it.
 """
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays

@@ -1,4 +1,4 @@
-"""Bundles of named arrays: a transport, a level's nodes, written at once and read lazily."""
+"""Bundles of named arrays, such as a transport: written together, read one by one."""
 
 from __future__ import annotations
 
@@ -34,27 +34,26 @@ from rfpipe.store.places import METADATA, Place
 
 _KIND = "arrays"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-# Arrays of more than this are cut into chunks, several of which share a file, a shard: files are
-# few, and a part of a large array is read by itself. Before compression.
+# Larger arrays are cut into chunks, which can be read separately; several chunks share a file, a
+# shard, so that there are few files. Sizes are before compression.
 _WHOLE_BYTES, _CHUNK_BYTES, _SHARD_BYTES = 2 * 2**20, 2**20, 64 * 2**20
-# Of arrays that are read by parts: finer chunks, which pack up to a quarter worse where what is far
-# apart is alike.
+# For arrays that are read in parts: smaller chunks, with files up to 25 % larger.
 _FINE_WHOLE_BYTES, _FINE_CHUNK_BYTES = 2**16, 2**15
 
 
 class ArrayBundle:
-    """Named arrays of one folder, or those of a part of it, read on demand; see `open_arrays`.
+    """Named arrays of a folder, or some of them, read on demand; see `open_arrays`.
 
     Attributes
     ----------
     path : Path or Place
-        Its folder, a zarr group; a `Place` is read where it lies.
+        The folder, a zarr group.
     attributes : dict
-        Plain data that its writer left.
+        Plain data that the writer stored.
     names : tuple of str
-        Of the arrays, sorted.
+        Names of the arrays, sorted.
     digest : str
-        Of all arrays and attributes of the folder; what `write_arrays` returned.
+        Digest of all arrays and attributes of the folder, as `write_arrays` returned it.
     """
 
     def __init__(self, path: Path | Place) -> None:
@@ -75,7 +74,7 @@ class ArrayBundle:
         self.names: tuple[str, ...] = tuple(sorted(self._entries))
 
     def part(self, prefix: str, attributes: dict[str, Any]) -> ArrayBundle:
-        """Return the arrays whose names begin with `prefix`, by the rest of their names."""
+        """Return the arrays whose names begin with `prefix`, by their names without it."""
         part = object.__new__(ArrayBundle)
         part.__dict__ |= self.__dict__
         part.attributes, part._prefix = attributes, self._prefix + prefix
@@ -84,27 +83,27 @@ class ArrayBundle:
         return part
 
     def without(self, name: str) -> ArrayBundle:
-        """Return the bundle without the array of a name, if there is one."""
+        """Return the bundle without the array of this name, if it has one."""
         part = self.part("", self.attributes)
-        part.names = tuple(other for other in self.names if other != name)
+        part.names = tuple(kept_name for kept_name in self.names if kept_name != name)
         return part
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of an array, without reading it; InputError when there is none of this name."""
+        """Return the shape of an array without reading it; InputError for an unknown name."""
         return tuple(self._entry(name)["shape"])
 
     def dtype(self, name: str) -> np.dtype[Any]:
-        """Dtype of an array, as `shape`."""
+        """Return the dtype of an array; raises as `shape`."""
         dtype: np.dtype[Any] = np.dtype(self._entry(name)["dtype"])
         return dtype
 
     def read(self, name: str, *, exactly: bool = False) -> NDArray[Any]:
-        """Read a whole array and check it against its digest; see `ChunkedArray` for `exactly`.
+        """Read an array and check it against its digest; see `ChunkedArray` for `exactly`.
 
         Raises
         ------
         InputError
-            When there is no array of this name.
+            When the bundle has no array of this name.
         IntegrityError
             When a chunk is missing, truncated or altered.
         """
@@ -113,15 +112,15 @@ class ArrayBundle:
             place = self.path / (self._prefix + name)
             array = ChunkedArray(place, exactly=exactly).read()
             if _array_entry(array) != entry:
-                raise ValueError("other values")
+                raise ValueError("the digest differs")
         except (IntegrityError, *DAMAGE) as error:
             raise self._damage(name, entry) from error
         return array
 
     def take(self, name: str, items: NDArray[np.int64]) -> NDArray[Any]:
-        """Read items of an array along its last axis, ``(..., items)``, and little else of it.
+        """Read items of an array along its last axis, ``(..., items)``, and only their chunks.
 
-        Each chunk that is read is checked against its checksum. Errors as `read`.
+        Each of these chunks is checked against its checksum. Raises as `read`.
         """
         entry = self._entry(name)
         try:
@@ -130,23 +129,23 @@ class ArrayBundle:
             raise self._damage(name, entry) from error
 
     def read_all(self) -> dict[str, NDArray[Any]]:
-        """Read all arrays, by name; errors as `read`."""
+        """Read all arrays, by name; raises as `read`."""
         return {name: self.read(name) for name in self.names}
 
     def entry(self) -> dict[str, Any]:
         """Describe the bundle for a manifest: its digest, and dtype and shape of its arrays."""
-        of = ("dtype", "shape")
-        arrays = {name: {key: about[key] for key in of} for name, about in self._entries.items()}
+        keys = ("dtype", "shape")
+        arrays = {name: {key: entry[key] for key in keys} for name, entry in self._entries.items()}
         return {"digest": self.digest, "arrays": arrays}
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays in memory."""
+        """Size of the arrays in memory, in bytes."""
         return sum(prod(self.shape(name)) * self.dtype(name).itemsize for name in self.names)
 
     @property
     def nbytes_stored(self) -> int:
-        """Bytes on disk, or where it lies; those in memory where a web server doesn't tell."""
+        """Size of the files in bytes; the size in memory if a web server doesn't report it."""
         names = [self._prefix + name for name in self.names] if self._prefix else [""]
         sizes = [
             bytes_on_disk(place) if isinstance(place, Path) else place.nbytes()
@@ -182,26 +181,27 @@ def write_arrays(
     by_parts: bool = False,
     resumes: bool = True,
 ) -> str:
-    """Write a bundle, complete or not at all; takes the place of an older one.
+    """Write a bundle completely or not at all; it replaces a previous one.
 
-    It is written beside its place and renamed, so that an interrupted write leaves nothing, or
-    the older bundle. Equal arrays and attributes give identical bytes. Nothing waits for the disk
-    (a sync a file would take longer than the writing): what a power cut damages, the digests show.
+    The bundle is written under a temporary name and renamed, so that an interrupted write leaves
+    the previous bundle or nothing. Equal arrays and attributes give identical bytes. The files are
+    not synced to the disk, which would take longer than writing them; the digests reveal damage by
+    a power failure.
 
     Parameters
     ----------
-    path
-        Its folder.
-    arrays
-        Boolean, integer or float arrays of any shape, also of length 0. Few and flat is quick:
-        an array costs about 3 ms and two files.
-    attributes
+    path : Path
+        Folder of the bundle.
+    arrays : mapping of str to ndarray
+        Boolean, integer or float arrays of any shape, including length 0. Each array costs about
+        3 ms and two files.
+    attributes : dict
         Plain data: units, versions, fingerprints.
-    small
-        Whether to compress harder, see `rfpipe.store.chunks.small_layout`.
-    by_parts
-        Whether to cut arrays finer, for those who read parts of them by `ArrayBundle.take`.
-    resumes
+    small : bool
+        Compress more, see `rfpipe.store.chunks.small_layout`.
+    by_parts : bool
+        Cut arrays into smaller chunks, for reading parts of them by `ArrayBundle.take`.
+    resumes : bool
         As in `storage_errors`.
 
     Returns
@@ -212,12 +212,11 @@ def write_arrays(
     Raises
     ------
     InputError
-        When a name, a dtype or an attribute can't be stored, or something that is no bundle
-        stands there.
+        When a name, a dtype or an attribute can't be stored, or `path` exists and isn't a bundle.
     LockedError
-        When another process writes it.
+        When another process writes the bundle.
     StoreError
-        When the disk is full or the folder isn't writable; an older bundle stays.
+        When the disk is full or the folder isn't writable; the previous bundle stays.
     """
     contiguous = {name: np.asarray(array, order="C") for name, array in sorted(arrays.items())}
     for name, array in contiguous.items():
@@ -254,7 +253,7 @@ def write_arrays(
 
 
 def open_arrays(path: Path | Place) -> ArrayBundle:
-    """Open a bundle; StoreError when there is none, IntegrityError where metadata are damaged."""
+    """Open a bundle; StoreError if it doesn't exist, IntegrityError for damaged metadata."""
     return ArrayBundle(path)
 
 
@@ -277,18 +276,18 @@ def _write_group(
     group = zarr.create_group(path, attributes=header)
     for name, array in arrays.items():
         chunks, shards = _grid(array, by_parts)
-        how = small_layout(array.dtype) if small else layout()
+        options = small_layout(array.dtype) if small else layout()
         if shards is not None:
-            how["compressors"] = [how["compressors"], Crc32cCodec()]
+            options["compressors"] = [options["compressors"], Crc32cCodec()]
         stored = group.create_array(
-            name, shape=array.shape, dtype=array.dtype, chunks=chunks, shards=shards, **how
+            name, shape=array.shape, dtype=array.dtype, chunks=chunks, shards=shards, **options
         )
         if array.size:
             stored[...] = array
 
 
 def _grid(array: NDArray[Any], by_parts: bool) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
-    """Return the shapes of an array's chunks and of its shards, which it may have none of."""
+    """Return the shapes of an array's chunks and of its shards; None without shards."""
     shape = tuple(max(1, length) for length in array.shape)
     small, fine = _WHOLE_BYTES, _CHUNK_BYTES
     if by_parts:
@@ -304,7 +303,7 @@ def _grid(array: NDArray[Any], by_parts: bool) -> tuple[tuple[int, ...], tuple[i
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Never replace what rfpipe didn't write; a damaged bundle is worth nothing."""
+    """Raise InputError for a folder that rfpipe didn't write; a damaged bundle may be replaced."""
     try:
         read_attributes(path, _KIND)
     except IntegrityError:

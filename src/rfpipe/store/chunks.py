@@ -1,9 +1,8 @@
-"""The layout of arrays in zarr v3, and their chunks: bytes in, bytes out.
+"""Layout of arrays in zarr v3, and fast reading and writing of their chunks.
 
-zarr passes each chunk through an event loop and on to a thread, so that several threads that read
-or write take as long as one, and a whole array of one chunk takes ten times as long as here. What
-rfpipe writes is of one layout: an array is cut along one axis, each file is a chunk or a shard of
-several.
+zarr passes each chunk through an event loop to a thread, so several threads are as slow as one, and
+an array of a single chunk takes ten times as long as with this module. All arrays of rfpipe have
+the same layout: they are cut along one axis, and each file is a chunk or a shard of several chunks.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from rfpipe.store.places import METADATA, Place, content_of, read_ranges
 Layout = dict[str, Any]
 
 DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError)
-"""What damaged bytes raise."""
+"""Exceptions that damaged bytes raise."""
 
 _SHUFFLES = {"noshuffle": 0, "shuffle": 1, "bitshuffle": 2}
-_BLOSC_HEADER = 16  # its bytes 4 to 8 are the size unpacked, 12 to 16 packed
+_BLOSC_HEADER = 16  # bytes 4 to 8 are the size before compression, 12 to 16 after it
 _CHECK_BYTES = 4
 _ABSENT = np.uint64(2**64 - 1)
 
@@ -37,34 +36,43 @@ def layout(
     level: int = 1,
     shuffle: Literal["shuffle", "bitshuffle"] = "bitshuffle",
 ) -> Layout:
-    """Return the keyword arguments, for zarr's ``create_array``, that all arrays share.
+    """Return the keyword arguments for zarr's ``create_array`` that all arrays share.
 
-    lz4 packs radiance, whose low bits are noise, as tightly as zstd to 3 %, counts to a twelfth, in
-    half the time.
+    lz4 needs half the time of zstd. Its files are 3 % larger for radiance, whose low bits are
+    noise, and 8 % for counts.
     """
     from zarr.codecs import BloscCodec
 
     return {
         "compressors": BloscCodec(cname=compression, clevel=level, shuffle=shuffle),
         "fill_value": 0,
-        # All chunks of an array in one folder: no folder a chunk.
+        # all chunks of an array in one folder, instead of a folder for each
         "chunk_key_encoding": {"name": "default", "separator": "."},
-        # An all-black frame is a frame: zarr would leave out chunks that are all fill value.
+        # zarr would omit chunks of black frames, since black is the fill value
         "config": {"write_empty_chunks": True},
     }
 
 
 def small_layout(dtype: np.dtype[Any]) -> Layout:
-    """Return the `layout` of arrays that are written once and kept: smaller, in thrice the time.
+    """Return a `layout` for permanent arrays: smaller files, in three times the time.
 
-    Indices that mostly ascend pack four times as tightly by bytes as by bits, numbers don't.
+    Mostly ascending indices become four times smaller with a shuffle of bytes than with one of
+    bits; other numbers don't.
     """
     is_index = dtype.kind in "iu" and dtype.itemsize >= 4
     return layout("zstd", level=5, shuffle="shuffle" if is_index else "bitshuffle")
 
 
 def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
-    """Return the attributes of a store, whose attribute ``"kind"`` is to be `kind`."""
+    """Return the attributes of a store.
+
+    Raises
+    ------
+    StoreError
+        When there is no store, or its attribute ``"kind"`` isn't `kind`.
+    IntegrityError
+        When its metadata are damaged.
+    """
     with storage_errors(path, "reading"):
         content = content_of(path / METADATA)
     if content is None:
@@ -93,23 +101,24 @@ def damaged_metadata(path: Path | Place, error: Exception) -> IntegrityError:
 
 
 class ChunkedArray:
-    """The files of an array that is cut along one axis; threads may share it.
+    """Files of an array that is cut along one axis; safe for use by several threads.
 
     Parameters
     ----------
     path : Path or Place
-        The array's folder.
+        Folder of the array.
     exactly : bool
-        Whether to fetch nothing of what lies behind a file, which isn't wanted next.
+        Disable read-ahead, for single files of a remote place.
 
     Attributes
     ----------
-    shape, dtype
+    shape : tuple of int
+    dtype : numpy.dtype
     axis : int
-        Along which it is cut; its items are counted there.
+        Axis along which the array is cut into items.
     items_per_chunk, items_per_file : int
-        Chunks are compressed, and read, as a whole; files are written as a whole. A file is a
-        chunk, or a shard of several.
+        Items per chunk, the unit of compression and reading, and per file, the unit of writing. A
+        file is a chunk or a shard of several chunks.
     """
 
     def __init__(self, path: Path | Place, *, exactly: bool = False) -> None:
@@ -138,7 +147,7 @@ class ChunkedArray:
             raise damaged_metadata(path, error) from error
 
     def file(self, item: int) -> Any:
-        """Return the path, or place, of the file in which an item lies."""
+        """Return the path or place of the file that contains an item."""
         index = [0] * len(self.shape)
         if index:
             index[self.axis] = item // self.items_per_file
@@ -151,39 +160,39 @@ class ChunkedArray:
             count = -(-self.shape[self.axis] // self.items_per_chunk) if self.shape else 1
             for number, content in enumerate(self._contents(range(count))):
                 first = number * self.items_per_chunk
-                some = slice(first, first + self.items_per_chunk) if count > 1 else ...
-                self._unpack(content, array[(*[slice(None)] * self.axis, some)])
+                items = slice(first, first + self.items_per_chunk) if count > 1 else ...
+                self._unpack(content, array[(*[slice(None)] * self.axis, items)])
         return array
 
     def take(self, items: NDArray[np.int64]) -> NDArray[Any]:
-        """Return items along the last axis, ``(..., items)``; errors as `read`.
+        """Return items along the last axis, ``(..., items)``; raises as `read`.
 
-        Of an array that is cut there, little else is read.
+        If the array is cut along this axis, only the chunks with these items are read.
         """
         if self.axis != len(self.shape) - 1 or not self._checked:
             return np.ascontiguousarray(self.read()[..., items])
         number, within = np.divmod(items, self.items_per_chunk)
         chunks, place = np.unique(number, return_inverse=True)
-        held = np.empty((*self.shape[:-1], len(chunks) * self.items_per_chunk), self.dtype)
+        chunk_items = np.empty((*self.shape[:-1], len(chunks) * self.items_per_chunk), self.dtype)
         for index, content in enumerate(self._contents(chunks.tolist())):
             first = index * self.items_per_chunk
-            self._unpack(content, held[..., first : first + self.items_per_chunk])
-        return np.ascontiguousarray(held[..., place * self.items_per_chunk + within])
+            self._unpack(content, chunk_items[..., first : first + self.items_per_chunk])
+        return np.ascontiguousarray(chunk_items[..., place * self.items_per_chunk + within])
 
     def read_chunk(self, first: int, out: NDArray[Any]) -> None:
-        """Read items of a chunk, from its `first` on, into a contiguous array; errors as `read`."""
+        """Read the chunk beginning with item `first` into a contiguous array; raises as `read`."""
         (content,) = self._contents([first // self.items_per_chunk])
         self._unpack(content, out)
 
     def packed(self, block: NDArray[Any]) -> bytes:
-        """Return the bytes of a chunk; the items of a short last one are filled up."""
+        """Return the bytes of a chunk, padded with zeros if it has too few items."""
         fill = np.zeros((self._chunk[0] - len(block), *block.shape[1:]), self.dtype)
         block = np.concatenate([block, fill]) if len(fill) else np.ascontiguousarray(block)
         packed: bytes = block.tobytes() if self._blosc is None else self._blosc.encode(block)
         return packed
 
     def index(self, lengths: Sequence[int]) -> bytes:
-        """Return the index of a shard of chunks of these lengths; nothing where there are none."""
+        """Return the index of a shard, from the lengths of its chunks; empty for other files."""
         if not self._sharded:
             return b""
         index = np.full((self.items_per_file // self.items_per_chunk, 2), _ABSENT, "<u8")
@@ -194,7 +203,7 @@ class ChunkedArray:
         return content + _crc32c(content)
 
     def _contents(self, numbers: Sequence[int]) -> Iterator[bytes]:
-        """Yield the bytes of some chunks, by their numbers, each file's by few requests."""
+        """Yield the bytes of chunks by their numbers, with few requests per file."""
         in_file = self.items_per_file // self.items_per_chunk
         for number, chunks in groupby(numbers, lambda number: number // in_file):
             file = self.file(number * self.items_per_file)
@@ -209,27 +218,30 @@ class ChunkedArray:
         return read_ranges(file, [(0, None)])[0] if self._exactly else file.read_bytes()
 
     def _unpack(self, content: bytes, out: NDArray[Any]) -> None:
-        """Write the items of a chunk, or its first ones, into an array."""
+        """Unpack a chunk, or its first items, into an array."""
         if self._checked:
             content, check = content[:-_CHECK_BYTES], content[-_CHECK_BYTES:]
             if _crc32c(content) != check:
-                raise ValueError("a chunk isn't what its checksum says")
-        is_whole = out.shape == self._chunk and out.flags.c_contiguous
-        whole = out if is_whole else np.empty(self._chunk, self.dtype)
+                raise ValueError("a chunk doesn't match its checksum")
+        fits = out.shape == self._chunk and out.flags.c_contiguous
+        chunk = out if fits else np.empty(self._chunk, self.dtype)
         if self._blosc is None:
-            whole[...] = np.frombuffer(content, self.dtype).reshape(whole.shape)
+            chunk[...] = np.frombuffer(content, self.dtype).reshape(chunk.shape)
         else:
-            # the decompressor trusts the header
+            # the decompressor trusts the sizes in the header
             sizes = np.frombuffer(content[:_BLOSC_HEADER].ljust(_BLOSC_HEADER, b"\0"), "<u4")
-            if (sizes[1], sizes[3]) != (whole.nbytes, len(content)):
-                raise ValueError(f"a chunk of {len(content)} bytes says {sizes[3]} and {sizes[1]}")
-            self._blosc.decode(content, whole)
-        if not is_whole:
-            out[...] = whole[tuple(map(slice, out.shape))]
+            if (sizes[1], sizes[3]) != (chunk.nbytes, len(content)):
+                raise ValueError(
+                    f"the header of a chunk of {len(content)} bytes states {sizes[3]} bytes, "
+                    f"{sizes[1]} decompressed"
+                )
+            self._blosc.decode(content, chunk)
+        if not fits:
+            out[...] = chunk[tuple(map(slice, out.shape))]
 
 
 def _bounds(index: bytes, chunks: int) -> tuple[list[int], list[int]]:
-    """Return where the chunks of a shard begin and end, by its index."""
+    """Return the first and the last-plus-one byte of each chunk from the index of a shard."""
     entries, check = index[:-_CHECK_BYTES], index[-_CHECK_BYTES:]
     if len(entries) != 16 * chunks or _crc32c(entries) != check:
         raise ValueError("the index of a shard is damaged")
@@ -244,9 +256,9 @@ def _crc32c(content: bytes) -> bytes:
 
 
 def _blosc(settings: dict[str, Any]) -> Any:
-    """Return the compressor that an array's metadata name."""
+    """Return the compressor for the settings in an array's metadata."""
     import numcodecs.blosc
 
-    # With threads of its own it orders its blocks by who is first.
+    # with several threads, the order of its blocks would depend on their speed
     numcodecs.blosc.use_threads = False
     return numcodecs.blosc.Blosc(**{**settings, "shuffle": _SHUFFLES[settings["shuffle"]]})

@@ -31,10 +31,10 @@ __all__ = [
 
 
 def digest_of(*parts: bytes | NDArray[Any]) -> str:
-    """Digest of bytes, or of the bytes of C-ordered arrays: SHA-256 cut to 128 bits.
+    """Return the digest of bytes or of C-ordered arrays: SHA-256, truncated to 128 bits.
 
-    Stored data are gigabytes, which SHA instructions digest three times as fast as the BLAKE2b of
-    `rfpipe.provenance`.
+    With SHA instructions, it is three times as fast as the BLAKE2b of `rfpipe.provenance`, which
+    matters for gigabytes of stored data.
     """
     digest = hashlib.sha256()
     for part in parts:
@@ -43,10 +43,12 @@ def digest_of(*parts: bytes | NDArray[Any]) -> str:
 
 
 def canonical_json(value: Any, where: str, *, indent: int | None = None) -> bytes:
-    """JSON with sorted keys, the same bytes for the same value."""
-    parting = None if indent else (",", ":")
+    """Return JSON with sorted keys: identical bytes for equal values."""
+    separators = None if indent else (",", ":")
     try:
-        text = json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, separators=parting)
+        text = json.dumps(
+            value, sort_keys=True, allow_nan=False, indent=indent, separators=separators
+        )
     except (TypeError, ValueError) as error:
         raise InputError(
             f"data can't be stored as JSON: {error}",
@@ -57,20 +59,19 @@ def canonical_json(value: Any, where: str, *, indent: int | None = None) -> byte
 
 
 def plain(value: dict[str, Any], where: str) -> dict[str, Any]:
-    """Give plain data as a file will give it back: sorted keys, tuples as lists."""
+    """Return plain data after a round trip through JSON: sorted keys, tuples as lists."""
     return dict(json.loads(canonical_json(value, where)))
 
 
 def hidden_sibling(path: Path, purpose: str) -> Path:
-    """Name beside `path`, in the same file system, for what is being made or removed."""
+    """Return a hidden name next to `path`, for a file or folder that is being made or removed."""
     return path.with_name(f".{path.name}.{purpose}")
 
 
 def remove_tree(path: Path) -> None:
-    """Remove a file or folder, if there is one.
+    """Remove a file or folder, if it exists.
 
-    A folder is renamed first, so that an interrupted removal never leaves half of it under its
-    name.
+    A folder is renamed first, so that an interrupted removal leaves no incomplete folder.
     """
     with storage_errors(path, "removing", resumes=False):
         doomed = hidden_sibling(path, "removed")
@@ -83,10 +84,10 @@ def remove_tree(path: Path) -> None:
 
 
 def to_disk(path: Path) -> None:
-    """Bring all files in a folder to the disk, so that a power cut can't take them."""
-    with storage_errors(path, "bringing it to the disk"):
-        for place in [*path.rglob("*"), path]:
-            descriptor = os.open(place, os.O_RDONLY)
+    """Sync all files in a folder to the disk, so that they survive a power failure."""
+    with storage_errors(path, "syncing to the disk"):
+        for file in [*path.rglob("*"), path]:
+            descriptor = os.open(file, os.O_RDONLY)
             try:
                 os.fsync(descriptor)
             finally:
@@ -94,5 +95,5 @@ def to_disk(path: Path) -> None:
 
 
 def bytes_on_disk(path: Path) -> int:
-    """Sum of the sizes of the files in a folder."""
+    """Return the total size of the files in a folder."""
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())

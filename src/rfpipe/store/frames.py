@@ -40,32 +40,33 @@ _log = logging.getLogger(__name__)
 
 
 class FrameStore:
-    """A zarr array whose first axis counts items (patterns), with a journal of what it holds.
+    """A zarr array whose first axis counts items (patterns), with a journal of captured items.
 
-    An item is captured when the journal says so, which happens after its chunk is written: a
-    process killed at any moment loses at most the block that it was writing, and a resumed
-    store ends with the same bytes as one written without a break. The journal also keeps each
-    item's digest, which every read checks (and so finds what a power cut damaged).
+    An item counts as captured when it is in the journal, which it enters after its chunk is
+    written. A process killed at any moment loses at most the block that it was writing, and a
+    resumed store ends with the same bytes as one written without interruption. The journal also
+    contains the digest of each item; every read checks it, and so detects damage by a power
+    failure.
 
-    Made by `create`, for writing, or `open`, for reading; a context manager. Threads may share
-    it; of processes, one may write while any number read.
+    A store is opened by `create` for writing or by `open` for reading, and is a context manager.
+    Several threads may use it. One process may write while others read.
 
     Attributes
     ----------
     path : Path
-        Its folder: a zarr array that any zarr reader opens, and the journal.
+        Folder with a zarr array, which any zarr reader opens, and the journal.
     shape : tuple of int
         (items, *item shape).
     dtype : numpy.dtype
-        Of the frames.
+        Dtype of the frames.
     items_per_chunk, items_per_file : int
         See `rfpipe.store.chunks.ChunkedArray`.
     fingerprint : str
-        The configuration that it was made with.
+        Fingerprint of the configuration with which it was made.
     attributes : dict
-        Plain data that its maker left.
+        Plain data of the writer.
     dropped : bool
-        Whether its items were removed on purpose (`drop`): it is complete, but can't be read.
+        True if its items were removed on purpose (`drop`); it is complete, but can't be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -106,46 +107,46 @@ class FrameStore:
         items_per_chunk: int = 1,
         chunks_per_file: int = 1,
     ) -> FrameStore:
-        """Make a store, or resume the one that stands there; locked until `close`.
+        """Create a store, or resume an existing one; it is locked until `close`.
 
-        A resumed store keeps its own attributes and chunks. Each of its items is
-        read and checked: a damaged one counts as missing, to be written again.
+        A resumed store keeps its attributes and chunks. All its items are read and checked;
+        damaged ones count as missing.
 
         Parameters
         ----------
         path, shape, dtype, fingerprint, attributes
-            As the class has them; no items is fine.
-        items_per_chunk
-            One resumes at the very item where it stopped; several are quicker for small frames (a
-            file costs about half a millisecond).
-        chunks_per_file
-            Several make shards of zarr v3: fewer files, of which each chunk can be read by itself.
-            A shard is written whole, by one writer.
+            Attributes of the store; the number of items may be 0.
+        items_per_chunk : int
+            With 1, a resumed capture repeats no item. With more, small frames are written faster:
+            a file takes about 0.5 ms.
+        chunks_per_file : int
+            With more than 1, files are shards of zarr v3, whose chunks can be read separately. One
+            writer writes a complete shard.
 
         Raises
         ------
         LockedError
-            When another process writes it.
+            When another process writes the store.
         StaleStoreError
-            When a store with another fingerprint, shape or dtype stands there: restore the
-            settings, or `discard` it.
+            When the existing store has another fingerprint, shape or dtype: restore the settings,
+            or `discard` it.
         IntegrityError
             When its metadata are damaged.
         StoreError
             When the disk is full or the folder isn't writable.
         InputError
-            When something that is no store stands there.
+            When `path` exists and isn't a store.
         """
-        wanted = np.dtype(dtype)
+        frame_dtype = np.dtype(dtype)
         header = {"kind": KIND, "fingerprint": fingerprint, "attributes": attributes}
         header = plain(header, f"{path}: attributes")
         lock = StoreLock(path)
         lock.acquire()
         try:
             if not (path / METADATA).exists():
-                make_item_array(path, shape, wanted, header, items_per_chunk, chunks_per_file)
+                make_item_array(path, shape, frame_dtype, header, items_per_chunk, chunks_per_file)
             store = cls(path)
-            store._refuse_other(shape, wanted, fingerprint)
+            store._check_configuration(shape, frame_dtype, fingerprint)
             if not store.dropped:
                 store._repair()
             store._journal = JournalWriter(path / _JOURNAL)
@@ -157,21 +158,21 @@ class FrameStore:
 
     @classmethod
     def open(cls, path: Path) -> FrameStore:
-        """Open a store for reading; it shows what was captured at this moment.
+        """Open a store for reading, with the items that are captured now.
 
-        Raises StoreError when there is none, IntegrityError when its metadata are damaged.
+        Raises StoreError if there is no store, IntegrityError if its metadata are damaged.
         """
         return cls(path)
 
     @staticmethod
     def discard(path: Path) -> None:
-        """Remove a store, if there is one; LockedError when another process writes it."""
+        """Remove a store, if it exists; LockedError if another process writes it."""
         with StoreLock(path):
             remove_tree(path)
 
     @property
     def done(self) -> NDArray[np.bool_]:
-        """(items,) bool: which are captured."""
+        """True for captured items, (items,) bool."""
         done = np.zeros(self.shape[0], dtype=np.bool_)
         with self._thread_lock:
             done[list(self._digests)] = True
@@ -179,13 +180,13 @@ class FrameStore:
 
     @property
     def complete(self) -> bool:
-        """True when every item is captured."""
+        """True if all items are captured."""
         return len(self._digests) == self.shape[0]
 
     def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
-        """List the runs [start, stop) of items still to capture, in order, in whole files.
+        """List the runs [start, stop) of missing items, in order; each covers complete files.
 
-        Runs are cut to at most `longest` items, rounded down to whole files but at least one.
+        A run has at most `longest` items, rounded down to complete files, and at least one file.
         """
         edges = np.flatnonzero(np.diff(~self.done, prepend=False, append=False))
         runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
@@ -199,37 +200,37 @@ class FrameStore:
         ]
 
     def write(self, start: int, block: NDArray[Any]) -> None:
-        """Store items, then enter them in the journal.
+        """Write items, then enter them in the journal.
 
         Parameters
         ----------
-        start
-            Index of the first.
-        block
-            (B, *item shape), in the store's dtype; whole files.
+        start : int
+            Index of the first item.
+        block : ndarray
+            (B, *item shape), in the store's dtype; complete files.
 
         Raises
         ------
         InputError
-            When the block doesn't fit.
+            When the block doesn't fit the store.
         StoreError
             When the store isn't open for writing, an item is captured already, or the disk is
-            full: all that is in the journal stays.
+            full. Captured items stay.
         """
         stop = start + len(block)
         self._open_journal()
         self._check_range(start, stop)
-        taken = next((item for item in range(start, stop) if item in self._digests), None)
-        if taken is not None:
+        captured = next((item for item in range(start, stop) if item in self._digests), None)
+        if captured is not None:
             raise StoreError(
-                f"item {taken} is captured already",
+                f"item {captured} is captured already",
                 place=self.path,
                 remedy="write the runs that missing() returns, or discard the store to start over",
             )
         self.enter(start, self._array.write_items(start, block))
 
     def enter(self, start: int, digests: Sequence[str]) -> None:
-        """Enter items from `start` on that an `ItemWriter` wrote; errors as `write`."""
+        """Enter items from `start` on that an `ItemWriter` wrote; raises as `write`."""
         journal = self._open_journal()
         with self._thread_lock:
             journal.append(start, digests)
@@ -243,7 +244,7 @@ class FrameStore:
         StoreError
             When an item isn't captured yet, or the items were dropped.
         IntegrityError
-            When a chunk is missing, truncated or altered; names the file and what to do.
+            When a chunk is missing, truncated or altered.
         InputError
             When the range is out of bounds.
         """
@@ -274,15 +275,15 @@ class FrameStore:
         return block
 
     def damaged(self) -> list[int]:
-        """List the captured items that can't be read as they were written; reads them all."""
+        """List the captured items that are damaged, by reading all of them."""
         return self._array.damaged(0, self.shape[0], self._digests)
 
     def files_of(self, items: Sequence[int]) -> list[Path]:
-        """Files in which items lie."""
+        """Return the file of each item."""
         return [self._array.file(item) for item in items]
 
     def digest(self) -> str:
-        """Digest of all items in their order; StoreError when one isn't captured yet."""
+        """Return the digest of all items in order; IncompleteError if one isn't captured yet."""
         if not self.complete:
             raise IncompleteError(
                 f"{len(self._digests)} of {self.shape[0]} items are captured",
@@ -294,22 +295,22 @@ class FrameStore:
         return digest_of(header, items.encode())
 
     def entry(self) -> dict[str, Any]:
-        """Describe a complete store for a manifest: digest, dtype and shape; errors as `digest`."""
+        """Describe a complete store for a manifest: digest, dtype, shape; raises as `digest`."""
         return {"digest": self.digest(), "dtype": self.dtype.str, "shape": list(self.shape)}
 
     def close(self) -> None:
-        """Bring the journal to the disk and release the lock; a second time does nothing."""
+        """Sync the journal to the disk and release the lock; no effect on a closed store."""
         journal, self._journal = self._journal, None
         try:
             if journal is not None:
                 journal.close()
-                if self.complete:  # the lines stand in the order of the items, however they came
+                if self.complete:  # sort the lines, so that equal stores have equal bytes
                     self._write_journal(dict(sorted(self._digests.items())))
         finally:
             self._lock.release()
 
     def __reduce__(self) -> tuple[type[FrameStore], tuple[Path]]:
-        """Let another process read it."""
+        """Pickle for reading in another process."""
         return type(self), (self.path,)
 
     def __enter__(self) -> FrameStore:
@@ -334,7 +335,9 @@ class FrameStore:
                 remedy=f"expected a range within 0 to {self.shape[0]}",
             )
 
-    def _refuse_other(self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str) -> None:
+    def _check_configuration(
+        self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str
+    ) -> None:
         made = {"fingerprint": self.fingerprint, "shape": self.shape, "dtype": self.dtype}
         expected = {"fingerprint": fingerprint, "shape": tuple(shape), "dtype": dtype}
         if made != expected:
@@ -346,7 +349,7 @@ class FrameStore:
             )
 
     def _repair(self) -> None:
-        """Forget what a kill, a power cut or a meddler left unusable; needs the lock."""
+        """Remove partial files and the journal lines of damaged items; needs the lock."""
         for partial in self.path.glob(".*partial*"):
             partial.unlink()
         damaged = self._array.damaged(0, self.shape[0], self._digests)
@@ -361,24 +364,35 @@ class FrameStore:
             )
 
     def _write_journal(self, digests: dict[int, str]) -> None:
-        """Make the journal hold these lines, if it doesn't yet."""
+        """Write the journal, if its content changes."""
         journal, content = self.path / _JOURNAL, journal_bytes(digests)
         if (journal.read_bytes() if journal.exists() else b"") != content:
             write_atomically(journal, content)
 
 
 def is_dropped(path: Path) -> bool:
-    """Whether the items of a store were dropped once they had been used."""
+    """Return True if the items of a store were dropped after they had been used."""
     return (path / _DROPPED).exists()
 
 
 def drop(path: Path) -> int:
-    """Remove the items of a complete frame store; what is left says so and keeps their digests.
+    """Remove the items of a complete frame store, but keep their digests.
 
-    May be cut off anywhere and called again.
+    An interrupted call can be repeated.
 
-    Returns the bytes freed. Raises LockedError when another process writes the store, StoreError
-    when items are missing or can't be removed, IntegrityError when metadata or journal are damaged.
+    Returns
+    -------
+    int
+        Number of bytes freed.
+
+    Raises
+    ------
+    LockedError
+        When another process writes the store.
+    StoreError
+        When items are missing or can't be removed.
+    IntegrityError
+        When metadata or journal are damaged.
     """
     with StoreLock(path):
         store = FrameStore.open(path)

@@ -1,4 +1,4 @@
-"""A second copy, with a checksum, of a capture's header, which is small beside its hours."""
+"""Copy of the header of a capture, with a checksum: a small file that protects hours of work."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _COPY, _TEXT = "header.json", "metadata"
 
 
 def keep_header(path: Path) -> None:
-    """Keep a copy of the header of a store that is known to be right."""
+    """Copy the header of an undamaged store."""
     header = _header(path)
     if header is not None and _copy(path) != header:
         write_manifest(path / _COPY, {_TEXT: header})
 
 
 def header_is_whole(path: Path) -> bool:
-    """Whether a store's header is that of its copy; True where no copy is kept."""
+    """Return True if a store's header equals its copy, or there is no copy."""
     copy = _copy(path)
     return not (path / _COPY).exists() if copy is None else copy == _header(path)
 
 
 def restore_header(path: Path) -> bool:
-    """Write a damaged or missing header again, from its copy; tell whether it had to be written."""
+    """Restore a damaged or missing header from its copy; return True if that was necessary."""
     copy = _copy(path)
     if copy is None or copy == _header(path):
         return False
@@ -38,14 +38,14 @@ def restore_header(path: Path) -> bool:
 
 
 def _header(path: Path) -> str | None:
-    """Return a store's metadata as they stand there, None where there are none."""
+    """Return a store's metadata; None without them."""
     with storage_errors(path / METADATA, "reading"):
         content = content_of(path / METADATA)
     return None if content is None else content.decode(errors="replace")
 
 
 def _copy(path: Path) -> str | None:
-    """Return the metadata as the copy has them, None where it is missing or damaged."""
+    """Return the copy of the metadata; None if it is missing or damaged."""
     try:
         text = str(read_manifest(path / _COPY)[_TEXT])
         json.loads(text)

@@ -22,14 +22,14 @@ from rfpipe.store.files import digest_of, hidden_sibling, remove_tree, storage_e
 from rfpipe.store.places import METADATA
 
 KIND = "frames"
-"""What the stores of items call themselves."""
+"""Attribute ``"kind"`` of stores of items."""
 
 
 class ItemArray(ChunkedArray):
-    """An array whose first axis counts items; threads may share it."""
+    """An array whose first axis counts items; safe for use by several threads."""
 
     def write_items(self, start: int, block: NDArray[Any]) -> list[str]:
-        """Store the items from `start` on, in whole files; return their digests."""
+        """Write items from `start` on, which fill complete files; return their digests."""
         stop, step = start + len(block), self.items_per_file
         if start % step or (stop % step and stop != self.shape[0]):
             raise InputError(
@@ -47,14 +47,14 @@ class ItemArray(ChunkedArray):
 
     @contextmanager
     def adding(self, start: int) -> Iterator[Callable[[NDArray[Any]], list[str]]]:
-        """Store the items of one file, from its first, with no more than one chunk in memory.
+        """Write the items of one file, which begins with item `start`, chunk by chunk.
 
-        The file is there once all of them are; a process that is killed leaves none.
+        The file appears once it is complete; a killed process leaves none.
 
         Yields
         ------
         callable
-            Takes the items of the next chunk, and returns their digests.
+            ``add(block)`` writes the items of the next chunk and returns their digests.
         """
         place: Path = self.file(start)
         partial = hidden_sibling(place, f"{os.getpid()}.partial")
@@ -77,22 +77,22 @@ class ItemArray(ChunkedArray):
                 raise
 
     def read_items(self, start: int, stop: int, digests: Mapping[int, str]) -> NDArray[Any] | None:
-        """Return items [start, stop), or None when one isn't what its digest says."""
+        """Return items [start, stop), or None if the digest of one of them differs."""
         step = self.items_per_chunk
-        before = start % step
-        block = np.empty((before + stop - start, *self.shape[1:]), self.dtype)
+        offset = start % step
+        block = np.empty((offset + stop - start, *self.shape[1:]), self.dtype)
         try:
             for first in range(0, len(block), step):
-                self.read_chunk(start - before + first, block[first : first + step])
+                self.read_chunk(start - offset + first, block[first : first + step])
         except DAMAGE:
             return None
-        items = block[before:]
+        items = block[offset:]
         if [digest_of(item) for item in items] != [digests[n] for n in range(start, stop)]:
             return None
         return items
 
     def damaged(self, start: int, stop: int, digests: Mapping[int, str]) -> list[int]:
-        """Return those of the items [start, stop) in `digests` that aren't as they were written."""
+        """Return the items in [start, stop) whose digest differs from the one in `digests`."""
         step = self.items_per_chunk
         firsts = range(start - start % step, stop, step)
         chunks = (range(max(start, first), min(stop, first + step)) for first in firsts)
@@ -104,7 +104,7 @@ class ItemArray(ChunkedArray):
         ]
 
     def whole_files(self, digests: Mapping[int, str]) -> dict[int, str]:
-        """Return what covers files wholly, since they are written whole."""
+        """Return the digests of the items in complete files; files are written as a whole."""
         step, n_items = self.items_per_file, self.shape[0]
         counts = np.bincount([item // step for item in digests], minlength=-(-n_items // step))
         full = {file for file, n in enumerate(counts) if n == min(step, n_items - int(file) * step)}
@@ -120,20 +120,20 @@ class ItemArray(ChunkedArray):
 
 
 class ItemWriter(ItemArray):
-    """An array whose lock and journal the caller, or another process, holds.
+    """Writer of items in a store that the caller or another process has opened for writing.
 
-    The holder enters what was written by `FrameStore.enter`; until then it counts as missing.
+    Items count as missing until the process that opened the store calls `FrameStore.enter`.
 
     Parameters
     ----------
-    path
-        The store's folder.
-    fingerprint
-        What the store must have been made with.
+    path : Path
+        Folder of the store.
+    fingerprint : str
+        Fingerprint that the store must have.
     """
 
     def __init__(self, path: Path, fingerprint: str) -> None:
-        self._made_with = fingerprint
+        self._fingerprint = fingerprint
         stored = read_attributes(path, KIND).get("fingerprint")
         if stored != fingerprint:
             raise StaleStoreError(
@@ -145,8 +145,8 @@ class ItemWriter(ItemArray):
         super().__init__(path)
 
     def __reduce__(self) -> tuple[type[ItemWriter], tuple[Any, ...]]:
-        """Let another process have it."""
-        return type(self), (self.path, self._made_with)
+        """Pickle for use in another process."""
+        return type(self), (self.path, self._fingerprint)
 
 
 def make_item_array(
@@ -157,7 +157,7 @@ def make_item_array(
     items_per_chunk: int,
     chunks_per_file: int,
 ) -> None:
-    """Make an empty array, complete or absent."""
+    """Create an empty array completely or not at all."""
     import zarr
 
     if path.is_file() or any(path.glob("*")):

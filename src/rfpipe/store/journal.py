@@ -1,4 +1,4 @@
-"""Journals: which items of a store are captured, and the digest of each."""
+"""Journals: the captured items of a store, and the digest of each."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ _LINE = re.compile(rb'^{"item":(\d+),"digest":"([0-9a-f]+)","check":"[0-9a-f]{8}
 
 
 def read_journal(path: Path, n_items: int) -> dict[int, str]:
-    """Read a journal; lines that aren't whole don't count.
+    """Read a journal, skipping damaged lines.
 
-    A kill or a power cut tears the last line; a line that someone altered doesn't match its own
-    checksum.
+    A kill or a power failure truncates the last line; an altered line doesn't match its checksum.
 
-    Returns the digest by item, in the order of the lines; lines of items beyond the store's
-    `n_items` don't count, and a missing journal is empty.
+    Returns
+    -------
+    dict of int to str
+        The digest of each item, in the order of the lines, without items beyond `n_items`. Empty
+        if there is no journal.
     """
     with storage_errors(path, "reading"):
         content = content_of(path) or b""
@@ -36,20 +38,20 @@ def read_journal(path: Path, n_items: int) -> dict[int, str]:
 
 
 def journal_bytes(entries: Mapping[int, str]) -> bytes:
-    """Content of a journal whose lines stand in the order of `entries`."""
+    """Return the content of a journal with lines in the order of `entries`."""
     return b"".join(_line(item, digest) for item, digest in entries.items())
 
 
 class JournalWriter:
-    """Appends to a journal; for the holder of the store's lock.
+    """Appends to a journal; for the process that holds the store's lock.
 
-    Each line is handed to the system at once, so that a killed process loses none; it is brought
-    to the disk at most once a second and at `close`.
+    Each line is passed to the operating system immediately, so that a killed process loses none.
+    The file is synced to the disk at most once a second, and by `close`.
 
     Parameters
     ----------
-    path
-        The journal; made when missing. Its last line must be whole (or the next would join it).
+    path : Path
+        The journal, created if missing. Its last line must be complete.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,9 +66,9 @@ class JournalWriter:
         with storage_errors(self._path, "writing", len(content)):
             before = os.fstat(self._descriptor).st_size
             try:
-                rest = memoryview(content)
-                while rest:  # a nearly full disk takes a part, then fails
-                    rest = rest[os.write(self._descriptor, rest) :]
+                unwritten = memoryview(content)
+                while unwritten:  # on a nearly full disk, a partial write precedes the error
+                    unwritten = unwritten[os.write(self._descriptor, unwritten) :]
             except OSError:
                 os.ftruncate(self._descriptor, before)
                 raise
@@ -74,7 +76,7 @@ class JournalWriter:
                 self._sync()
 
     def close(self) -> None:
-        """Bring the journal to the disk and close it."""
+        """Sync the journal to the disk and close it."""
         with storage_errors(self._path, "closing"):
             try:
                 self._sync()

@@ -1,4 +1,4 @@
-"""One writer a store: an exclusive lock that ends with its process."""
+"""Exclusive lock on a store, which ends with the process that holds it."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from pathlib import Path
 from rfpipe.errors import LockedError
 from rfpipe.store.files import hidden_sibling, storage_errors
 
-# A file server frees the locks of a machine that died when its lease has run out: 90 s by NFS.
+# A file server releases the locks of a crashed machine when its lease expires, after 90 s in NFS.
 _LEASE_SECONDS = 120.0
-# Reading the lock's holder takes the lock for a moment.
+# Another process that only reads the holder's name takes the lock for a moment.
 _GLANCE_SECONDS = 0.2
 _POLL_SECONDS = 0.1
 
 
 class StoreLock:
-    """Exclusive lock on a store, held by an open file beside it.
+    """Exclusive lock on a store, by a lock on an open file next to it.
 
-    The system releases it when the process ends, however it ends: an orphan of a killed workflow
-    still keeps a second writer out. On a file system that machines share, the lock holds for all
-    of them, and that of a machine that died ends when the file server gives it up: two minutes are
-    waited for that where the holder is on another machine.
+    The system releases the lock when the process ends, also if it is killed; an orphan process of
+    a killed workflow still excludes a second writer. On a shared file system, the lock is valid
+    for all machines. If a machine crashes, the file server releases its lock later; so `acquire`
+    waits two minutes for a lock of another machine.
 
     Parameters
     ----------
-    path
-        The store, which needn't exist yet. The lock file is its hidden sibling ``.name.lock``,
-        there only while the lock is held (or after a kill).
+    path : Path
+        The store, which may not exist yet. The lock file ``.name.lock`` exists while the lock is
+        held, and after a kill.
     """
 
     def __init__(self, path: Path) -> None:
@@ -40,7 +40,7 @@ class StoreLock:
 
     @staticmethod
     def holder(path: Path) -> str | None:
-        """Return the process, and its machine where it is another one, that hold a store's lock."""
+        """Return the process that holds a store's lock, with its machine if it is another one."""
         try:
             descriptor = os.open(hidden_sibling(path, "lock"), os.O_RDONLY)
         except OSError:
@@ -55,47 +55,49 @@ class StoreLock:
         return None
 
     def acquire(self) -> None:
-        """Take the lock.
+        """Acquire the lock.
 
         Raises
         ------
         LockedError
-            When another process, or another lock in this one, holds it.
+            When another process, or another `StoreLock` in this process, holds it.
         StoreError
             When the folder isn't writable, or its file system has no locks.
         """
         begun = time.monotonic()
         with storage_errors(self._lock_file, "locking", resumes=False):
             self._lock_file.parent.mkdir(parents=True, exist_ok=True)
-            while self._descriptor is None:
-                descriptor = os.open(self._lock_file, os.O_RDWR | os.O_CREAT, 0o644)
-                try:
-                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    holder, is_elsewhere = _holder(descriptor)
-                    os.close(descriptor)
-                    patience = _LEASE_SECONDS if is_elsewhere else _GLANCE_SECONDS
-                    if time.monotonic() > begun + patience:
-                        raise LockedError(
-                            f"process {holder} is writing this store",
-                            place=self._path,
-                            remedy="wait until it ends, or end it, then run again",
-                        ) from None
-                    time.sleep(_POLL_SECONDS)
-                    continue
-                except OSError:
-                    os.close(descriptor)
-                    raise
-                # Its last holder may have removed the file between our open and our lock.
-                if self._is_in_place(descriptor):
-                    os.ftruncate(descriptor, 0)
-                    os.write(descriptor, f"{os.getpid()} {socket.gethostname()}\n".encode())
-                    self._descriptor = descriptor
-                else:
-                    os.close(descriptor)
+            while not self._try_to_lock(time.monotonic() - begun):
+                time.sleep(_POLL_SECONDS)
+
+    def _try_to_lock(self, waited_seconds: float) -> bool:
+        """Try once to acquire the lock; LockedError if its holder has been waited for enough."""
+        descriptor = os.open(self._lock_file, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder, is_remote = _holder(descriptor)
+            os.close(descriptor)
+            if waited_seconds > (_LEASE_SECONDS if is_remote else _GLANCE_SECONDS):
+                raise LockedError(
+                    f"process {holder} is writing this store",
+                    place=self._path,
+                    remedy="wait until it ends, or end it, then run again",
+                ) from None
+            return False
+        except OSError:
+            os.close(descriptor)
+            raise
+        if not self._is_in_place(descriptor):  # its holder removed it after our open
+            os.close(descriptor)
+            return False
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"{os.getpid()} {socket.gethostname()}\n".encode())
+        self._descriptor = descriptor
+        return True
 
     def release(self) -> None:
-        """Give the lock back; does nothing when it isn't held."""
+        """Release the lock; does nothing when it isn't held."""
         if self._descriptor is not None:
             self._lock_file.unlink(missing_ok=True)
             os.close(self._descriptor)
@@ -116,7 +118,7 @@ class StoreLock:
 
 
 def _holder(descriptor: int) -> tuple[str, bool]:
-    """Return who says in a lock file to hold it, and whether that is another machine's process."""
+    """Return the process named in a lock file, and whether it runs on another machine."""
     process, _, machine = os.read(descriptor, 256).decode(errors="replace").strip().partition(" ")
-    is_elsewhere = machine not in ("", socket.gethostname())
-    return f"{process or 'unknown'}{f' on {machine}' if is_elsewhere else ''}", is_elsewhere
+    is_remote = machine not in ("", socket.gethostname())
+    return f"{process or 'unknown'}{f' on {machine}' if is_remote else ''}", is_remote

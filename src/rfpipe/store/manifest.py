@@ -1,4 +1,4 @@
-"""Manifests: the small JSON files that say that a stage is complete."""
+"""Manifests: small JSON files that mark a stage as complete."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _CHECKSUM = "checksum"
 
 
 def write_manifest(path: Path, data: dict[str, Any]) -> None:
-    """Write a manifest, whole or not at all.
+    """Write a manifest atomically.
 
-    Equal data give identical bytes, so `data` should hold no times, host names or absolute
-    paths. Write it last: its existence says that the stores it describes are complete.
+    Equal data give identical bytes, so `data` should contain no times, host names or absolute
+    paths. Write it last: its existence marks the stores that it describes as complete.
 
     Raises
     ------
     InputError
-        When `data` isn't plain, or holds NaN, infinity or the key ``"checksum"``.
+        When `data` isn't plain, or contains NaN, infinity or the key ``"checksum"``.
     StoreError
         When the disk is full or the folder isn't writable.
     """
@@ -34,12 +34,12 @@ def write_manifest(path: Path, data: dict[str, Any]) -> None:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """Read what was given to `write_manifest`, tuples as lists.
+    """Read the data of a manifest, with tuples as lists.
 
     Raises
     ------
     StoreError
-        When there is none.
+        When there is no manifest.
     IntegrityError
         When it is truncated or altered.
     """
@@ -51,7 +51,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
         data: dict[str, Any] = json.loads(content)
         checksum = data.pop(_CHECKSUM, None)
         is_whole = checksum == digest_of(canonical_json(data, str(path)))
-    except (ValueError, AttributeError, TypeError, InputError):  # NaN, too, was never written
+    except (ValueError, AttributeError, TypeError, InputError):  # InputError: NaN
         is_whole = False
     if not is_whole:
         raise IntegrityError(
@@ -63,7 +63,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def manifest_or_empty(path: Path) -> dict[str, Any]:
-    """Read a manifest as `read_manifest`; empty where it is missing, unreadable or damaged."""
+    """Read a manifest as `read_manifest`; empty if it is missing, unreadable or damaged."""
     try:
         return read_manifest(path)
     except StoreError:
