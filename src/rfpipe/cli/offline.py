@@ -44,7 +44,9 @@ def patterns(
         acquisition = OfflineAcquisition(settings, scene, name, results / scene / name)
         rig = acquisition.rig()
         level = acquisition.advance(rig)
-        sheet = None if level is None else acquisition.write(rig, output, config, results)
+        sheet = None
+        if level is not None:
+            sheet = acquisition.write(rig, level, output, config, results)
         _print_next_step(f"{scene} by {name}", sheet, results / scene / name, config)
 
 
@@ -105,7 +107,9 @@ def import_(
         raise CaptureError(f"{error}. None of these pictures was imported") from error
     state = "imported" if is_new else "imported before; to import others, first use --take-back"
     typer.echo(f"{folder}: {counted(len(checked.files), 'bracket')} {state}")
-    next_sheet = None if level is None else acquisition.write(rig, folder.parent, config, results)
+    next_sheet = None
+    if level is not None:
+        next_sheet = acquisition.write(rig, level, folder.parent, config, results)
     _print_next_step(f"{scene} by {name}", next_sheet, results / scene / name, config)
 
 

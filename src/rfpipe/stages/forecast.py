@@ -1,4 +1,4 @@
-"""What a run will take, before the lamp is switched on: patterns, time, memory and disk."""
+"""Forecast of a run: number of patterns, time, memory and disk space of each acquisition."""
 
 from __future__ import annotations
 
@@ -15,37 +15,38 @@ if TYPE_CHECKING:
     from rfpipe.config import Config
     from rfpipe.photometry import Sensor
 
-_BLOCK_BYTES = 4096  # a file takes whole blocks of its file system
+_BLOCK_BYTES = 4096
+"""Block size of file systems; a file takes whole blocks."""
 
 
 def disk_bytes(
     sensor: Sensor, camera_shape: tuple[int, ...], channels: int, brackets: int, patterns: int
 ) -> int:
-    """Return the bytes, before compression, of brackets and of what is made of patterns."""
+    """Return the uncompressed size of brackets and of the results of patterns, in bytes."""
     bracket = prod(sensor.frame_shape(camera_shape, channels)) * sensor.frame_dtype.itemsize
     image = prod(camera_shape) * channels
-    # Radiance and variance; and each pixel of each image may be a piece that the method keeps, in
-    # the level's own store and in the transport.
+    # Radiance and variance; and a method may keep an entry for each pixel of each image, in the
+    # level's store and in the transport.
     merged = 4 * image * np.dtype(RADIANCE).itemsize
     sums = 2 * image * np.dtype(np.float64).itemsize
     return brackets * (bracket + _BLOCK_BYTES) + patterns * (merged + _BLOCK_BYTES) + sums
 
 
 def forecast(settings: Config) -> pd.DataFrame:
-    """Return a row for each acquisition of a run; nothing is shown or written.
+    """Return the forecast of a run, without displaying or writing anything.
 
     Returns
     -------
     pandas.DataFrame
-        ``scene``, ``method``; ``rays`` of the projector; ``patterns`` that the method
-        expects, ``seconds`` on the rig and ``disk`` in bytes, before compression, that they take;
-        ``max_patterns``, ``max_seconds`` and ``max_disk``, the largest of each; ``memory`` in
-        bytes.
+        A row for each acquisition: ``scene``, ``method``; number of ``rays`` of the projector;
+        expected number of ``patterns``, their ``seconds`` on the rig and uncompressed size on
+        ``disk`` in bytes; ``max_patterns``, ``max_seconds`` and ``max_disk``, their upper limits;
+        ``memory`` in bytes.
 
     Raises
     ------
     InputError
-        When a method doesn't fit a scene's rays.
+        If a method doesn't fit a scene's rays.
     """
     import pandas as pd
 
@@ -56,32 +57,32 @@ def forecast(settings: Config) -> pd.DataFrame:
     rows = []
     for scene, name in settings.acquisitions:
         plan = Plan.of(**plan_settings(settings, scene, name))
-        of_scene = settings.of_scene(scene)
-        capture, sensor = of_scene.capture, sensor_from_config(of_scene.camera)
+        scene_settings = settings.of_scene(scene)
+        capture, sensor = scene_settings.capture, sensor_from_config(scene_settings.camera)
         is_exact = isinstance(sensor, ExactSensor)
-        references = 2 if is_exact else capture.black_frames + capture.floodlit_frames
-        references += plan.measures_symmetry * SYMMETRY_FRAMES
-        pictures = of_scene.verification_pictures
-        looks = 2 if pictures and capture.precautions.check_interval else 0
-        references += pictures + looks
+        n_further = 2 if is_exact else capture.black_frames + capture.floodlit_frames
+        n_further += plan.measures_symmetry * SYMMETRY_FRAMES
+        n_verification = scene_settings.verification_pictures
+        has_check_pictures = n_verification > 0 and capture.precautions.check_interval > 0
+        n_further += n_verification + 2 * has_check_pictures
         expected = plan.description.forecast(
             plan.camera, plan.projector, plan.channels, plan.options
         )
-        warm_up, each = 60 * capture.warm_up_minutes, capture.seconds_per_pattern
+        warm_up = 60 * capture.warm_up_minutes
         camera = plan.camera.shape, plan.channels
         counts = {"": expected.patterns, "max_": expected.max_patterns}
-        takes: dict[str, float] = {}
+        costs: dict[str, float] = {}
         for prefix, count in counts.items():
-            brackets = references + capture.keep_raw * count
-            takes |= {
+            brackets = n_further + capture.keep_raw * count
+            costs |= {
                 f"{prefix}patterns": count,
-                f"{prefix}seconds": warm_up + each * (count + references),
+                f"{prefix}seconds": warm_up + capture.seconds_per_pattern * (count + n_further),
                 f"{prefix}disk": disk_bytes(sensor, *camera, brackets, count),
             }
         rows.append(
             {
                 "scene": scene, "method": name,
-                "rays": plan.projector.size, **takes,
+                "rays": plan.projector.size, **costs,
                 "memory": expected.memory_bytes + settings.scenes[scene].simulation_bytes,
             }
         )  # fmt: skip

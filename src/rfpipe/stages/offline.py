@@ -1,7 +1,8 @@
-"""Acquisitions whose pictures are taken elsewhere: a level at a time, between two sessions.
+"""Acquisition with an offline rig, whose pictures are taken by hand, level by level.
 
-The first level's sheet also has the pictures that verify the transport: they need no session of
-their own, and what moves between two sessions shows in them as an error.
+The patterns of a level are written as a *sheet*; the pictures of them are imported later. The first
+sheet also has the verification patterns, which then need no session of their own; motion between
+two sessions shows in them as an error.
 """
 
 from __future__ import annotations
@@ -43,14 +44,22 @@ from rfpipe.store import StoreLock
 if TYPE_CHECKING:
     from rfpipe.config import Config
 
-Asked = Iterator[tuple[tuple[int, ...], NDArray[np.float32]]]
+KeyedPattern = tuple[tuple[int, ...], NDArray[np.float32]]
+"""Key of a picture, see `rfpipe.units`, and its pattern."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class OfflineAcquisition:
-    """One scene's acquisition by one method's section, on the way from sheet to sheet.
+    """Offline acquisition of a scene by a method.
 
-    The settings have capture.rig offline; the folder is ``results/{scene}/{method}``.
+    Attributes
+    ----------
+    settings : Config
+        Their capture.rig is offline.
+    scene, name : str
+        Scene and section of the method.
+    folder : Path
+        ``results/{scene}/{method}``.
     """
 
     settings: Config
@@ -62,15 +71,28 @@ class OfflineAcquisition:
         if self.settings.capture.rig != "offline":
             raise InputError(
                 f"capture.rig is {self.settings.capture.rig}; set it to offline for pictures that "
-                "are taken elsewhere"
+                "are taken by hand"
             )
-        self._level = 0
+
+    @property
+    def files(self) -> AcquisitionFolder:
+        """Storage of the acquisition."""
+        return AcquisitionFolder(self.folder)
+
+    def rig(self) -> OfflineRig:
+        """Return the rig of the settings, without pictures."""
+        scene = self.settings.scenes[self.scene]
+        rays = scene.camera_ray_shape, scene.ray_shape, scene.channels
+        return offline_rig(self.settings.offline, self.settings.camera, *rays)
 
     def advance(self, rig: OfflineRig) -> int | None:
-        """Run all stages that a rig's pictures allow; errors as `acquire_transport`.
+        """Run all stages for which a rig has pictures; errors as `acquire_transport`.
 
-        Returns the level whose pictures are to be taken next, VERIFICATION for those that verify
-        the transport alone, and None where no pictures are missing.
+        Returns
+        -------
+        int or None
+            Level whose pictures are missing next, VERIFICATION if only verification pictures are
+            missing, None if none are.
         """
         acquisition = self._acquisition(rig)
         with StoreLock(self.folder):
@@ -78,12 +100,60 @@ class OfflineAcquisition:
                 acquire_transport(acquisition)
             except PicturesNeeded:
                 self._capture_verification(acquisition)
-                self._level = max(self.files.levels())
-                return self._level
-            if self._capture_verification(acquisition):
-                return None
-        self._level = VERIFICATION
-        return VERIFICATION
+                return max(self.files.levels())
+            return None if self._capture_verification(acquisition) else VERIFICATION
+
+    def write(
+        self, rig: OfflineRig, level: int, folder: Path, settings_file: Path, results: Path
+    ) -> Sheet:
+        """Write the missing patterns of a level as a sheet, into a folder.
+
+        Parameters
+        ----------
+        rig : OfflineRig
+        level : int
+            As `advance` returned it.
+        folder : Path
+            Folder of sheets.
+        settings_file, results : Path
+            Recorded in the sheet, for the import of its pictures.
+
+        Raises
+        ------
+        InputError
+            If the sheet's folder has pictures of other patterns.
+        """
+        sheet_folder = folder / f"{self.scene}_{self.name}_{folder_name(level)}"
+        facts = {
+            "settings": relative_to_sheet(settings_file, sheet_folder),
+            "results": relative_to_sheet(results, sheet_folder),
+            "scene": self.scene,
+            "method": self.name,
+            "level": level,
+        }
+        gamma = self.settings.offline.projector_gamma
+        return write_sheet(rig, sheet_folder, self._missing_patterns(rig, level), facts, gamma)
+
+    def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> Checked:
+        """Check the pictures of a sheet; see `rfpipe.rigs.offline_pictures.check_pictures`."""
+        coaxial = self.settings.scenes[self.scene].is_coaxial
+        return check_pictures(self.rig(), sheet, pictures, coaxial=coaxial, anyway=anyway)
+
+    def take_back(self, level: int) -> list[Path]:
+        """Remove all results of the pictures of a level and of later ones; return their paths."""
+        levels = sorted(self.folder.glob("L[0-9]*"))
+        removed = [path for path in levels if int(path.name[1:]) >= level]
+        removed += list(self.folder.glob("transport.*")) if removed else []
+        if level in (0, VERIFICATION):
+            removed += list(self.folder.glob("verification*"))
+        with StoreLock(self.folder):
+            for path in reversed(removed):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        return removed
+
+    @property
+    def _verification_pictures(self) -> int:
+        return self.settings.of_scene(self.scene).verification_pictures
 
     def _acquisition(self, rig: OfflineRig) -> Acquisition:
         """Return the inputs of the stages, with a rig."""
@@ -100,7 +170,7 @@ class OfflineAcquisition:
         )
 
     def _capture_verification(self, acquisition: Acquisition) -> bool:
-        """Capture the pictures that verify the transport; return True if all are captured."""
+        """Capture the verification pictures; return True if all are captured."""
         count, files = self._verification_pictures, self.files
         if not count:
             return True
@@ -113,71 +183,21 @@ class OfflineAcquisition:
             return False
         return True
 
-    @property
-    def _verification_pictures(self) -> int:
-        return self.settings.of_scene(self.scene).verification_pictures
-
-    def rig(self) -> OfflineRig:
-        """Return the rig of the settings, without pictures."""
-        settings, about = self.settings, self.settings.scenes[self.scene]
-        rays = about.camera_ray_shape, about.ray_shape, about.channels
-        return offline_rig(settings.offline, settings.camera, *rays)
-
-    def write(self, rig: OfflineRig, folder: Path, settings_file: Path, results: Path) -> Sheet:
-        """Write what is to be shown at the level that `advance` came to, as a sheet in a folder.
-
-        The sheet names settings and results for whoever imports its pictures. Raises InputError
-        when its folder holds pictures of other patterns already.
-        """
-        own = folder / f"{self.scene}_{self.name}_{folder_name(self._level)}"
-        about = {
-            "settings": relative_to_sheet(settings_file, own),
-            "results": relative_to_sheet(results, own),
-            "scene": self.scene,
-            "method": self.name,
-            "level": self._level,
-        }
-        gamma = self.settings.offline.projector_gamma
-        return write_sheet(rig, own, self._asked(rig), about, gamma)
-
-    def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> Checked:
-        """Check the pictures of a sheet; see `rfpipe.rigs.offline_pictures.check_pictures`."""
-        coaxial = self.settings.scenes[self.scene].is_coaxial
-        return check_pictures(self.rig(), sheet, pictures, coaxial=coaxial, anyway=anyway)
-
-    def take_back(self, level: int) -> list[Path]:
-        """Remove what was made of the pictures of a level and of the later ones; return what."""
-        levels = sorted(self.folder.glob("L[0-9]*"))
-        gone = [path for path in levels if int(path.name[1:]) >= level]
-        gone += list(self.folder.glob("transport.*")) if gone else []
-        if level in (0, VERIFICATION):
-            gone += list(self.folder.glob("verification*"))
-        with StoreLock(self.folder):
-            for path in reversed(gone):
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
-        return gone
-
-    @property
-    def files(self) -> AcquisitionFolder:
-        """What its stages leave."""
-        return AcquisitionFolder(self.folder)
-
-    def _asked(self, rig: OfflineRig) -> Asked:
-        """Yield key and pattern of all brackets that the level lacks."""
+    def _missing_patterns(self, rig: OfflineRig, level: int) -> Iterator[KeyedPattern]:
+        """Yield key and pattern of all pictures that a level lacks."""
         context: CaptureContext = self._acquisition(rig)
-        if self._level == VERIFICATION:
+        if level == VERIFICATION:
             context = verification_context(context, self._verification_pictures)
         is_exact = isinstance(rig.sensor, ExactSensor)
         described = self.files.describe_rig(rig)
         for brackets in capture.bracket_sets(
-            self.files, self._level, context.settings, described, is_exact=is_exact
+            self.files, level, context.settings, described, is_exact=is_exact
         ):
             for first, last in brackets.missing(self.files, self.settings.capture.batch_patterns):
                 patterns, keys = brackets.patterns(first, last)
                 yield from zip(map(tuple, keys), patterns, strict=True)
-        if self._level == 0 and self._verification_pictures:
-            weights = verification_schedule(
-                rig.projector_shape, self._verification_pictures
-            ).weights
-            assert weights is not None
-            yield from (((VERIFICATION, index), each) for index, each in enumerate(weights))
+        if level == 0 and self._verification_pictures:
+            schedule = verification_schedule(rig.projector_shape, self._verification_pictures)
+            assert schedule.weights is not None
+            for index, pattern in enumerate(schedule.weights):
+                yield (VERIFICATION, index), pattern
