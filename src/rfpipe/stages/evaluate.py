@@ -1,4 +1,4 @@
-"""Stage: how far relit images are from the truth: all error figures of a run, as tables."""
+"""Stage: tables of the errors of relit pictures of all acquisitions of a run."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.relighting import picture_squares
+from rfpipe.storage.base import CHECK_PICTURES, REFERENCE_BRACKETS, SYMMETRY
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 from rfpipe.store.files import write_atomically
 
@@ -19,49 +20,52 @@ if TYPE_CHECKING:
 
 Image = NDArray[Any]
 
-_ABOUT = ["scene", "method"]
+_PICTURE_PARTS = (REFERENCE_BRACKETS, SYMMETRY, CHECK_PICTURES)
+"""Keys of the brackets in a capture's manifest, beside those of the level's patterns."""
+
+_NAMES = ["scene", "method"]
 
 
 def run(
     relight_manifests: list[Path], errors: Path, speed_error: Path, seconds_per_pattern: float
 ) -> None:
-    """Write `errors_table` and `speed_error_table` as CSV; a figure that isn't defined is blank."""
+    """Write `errors_table` and `speed_error_table` as CSV; undefined numbers are blank."""
     write_table(errors, errors_table(relight_manifests))
     write_table(speed_error, speed_error_table(relight_manifests, seconds_per_pattern))
 
 
 def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
-    """Return the errors of relit images, of each ``relight.json``; a captured scene has none.
+    """Return the errors of relit pictures, from ``relight.json`` of scenes with a known truth.
 
     Returns
     -------
     pandas.DataFrame
-        ``scene``, ``method``, ``pattern``: those of the reference patterns, and the kinds of
-        pictures that the mean is of. ``error`` and ``indirect_error``, that of indirect light, see
-        `picture_errors`, of a kind the mean; ``plain_error``: relative to the picture's norm,
-        however dark it is. Of the patterns ``ciede2000``, the mean, with the true floodlit image's
-        maximum as white.
+        A row for each reference pattern and each kind of pictures, with means over the kind:
+        ``scene``, ``method``, ``pattern``; ``error`` and ``indirect_error`` (of indirect light),
+        see `picture_errors`; ``plain_error``, relative to the picture's norm, however dark it is.
+        ``ciede2000``, the mean over pixels, for the patterns only; white is the maximum of the true
+        floodlit image.
     """
     import pandas as pd
 
-    columns = [*_ABOUT, "pattern", "error", "plain_error", "indirect_error", "ciede2000"]
+    columns = [*_NAMES, "pattern", "error", "plain_error", "indirect_error", "ciede2000"]
     rows: list[list[Any]] = []
     for facts, images in _with_truth(relight_manifests):
-        about, nan = [facts[key] for key in _ABOUT], float("nan")
+        names, nan = [facts[key] for key in _NAMES], float("nan")
         plain, indirect = (facts.get(f"{name}_errors", {}) for name in ("plain", "indirect"))
         rows += [
-            [*about, kind, error, plain.get(kind, nan), indirect.get(kind, nan), nan]
+            [*names, kind, error, plain.get(kind, nan), indirect.get(kind, nan), nan]
             for kind, error in facts["errors"].items()
         ]
-        rows += [[*about, *row] for row in _pattern_rows(facts, images)]
+        rows += [[*names, *row] for row in _pattern_rows(facts, images)]
     return pd.DataFrame(rows, columns=columns)
 
 
 def _pattern_rows(facts: dict[str, Any], images: ArrayBundle) -> Iterator[list[Any]]:
-    """Yield the name of each reference pattern and the errors of its relit picture."""
+    """Yield name and errors of the relit picture of each reference pattern."""
     floodlit = images.read("floodlit_truth")
     relit, truth, patterns = (images.read(name) for name in ("relit", "truth", "patterns"))
-    # a camera aside has no pixels that are known to get no direct light
+    # without a coaxial rig, pixels without direct light are unknown
     dark = patterns == 0 if facts["coaxial"] else None
     total, unlit = picture_squares(relit, truth, patterns, floodlit, dark)
     white = float(floodlit.max(initial=0.0))
@@ -79,15 +83,15 @@ def _pattern_rows(facts: dict[str, Any], images: ArrayBundle) -> Iterator[list[A
 def speed_error_table(
     relight_manifests: Iterable[Path], seconds_per_pattern: float
 ) -> pd.DataFrame:
-    """Return cost and error of each acquisition after each level whose error is known.
+    """Return cost and error of each acquisition up to each level whose error is known.
 
     Returns
     -------
     pandas.DataFrame
-        ``scene``, ``method``, ``level``; ``patterns`` and seconds of capture, ``capture_s``, up to
-        there, of all pictures on the rig (of the patterns alone where captures are missing);
-        ``error``, the mean. A transport that is fitted to all its pictures together has one row, of
-        the last level with any.
+        ``scene``, ``method``, ``level``; number of ``patterns`` and seconds of capture,
+        ``capture_s``, up to the level, for all pictures on the rig (for the patterns only if
+        captures are missing); mean ``error``. A transport that is fitted to all its pictures
+        together has a single row, for its last level.
     """
     import pandas as pd
 
@@ -95,32 +99,33 @@ def speed_error_table(
     for manifest in relight_manifests:
         pictures = pictures_by_level(manifest.parent)
         for facts, _ in _with_truth([manifest]):
-            about = [facts[key] for key in _ABOUT]
+            names = [facts[key] for key in _NAMES]
             for level, patterns, error in errors_by_level(facts):
-                taken = sum(count for at, count in pictures.items() if at <= level) or patterns
-                rows.append([*about, level, patterns, taken * seconds_per_pattern, error])
-    return pd.DataFrame(rows, columns=[*_ABOUT, "level", "patterns", "capture_s", "error"])
+                n_pictures = sum(n for at, n in pictures.items() if at <= level) or patterns
+                seconds = n_pictures * seconds_per_pattern
+                rows.append([*names, level, patterns, seconds, error])
+    return pd.DataFrame(rows, columns=[*_NAMES, "level", "patterns", "capture_s", "error"])
 
 
 def pictures_by_level(folder: Path) -> dict[int, int]:
-    """Return the pictures that a rig took for each level of an acquisition.
+    """Return the number of pictures captured for each level of an acquisition.
 
-    They are of the level's patterns, black and white references, patterns that test symmetry, and
-    looks at the rig; those of verification are not counted.
+    They include reference brackets, random patterns of the symmetry test, and check pictures, but
+    not verification pictures.
     """
     pictures = {}
     for path in sorted(folder.glob("L[0-9]*/capture.json")):
         facts = read_manifest(path)
-        stores = [one for name, one in facts.items() if name != "rig" and isinstance(one, dict)]
-        more = sum(one["shape"][0] for one in stores if "digest" in one and "shape" in one)
-        pictures[int(path.parent.name[1:])] = facts["patterns"] + more
+        parts = [facts[name] for name in _PICTURE_PARTS if name in facts]
+        n_further = sum(part["shape"][0] for part in parts)
+        pictures[int(path.parent.name[1:])] = facts["patterns"] + n_further
     return pictures
 
 
 def errors_by_level(facts: Mapping[str, Any]) -> list[tuple[int, int, float]]:
-    """Return level, patterns shown by then and mean error of a ``relight.json`` with a truth.
+    """Return levels, patterns up to them and mean errors of a ``relight.json`` with a truth.
 
-    Levels without patterns are left out, as they are of ``levels.csv``.
+    Levels without patterns are omitted, as in ``levels.csv``.
     """
     errors, levels = facts["level_errors"], facts["levels"]
     shown = np.cumsum([row["patterns"] for row in levels])
@@ -133,12 +138,12 @@ def errors_by_level(facts: Mapping[str, Any]) -> list[tuple[int, int, float]]:
 
 
 def is_used(level_row: Mapping[str, Any]) -> bool:
-    """Whether a level showed patterns or has nodes."""
+    """Test whether a level has patterns or nodes."""
     return bool(level_row["patterns"] or level_row.get("nodes"))
 
 
 def write_table(path: Path, table: pd.DataFrame) -> None:
-    """Write a table of numbers as CSV, to six digits."""
+    """Write a table as CSV, with six significant digits."""
     text = table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
     write_atomically(path, text.encode())
 
@@ -153,7 +158,7 @@ def _with_truth(manifests: Iterable[Path]) -> Iterator[tuple[dict[str, Any], Arr
 def relative_rms(image: Image, truth: Image) -> float:
     """Return ``||image - truth|| / ||truth||`` of radiance (*camera_shape, C).
 
-    NaN where there is no light in the truth. Raises InputError when the shapes differ.
+    NaN if the truth has no light. Raises InputError if the shapes differ.
     """
     image, truth = _checked(image, truth)
     light = float(np.linalg.norm(truth))
@@ -161,11 +166,20 @@ def relative_rms(image: Image, truth: Image) -> float:
 
 
 def colour_difference(image: Image, truth: Image, white: float) -> float:
-    """Return the mean CIEDE2000 difference over the pixels; about 1 is just noticed.
+    """Return the mean CIEDE2000 difference over the pixels; about 1 is just noticeable.
 
-    Radiance (*camera_shape, 1 or 3) is rendered as linear RGB with the sRGB primaries and D65 as
-    white; `white` is the radiance shown as such. Negative radiance counts as none. NaN when `white`
-    isn't above 0. Raises InputError when the shapes differ or have other channels.
+    Parameters
+    ----------
+    image, truth : ndarray, shape (*camera_shape, 1 or 3)
+        Radiance, rendered as linear RGB with the sRGB primaries and D65 as white; negative radiance
+        is set to 0.
+    white : float
+        Radiance of white. The result is NaN unless it is positive.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ, or have other channels.
     """
     image, truth = _checked(image, truth)
     if image.shape[-1] not in (1, 3):

@@ -1,4 +1,4 @@
-"""Stage: relight a transport with the reference patterns, beside the truth where it is known."""
+"""Stage: relight a transport, and compare with the truth where it is known."""
 
 from __future__ import annotations
 
@@ -28,15 +28,21 @@ if TYPE_CHECKING:
     from rfpipe.scenes import Scene
 
 NO_LEAF = -1
-"""Level of an entry that no leaf holds: it was measured as empty."""
+"""Level of an entry of T that is in no leaf, because it was measured as empty."""
 
 Float = NDArray[np.float32]
 
-_AT_A_TIME = 32  # single-pixel patterns relit together
+_SINGLE_BATCH = 32
+"""Number of single-pixel patterns relit together."""
 
-# The pictures whose mean error is told: how many, or, of large ones, with how many pixels in all;
-# how many are relit together; and their seed.
-_PICTURES, _PIXELS, _FEW, _SEED = 96, 2e7, 8, 2006
+_PICTURES, _MAX_PIXELS = 96, 2e7
+"""Number of pictures of the mean error; fewer, if these have more than that many pixels."""
+
+_PICTURE_BATCH = 8
+"""Number of these pictures relit together."""
+
+_SEED = 2006
+"""Seed of their patterns."""
 
 
 def images_of(scene: Scene, patterns: Float) -> Float:
@@ -45,14 +51,14 @@ def images_of(scene: Scene, patterns: Float) -> Float:
 
 
 def right_half(shape: tuple[int, ...]) -> Float:
-    """Return the pattern of [Fig. 5.9]: the right half lit, the middle column of odd ones dark."""
+    """Return the pattern of [Fig. 5.9], whose right half is lit; a middle column is dark."""
     pattern = np.zeros(shape, np.float32)
     pattern[..., (shape[-1] + 1) // 2 :] = 1
     return pattern
 
 
 def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
-    """Return the patterns ``(V, *shape)`` that each light one of V views, in turn."""
+    """Return the patterns ``(V, *shape)`` of which each lights one of V views."""
     domain = RayDomain(shape)
     patterns = np.zeros((domain.views, *domain.stack_shape), np.float32)
     patterns[range(domain.views), range(domain.views)] = 1
@@ -60,23 +66,25 @@ def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
 
 
 def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
-    """Return all that the report shows of one transport, beside the truth of its scene, as float32.
+    """Return relit pictures of a transport and the true ones of its scene, for report and figures.
 
     Returns
     -------
     dict of ndarray
+        float32, except ``line_levels``.
+
         ``patterns`` (P, *projector_shape), ``relit`` and ``truth`` (P, *camera_shape, C): the
         reference patterns. ``floodlit_relit``, ``floodlit_truth``, ``albedo`` (*camera_shape, C).
-        ``levels_relit`` (L, *camera_shape, C): the vertical bar relit by the transport as of each
-        of its `Transport.known_levels`.
+        ``levels_relit`` (L, *camera_shape, C): the first pattern relit by the transport truncated
+        at each of its `Transport.known_levels`.
 
-        Of images: ``half_relit``, ``half_truth`` (H, W, C). ``line_relit``, ``line_truth``
-        (W, W', C): the entries of T between the camera's rays of its middle row, down, and the
-        projector's of its own, across. ``line_levels`` (W, W'), see `leaf_levels`, where the
+        For an image domain: ``half_relit``, ``half_truth`` (H, W, C), see `right_half`.
+        ``line_relit``, ``line_truth`` (W, W', C): entries of T between the middle rows of camera
+        (first axis) and projector (second axis). ``line_levels`` (W, W'), see `leaf_levels`, if the
         transport has leaves.
 
-        Of a stack: ``views_relit``, ``views_truth`` (V, V, H, W, C): what each view (second axis)
-        sees in the light of each view (first axis).
+        For a light field: ``views_relit``, ``views_truth`` (V, V, H, W, C): image in each view
+        (second axis) under the light of each view (first axis).
     """
     from rfpipe.scenes import relighting_patterns
 
@@ -108,10 +116,10 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
 
 
 def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArray[Any]]:
-    """Return what the report shows of a transport whose scene is a real one.
+    """Return relit pictures of a transport whose scene has no known truth.
 
-    ``patterns``, ``relit``, ``levels_relit`` and ``floodlit_relit`` as in `relit_arrays`, and
-    ``floodlit_captured``, the rig's image under the all-on pattern (*camera_shape, C).
+    These are ``patterns``, ``relit``, ``levels_relit`` and ``floodlit_relit`` as in `relit_arrays`,
+    and ``floodlit_captured``, the measured floodlit image (*camera_shape, C).
     """
     from rfpipe.scenes import relighting_patterns
 
@@ -120,7 +128,7 @@ def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArra
 
 
 def _relit(transport: Transport, patterns: Float) -> dict[str, NDArray[Any]]:
-    """Relight by the reference patterns, and by the first with the transport at known levels."""
+    """Relight with the reference patterns, and with the first one at each known level."""
     floodlight = np.ones((1, *transport.projector_shape), np.float32)
     relit = transport.relight_batch(np.concatenate([patterns, floodlight]))
     cut = [transport.truncate(level).relight(patterns[0]) for level in transport.known_levels]
@@ -135,26 +143,29 @@ def _relit(transport: Transport, patterns: Float) -> dict[str, NDArray[Any]]:
 def mean_errors(
     transport: Transport, scene: Scene, floodlit: Float, *, is_coaxial: bool
 ) -> dict[str, Any]:
-    """Return the errors of a transport over the pictures that people relight, as plain data.
+    """Return the errors of a transport over the declared distribution of pictures, as plain data.
 
     Parameters
     ----------
     floodlit : ndarray of float32, shape (*camera_shape, C)
-        The truth.
+        True floodlit image.
     is_coaxial : bool
-        Whether pixels that a picture leaves dark get no direct light.
+        Whether pixels that a pattern leaves dark have no direct light.
 
     Returns
     -------
     dict
-        ``mean_error``, ``worst_error``, ``errors``: the mean of each of `KINDS`, and
-        ``plain_errors``: the same relative to each picture's norm, however dark it is;
-        ``level_errors``: the mean as of each of `Transport.known_levels`. With a coaxial rig
-        ``mean_indirect`` and ``indirect_errors`` of each kind: errors of indirect light.
+        ``mean_error``, ``worst_error``; ``errors``: means over each of `KINDS`; ``plain_errors``:
+        the same, relative to each picture's norm, however dark it is; ``level_errors``: mean error
+        at each of `Transport.known_levels`. For coaxial rigs, ``mean_indirect`` and
+        ``indirect_errors`` of each kind: errors of indirect light.
     """
-    count = min(max(int(_PIXELS / floodlit[..., 0].size), len(KINDS)), _PICTURES)
+    count = min(max(int(_MAX_PIXELS / floodlit[..., 0].size), len(KINDS)), _PICTURES)
     patterns = relighting_pictures(transport.projector_shape, count, _SEED)
-    batches = [patterns[first : first + _FEW] for first in range(0, len(patterns), _FEW)]
+    batches = [
+        patterns[first : first + _PICTURE_BATCH]
+        for first in range(0, len(patterns), _PICTURE_BATCH)
+    ]
     cuts = [*map(transport.truncate, transport.known_levels[:-1]), transport]
     images = chain.from_iterable(
         np.stack([cut.relight_batch(batch) for cut in cuts], axis=1) for batch in batches
@@ -187,13 +198,13 @@ def _middle_row(shape: tuple[int, ...]) -> int:
 def _entries(
     light: Callable[[Float], Float], shape: tuple[int, ...], camera_row: int, projector_row: int
 ) -> Float:
-    """Return the entries (W, W', C) of T between a camera's row and a projector's of a `shape`.
+    """Return the entries (W, W', C) of T between a row of the camera and one of the projector.
 
-    `light` turns patterns (P, *shape) into images (P, H, W, C).
+    `light` maps patterns (P, *shape) to images (P, H, W, C).
     """
     columns = []
-    for first in range(0, shape[-1], _AT_A_TIME):
-        count = min(_AT_A_TIME, shape[-1] - first)
+    for first in range(0, shape[-1], _SINGLE_BATCH):
+        count = min(_SINGLE_BATCH, shape[-1] - first)
         patterns = np.zeros((count, *shape), np.float32)
         patterns[range(count), projector_row, range(first, first + count)] = 1
         columns.append(light(patterns)[:, camera_row])
@@ -203,13 +214,13 @@ def _entries(
 def leaf_levels(
     transport: Transport, camera_row: int, projector_row: int
 ) -> NDArray[np.int16] | None:
-    """Return the level of the leaf that holds each entry between the rays of two image rows.
+    """Return the level of the leaf of each entry of T between two image rows.
 
     Returns
     -------
     ndarray of int16, shape (W, W'), or None
-        Rays of the camera's row down, of the projector's across; `NO_LEAF` where the entry is
-        empty. None for a transport without leaves.
+        Rays of the camera's row along the first axis, of the projector's along the second;
+        `NO_LEAF` for empty entries. None for a transport without leaves.
     """
     shape = transport.camera_shape[-1], transport.projector_shape[-1]
     levels = np.full(shape, NO_LEAF, np.int16)
@@ -219,41 +230,44 @@ def leaf_levels(
         sets = transport.level_responses
     else:
         return None
-    for held_at in sets:
-        number, of_ray = _blocks_of_line(transport.tree, held_at.level, projector_row)
+    for leaves in sets:
+        number, column_block = _blocks_of_row(transport.tree, leaves.level, projector_row)
         if isinstance(transport, HierarchicalTransport):
-            a, b = number[held_at.block_a], number[held_at.block_b]
-            down, across, of_row = np.append(a, b), np.append(b, a), of_ray
+            a, b = number[leaves.block_a], number[leaves.block_b]
+            row, column, row_block = np.append(a, b), np.append(b, a), column_block
         else:
-            down, across = held_at.pixel - camera_row * shape[0], number[held_at.block]
-            of_row = np.arange(shape[0])
-        inside = (down >= 0) & (down < shape[0]) & (across >= 0)
-        held = np.zeros(shape, np.bool_)
-        held[down[inside], across[inside]] = True
-        levels[held[np.ix_(of_row, of_ray)]] = held_at.level
+            row, column = leaves.pixel - camera_row * shape[0], number[leaves.block]
+            row_block = np.arange(shape[0])
+        inside = (row >= 0) & (row < shape[0]) & (column >= 0)
+        is_leaf = np.zeros(shape, np.bool_)
+        is_leaf[row[inside], column[inside]] = True
+        levels[is_leaf[np.ix_(row_block, column_block)]] = leaves.level
     return levels
 
 
-def _blocks_of_line(
+def _blocks_of_row(
     tree: BlockTree, level: int, row: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the number of each block along an image row, -1 elsewhere, and that of each ray."""
-    present, of_ray = np.unique(tree.labels(level)[row], return_inverse=True)
+    """Return the position of each block along an image row, and the position for each ray.
+
+    Blocks outside the row have the position -1.
+    """
+    present, ray_block = np.unique(tree.labels(level)[row], return_inverse=True)
     number = np.full(tree.n_blocks(level), -1, np.int64)
     number[present] = np.arange(len(present))
-    return number, of_ray
+    return number, ray_block
 
 
 def check_transport(store: Path) -> None:
-    """Raise IntegrityError where a transport isn't that of the manifest beside it, if any is."""
+    """Raise IntegrityError if a transport's digest differs from the one in its manifest."""
     manifest = store.with_suffix(".json")
     if not manifest.is_file() or store.name != "transport.zarr":
         return
     stated, digest = read_manifest(manifest).get("digest"), open_arrays(store).digest
     if stated not in (None, digest):
         raise IntegrityError(
-            f"{store}: isn't the transport of the manifest beside it: its digest is {digest}, not "
-            f"{stated}. To make it anew from its levels, remove {manifest} and run again"
+            f"{store}: the digest is {digest}, but its manifest says {stated}",
+            remedy=f"To assemble it again from its levels, remove {manifest} and run again",
         )
 
 
@@ -274,7 +288,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         errors = mean_errors(transport, simulated, truth, is_coaxial=scene.is_coaxial)
         recorded = simulated.recorded
         light = {
-            "choices": [each._asdict() for each in scene.choices],
+            "choices": [choice._asdict() for choice in scene.choices],
             "omissions": scene.omissions,
         }
     else:
