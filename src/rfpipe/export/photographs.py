@@ -17,7 +17,7 @@ from rfpipe.pictures.images import write_code_picture, write_image, write_parts
 from rfpipe.provenance import generator
 from rfpipe.relighting import shapes
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, write_atomically
-from rfpipe.transport.algebra import RaySelection, refuse_larger, selected_rays
+from rfpipe.transport.algebra import RaySelection, check_size, selected_rays
 from rfpipe.transport.normals import Normals
 from rfpipe.transport.regrouping import squares
 from rfpipe.transport.relightable import LIMIT, Relightable
@@ -60,7 +60,7 @@ def write_lights(
     chosen = selected_rays(rays, grid, "lights")
     shape = (*RayDomain(light.camera_shape).picture_shape, light.channels)
     advice = "choose columns, join rays (2 x 2: 4 times smaller), or raise the limit"
-    refuse_larger(f"{file}: a file", (len(chosen), *shape), limit_bytes, advice)
+    check_size(f"{file}: a file", (len(chosen), *shape), limit_bytes, advice)
     places = np.transpose(np.unravel_index(chosen, grid))
     names = ["_".join(map(str, ("light", *place))) for place in places]
     patterns = (members[[ray]].toarray().reshape(light.projector_shape) for ray in chosen)

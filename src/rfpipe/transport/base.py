@@ -1,4 +1,4 @@
-"""What every transport is: light between rays, with its levels, that a store keeps."""
+"""Base class of all transports, and their storage."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.output import suffix_of
 from rfpipe.store.arrays import ArrayBundle, write_arrays
@@ -21,20 +22,18 @@ if TYPE_CHECKING:
     import pandas as pd
     from scipy.sparse import csr_array
 
-Float = NDArray[np.float32]
-
 HISTORY_COLUMNS = ("level", "patterns", "estimated_error", "estimated_indirect")
-"""Level; patterns shown up to there, the floodlit one included; the error that the method then
-estimated, relative to the norm of a relit image."""
+"""Columns of `Transport.history`: level; number of patterns up to this level, the floodlit pattern
+included; estimated error of relit pictures, and of their indirect light, relative to their norm."""
 
 NOISE = "noise"
-"""Array of a store that holds `Relightable.noise`, beside those of the transport itself."""
+"""Name of the array of a store with `Relightable.noise`."""
 
-_BATCH = 64
+_PATTERNS_PER_BATCH = 64
 
 
 class Transport(Relightable):
-    """Light transport ``T``, one matrix a colour channel: rows camera rays, columns projector rays.
+    """Light transport ``T``: one matrix per colour channel, (camera rays, projector rays).
 
     Parameters
     ----------
@@ -44,16 +43,16 @@ class Transport(Relightable):
     level_rows : list of dict
         The rows of `levels`.
     content
-        Its arrays, or objects that hold them, in memory or read when used.
+        Arrays, or objects that contain them, in memory or read when used.
     nbytes : int, optional
         Bytes on disk; by default those of the arrays in memory.
     """
 
     kind: ClassVar[str]
-    """The name of the class in stores."""
+    """Name of the class in stores."""
 
     stored_names: ClassVar[tuple[str, ...]] = ("camera_shape", "projector_shape")
-    """Attributes that a store keeps and the constructor takes, beside channels and levels."""
+    """Arguments of the constructor that a store has, besides channels and levels."""
 
     def __init__(
         self,
@@ -81,17 +80,19 @@ class Transport(Relightable):
         )
 
     def with_content(self, level_rows: list[dict[str, Any]], content: Any) -> Self:
-        """Return a transport between the same rays that is made of something else."""
+        """Return a transport of this kind between the same rays, with other levels and content."""
         stored: dict[str, Any] = {name: getattr(self, name) for name in self.stored_names}
-        made = type(self)(channels=self.channels, level_rows=level_rows, content=content, **stored)
-        made.lights = self.lights
-        made.noise = self.noise
-        return made
+        transport = type(self)(
+            channels=self.channels, level_rows=level_rows, content=content, **stored
+        )
+        transport.lights = self.lights
+        transport.noise = self.noise
+        return transport
 
     def pack(
         self, number_format: NumberFormat = "float32"
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the named arrays and the attributes that a store keeps."""
+        """Return the named arrays and the attributes of a store."""
         return self._to_arrays(number_format), {
             "kind": self.kind,
             "number_format": number_format,
@@ -102,7 +103,7 @@ class Transport(Relightable):
 
     @classmethod
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
-        """Build a transport from a store; what fits into `memory_budget` bytes stays in memory."""
+        """Build a transport from a store, in memory if it has at most `memory_budget` bytes."""
         about = bundle.attributes
         return cls(
             channels=about["channels"],
@@ -113,12 +114,12 @@ class Transport(Relightable):
         )
 
     def _to_arrays(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
-        """Return what is held as named arrays, for `pack`."""
+        """Return the content as named arrays, for `pack`."""
         raise NotImplementedError
 
     @classmethod
     def _open(cls, bundle: ArrayBundle, keep: bool) -> Any:
-        """Return what a store holds, read when used, to be kept in memory or not, for `unpack`."""
+        """Return the content of a store, read when used; `keep` it in memory or not."""
         raise NotImplementedError
 
     @abstractmethod
@@ -128,15 +129,22 @@ class Transport(Relightable):
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
     ) -> Float:
-        """Return the light between few patterns, ``R^T T S`` of one channel, float32 (Q, P).
+        """Return ``R^T T S`` of one channel, float32 (Q, P).
 
-        R (camera rays, Q) is how the light that arrives is weighed, S (projector rays, P) patterns.
+        Parameters
+        ----------
+        received : csr_array, shape (camera rays, Q)
+            R: weights of camera rays, few for each of Q sums.
+        sent : csr_array, shape (projector rays, P)
+            S: P patterns that light few rays.
+        channel : int
         """
         matrix = np.empty((received.shape[1], sent.shape[1]), np.float32)
-        for first in range(0, sent.shape[1], _BATCH):
-            patterns = np.ascontiguousarray(sent[:, first : first + _BATCH].toarray().T)
+        for first in range(0, sent.shape[1], _PATTERNS_PER_BATCH):
+            batch = slice(first, first + _PATTERNS_PER_BATCH)
+            patterns = np.ascontiguousarray(sent[:, batch].toarray().T)
             images = self.forward(patterns[:, None], [channel])[:, 0]
-            matrix[:, first : first + _BATCH] = received.T @ images.T
+            matrix[:, batch] = received.T @ images.T
         return matrix
 
     def truncate(self, level: int) -> Transport:
@@ -145,40 +153,40 @@ class Transport(Relightable):
         Raises
         ------
         InputError
-            If `level` is none of `known_levels`.
+            If `level` is not in `known_levels`.
         """
         levels = self.known_levels
         if level not in levels:
             when = f"{levels[0]} to {levels[-1]}"
             if len(levels) == 1:
                 when = (
-                    f"{levels[0]} alone, since all its pictures are fitted together. To see what "
-                    "fewer make of it, acquire it again with a limit of patterns"
+                    f"{levels[0]} only, since all pictures are fitted together. For fewer "
+                    "patterns, acquire it again with a limit of patterns"
                 )
             raise InputError(f"level {level} of a {type(self).__name__}, known after level {when}")
         return self
 
     @property
     def known_levels(self) -> range:
-        """Levels after which the transport is known: the last, where it is fitted as a whole."""
+        """Levels after which the transport is known: the last if all levels are fitted together."""
         return range(self.last_level, self.last_level + 1)
 
     @property
     def last_level(self) -> int:
-        """The last of `known_levels`: the last level that showed patterns."""
-        shown = (int(row["level"]) for row in self.level_rows if row.get("patterns"))
-        return max(shown, default=0)
+        """The last of `known_levels`: the last level with patterns."""
+        levels = (int(row["level"]) for row in self.level_rows if row.get("patterns"))
+        return max(levels, default=0)
 
     @property
     def levels(self) -> pd.DataFrame:
-        """Per level: patterns, nodes, empty, rank-1, scalar and subdivided ones (Fig. 5.10)."""
+        """Table of levels: patterns; nodes; empty, rank-1, scalar, subdivided nodes (Fig. 5.10)."""
         import pandas as pd
 
         return pd.DataFrame(self.level_rows)
 
     @property
     def history(self) -> pd.DataFrame:
-        """The method's estimates of its error: `HISTORY_COLUMNS`, a row for each level with one."""
+        """Table of error estimates, `HISTORY_COLUMNS`, with a row for each level that has one."""
         import pandas as pd
 
         table = pd.DataFrame(estimates(self.level_rows), columns=list(HISTORY_COLUMNS))
@@ -187,7 +195,7 @@ class Transport(Relightable):
 
     @property
     def nbytes(self) -> int:
-        """Bytes stored: on disk if opened from a store, of the arrays if in memory."""
+        """Bytes on disk if the transport is from a store, else of its arrays."""
         return self._bytes_in_memory() if self._nbytes is None else self._nbytes
 
     def save(
@@ -209,10 +217,12 @@ class Transport(Relightable):
 
         if suffix_of(Path(path), (*MATRIX_FILES, ".zarr")) != ".zarr":
             if number_format is not None:
-                raise InputError(f"{path}: a matrix is kept as float32; number_format is of .zarr")
+                raise InputError(
+                    f"{path}: a matrix is stored as float32; number_format is for .zarr"
+                )
             super().save(path, rows=rows, columns=columns, limit_bytes=limit_bytes)
         elif rows is not None or columns is not None:
-            raise InputError(f"{path}: a store holds the whole transport; rows and columns don't")
+            raise InputError(f"{path}: a store has all rays; rows and columns are for matrices")
         else:
             save_transport(self, path, number_format or "float32")
 
@@ -225,20 +235,20 @@ def save_transport(
     resumes: bool = False,
     **attributes: Any,
 ) -> str:
-    """Write a transport into a chunked, compressed store, complete or not at all.
+    """Write a transport into a chunked, compressed store, completely or not at all.
 
     Parameters
     ----------
     transport : Transport
     path : path
-        The store's folder; an older store there is replaced.
+        The store's folder; an existing store is replaced.
     number_format : {"float32", "uint16", "uint8"}
-        "float32" keeps every bit. The others round, factors of leaves by about 1e-5 and 3e-3 of
-        their values; "uint8" is the default of runs (``storage.number_format``).
+        "float32" is exact. The others round factors of leaves by about 1e-5 and 3e-3 of their
+        values; "uint8" is the default of runs (``storage.number_format``).
     resumes : bool
-        Whether a run writes it, which goes on after an error; see `rfpipe.output.storage_errors`.
+        Whether a run writes it, which resumes after an error; see `rfpipe.output.storage_errors`.
     **attributes
-        Plain data to keep beside the transport's own (scene, method, fingerprints).
+        Plain data to add to the store's attributes (scene, method, fingerprints).
 
     Returns
     -------
@@ -248,7 +258,7 @@ def save_transport(
     Raises
     ------
     InputError
-        If the number format is none of the three.
+        If the number format is unknown.
     """
     if number_format not in get_args(NumberFormat):
         expected = ", ".join(get_args(NumberFormat))
@@ -258,23 +268,28 @@ def save_transport(
         attributes["lights"] = transport.lights.tolist()
     if transport.noise is not None:
         arrays = {**arrays, NOISE: transport.noise}
-    by_parts = len(transport.camera_shape) > 2
+    has_views = len(transport.camera_shape) > 2
     return write_arrays(
-        Path(path), arrays, {**attributes, **packed}, small=True, by_parts=by_parts, resumes=resumes
+        Path(path),
+        arrays,
+        {**attributes, **packed},
+        small=True,
+        by_parts=has_views,
+        resumes=resumes,
     )
 
 
 def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return `HISTORY_COLUMNS` of the rows of levels that have an ``estimated_error``."""
-    errors, count = [], 0
+    """Return the rows of `Transport.history`, for levels that have an ``estimated_error``."""
+    rows, count = [], 0
     for row in level_rows:
         count += int(row["patterns"])
         if "estimated_error" in row:
-            known = {name: float(row.get(name, np.nan)) for name in HISTORY_COLUMNS[2:]}
-            errors.append({"level": int(row["level"]), "patterns": count, **known})
-    return errors
+            errors = {name: float(row.get(name, np.nan)) for name in HISTORY_COLUMNS[2:]}
+            rows.append({"level": int(row["level"]), "patterns": count, **errors})
+    return rows
 
 
 def last_estimate(level_rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the last of `estimates`; empty where there is none."""
+    """Return the last row of `estimates`; empty if there is none."""
     return next(reversed(estimates(level_rows)), {})

@@ -1,4 +1,7 @@
-"""Pictures of a transport of single lights under light from between them."""
+"""Relighting a transport of single lights with light from directions between them.
+
+See `rfpipe.lights.interpolation` for the model.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,13 @@ Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
 _SAMPLES = 1024
-"""Values of each picture from which the interpolation is chosen."""
+"""Values of each picture on which the models are compared."""
 
 _FEW_DIRECTIONS = 64
-"""Directions of light up to which shading is summed for each pixel, else read from a table."""
+"""Up to this number of directions, shading is summed for each pixel; beyond, read from a table."""
 
 _TABLE_ROWS = 91
-"""Normals from pole to pole in the table of shading."""
+"""Rows of the table of shading, normals from pole to pole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +37,14 @@ class LightInterpolation:
     ----------
     interpolation : Interpolation
     vectors : ndarray of float32, shape (channels, camera rays, 3), or None
-        Albedo times normal, where the interpolation has the Lambertian trend.
+        Albedo times normal; None if the interpolation has no Lambertian trend.
     """
 
     interpolation: Interpolation
     vectors: Float | None
 
     def relight(self, transport: MatrixAlgebra, sky: Sky) -> Float:
-        """Return the picture (*camera_shape, channels) under light from some directions."""
+        """Return the picture (*camera_shape, channels) under the light of a sky."""
         weights, share, shading = self.interpolation.weights(sky.directions)
         colours = range(transport.channels)
         planes = (weights.T @ sky.light).T.astype(np.float32)
@@ -55,38 +58,38 @@ class LightInterpolation:
             light = np.vstack([share[:, None] * sky.light, -(shading.T @ sky.light)])
             strength = np.abs(light).max(axis=1)
             used = strength > 1e-9 * max(float(strength.max()), 1e-30)
-            matt = _matt(self.vectors, directions[used], light[used])
-            image = (image + matt).astype(np.float32)
+            shading = _shading_image(self.vectors, directions[used], light[used])
+            image = (image + shading).astype(np.float32)
         positive = np.maximum(image, 0)
         return np.moveaxis(positive, 0, -1).reshape(*transport.camera_shape, len(positive))
 
 
 def interpolate_lights(transport: MatrixAlgebra, directions: Float) -> LightInterpolation:
-    """Choose the interpolation between the lights of a transport from its pictures.
+    """Choose an interpolation between the lights of a transport by its pictures.
 
     Parameters
     ----------
-    transport : Relightable
-        Its projector's rays are single lights.
+    transport : MatrixAlgebra
+        The projector's rays are single lights.
     directions : ndarray of float32, shape (lights, 3)
 
     Notes
     -----
-    Where all pictures take more than the memory budget, the models with a Lambertian trend, which
-    are fitted to all pixels, are left out.
+    Models with a Lambertian trend are fitted to all pixels. They are left out if all pictures take
+    more than the memory budget.
     """
     lights = len(directions)
     if lights > MOST_LIGHTS:
         return LightInterpolation(between(directions), None)
     white = np.ones((1, 1, lights), np.float32).repeat(transport.channels, axis=1)
-    seen = np.flatnonzero(transport.forward(white, range(transport.channels))[0].any(axis=0))
-    if not len(seen):
+    bright = np.flatnonzero(transport.forward(white, range(transport.channels))[0].any(axis=0))
+    if not len(bright):
         return LightInterpolation(between(directions), None)
-    chosen = np.linspace(0, len(seen) - 1, -(-_SAMPLES // transport.channels)).astype(int)
-    rays = seen[np.unique(chosen)]
+    chosen = np.linspace(0, len(bright) - 1, -(-_SAMPLES // transport.channels)).astype(int)
+    rays = bright[np.unique(chosen)]
     samples = np.moveaxis(transport.toarray(rays), -1, 0).reshape(lights, -1)
-    fits = 4 * prod(transport.shape) <= MEMORY_BUDGET
-    interpolation = interpolate(samples, directions, with_shading=fits)
+    fits_memory = 4 * prod(transport.shape) <= MEMORY_BUDGET
+    interpolation = interpolate(samples, directions, with_shading=fits_memory)
     if not interpolation.has_shading:
         return LightInterpolation(interpolation, None)
     vectors = [
@@ -96,7 +99,7 @@ def interpolate_lights(transport: MatrixAlgebra, directions: Float) -> LightInte
     return LightInterpolation(interpolation, np.stack(vectors))
 
 
-def _matt(vectors: Float, directions: Double, light: Double) -> Double:
+def _shading_image(vectors: Float, directions: Double, light: Double) -> Double:
     """Return Lambertian shading (channels, rays) of vectors (C, rays, 3) under lights (D, C')."""
     channels = np.broadcast_to(np.arange(len(vectors)), max(len(vectors), light.shape[1]))
     lit = np.broadcast_to(np.arange(light.shape[1]), len(channels))
@@ -104,7 +107,7 @@ def _matt(vectors: Float, directions: Double, light: Double) -> Double:
     if len(directions) <= _FEW_DIRECTIONS:
         return np.stack([light[:, k] @ shaded(vectors[c], directions) for c, k in pairs])
     table = _table(directions, light)
-    return np.stack([_looked_up(vectors[c], table[..., k]) for c, k in pairs])
+    return np.stack([_interpolate_table(vectors[c], table[..., k]) for c, k in pairs])
 
 
 def _table(directions: Double, light: Double) -> Double:
@@ -118,8 +121,8 @@ def _table(directions: Double, light: Double) -> Double:
     return np.stack(rows)
 
 
-def _looked_up(vectors: Float, table: Double) -> Double:
-    """Return a table's values (H, W) at the directions of vectors (rays, 3), times their length."""
+def _interpolate_table(vectors: Float, table: Double) -> Double:
+    """Interpolate a table (H, W) at the directions of vectors (rays, 3), times their length."""
     from scipy.ndimage import map_coordinates
 
     b = vectors.astype(np.float64)

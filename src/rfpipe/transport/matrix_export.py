@@ -1,4 +1,4 @@
-"""The matrix of a transport in files that other programs read: NumPy, HDF5 and MATLAB."""
+"""Export of a transport's matrix to files of NumPy, HDF5 and MATLAB."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from rfpipe.errors import StoreError, installing
 from rfpipe.output import Sink, suffix_of, whole_file
 from rfpipe.transport.algebra import (
-    AT_A_TIME,
+    BATCH_MULTIPLE,
     Float,
     Index,
     MatrixAlgebra,
     RaySelection,
-    refuse_larger,
+    check_size,
     selected_rays,
 )
 from rfpipe.version import __version__
@@ -30,20 +30,20 @@ ABOUT = (
     "row of their images, from 0: camera_shape and projector_shape are (height, width), views "
     "before them. 'rows' and 'columns' are the rays that are kept."
 )
-"""What a file says of itself."""
+"""Description in each file."""
 
-_OF_MATLAB = (
+_ABOUT_MATLAB = (
     "In MATLAB T is (row, column, channel), rays count from 0 in 'rows' and 'columns', and the "
     "image of c = T(:, :, 1) * p is reshape(c, camera_shape(end:-1:1))'."
 )
 _CHUNK_ENTRIES = 2**18
 _MATLAB_HEADER, _MATLAB_TEXT = 512, 116
-# As every HDF5 library can read it.
-_PACKED: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+# Compression that every HDF5 library can read.
+_COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 class Contents(NamedTuple):
-    """The part of a matrix that is written: some rows and columns, by their rays."""
+    """Selected rows and columns of a matrix, by the numbers of their rays."""
 
     matrix: MatrixAlgebra
     rows: Index
@@ -55,7 +55,7 @@ class Contents(NamedTuple):
         return self.matrix.channels, len(self.rows), len(self.columns)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the small arrays that stand beside T."""
+        """Return the small arrays that describe T: shapes and numbers of rays."""
         shapes = {"camera_shape": self.matrix.camera_shape}
         shapes["projector_shape"] = self.matrix.projector_shape
         arrays = {name: np.array(shape, np.int64) for name, shape in shapes.items()}
@@ -79,14 +79,14 @@ def write_matrix(
         selected_rays(columns, matrix.projector_shape, "columns"),
     )
     advice = "choose rows or columns, join rays (2 x 2: 16 times smaller), or raise the limit"
-    refuse_larger(f"{path}: a matrix", contents.shape, limit_bytes, advice)
+    check_size(f"{path}: a matrix", contents.shape, limit_bytes, advice)
     nbytes = 4 * prod(contents.shape)
     with whole_file(path, nbytes) as partial:
         write(partial, contents)
 
 
-def _npz(path: Path, contents: Contents) -> None:
-    """Write ``T`` (C, rows, columns), what stands beside it, and ``about``, a text."""
+def _write_npz(path: Path, contents: Contents) -> None:
+    """Write ``T`` (C, rows, columns), the arrays that describe it, and the text ``about``."""
     small = {**contents.arrays(), "about": np.array(ABOUT)}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in small.items():
@@ -95,15 +95,21 @@ def _npz(path: Path, contents: Contents) -> None:
         with archive.open("T.npy", "w", force_zip64=True) as member:
             header = {"descr": "<f4", "fortran_order": False, "shape": contents.shape}
             np.lib.format.write_array_header_2_0(member, header)
-            for channel in range(contents.shape[0]):
-                for *_, block in contents.blocks(by_rows=True, channels=[channel]):
-                    member.write(np.ascontiguousarray(block[0], "<f4").data)
+            for block in _rows_by_channel(contents):
+                member.write(np.ascontiguousarray(block, "<f4").data)
 
 
-def _hdf5(path: Path, contents: Contents) -> None:
-    """Write the dataset ``T``, what stands beside it, and texts; as MATLAB has it in a MAT file.
+def _rows_by_channel(contents: Contents) -> Iterator[Float]:
+    """Yield rows of T, (rows, columns), one channel after the other."""
+    for channel in range(contents.shape[0]):
+        for *_, block in contents.blocks(by_rows=True, channels=[channel]):
+            yield block[0]
 
-    A MAT file of version 7.3 is HDF5 behind a header, its axes the other way round.
+
+def _write_hdf5(path: Path, contents: Contents) -> None:
+    """Write the dataset ``T``, the arrays that describe it, and texts.
+
+    A MAT file of version 7.3 is HDF5 after a header of 512 bytes, with the axes in reverse order.
     """
     try:
         import h5py
@@ -126,28 +132,28 @@ def _hdf5(path: Path, contents: Contents) -> None:
 
 
 def _fill(file: Any, contents: Contents, sink: Sink, *, matlab: bool) -> None:
-    """Write the datasets of an HDF5 file; OSError where the sink's disk is full."""
+    """Write the datasets of an HDF5 file; OSError when the disk is full."""
     channels, rows, columns = contents.shape
     by_rows = rows <= columns
-    # each chunk is written once, by one part: some whole rows, or columns
-    high, wide = AT_A_TIME, _CHUNK_ENTRIES // AT_A_TIME
-    chunk = (1, min(rows, high if by_rows else wide), min(columns, wide if by_rows else high))
+    # parts are whole rows or columns, and each chunk is in one part
+    short, long = BATCH_MULTIPLE, _CHUNK_ENTRIES // BATCH_MULTIPLE
+    chunk = (1, min(rows, short if by_rows else long), min(columns, long if by_rows else short))
     order = [0, 1, 2]
-    if matlab:  # which has no axis of one channel
+    if matlab:  # drops an axis of one channel
         order = [0, 2, 1] if channels > 1 else [2, 1]
     shape, chunks = (tuple(lengths[axis] for axis in order) for lengths in (contents.shape, chunk))
-    matrix = file.create_dataset("T", shape, "<f4", chunks=chunks, **_PACKED)
-    for of_rows, of_columns, block in contents.blocks(by_rows=by_rows):
-        place = slice(None), of_rows, of_columns
-        turned = block.transpose(order) if len(order) == len(place) else block[0].T
-        matrix[tuple(place[axis] for axis in order)] = turned
+    matrix = file.create_dataset("T", shape, "<f4", chunks=chunks, **_COMPRESSION)
+    for row_range, column_range, block in contents.blocks(by_rows=by_rows):
+        ranges = slice(None), row_range, column_range
+        transposed = block.transpose(order) if len(order) == len(ranges) else block[0].T
+        matrix[tuple(ranges[axis] for axis in order)] = transposed
         sink.raise_failure()
     if matlab:
         matrix.attrs["MATLAB_class"] = np.bytes_("single")
         for name, array in contents.arrays().items():
             file[name] = array[:, None].astype("<f8")
             file[name].attrs["MATLAB_class"] = np.bytes_("double")
-        text = np.frombuffer(f"{ABOUT} {_OF_MATLAB}".encode("utf-16-le"), "<u2")
+        text = np.frombuffer(f"{ABOUT} {_ABOUT_MATLAB}".encode("utf-16-le"), "<u2")
         file["about"] = text[:, None]
         file["about"].attrs["MATLAB_class"] = np.bytes_("char")
         file["about"].attrs["MATLAB_int_decode"] = np.int32(2)
@@ -160,12 +166,12 @@ def _fill(file: Any, contents: Contents, sink: Sink, *, matlab: bool) -> None:
 
 
 def _matlab_header() -> bytes:
-    """Return the block before the HDF5 part, by which MATLAB knows the version."""
+    """Return the header before the HDF5 part, from which MATLAB reads the version."""
     text = f"MATLAB 7.3 MAT-file, Platform: rfpipe {__version__}, HDF5 schema 1.00 ."
     header = text.encode()[:_MATLAB_TEXT].ljust(_MATLAB_TEXT)
     header += bytes(8) + b"\x00\x02" + b"IM"  # no subsystem; version 2.0; little-endian
     return header.ljust(_MATLAB_HEADER, b"\0")
 
 
-MATRIX_FILES = {".npz": _npz, ".h5": _hdf5, ".hdf5": _hdf5, ".mat": _hdf5}
-"""What writes a matrix, by the end of a file's name."""
+MATRIX_FILES = {".npz": _write_npz, ".h5": _write_hdf5, ".hdf5": _write_hdf5, ".mat": _write_hdf5}
+"""Functions that write a matrix, by the suffix of the file."""

@@ -1,4 +1,4 @@
-"""A transport between other rays than those of its acquisition: coarser ones, or some of them."""
+"""Transport between coarser rays, or between a selection of the acquired rays."""
 
 from __future__ import annotations
 
@@ -7,48 +7,58 @@ from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.transport.algebra import Float
 from rfpipe.transport.relightable import Relightable
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-_AT_ONCE_BYTES = 64 * 2**20
+_BATCH_BYTES = 64 * 2**20
 
 
 class RegroupedTransport(Relightable):
-    """Light between other rays, ``C T P`` computed at each use; see `coarser` and `crop`.
+    """Transport between other rays, ``C T P``, computed at each use; see `coarser` and `crop`.
 
-    C, `camera`, and P, `projector`, are sparse float32 (m, M) and (N, n), where T has M camera rays
-    and N projector rays.
+    Parameters
+    ----------
+    transport : Relightable
+        T, of M camera rays and N projector rays.
+    camera_shape, projector_shape : tuple of int
+        The ray domains, of m and n rays.
+    camera : csr_array of float32, shape (m, M)
+        C: weights of camera rays in each of the m.
+    projector : csr_array of float32, shape (N, n)
+        P: weights of each of the n in the projector rays.
+    name : str
+        Description for `repr`.
     """
 
     def __init__(
         self,
-        whole: Relightable,
+        transport: Relightable,
         camera_shape: tuple[int, ...],
         projector_shape: tuple[int, ...],
         camera: csr_array[np.float32],
         projector: csr_array[np.float32],
         name: str,
     ) -> None:
-        self.channels = whole.channels
+        self.channels = transport.channels
         self.camera_shape, self.projector_shape = camera_shape, projector_shape
-        self._whole, self._camera, self._projector, self._name = whole, camera, projector, name
+        self._transport, self._name = transport, name
+        self._camera, self._projector = camera, projector
 
     def __repr__(self) -> str:
-        return f"{self._name} of {self._whole!r}"
+        return f"{self._name} of {self._transport!r}"
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
         return self._applied(
             patterns,
             self._projector,
-            lambda light: self._whole.forward(light, channels),
+            lambda light: self._transport.forward(light, channels),
             self._camera,
         )
 
@@ -57,42 +67,41 @@ class RegroupedTransport(Relightable):
         return self._applied(
             images,
             self._camera.T,
-            lambda light: self._whole.adjoint(light, channels),
+            lambda light: self._transport.adjoint(light, channels),
             self._projector.T,
         )
 
     def _applied(
         self, planar: Float, spread: Any, apply: Callable[[Float], Float], gather: Any
     ) -> Float:
-        """Apply the whole to some light at a time, white light in the memory of one plane."""
-        rays = sum(self._whole.shape[1:])
-        at_a_time = max(1, _AT_ONCE_BYTES // (4 * planar.shape[1] * rays))
+        """Return ``gather apply(spread p)`` in batches, white light in the memory of one plane."""
+        rays = sum(self._transport.shape[1:])
+        batch_size = max(1, _BATCH_BYTES // (4 * planar.shape[1] * rays))
         images = []
-        for first in range(0, max(len(planar), 1), at_a_time):
-            some = planar[first : first + at_a_time]
-            light = _each(spread, some[:, :1] if some.strides[1] == 0 else some)
-            light = np.broadcast_to(light, (*some.shape[:2], light.shape[-1]))
-            images.append(_each(gather, apply(light)))
+        for first in range(0, max(len(planar), 1), batch_size):
+            batch = planar[first : first + batch_size]
+            light = _multiply(spread, batch[:, :1] if batch.strides[1] == 0 else batch)
+            light = np.broadcast_to(light, (*batch.shape[:2], light.shape[-1]))
+            images.append(_multiply(gather, apply(light)))
         return np.concatenate(images)
 
 
-def _each(matrix: Any, planar: Float) -> Float:
-    """Return the product of a sparse matrix and each of planar images ``(P, K, rays)``."""
+def _multiply(matrix: Any, planar: Float) -> Float:
+    """Return the products of a sparse matrix and planar images ``(P, K, rays)``."""
     product: Float = (matrix @ planar.reshape(-1, planar.shape[-1]).T).T
     return np.ascontiguousarray(product).reshape(*planar.shape[:2], -1)
 
 
 def coarser(transport: Relightable, factor: int) -> RegroupedTransport:
-    """Return a transport between coarser rays, squares of `factor` by `factor` of its own.
+    """Return a transport between squares of `factor` by `factor` rays.
 
-    A coarse projector ray lights all of its rays alike, a coarse camera ray sees the mean of its
-    own; views stay. Where the factor doesn't divide a side, the last ones are smaller. Its matrix
-    has ``factor**4`` times fewer entries.
+    The rays of a projector square have the same weight, a camera square is the mean of its rays.
+    Views are not mixed, and squares at the end of an image may be smaller. The matrix has
+    ``factor**4`` times fewer entries.
 
     Parameters
     ----------
-    transport : Transport
-        Or a dual one.
+    transport : Relightable
     factor : int
         At least 1, or InputError.
     """
@@ -107,7 +116,7 @@ def coarser(transport: Relightable, factor: int) -> RegroupedTransport:
 
 
 def squares(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_array[np.float32]]:
-    """Return the grid of `RayDomain.squares`, and the matrix (squares, rays) that adds them up."""
+    """Return the grid of `RayDomain.squares`, and the matrix (squares, rays) of their sums."""
     from scipy.sparse import csr_array
 
     (views, *image), square = RayDomain(shape).squares(side)
@@ -116,55 +125,52 @@ def squares(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_arr
     return (*shape[:-2], *image), matrix
 
 
-def crop(whole: Relightable, camera: Any = None, projector: Any = None) -> RegroupedTransport:
-    """Return a transport between some of its rays: of a view, of a part of a picture.
+def crop(transport: Relightable, camera: Any = None, projector: Any = None) -> RegroupedTransport:
+    """Return a transport between a selection of its rays: of a view, or of a part of a picture.
 
-    What passes between the others isn't read of leaves, as ``symmetric`` finds them. All else is
-    read whole, for the same pictures.
+    Of a hierarchical tensor, only the leaves between the selected rays are read.
 
     Parameters
     ----------
-    whole : Transport
-        Or a dual one.
+    transport : Relightable
     camera, projector : int, slice or tuple of them, optional
-        Which rays, as an index of an array of its `camera_shape` or `projector_shape` that leaves
-        height and width: ``4`` for the view 4 of several, ``np.s_[4, 10:20, :]`` for some rows of
-        it. All by default; InputError if there are no such rays.
+        Index of an array of `camera_shape` or `projector_shape`, whose result has height and width:
+        ``4`` for view 4 of several, ``np.s_[4, 10:20, :]`` for some rows of it. All rays by
+        default; InputError if the selection has no rays.
     """
-    seen = _rays(camera, whole.camera_shape, "camera")
-    lit = _rays(projector, whole.projector_shape, "projector")
-    some = [
-        _one_each(rays, prod(shape))
-        for rays, shape in ((seen, whole.camera_shape), (lit, whole.projector_shape))
-    ]
-    part = whole.restricted(*(matrix.sum(axis=0) > 0 for matrix in some))
+    seen = _select(camera, transport.camera_shape, "camera")
+    lit = _select(projector, transport.projector_shape, "projector")
+    rows = _selection_matrix(seen, prod(transport.camera_shape))
+    columns = _selection_matrix(lit, prod(transport.projector_shape))
+    part = transport.restricted(rows.sum(axis=0) > 0, columns.sum(axis=0) > 0)
     name = f"{seen.shape} by {lit.shape} rays"
-    taken = RegroupedTransport(part, seen.shape, lit.shape, some[0], some[1].T.tocsr(), name)
-    taken.lights = None if whole.lights is None else whole.lights[lit.ravel()]
-    taken.noise = None if whole.noise is None else whole.noise.ravel()[seen]
-    return taken
+    cropped = RegroupedTransport(part, seen.shape, lit.shape, rows, columns.T.tocsr(), name)
+    cropped.lights = None if transport.lights is None else transport.lights[lit.ravel()]
+    cropped.noise = None if transport.noise is None else transport.noise.ravel()[seen]
+    return cropped
 
 
-def _one_each(rays: NDArray[np.int64], count: int) -> csr_array[np.float32]:
-    """Return the matrix that takes some of so many rays."""
+def _selection_matrix(rays: Index, count: int) -> csr_array[np.float32]:
+    """Return the matrix (selected rays, rays) that selects rays of a domain of `count`."""
     from scipy.sparse import csr_array
 
     ones, starts = np.ones(rays.size, np.float32), np.arange(rays.size + 1)
     return csr_array((ones, rays.ravel(), starts), shape=(rays.size, count))
 
 
-def _rays(chosen: Any, shape: tuple[int, ...], name: str) -> NDArray[np.int64]:
-    every = np.arange(prod(shape), dtype=np.int64).reshape(shape)
+def _select(chosen: Any, shape: tuple[int, ...], name: str) -> Index:
+    """Return the numbers of the rays that an index selects."""
+    numbers = np.arange(prod(shape), dtype=np.int64).reshape(shape)
     parts = chosen if isinstance(chosen, tuple) else (... if chosen is None else chosen,)
-    plain = all(part is Ellipsis or isinstance(part, int | np.integer | slice) for part in parts)
+    is_plain = all(part is Ellipsis or isinstance(part, int | np.integer | slice) for part in parts)
     try:
-        rays: Any = every[parts] if plain else every[:0]
+        rays: Any = numbers[parts] if is_plain else numbers[:0]
     except IndexError:
-        rays = every[:0]
+        rays = numbers[:0]
     if rays.ndim < 2 or not rays.size:
         raise InputError(
-            f"{name} = {chosen!r} of rays {shape}: expected whole numbers and slices that leave "
-            "height and width, such as 4 for the view 4 of several, or np.s_[4, 10:20, :] for "
+            f"{name} = {chosen!r} of rays {shape}: expected integers and slices whose result "
+            "has height and width, such as 4 for view 4 of several, or np.s_[4, 10:20, :] for "
             "some rows of it"
         )
     return np.asarray(rays)

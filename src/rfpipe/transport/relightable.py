@@ -1,4 +1,7 @@
-"""What can be relit, and its dual: pictures, matrices, what sees what."""
+"""Relighting, and the analyses of a scene that are based on it.
+
+A transport, its dual and selections of their rays share this interface.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +27,14 @@ if TYPE_CHECKING:
     from rfpipe.transport.separation import Separation
 
 LIMIT = 8 * 2**30
-"""Bytes that a matrix in a file may take by default, before compression."""
+"""Default limit of the bytes of a matrix in a file, before compression."""
 
 
 class Relightable(MatrixAlgebra):
-    """What can be relit: a transport, its dual, or either between coarser rays."""
+    """Light transport that can be relit: a transport, its dual, or either between other rays."""
 
     _lights: Float | None = None
-    _between: LightInterpolation | None = None
+    _interpolation: LightInterpolation | None = None
     _noise: Float | None = None
 
     @property
@@ -41,9 +44,9 @@ class Relightable(MatrixAlgebra):
 
     @property
     def lights(self) -> Float | None:
-        """Directions of the lights that the projector's rays are, float32 (rays, 3), if known.
+        """Directions of single lights, one for each projector ray, float32 (rays, 3), or None.
 
-        They may be set; InputError unless each ray has one.
+        Setting it raises InputError unless each ray has a direction.
         """
         return self._lights
 
@@ -52,20 +55,20 @@ class Relightable(MatrixAlgebra):
         from rfpipe.environment import as_directions
 
         self._lights = None if lights is None else as_directions(lights, count=self.shape[2])
-        self._between = None
+        self._interpolation = None
 
     @property
     def noise(self) -> Float | None:
-        """Standard deviation of one picture, float32 (*camera_shape), if known.
+        """Standard deviation of one picture, float32 (*camera_shape), or None.
 
-        Radiance, of the sum of the channels; infinite at camera pixels that no picture shows.
+        In radiance, for the sum of the channels; infinite at camera pixels that no picture shows.
         Setting it raises InputError for another shape, NaN or negative values.
         """
         return self._noise
 
     @noise.setter
     def noise(self, noise: ArrayLike | None) -> None:
-        self._noise = None if noise is None else _as_noise(noise, self.camera_shape)
+        self._noise = None if noise is None else _check_noise(noise, self.camera_shape)
 
     def relight(self, pattern: NDArray[Any]) -> Float:
         """Return the image under a pattern, ``c = T p`` (eq. 2.11).
@@ -95,10 +98,10 @@ class Relightable(MatrixAlgebra):
         return np.moveaxis(images, 1, -1).reshape(shape)
 
     def correspondence(self) -> Correspondence:
-        """Return which place of the projector lights each camera pixel directly.
+        """Locate the projector pixel that lights each camera pixel directly.
 
-        Places to a fraction of a pixel, their confidence and a mask; InputError for a projector of
-        several views. See `rfpipe.transport.correspondence`.
+        Returns places to a fraction of a pixel, their confidence and a mask; see
+        `rfpipe.transport.correspondence`. InputError for a projector of several views.
         """
         from rfpipe.transport.correspondence import correspondence_of
 
@@ -118,7 +121,7 @@ class Relightable(MatrixAlgebra):
         Returns
         -------
         ndarray of float32, shape (*camera_shape, channels)
-            Radiance, 0 or more; black if the direction is farther from all lights than twice their
+            Radiance, 0 or more; 0 if the direction is farther from all lights than twice their
             spacing.
 
         Raises
@@ -131,7 +134,7 @@ class Relightable(MatrixAlgebra):
 
         towards = unit(as_directions(np.asarray(direction, np.float32)[None], "direction"))
         sky = Sky(towards, np.ones((1, self.channels)))
-        return self._lights_between(None).relight(self, sky)
+        return self._light_interpolation(None).relight(self, sky)
 
     def relight_environment(
         self,
@@ -140,10 +143,10 @@ class Relightable(MatrixAlgebra):
         turned: float = 0.0,
         mirrored: bool = False,
     ) -> Float:
-        """Return the picture under a panorama; the projector's rays are single lights.
+        """Return the picture under a panorama, for a transport whose rays are single lights.
 
-        It is the sum of `light_from` over the panorama's directions. Light from directions that no
-        light covers is left out: `rfpipe.environment_coverage` is the share of the others.
+        It is the sum of `light_from` over the directions of the panorama. Directions far from all
+        lights are left out; `rfpipe.environment_coverage` is the share of light that remains.
 
         Parameters
         ----------
@@ -160,16 +163,16 @@ class Relightable(MatrixAlgebra):
         Raises
         ------
         InputError
-            As `rfpipe.environment_weights`, or if the lights' directions are unknown, or their
-            number isn't that of the projector's rays.
+            As `rfpipe.environment_weights`, and if the directions of the lights are unknown or
+            their number differs from that of the projector's rays.
         """
         from rfpipe.environment import sky_of
 
         sky = sky_of(environment, turned, mirrored)
-        return self._lights_between(lights).relight(self, sky)
+        return self._light_interpolation(lights).relight(self, sky)
 
-    def _lights_between(self, lights: ArrayLike | None) -> LightInterpolation:
-        """Return the interpolation between lights, by default the transport's, which is kept."""
+    def _light_interpolation(self, lights: ArrayLike | None) -> LightInterpolation:
+        """Return the interpolation between lights, by default the transport's, computed once."""
         from rfpipe.environment import as_directions
         from rfpipe.transport.light_interpolation import interpolate_lights
 
@@ -177,12 +180,12 @@ class Relightable(MatrixAlgebra):
             return interpolate_lights(self, as_directions(lights, count=self.shape[2]))
         if self.lights is None:
             raise InputError(
-                "the transport has no directions of its lights: fit it from a folder with a file "
+                "the transport has no directions of its lights; fit it from a folder with a file "
                 "of their directions, or set transport.lights, one direction for each ray"
             )
-        if self._between is None:
-            self._between = interpolate_lights(self, self.lights)
-        return self._between
+        if self._interpolation is None:
+            self._interpolation = interpolate_lights(self, self.lights)
+        return self._interpolation
 
     def normals(self) -> Normals:
         """Estimate surface normals and albedo by photometric stereo, from one light at a time.
@@ -195,7 +198,7 @@ class Relightable(MatrixAlgebra):
         return normals_of(self, self.lights)
 
     def pattern_for(self, picture: NDArray[Any]) -> Compensation:
-        """Return the pattern of weights between 0 and 1 that makes the scene look like a picture.
+        """Compute the pattern, of weights 0 to 1, under which the scene looks like a picture.
 
         Parameters
         ----------
@@ -205,42 +208,43 @@ class Relightable(MatrixAlgebra):
         Raises
         ------
         InputError
-            If the picture has another shape, or values that aren't finite, are negative, or a
-            picture file's whole numbers; if no light arrives.
+            If the picture has another shape, negative or non-finite values, or integers; if no
+            camera pixel receives light.
         """
         from rfpipe.transport.compensation import compensation_for
 
-        wished = planar_patterns(
-            np.asarray(picture)[None], self.camera_shape, self.channels, "a wished picture"
+        target = planar_patterns(
+            np.asarray(picture)[None], self.camera_shape, self.channels, "the picture"
         )
-        return compensation_for(self, wished[0])
+        return compensation_for(self, target[0])
 
     def separate(
         self, pattern: NDArray[Any], *, direct: int = 2, near: float = 1 / 16
     ) -> Separation:
-        """Return the picture under a pattern as direct, near-range and far-range light.
+        """Divide the picture under a pattern into direct, near-range and far-range light.
 
-        Light is told by how far from a pixel's own place in the projector's picture it was sent:
-        itself on a coaxial rig, else as `correspondence` tells. A pixel without such a place, in
-        shadow, goes by that of the next one.
+        The range of light is the distance, in the projector's picture, between the ray that sent it
+        and the ray that lights the camera pixel directly: the pixel itself on a coaxial rig, else
+        the place from `correspondence`. Pixels without direct light take the place of the nearest
+        pixel that has one.
 
         Parameters
         ----------
         pattern
             As for `relight`.
         direct : int
-            Rows and columns of the projector up to which light is direct, 0 or more. Two take in
-            the width of a camera's pixel, and what isn't quite sharp.
+            Rows and columns of the projector up to which light is direct, 0 or more. Two include
+            the width of a camera pixel and some blur.
         near : float
-            Range up to which other light is near, as a share of the projector's longer side, above
-            0. It fades out: about half of the light at that range is near. The default is about
-            the range of the near parts of `near_far`.
+            Range up to which indirect light is near, as a share of the projector's longer side,
+            above 0. The limit is gradual: half of the light at that range counts as near. The
+            default is about the range of the near part of the method `near_far`.
 
         Raises
         ------
         InputError
-            If the pattern has another shape or isn't finite, an option is out of range, no light
-            arrives, or the projector has several views, or no picture, as lights one at a time.
+            If the pattern has another shape or isn't finite, an option is out of range, no camera
+            pixel receives light, or the projector's rays are several views or single lights.
         """
         from rfpipe.transport.separation import separated
 
@@ -248,9 +252,9 @@ class Relightable(MatrixAlgebra):
         return separated(self, light[0], direct, near, self.noise)
 
     def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Relightable:  # noqa: ARG002
-        """Return a transport that is the same between camera rays `seen` and projector rays `lit`.
+        """Return a transport that is equal between camera rays `seen` and projector rays `lit`.
 
-        Light between other rays may be missing. Both are bool (rays,).
+        Both are bool (rays,). Transport between other rays may be missing.
         """
         return self
 
@@ -261,17 +265,17 @@ class Relightable(MatrixAlgebra):
         if not 0 <= index < self.channels:
             raise InputError(f"channel {index} of a transport with channels 0..{self.channels - 1}")
 
-        def applied(apply: Any) -> Any:
-            def of(x: NDArray[Any]) -> Float:
+        def columnwise(apply: Any) -> Any:
+            def product(x: NDArray[Any]) -> Float:
                 """Apply to a vector or to the columns of a matrix; scipy restores x's shape."""
                 columns = as_weights(x, "the vector").reshape(len(x), -1)
                 planar = np.ascontiguousarray(columns.T[:, None], np.float32)
                 image: Float = apply(planar, [index])[:, 0].T
                 return image
 
-            return of
+            return product
 
-        forward, adjoint = applied(self.forward), applied(self.adjoint)
+        forward, adjoint = columnwise(self.forward), columnwise(self.adjoint)
         return LinearOperator(
             shape=self.shape[1:],
             matvec=forward,
@@ -319,19 +323,19 @@ class Relightable(MatrixAlgebra):
         Parameters
         ----------
         path : path
-            Ends in ``.npz``, ``.h5``, ``.hdf5`` or ``.mat`` (v7.3), see docs/export.md. What stands
-            there is replaced.
+            Ends in ``.npz``, ``.h5``, ``.hdf5`` or ``.mat`` (v7.3), see docs/export.md. An existing
+            file is replaced.
         rows, columns
             As in `toarray`.
         limit_bytes : int
-            That the matrix may take before compression.
+            Bytes that the matrix may take before compression.
 
         Raises
         ------
         InputError
-            If the name ends otherwise, there is no such ray, or the matrix is larger.
+            If the name has another ending, a ray does not exist, or the matrix is larger.
         StoreError
-            If the file can't be written, or the package that writes it isn't installed.
+            If the file can't be written, or the package for it isn't installed.
         """
         from rfpipe.transport.matrix_export import write_matrix
 
@@ -339,7 +343,7 @@ class Relightable(MatrixAlgebra):
 
 
 class TransposedTransport(Relightable):
-    """The dual of a transport: light from the camera's rays, seen by the projector."""
+    """Dual transport: from the camera's rays to the projector's (eq. 2.12)."""
 
     def __init__(self, primal: Relightable) -> None:
         self._primal = primal
@@ -352,7 +356,7 @@ class TransposedTransport(Relightable):
 
     @property
     def T(self) -> Relightable:  # noqa: N802
-        """The transport that this is the dual of."""
+        """The primal transport."""
         return self._primal
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
@@ -364,7 +368,7 @@ class TransposedTransport(Relightable):
         return self._primal.forward(images, channels)
 
     def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Relightable:
-        """Return a dual that is the same between some rays, see `Relightable.restricted`."""
+        """Return a dual that is equal between some rays, see `Relightable.restricted`."""
         return self._primal.restricted(lit, seen).T
 
 
@@ -373,7 +377,7 @@ def planar_patterns(
 ) -> Float:
     """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
 
-    White light is the same memory for all channels.
+    All channels of white light share their memory.
     """
     patterns = as_weights(patterns, name)
     count = patterns.shape[0]
@@ -392,8 +396,8 @@ def planar_patterns(
     return planar
 
 
-def _as_noise(noise: ArrayLike, camera_shape: tuple[int, ...]) -> Float:
-    """Check standard deviations of a picture; float32 (*camera_shape)."""
+def _check_noise(noise: ArrayLike, camera_shape: tuple[int, ...]) -> Float:
+    """Validate standard deviations of a picture; float32 (*camera_shape)."""
     deviations = np.asarray(noise, np.float32)
     if deviations.shape != tuple(camera_shape):
         raise InputError(
