@@ -1,4 +1,4 @@
-"""Transport as a diagonal and a sum of products of images."""
+"""Transport as a diagonal and a sum of tensor products of two images."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ if TYPE_CHECKING:
 
 
 class LowRankTransport(ArrayTransport):
-    """Transport ``T = diag(d) + sum_r s_r u_r v_r^T`` a channel, the diagonal if there is one.
+    """Transport ``T = diag(d) + sum_r s_r u_r v_r^T`` per channel.
 
     Parameters
     ----------
     camera_shape, projector_shape : tuple of int
-        The same where there is a diagonal, or no `right`.
+        Equal if there is a diagonal, or no ``right``.
     channels, level_rows, nbytes
         See `rfpipe.transport.base.Transport`.
     content : mapping of str to ndarray
         ``left``, float32 ``(channels, rank, camera rays)``: the images u, radiance or unitless.
         ``strengths``, float32 ``(channels, rank)``: the factors s, of any sign.
-        ``right``, as ``left`` over projector rays: the images v; left out where T is symmetric,
-        v = u. ``diagonal``, float32 ``(channels, rays)``: d, left out where there is none. They
-        may be read lazily. Terms cancel, so that no store rounds them.
+        ``right``, as ``left`` over projector rays: the images v; absent if T is symmetric, v = u.
+        ``diagonal``, float32 ``(channels, rays)``: d; absent if it is 0. Arrays may be read lazily.
+        They are stored without rounding, since terms cancel.
     """
 
     kind = "low_rank"
 
     @property
     def rank(self) -> int:
-        """Number of terms, the diagonal not counted."""
+        """Number of terms besides the diagonal."""
         return int(self._content["strengths"].shape[1])
 
     def _forward(self, light: Float, channel: int) -> Any:
@@ -46,13 +46,13 @@ class LowRankTransport(ArrayTransport):
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
     ) -> Float:
-        """Return the light between few patterns, see `Transport.between`."""
+        """Return ``R^T T S``, see `Transport.between`."""
         from scipy.sparse import diags_array
 
-        # terms cancel over many rays: float64 until the sum is there
-        arriving = received.T @ self._content["left"][channel].T.astype(np.float64)
-        shares = sent.T @ self._right[channel].T.astype(np.float64)
-        matrix = (arriving * self._content["strengths"][channel]) @ shares.T
+        # terms cancel: sums over many rays are in float64
+        left = received.T @ self._content["left"][channel].T.astype(np.float64)
+        right = sent.T @ self._right[channel].T.astype(np.float64)
+        matrix = (left * self._content["strengths"][channel]) @ right.T
         if "diagonal" in self._content:
             matrix += (
                 received.T @ diags_array(self._content["diagonal"][channel]) @ sent
@@ -60,24 +60,24 @@ class LowRankTransport(ArrayTransport):
         return np.asarray(matrix, np.float32)
 
     def relight_per_ray(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
-        seen = np.zeros(patterns.shape[0])
+        """Return each ray under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
+        image = np.zeros(patterns.shape[0])
         terms = (
             it[channel] for it in (self._content["left"], self._content["strengths"], self._right)
         )
         for left, strength, right in zip(*terms, strict=True):
-            seen += left * (strength * (patterns @ right.astype(np.float64)))
+            image += left * (strength * (patterns @ right.astype(np.float64)))
         if "diagonal" in self._content:
-            seen += self._content["diagonal"][channel] * patterns.diagonal()
-        return seen.astype(np.float32)
+            image += self._content["diagonal"][channel] * patterns.diagonal()
+        return image.astype(np.float32)
 
     @property
     def _right(self) -> Float:
         return self._content["right" if "right" in self._content else "left"]
 
     def _apply(self, light: Float, channel: int, inner: Float, outer: Float) -> Any:
-        """Weigh the images of `outer` by how much of those of `inner` is in the light."""
-        # terms cancel over many rays: float64 until the sum is there
+        """Return ``(d + sum_r s_r outer_r inner_r^T) light``."""
+        # terms cancel: sums over many rays are in float64
         shares = light.astype(np.float64) @ inner[channel].T.astype(np.float64)
         plane = (shares * self._content["strengths"][channel]) @ outer[channel].astype(np.float64)
         if "diagonal" in self._content:

@@ -1,10 +1,11 @@
-"""Smooth functions of many scales over a ray domain, and which of them exchange light.
+"""Symmetric transport between smooth functions of several scales: ``T = F B S B^T F``.
 
-Quadratic B-splines on grids whose spacing halves from scale to scale; of the fine scales only the
-functions that a scene needs. Two functions are a pair where they are within reach of each other,
-measured by the coarser of them: light between distant places varies slowly, the more so the
-farther. Functions of the coarsest scale reach all others in their view, and each other between
-views.
+The functions B are quadratic B-splines on grids whose spacing halves from scale to scale; of fine
+scales there are only the functions that a scene needs. S couples pairs of functions. Two functions
+are a pair if their distance is at most `REACH` spacings of the coarser one, since light between
+distant places varies slowly. A function of the coarsest scale is paired with all functions of its
+view, and with those of the coarsest scale in other views. See `rfpipe.transport.function_pairs` for
+the symbols.
 """
 
 from __future__ import annotations
@@ -25,30 +26,30 @@ if TYPE_CHECKING:
 Functions = NDArray[np.int32]
 
 REACH = 2
-"""Spacings of the coarser function within which two functions are a pair."""
+"""Largest distance of a pair of functions, in spacings of the coarser one."""
 
 _COARSEST_CELLS = 20
-# Pairs of functions whose coarser one is finer than this part of the coarsest scale are near range.
-_NEAR = 4
+# Pairs are near range if the coarser function's scale, times this, is below the coarsest scale.
+_NEAR_RATIO = 4
 
-# Columns of light that are taken through the pairs at once: they should stay in the cache.
-_COLUMNS = 64
+# Columns of light that are multiplied by S at a time, so that they stay in the cache.
+_COLUMNS_PER_BATCH = 64
 
 SCALE, VIEW, ROW, COLUMN = range(4)
-"""The columns of a table of functions."""
+"""Columns of a table of functions."""
 
 
 class MultiscaleBasis:
-    """Functions over a ray domain of N rays, and their pairs.
+    """B-spline functions over a ray domain of N rays, and their pairs.
 
     Parameters
     ----------
     shape : tuple of int
         See `RayDomain`.
     functions : ndarray of int32, shape (n, 4)
-        Scale (the spacing of its grid in pixels, a power of two), view, row and column of each
-        function's grid position. At scale 1 a function is a single ray, at others position
-        ``i`` is centred at ``(i - 1/2) scale``, so that it begins outside the image.
+        Scale (the spacing of the grid in pixels, a power of two), view, row and column of each
+        function's grid position. At scale 1 a function is a single ray. At other scales position
+        ``i`` is centred at ``(i - 1/2) scale``, so that the first position is outside the image.
     """
 
     def __init__(self, shape: tuple[int, ...], functions: Functions) -> None:
@@ -80,9 +81,9 @@ class MultiscaleBasis:
         return self.functions[:, SCALE]
 
     def is_near(self, first: Functions, second: Functions) -> NDArray[np.bool_]:
-        """Tell which pairs of functions are near range, by their numbers; else they are far."""
+        """Test which pairs of functions, given by their numbers, are near range; others are far."""
         coarser = np.maximum(self.scales[first], self.scales[second])
-        near: NDArray[np.bool_] = coarser * _NEAR < coarsest_scale(self.shape)
+        near: NDArray[np.bool_] = coarser * _NEAR_RATIO < coarsest_scale(self.shape)
         return near
 
     @property
@@ -104,14 +105,14 @@ class MultiscaleBasis:
             across, x = along(np.arange(width) + 0.5, int(scale))
             grid = numbers(self.functions, self.shape, int(scale))
             number = grid[:, down[:, None, :, None], across[None, :, None, :]]
-            there = np.flatnonzero(number >= 0)
+            existing = np.flatnonzero(number >= 0)
             value = (y[:, None, :, None] * x[None, :, None, :]).ravel()
-            rays.append(there // (y.shape[1] * x.shape[1]))
-            owners.append(number.ravel()[there])
-            values.append(value[there % len(value)])
+            rays.append(existing // (y.shape[1] * x.shape[1]))
+            owners.append(number.ravel()[existing])
+            values.append(value[existing % len(value)])
         shape = (int(np.prod(self.shape)), len(self))
-        where = (np.concatenate(rays), np.concatenate(owners))
-        return csr_array((np.concatenate(values), where), shape=shape).astype(np.float32)
+        index = (np.concatenate(rays), np.concatenate(owners))
+        return csr_array((np.concatenate(values), index), shape=shape).astype(np.float32)
 
     @cached_property
     def sums(self) -> csr_array[np.float32]:
@@ -119,42 +120,42 @@ class MultiscaleBasis:
         return self.weights.T.tocsr()
 
     def distances(self) -> NDArray[np.float64]:
-        """Distance of each pair's centres in pixels; between views, the coarsest scale."""
+        """Return the distance of each pair's centres, pixels; the coarsest scale between views."""
         if not len(self):
             return np.zeros(0)
-        apart = self.centres[self.first] - self.centres[self.second]
-        distance: NDArray[np.float64] = np.hypot(apart[:, 0], apart[:, 1])
+        offset = self.centres[self.first] - self.centres[self.second]
+        distance: NDArray[np.float64] = np.hypot(offset[:, 0], offset[:, 1])
         view = self.functions[:, VIEW]
         distance[view[self.first] != view[self.second]] = self.scales.max()
         return distance
 
 
 def coarsest_scale(shape: tuple[int, ...]) -> int:
-    """Return the largest scale of which an image has at least `_COARSEST_CELLS` cells."""
+    """Return the largest scale at which an image has at least `_COARSEST_CELLS` cells."""
     scale = 1
     while np.prod(cells(shape, 2 * scale)[1:]) >= _COARSEST_CELLS:
         scale *= 2
     return scale
 
 
-def functions_over(scale: int, wanted: NDArray[np.bool_]) -> Functions:
-    """Return the functions of a scale that are not zero where they are wanted.
+def functions_over(scale: int, covered: NDArray[np.bool_]) -> Functions:
+    """Return the functions of a scale that are not zero in covered cells.
 
-    `wanted` are cells of ``scale x scale`` pixels, bool (V, ceil(H / scale), ceil(W / scale)).
+    `covered` are cells of ``scale x scale`` pixels, bool (V, ceil(H / scale), ceil(W / scale)).
     """
-    chosen = wanted
+    chosen = covered
     if scale > 1:
-        rows, columns = wanted.shape[1:]
-        chosen = np.zeros((len(wanted), rows + 2, columns + 2), np.bool_)
+        rows, columns = covered.shape[1:]
+        chosen = np.zeros((len(covered), rows + 2, columns + 2), np.bool_)
         for down in range(3):
             for right in range(3):
-                chosen[:, down : down + rows, right : right + columns] |= wanted
+                chosen[:, down : down + rows, right : right + columns] |= covered
     view, row, column = np.nonzero(chosen)
     return np.stack([np.full(len(view), scale), view, row, column], axis=1).astype(np.int32)
 
 
 def cells(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
-    """Return the number of views, and of cells of a scale down and across."""
+    """Return the numbers of views, and of rows and columns of cells of a scale."""
     views, height, width = RayDomain(shape).stack_shape
     return views, -(-height // scale), -(-width // scale)
 
@@ -162,7 +163,7 @@ def cells(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
 def along(
     places: NDArray[np.floating[Any]], scale: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return the grid positions that aren't zero at places along an axis, and their values."""
+    """Return the grid positions of functions that aren't zero at places, and their values."""
     if scale == 1:
         return places.astype(np.int64)[:, None], np.ones((len(places), 1), np.float32)
     position = places / scale
@@ -173,10 +174,10 @@ def along(
 
 
 def numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functions:
-    """Return each grid position's function of a scale, (V, rows, columns), -1 for none."""
+    """Return the function at each grid position of a scale, (V, rows, columns), -1 for none."""
     views, down, across = cells(shape, scale)
-    outside = 2 if scale > 1 else 0
-    grid = np.full((views, down + outside, across + outside), -1, np.int32)
+    margin = 2 if scale > 1 else 0
+    grid = np.full((views, down + margin, across + margin), -1, np.int32)
     members = np.flatnonzero(functions[:, SCALE] == scale)
     grid[tuple(functions[members, 1:].T)] = members
     return grid
@@ -185,12 +186,12 @@ def numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functio
 def _pairs(
     functions: Functions, centres: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[Functions, Functions]:
-    """Find the pairs of functions within reach, each once, by their scales and numbers."""
+    """Return the pairs of functions within reach, ordered by their scales and numbers."""
     from scipy.spatial import cKDTree
 
     scale, view = functions[:, SCALE], functions[:, VIEW]
     top = scale.max(initial=0)
-    # views apart, so that no function is within reach of another view's
+    # views far from each other, so that no pair is between views
     place = np.column_stack([centres, view * 4.0 * (max(shape) + top)])
     near_pairs = []
     for coarse in np.unique(scale):
@@ -212,17 +213,18 @@ def _pairs(
 
 
 class MultiscaleTransport(FunctionPairTransport):
-    """Symmetric transport ``T = F B S B^T F`` a channel, smooth up to the image F on both sides.
+    """Symmetric transport ``T = F B S B^T F`` per channel, with smooth functions B.
 
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
-        See `rfpipe.transport.Transport`; one shape twice.
+        See `rfpipe.transport.Transport`; both shapes are equal.
     content : mapping of str to ndarray
         ``factor``, float32 (channels, N): F, radiance of the floodlit image. ``functions``, int32
-        (n, 4): those of B, see `MultiscaleBasis`. ``cores``, float32 (channels, pairs): S, one
-        value a pair of functions, in inverse radiance. ``pairs``, int32 (2, pairs): which
-        functions. May be read lazily. Cores cancel, so that no store rounds them.
+        (n, 4): table of B, see `MultiscaleBasis`. ``pairs``, int32 (2, pairs): numbers of the
+        functions of each pair. ``cores``, float32 (channels, pairs): S, one value for each pair, in
+        inverse radiance. Arrays may be read lazily. They are stored without rounding, since cores
+        cancel.
     """
 
     kind = "multiscale"
@@ -235,7 +237,7 @@ class MultiscaleTransport(FunctionPairTransport):
     def _forward(self, light: Float, channel: int) -> Any:
         cores, factor = self._content["cores"][channel], self._content["factor"][channel]
         first, second = self._content["pairs"]
-        return bounced(self.basis, (first, second), cores, factor, light)
+        return relight_smooth(self.basis, (first, second), cores, factor, light)
 
     def functions(self) -> csr_array[np.float32]:
         """Return B."""
@@ -244,26 +246,26 @@ class MultiscaleTransport(FunctionPairTransport):
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
     ) -> Float:
-        """Return the light between few patterns, see `Transport.between`."""
+        """Return ``R^T T S``, see `Transport.between`."""
         from scipy.sparse import diags_array
 
         from rfpipe.transport.pair_kernels import couple
 
-        # no image is made: functions are many fewer than rays
+        # without images, since there are far fewer functions than rays
         scaled = self.basis.sums @ diags_array(self._content["factor"][channel])
-        light, back = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
+        light, weights = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
         matrix = np.empty((received.shape[1], sent.shape[1]), np.float32)
         first, second = self._content["pairs"]
-        for start in range(0, sent.shape[1], _COLUMNS):
-            columns = slice(start, start + _COLUMNS)
-            some = np.ascontiguousarray(light[:, columns].toarray())
-            arriving = np.zeros_like(some)
-            couple(first, second, self._content["cores"][channel], some, arriving)
-            matrix[:, columns] = back @ arriving
+        for start in range(0, sent.shape[1], _COLUMNS_PER_BATCH):
+            columns = slice(start, start + _COLUMNS_PER_BATCH)
+            batch = np.ascontiguousarray(light[:, columns].toarray())
+            coupled = np.zeros_like(batch)
+            couple(first, second, self._content["cores"][channel], batch, coupled)
+            matrix[:, columns] = weights @ coupled
         return matrix
 
 
-def bounced(
+def relight_smooth(
     basis: MultiscaleBasis,
     pairs: tuple[Functions, Functions],
     cores: Float,

@@ -1,7 +1,6 @@
-"""Compiled kernels over pairs: of a block and a pixel, of two functions; many images at once.
+"""Compiled products of a symmetric sparse matrix S, one value for each pair of functions.
 
-Images of pairs of blocks and pixels are planar, one plane a pattern and channel. Each plane is
-summed by one thread in the order of the pairs, so that results don't depend on the threads.
+S has the value ``cores[k]`` at (first[k], second[k]) and, by symmetry, at (second[k], first[k]).
 """
 
 from __future__ import annotations
@@ -12,55 +11,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.transport.base import Float
+from rfpipe.array_types import Float
 
 Functions = NDArray[np.int32]
 
 
-@numba.njit(cache=True, parallel=True)
-def scatter_to_pixels(block, pixel, values, weights, out):  # type: ignore[no-untyped-def]
-    """Add ``values * weights[block]`` to the pixels.
-
-    Parameters
-    ----------
-    block, pixel : int32 (n,)
-    values : float32 (K, n)
-    weights : float64 (P, K, n_blocks)
-    out : float64 (P, K, pixels)
-        Added to in place.
-    """
-    channels = values.shape[0]
-    for plane in numba.prange(weights.shape[0] * channels):
-        p, c = plane // channels, plane % channels
-        source, target = weights[p, c], out[p, c]
-        for n in range(block.shape[0]):
-            target[pixel[n]] += values[c, n] * source[block[n]]
-
-
-@numba.njit(cache=True, parallel=True)
-def gather_to_blocks(block, pixel, values, images, out):  # type: ignore[no-untyped-def]
-    """Add ``values * images[pixel]`` to the blocks: the transpose of `scatter_to_pixels`.
-
-    Pairs are ordered by block, so that a block's sum stays in a register; `out` is float64 (P, K,
-    n_blocks).
-    """
-    channels = values.shape[0]
-    for plane in numba.prange(images.shape[0] * channels):
-        p, c = plane // channels, plane % channels
-        source, target = images[p, c], out[p, c]
-        n = 0
-        while n < block.shape[0]:
-            current = block[n]
-            total = 0.0
-            while n < block.shape[0] and block[n] == current:
-                total += values[c, n] * source[pixel[n]]
-                n += 1
-            target[current] += total
-
-
 @numba.njit(cache=True, nogil=True, fastmath=True)
 def couple(first: Functions, second: Functions, cores: Float, light: Float, out: Float) -> None:
-    """Add ``S light`` to `out`, S symmetric with one core a pair; both (functions, columns)."""
+    """Add ``S light`` to `out`; both are (functions, columns)."""
     for pair in range(len(first)):
         a, b, core = first[pair], second[pair], cores[pair]
         if core == 0:
@@ -75,17 +33,28 @@ def couple(first: Functions, second: Functions, cores: Float, light: Float, out:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def correlate(first: Functions, second: Functions, seen: Float, light: Float, out: Float) -> None:
-    """Write the adjoint of `couple` by cores: per pair, ``seen_a light_b + seen_b light_a``."""
+def correlate(
+    first: Functions, second: Functions, received: Float, light: Float, out: Float
+) -> None:
+    """Write the adjoint of `couple` with respect to the cores.
+
+    ::
+
+        out[k] = sum over columns of received[a] light[b] + received[b] light[a]
+
+    for functions a = first[k] and b = second[k], where the second term counts only if a != b.
+    """
     for pair in range(len(first)):
         a, b = first[pair], second[pair]
         total = np.float32(0)
         if a == b:
             for column in range(light.shape[1]):
-                total += seen[a, column] * light[a, column]
+                total += received[a, column] * light[a, column]
         else:
             for column in range(light.shape[1]):
-                total += seen[a, column] * light[b, column] + seen[b, column] * light[a, column]
+                total += (
+                    received[a, column] * light[b, column] + received[b, column] * light[a, column]
+                )
         out[pair] = total
 
 

@@ -1,8 +1,12 @@
-"""Responses of camera pixels to projector blocks, level by level, and how they are spread [§3.2].
+"""Responses of camera pixels to projector blocks, and their distribution over the rays (§3.2).
 
-A pixel i's response to a block b says nothing of the rays in b. Where ``T = T^T`` [eq. 2.10] the
-pixels of b do, in their responses to the block a of the same level that i lies in: ``T_ij`` is
-taken to be in proportion to what pixel j sees of a.
+A response is the radiance of a pixel i while a block b is lit, the sum of ``T_ij`` over the rays j
+of b. It doesn't determine the ``T_ij``, which get shares s_j that add up to 1 in b::
+
+    T_ij = s_j response(i, b)
+
+The shares are even, s_j = 1 / |b| [eq. 3.2]. Of a coaxial rig, ``T = T^T`` [eq. 2.10], they are in
+proportion to the responses of the pixels j to the block a of the same level that contains ray i.
 """
 
 from __future__ import annotations
@@ -14,32 +18,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float, Index
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.transport.base import Float
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Double = NDArray[np.float64]
-
-# Coaxial rigs' transposes differed by 0.01 to 0.08 of their norm, those of unrelated random ones by
-# 0.7.
-_LEAST_DIFFERENCE = 0.5
+# Relative norm of the difference between a transport and its transpose below which they agree. It
+# is 0.01 to 0.08 on coaxial rigs, and 0.7 for unrelated random matrices.
+_SYMMETRIC_DIFFERENCE = 0.5
 
 RESPONSE_ARRAYS = ("block", "pixel", "values")
-"""The arrays of a `Responses`, by which stores name them."""
+"""Names of the arrays of `Responses` in stores."""
 
 
 @dataclass(frozen=True)
 class Responses:
-    """Responses of camera pixels to projector blocks of one level, ordered by block, then pixel.
+    """Responses of camera pixels to projector blocks of one level: a sparse matrix.
+
+    Ordered by block, then pixel.
 
     Attributes
     ----------
     level : int
     block, pixel : ndarray of int32, shape (n,)
-        A block of the level and a camera ray (C order); no pair comes twice.
+        A block of the level and a camera ray (C order); pairs are unique.
     values : ndarray of float32, shape (channels, n)
         Radiance of the pixel when the whole block is lit.
     """
@@ -59,12 +63,12 @@ class Responses:
 
 
 def by_level(level_responses: Sequence[Responses]) -> list[Responses]:
-    """Return the sets that aren't empty, the coarsest first."""
-    return sorted(filter(len, level_responses), key=lambda pairs: pairs.level)
+    """Sort responses that aren't empty by level, the coarsest first."""
+    return sorted(filter(len, level_responses), key=lambda responses: responses.level)
 
 
 def no_responses(level: int, channels: int) -> Responses:
-    """Return an empty set of pairs."""
+    """Return a level without responses."""
     none = np.empty(0, np.int32)
     return Responses(level, none, none, np.empty((channels, 0), np.float32))
 
@@ -72,7 +76,7 @@ def no_responses(level: int, channels: int) -> Responses:
 def fold(
     tree: BlockTree, level: int, level_responses: Sequence[Responses], channels: int, pixels: int
 ) -> Responses:
-    """Add up pairs of `level` and of finer levels over their blocks of `level`."""
+    """Sum the responses of `level` and of finer levels over the blocks of `level`."""
     if not any(len(pairs) for pairs in level_responses):
         return no_responses(level, channels)
     keys = [
@@ -80,27 +84,27 @@ def fold(
         for pairs in level_responses
     ]
     values = np.concatenate([pairs.values for pairs in level_responses], axis=1)
-    kept, sums = _summed(np.concatenate(keys), values)
-    block, pixel = np.divmod(kept, pixels)
+    unique, sums = _sum_by_key(np.concatenate(keys), values)
+    block, pixel = np.divmod(unique, pixels)
     return Responses(level, block.astype(np.int32), pixel.astype(np.int32), sums.astype(np.float32))
 
 
-def _summed(keys: NDArray[np.int64], values: Float) -> tuple[NDArray[np.int64], Double]:
-    """Return the keys that there are, ascending, and the sums (C, keys) of their values."""
-    kept, index = np.unique(keys, return_inverse=True)
-    return kept, np.stack([np.bincount(index, plane, len(kept)) for plane in values])
+def _sum_by_key(keys: Index, values: Float) -> tuple[Index, Double]:
+    """Return the unique keys, ascending, and the sums (C, keys) of their values."""
+    unique, index = np.unique(keys, return_inverse=True)
+    return unique, np.stack([np.bincount(index, plane, len(unique)) for plane in values])
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Shares of rays in the nodes that the pairs of a level belong to.
+    """Shares of rays in the responses of a level.
 
     Attributes
     ----------
     node : ndarray of int32, shape (n,)
-        Each pair's row of the shares.
+        Row of the shares for each response.
     shares : list of csr_array, each (nodes, N)
-        One a channel, or one for all: rows add up to 1; columns are rays in tree order.
+        One per channel, or one for all; rows add up to 1, columns are rays in tree order.
     """
 
     node: NDArray[np.int32]
@@ -112,7 +116,7 @@ class Spread:
 
 
 def spread_evenly(tree: BlockTree, pairs: Responses) -> Spread:
-    """Spread each response evenly over its block [eq. 3.2]."""
+    """Distribute each response evenly over its block [eq. 3.2]."""
     from scipy.sparse import csr_array
 
     starts = tree.starts[pairs.level]
@@ -125,9 +129,15 @@ def spread_evenly(tree: BlockTree, pairs: Responses) -> Spread:
 def spread_by_transpose(
     tree: BlockTree, level_responses: Sequence[Responses], index: int
 ) -> Spread:
-    """Spread the responses of the set `index` in proportion to the transpose's estimate.
+    """Distribute responses in proportion to those of the transpose, for a coaxial rig.
 
-    The tree is that of both the camera's and the projector's rays.
+    Parameters
+    ----------
+    tree : BlockTree
+        Of the ray domain that camera and projector share.
+    level_responses : sequence of Responses
+    index : int
+        Number of the level in `level_responses`.
     """
     from scipy.sparse import csr_array
 
@@ -143,8 +153,8 @@ def spread_by_transpose(
     position = ragged_ranges(starts[source], sizes)
     ray, lit = tree.order[position], np.repeat(viewer, sizes)
     shares = np.zeros((channels, len(ray)))
-    for other in level_responses:
-        _add_responses(tree, level, other, lit, ray, shares)
+    for responses in level_responses:
+        _add_responses(tree, level, responses, lit, ray, shares)
     ends = np.append(0, np.cumsum(sizes))
     sums = np.repeat(np.add.reduceat(shares, ends[:-1], axis=1), sizes, axis=1)
     even = np.repeat(1.0 / sizes, sizes)
@@ -158,10 +168,9 @@ def spread_by_transpose(
 def looks_symmetric(
     tree: BlockTree, camera: RayDomain, level_responses: Sequence[Responses]
 ) -> bool:
-    """Tell whether single rays' responses agree with those of their transpose.
+    """Test whether responses to single rays agree with those of the transpose.
 
-    Direct light, on the diagonal of a coaxial rig's transport, says nothing. Of the rest, two
-    matrices that have nothing to do with each other differ by 0.7 of their norm or more.
+    The diagonal, direct light of a coaxial rig, is left out, since it is its own transpose.
     """
     if camera.shape != tree.domain.shape or not level_responses:
         return False
@@ -170,39 +179,42 @@ def looks_symmetric(
     indirect = lit != finest.pixel
     if finest.level < tree.n_levels - 1 or not indirect.any():
         return False
-    back = np.zeros((len(finest.values), int(np.count_nonzero(indirect))))
+    transposed = np.zeros((len(finest.values), int(np.count_nonzero(indirect))))
     viewer = tree.inverse[finest.pixel[indirect]]
     for pairs in level_responses:
         if len(pairs):
-            _add_responses(tree, finest.level, pairs, viewer, lit[indirect], back)
-    there = finest.values[:, indirect]
-    return agree(there, back)
+            _add_responses(tree, finest.level, pairs, viewer, lit[indirect], transposed)
+    return agree(finest.values[:, indirect], transposed)
 
 
-def agree(there: NDArray[np.floating[Any]], back: Double) -> bool:
-    """Tell whether parts of a matrix and of its transpose are the same, but for errors."""
-    return bool(np.linalg.norm(there - back) < _LEAST_DIFFERENCE * np.linalg.norm(there))
+def agree(entries: NDArray[np.floating[Any]], transposed: Double) -> bool:
+    """Test whether entries of a matrix and of its transpose are equal up to errors."""
+    difference = np.linalg.norm(entries - transposed)
+    return bool(difference < _SYMMETRIC_DIFFERENCE * np.linalg.norm(entries))
 
 
 def _add_responses(
     tree: BlockTree,
     level: int,
     pairs: Responses,
-    block: NDArray[np.int64],
-    pixel: NDArray[np.int64],
+    block: Index,
+    pixel: Index,
     out: Double,
 ) -> None:
-    """Add what pixels saw of blocks of `level`: the sum of finer blocks, or a share of coarser."""
+    """Add responses of pixels to blocks of `level`, in place.
+
+    Responses to finer blocks are summed, those to coarser ones are divided by area.
+    """
     count = tree.domain.size
     if pairs.level >= level:
         coarse = tree.ancestors(pairs.level, level)[pairs.block]
-        keys, values = _summed(coarse * np.int64(count) + pairs.pixel, pairs.values)
+        keys, values = _sum_by_key(coarse * np.int64(count) + pairs.pixel, pairs.values)
         blocks, share = block, np.ones(1)
     else:
         keys, values = pairs.block * np.int64(count) + pairs.pixel, pairs.values.astype(float)
-        above = tree.ancestors(level, pairs.level)
-        share = np.diff(tree.starts[level]) / np.diff(tree.starts[pairs.level])[above]
-        blocks, share = above[block], share[block]
+        ancestor = tree.ancestors(level, pairs.level)
+        share = np.diff(tree.starts[level]) / np.diff(tree.starts[pairs.level])[ancestor]
+        blocks, share = ancestor[block], share[block]
     key = blocks * np.int64(count) + pixel
-    place = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
-    out += np.where(keys[place] == key, values[:, place] * share, 0.0)
+    index = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+    out += np.where(keys[index] == key, values[:, index] * share, 0.0)

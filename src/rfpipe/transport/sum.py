@@ -1,4 +1,4 @@
-"""A sum of transports: what was measured in parts, each in the form that suits it."""
+"""Sum of transports of different forms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class SumTransport(Transport):
     """Transport as the sum of parts over the same rays, ``T = sum_i T_i``.
 
-    There is at least one part, of any kind; sums of sums are allowed.
+    There is at least one part, of any kind, sums included.
     """
 
     kind = "sum"
@@ -39,7 +39,7 @@ class SumTransport(Transport):
 
     @property
     def parts(self) -> tuple[Transport, ...]:
-        """The parts."""
+        """The terms T_i."""
         return self._content
 
     def _bytes_in_memory(self) -> int:
@@ -56,34 +56,34 @@ class SumTransport(Transport):
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
     ) -> Float:
-        """Return the light between few patterns, see `Transport.between`."""
+        """Return ``R^T T S``, see `Transport.between`."""
         return reduce(np.add, (part.between(received, sent, channel) for part in self.parts))
 
     def relight_per_ray(self, patterns: Any, channel: int) -> Float:
-        """Return what each ray sees under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
+        """Return each ray under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
         return reduce(np.add, (part.relight_per_ray(patterns, channel) for part in self.parts))
 
     def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
-        """Return the parts that pass light between some rays, see `Relightable.restricted`."""
+        """Return a sum that is equal between some rays, see `Relightable.restricted`."""
         parts: Any = [part.restricted(seen, lit) for part in self.parts]
         return SumTransport(parts, self.level_rows)
 
     def pack(
         self, number_format: NumberFormat = "float32"
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the arrays and attributes that a store keeps: those of the parts, by number."""
+        """Return the arrays and attributes of a store: those of the parts, by number."""
         arrays: dict[str, NDArray[Any]] = {}
         about = []
         for index, part in enumerate(self.parts):
             packed, attributes = part.pack(number_format)
             arrays |= {f"{_prefix(index)}{name}": array for name, array in packed.items()}
             about.append(attributes)
-        more = {"kind": self.kind, "number_format": number_format, "levels": self.level_rows}
-        return arrays, {**more, "parts": about}
+        attributes = {"kind": self.kind, "number_format": number_format, "levels": self.level_rows}
+        return arrays, {**attributes, "parts": about}
 
     @classmethod
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> SumTransport:
-        """Build a transport from a store; the first parts stay in memory, as far as they fit."""
+        """Build a transport from a store; parts stay in memory, the first first, while they fit."""
         about = bundle.attributes
         parts = []
         for index, attributes in enumerate(about["parts"]):
@@ -95,5 +95,5 @@ class SumTransport(Transport):
 
 
 def _prefix(index: int) -> str:
-    """What the names of a part's arrays begin with."""
+    """Prefix of the names of a part's arrays."""
     return f"part_{index:02d}_"

@@ -233,7 +233,7 @@ def _lower_multilevel(part: PartBuilder, transport: MultilevelTransport) -> None
     from scipy.sparse import csr_array
 
     tree, pixels = transport.tree, math.prod(transport.camera_shape)
-    for pairs, spread in transport.spread_pairs():
+    for pairs, spread in transport.spread_responses():
         chain = part.chain(f"level {pairs.level}")
         shares = spread.shares[0]
         nodes = chain.buffer("nodes", shares.shape[0])

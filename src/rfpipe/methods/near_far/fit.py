@@ -46,7 +46,7 @@ from rfpipe.methods.least_squares import conjugate_gradients
 from rfpipe.methods.near_far.model import SmoothModel
 from rfpipe.methods.smooth_light import coarse_to_fine, learned_deviations, prior_areas
 from rfpipe.steps import step
-from rfpipe.transport.multiscale import MultiscaleBasis, bounced, cells
+from rfpipe.transport.multiscale import MultiscaleBasis, cells, relight_smooth
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -111,7 +111,7 @@ def _refined_basis(
         problem = CoreProblem.from_data(patches_of(basis), data)
         cores = problem.solve(prior_deviations(basis, data), _COARSE)
         probes = pictures.probes
-        light = bounced(basis, basis.pairs, cores, pictures.floodlit[0], probes.lit)
+        light = relight_smooth(basis, basis.pairs, cores, pictures.floodlit[0], probes.lit)
         return _unexplained_cells(shape, scale, pictures, probes.radiance[:, 0] - light)
 
     return coarse_to_fine(shape, fit, cells_to_refine)

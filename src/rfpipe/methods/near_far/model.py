@@ -38,7 +38,7 @@ from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures, relight_white
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multiscale import MultiscaleBasis, MultiscaleTransport, bounced
+from rfpipe.transport.multiscale import MultiscaleBasis, MultiscaleTransport, relight_smooth
 from rfpipe.transport.sum import SumTransport
 
 
@@ -99,7 +99,7 @@ def light_range(shape: tuple[int, ...], model: SmoothModel, floodlit: Float) -> 
     moments = np.stack([np.ones_like(row), row, column, square]).astype(np.float32)
     basis = model.basis
     images = [
-        bounced(basis, basis.pairs, cores, factor, moments)
+        relight_smooth(basis, basis.pairs, cores, factor, moments)
         for cores, factor in zip(model.cores, floodlit, strict=True)
     ]
     # float64: sums of large squares cancel
