@@ -146,7 +146,7 @@ class MultilevelTransport(LevelTransport):
             yield responses, spread, responses.values if all_channels else responses.values[chosen]
 
     def _truncated(self, level: int) -> list[Responses]:
-        """Replace the responses of `level` and finer levels by their sums over blocks of `level`."""
+        """Replace the responses of `level` and of finer levels by their sums over its blocks."""
         coarser = [responses for responses in self.level_responses if responses.level < level]
         finer = [responses for responses in self.level_responses if responses.level >= level]
         pixels = int(np.prod(self.camera_shape))
