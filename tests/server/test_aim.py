@@ -38,7 +38,7 @@ def get(watch: Watch) -> Callable[..., Response]:
 
 
 def wait_for(watch: Watch, number: int) -> None:
-    wait_until(lambda: watch.look.number >= number, f"look {number}")
+    wait_until(lambda: watch.view.number >= number, f"view {number}")
 
 
 def test_nothing_is_shown_without_the_token(get: Callable[..., Response]) -> None:
@@ -78,11 +78,11 @@ def test_a_device_that_fails_is_told_of_and_tried_again(
     def fail() -> None:
         raise CaptureError("the cable is out")
 
-    monkeypatch.setattr("rfpipe.server.aim.AGAIN_SECONDS", 0.05)
+    monkeypatch.setattr("rfpipe.server.aim.RETRY_SECONDS", 0.05)
     bench.camera.expose = fail  # type: ignore[method-assign,assignment]
     wait_until(lambda: "cable is out" in (get("/state.json").json()["error"] or ""), "the error")
     bench.camera.expose = expose  # type: ignore[method-assign]
-    seen = watch.look.number
+    seen = watch.view.number
     wait_for(watch, seen + 1)
     assert get("/state.json").json()["error"] is None
 

@@ -123,7 +123,7 @@ def test_a_rig_that_fails_is_tried_again_and_then_given_up(
         client.capture(ON, [(1, 0)])
         rig.faults = {(1, 1): [CaptureError(f"no light {i}") for i in range(1000)]}
         began = time.monotonic()
-        expected = r"the rig failed: no light 0 .*At last: .*no light [1-9].*run again"
+        expected = r"the rig failed: no light 0 .*Last failure: .*no light [1-9].*run again"
         with pytest.raises(CaptureError, match=expected):
             client.capture(ON, [(1, 1)])
         assert time.monotonic() - began >= 1.5  # as it said
@@ -193,7 +193,7 @@ def test_a_restart_is_waited_for_and_the_request_goes_on(caplog: pytest.LogCaptu
         stopped.set()
         thread.join()
     assert second.shown == [(1, 0)]
-    assert "check that 'rfpipe serve' runs there" in caplog.text
+    assert "check that 'rfpipe serve' is running" in caplog.text
 
 
 def test_another_rig_after_a_restart_is_refused() -> None:
@@ -204,13 +204,13 @@ def test_another_rig_after_a_restart_is_refused() -> None:
     with (
         running(SlowRig(seed=2), port=port),
         client,
-        pytest.raises(CaptureError, match="serves another rig"),
+        pytest.raises(CaptureError, match="rig or its settings changed"),
     ):
         client.capture(ON, [(1, 0)])
 
 
 def test_a_server_that_is_not_there_is_given_up() -> None:
-    with pytest.raises(CaptureError, match=r"no answer .*check that 'rfpipe serve' runs there"):
+    with pytest.raises(CaptureError, match=r"no answer .*check that 'rfpipe serve' is running"):
         RemoteRig(f"http://127.0.0.1:{free_port()}", TOKEN, patience_seconds=0.3)
 
 
@@ -258,7 +258,7 @@ def test_the_exposure_in_hand_ends_before_the_server_does(rig: SlowRig) -> None:
         posting.join()
         assert http.get("/v1/health").json()["status"] == "stopping"
     assert answers[0].status_code == 503
-    assert "being stopped" in answers[0].json()["detail"]
+    assert "is stopping" in answers[0].json()["detail"]
     assert (len(rig.shown), rig.closed) == (1, 1)
 
 

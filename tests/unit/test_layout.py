@@ -27,7 +27,7 @@ def test_a_pattern_becomes_a_picture() -> None:
 @pytest.mark.parametrize(
     ("shape", "rays", "expected"),
     [
-        ((2, 3), np.array([[6]]), "holds 6 to 6; expected -1"),
+        ((2, 3), np.array([[6]]), "has 6 to 6; expected -1"),
         ((6,), np.array([[0]]), r"expected height and width, \(H, W\)"),
     ],
 )
@@ -39,5 +39,5 @@ def test_what_is_no_layout(shape: tuple[int, ...], rays: np.ndarray, expected: s
 def test_what_cannot_be_a_grid() -> None:
     with pytest.raises(InputError, match=r"\(8, 8\) rays don't fit into a picture of \(7, 12\)"):
         ProjectorLayout.grid((7, 12), (8, 8))
-    with pytest.raises(InputError, match="found by calibration"):
+    with pytest.raises(InputError, match="Calibrate the rig to measure"):
         ProjectorLayout.grid((7, 12), (2, 3, 3))

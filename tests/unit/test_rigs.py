@@ -172,5 +172,5 @@ def test_frames_do_not_depend_on_the_number_of_threads() -> None:
 
 
 def test_a_matrix_in_place_of_a_rig_says_how_to_make_one() -> None:
-    with pytest.raises(InputError, match=r"ndarray is no rig; .*OperatorRig\(matrix"):
+    with pytest.raises(InputError, match=r"ndarray can't capture; .*OperatorRig\(matrix"):
         rfpipe.acquire(np.eye(4))  # type: ignore[arg-type]

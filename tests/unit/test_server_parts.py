@@ -27,7 +27,7 @@ def test_a_lease_lasts_as_long_as_its_heart_beats() -> None:
     lease = leases.acquire("one")
     for clock.now in (9.0, 18.0, 27.0):
         leases.renew(lease)
-    with pytest.raises(HTTPException, match=r"409.*held by 'one', and for 10\.0 s"):
+    with pytest.raises(HTTPException, match=r"409.*held by 'one', for another 10\.0 s"):
         leases.acquire("two")
     assert leases.holder == "one"
     clock.now = 37.0

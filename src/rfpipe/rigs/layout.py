@@ -1,4 +1,4 @@
-"""Where the rays of a domain lie in a picture: homographies, and the ray of each pixel."""
+"""Layout of rays in a picture: homographies, and the ray of each pixel."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 Quadrilateral = Sequence[tuple[float, float]]
 """(x, y) of the upper left, upper right, lower right and lower left corner of a view's rays, in
-pixels from the picture's upper left corner: a pixel's middle lies at halves."""
+pixels from the picture's upper left corner: the first pixel's centre is at (0.5, 0.5)."""
 
 DARK = -1
-"""What stands in a layout for a pixel that belongs to no ray."""
+"""Index in a layout for a pixel that belongs to no ray."""
 
 _TILT = np.array([(0.020, -0.010), (0.012, 0.018), (-0.016, 0.012), (-0.024, -0.020)])
-"""How far corners are moved, in fractions of the width and the height: less than the margin."""
+"""Displacement of corners, in fractions of width and height; less than the margin."""
 
 
 def pixel_middles(shape: tuple[int, ...]) -> Double:
-    """Return (x, y) of the pixels' middles, from the picture's corner: (H, W, 2)."""
+    """Coordinates (x, y) of the pixels' centres, from the picture's corner, (H, W, 2)."""
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     return np.stack([x, y], axis=-1)
 
 
 def lie_within(points: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Whether points (..., 2), as (x, y), lie on a picture (H, W); NaN doesn't."""
+    """Test which points (x, y), shape (..., 2), lie on a picture (H, W); False for NaN."""
     return np.asarray(((points >= 0) & (points < np.array(shape[::-1]))).all(axis=-1))
 
 
 def apply_homography(matrix: NDArray[Any], points: NDArray[Any]) -> Double:
-    """Map points (..., 2); the ones behind the plane are NaN or infinite."""
+    """Map points (..., 2); points behind the plane become NaN or infinite."""
     x, y, w = np.moveaxis(points @ matrix[:, :2].T + matrix[:, 2], -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack([x / w, y / w], axis=-1)
 
 
 def homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
-    """Return the matrix (3, 3) from a view's plane of rays, of a domain `shape`, to a picture.
+    """Compute the matrix (3, 3) from a view's rays, of a domain `shape`, to a picture.
 
-    InputError where the corners span no quadrilateral.
+    InputError when the corners don't span a quadrilateral.
     """
     plane = _rectangle((0, 0), RayDomain(shape).image_shape[::-1])
     rows = []
@@ -60,17 +60,35 @@ def homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
         matrix = np.append(np.linalg.solve(system[:, :8], system[:, 8]), 1.0).reshape(3, 3)
         np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
-        raise InputError(f"the corners {list(corners)} span no quadrilateral") from None
+        raise InputError(
+            f"the corners {list(corners)} don't span a quadrilateral; give four corners, no three "
+            "of them on a line"
+        ) from None
     return matrix
 
 
 def centred_corners(
     shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
 ) -> list[Quadrilateral]:
-    """Return the corners of views side by side in the middle, each ray a square of whole pixels.
+    """Place views side by side in the centre, each ray a square of a whole number of pixels.
 
-    `views` are rows and columns of views, each of a ray domain `shape`. InputError where a ray
-    doesn't get a pixel.
+    Parameters
+    ----------
+    shape : tuple of int
+        Ray domain of each view.
+    picture_shape : (int, int)
+    views : (int, int)
+        Rows and columns of views.
+
+    Returns
+    -------
+    list of Quadrilateral
+        Corners of each view, row by row.
+
+    Raises
+    ------
+    InputError
+        When a ray would be smaller than a pixel.
     """
     image = RayDomain(shape).image_shape
     height, width = (extent * count for extent, count in zip(image, views, strict=True))
@@ -88,10 +106,7 @@ def centred_corners(
 def tilted_corners(
     shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
 ) -> list[Quadrilateral]:
-    """Return the corners of views in cells side by side, turned and distorted a little.
-
-    Parameters as `centred_corners`; the rays keep their aspect.
-    """
+    """Place views side by side, slightly rotated and distorted; otherwise as `centred_corners`."""
     height, width = RayDomain(shape).image_shape
     cell = picture_shape[1] / views[1], picture_shape[0] / views[0]
     side = 0.9 * min(cell[0] / width, cell[1] / height)
@@ -102,15 +117,15 @@ def tilted_corners(
 
 
 def _rectangle(first: tuple[float, float], size: Sequence[float]) -> Quadrilateral:
-    """Return the corners of an upright rectangle; (x, y) of both."""
-    (left, top), (right, bottom) = first, (first[0] + size[0], first[1] + size[1])
-    return [(left, top), (right, top), (right, bottom), (left, bottom)]
+    """Corners of an upright rectangle, from its upper left corner (x, y) and its size."""
+    (x0, y0), (x1, y1) = first, (first[0] + size[0], first[1] + size[1])
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
 def _places(
     views: tuple[int, int], first: tuple[float, float], step: tuple[float, float]
 ) -> list[tuple[float, float]]:
-    """Return (x, y) of cells in rows and columns, row by row."""
+    """Upper left corners (x, y) of cells in rows and columns, row by row."""
     return [
         (first[0] + column * step[0], first[1] + row * step[1])
         for row in range(views[0])
@@ -120,10 +135,19 @@ def _places(
 
 @dataclass(frozen=True, eq=False)
 class ProjectorLayout:
-    """Which ray each projector pixel belongs to: a pattern over the rays becomes a picture.
+    """Assignment of projector pixels to rays, by which a pattern becomes a picture.
 
-    `ray_of_pixel` (Hp, Wp) is the index of the ray, in row-major order of the domain `shape`, that
-    each pixel shows; `DARK` where it shows none. InputError where one is out of range.
+    Parameters
+    ----------
+    shape : tuple of int
+        Ray domain.
+    ray_of_pixel : ndarray of int32, shape (Hp, Wp)
+        Index of each pixel's ray, in row-major order of the domain; `DARK` without a ray.
+
+    Raises
+    ------
+    InputError
+        When an index is out of range.
     """
 
     shape: tuple[int, ...]
@@ -134,7 +158,7 @@ class ProjectorLayout:
         rays = np.ascontiguousarray(self.ray_of_pixel)
         if rays.min() < DARK or rays.max() >= prod(shape):
             raise InputError(
-                f"layout: ray_of_pixel holds {rays.min()} to {rays.max()}; expected {DARK} (dark) "
+                f"layout: ray_of_pixel has {rays.min()} to {rays.max()}; expected {DARK} (dark) "
                 f"to {prod(shape) - 1}, the last ray of {shape}"
             )
         object.__setattr__(self, "shape", shape)
@@ -142,15 +166,15 @@ class ProjectorLayout:
 
     @classmethod
     def grid(cls, display_shape: tuple[int, int], domain_shape: tuple[int, ...]) -> Self:
-        """Return the layout of a centred grid: each ray a square of as many whole pixels as fit.
+        """Create a centred grid: each ray is the largest possible square of whole pixels.
 
-        InputError where the domain is larger than the picture, or has views, whose places only a
-        calibration knows.
+        InputError when the domain is larger than the picture, or has views, whose positions need a
+        calibration.
         """
         if RayDomain(domain_shape).is_stack:
             raise InputError(
-                f"layout: the ray domain {domain_shape} has views; a grid lays out one image "
-                "(H, W). Where the views lie on the projector is found by calibration"
+                f"layout: the ray domain {domain_shape} has views; a grid has one image (H, W). "
+                "Calibrate the rig to measure the positions of the views on the projector"
             )
         return cls.within(centred_corners(domain_shape, display_shape), domain_shape, display_shape)
 
@@ -161,15 +185,22 @@ class ProjectorLayout:
         shape: tuple[int, ...],
         display_shape: tuple[int, int],
     ) -> Self:
-        """Return the layout of rectified views: a pixel shows the ray that its middle lies on.
+        """Create a layout of rectified views: a pixel belongs to the ray at its centre.
 
-        `corners` are those of each view on the projector, a display of `display_shape` pixels.
+        Parameters
+        ----------
+        corners : sequence of Quadrilateral
+            Corners of each view on the projector.
+        shape : tuple of int
+            Ray domain.
+        display_shape : (int, int)
+            Height and width of the projector's picture.
         """
         rays = np.full(display_shape, DARK, np.int32)
         middles = pixel_middles(display_shape)
         height, width = RayDomain(shape).image_shape
         for view, quad in enumerate(corners):
-            # a grid's edges fall on whole numbers, which must not depend on rounding
+            # edges of a grid are integers, which must not be affected by rounding errors
             place = apply_homography(np.linalg.inv(homography(shape, quad)), middles).round(9)
             inside = lie_within(place, (height, width))
             x, y = np.floor(place[inside]).astype(np.int32).T
@@ -189,7 +220,7 @@ class ProjectorLayout:
         return np.bincount(lit, minlength=prod(self.shape))
 
     def picture(self, pattern: NDArray[Any]) -> Float:
-        """Return the picture (Hp, Wp) of a pattern: each pixel's weight, 0 where it has no ray."""
+        """Convert a pattern to a picture of weights, float32 (Hp, Wp); 0 for pixels without ray."""
         weights = np.append(np.asarray(pattern, np.float32).ravel(), np.float32(0))
         return np.asarray(weights[self.ray_of_pixel])  # DARK is the last index
 
@@ -198,10 +229,10 @@ class ProjectorLayout:
         return {"shape": list(self.shape), "ray_of_pixel": fingerprint(self.ray_of_pixel)}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that `from_arrays` takes."""
+        """Arrays for storage; see `from_arrays`."""
         return {"shape": np.array(self.shape, np.int64), "ray_of_pixel": self.ray_of_pixel}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Return the layout that `arrays` came from."""
+        """Restore a layout from its `arrays`."""
         return cls(tuple(int(extent) for extent in arrays["shape"]), arrays["ray_of_pixel"])

@@ -1,4 +1,4 @@
-"""Rigs without a cable: a sheet of pictures goes out, and brackets come back as pictures."""
+"""Offline rigs: patterns are written as a sheet of pictures, and brackets are read from files."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 Float = NDArray[np.float32]
 
 MANIFEST = "patterns.json"
-"""Beside the pictures that it names."""
+"""Manifest in the folder of a sheet."""
 
 PICTURES = "pictures"
-"""Folder beside a sheet's patterns for what is taken of them."""
+"""Folder in the folder of a sheet for the camera's pictures."""
 
 RUN_PATHS = ("settings", "results")
-"""Keys of a sheet's paths: of the run's settings file and of its results' folder."""
+"""Keys of the paths of the run's settings file and of its results' folder."""
 
 _NAMES = {
     BLACK_LEVEL_KEY: "black",
@@ -56,16 +56,29 @@ _NAMES = {
 
 
 class OfflineRig:
-    """A projector and a camera at the other end of a folder of pictures.
+    """A projector and a camera that exchange files of pictures with rfpipe.
 
-    `layout` says where the rays lie on the projector, `resampling` how the camera's pictures become
-    images on its rays; without them each pixel is a ray. InputError where the parts don't fit.
+    Parameters
+    ----------
+    sensor : Sensor
+    camera_shape, projector_shape : tuple of int
+        Ray domains.
+    channels : int
+    layout : ProjectorLayout, optional
+        Positions of the rays on the projector. None: each pixel is a ray.
+    resampling : Resampling, optional
+        Weights of camera pixels in each ray. None: each pixel is a ray.
 
     Attributes
     ----------
     bracket : callable or None
-        ``bracket(key, pattern)`` returns the frames of a pattern, or None where it wasn't taken;
-        CaptureError where those of this key are of another pattern.
+        ``bracket(key, pattern)`` returns the frames of a pattern, or None if there are no pictures
+        of it; CaptureError if the pictures of this key show another pattern.
+
+    Raises
+    ------
+    InputError
+        When the shapes of the parts differ.
     """
 
     seconds_per_pattern = 0.0
@@ -88,7 +101,7 @@ class OfflineRig:
         ):
             if part is not None and part.shape != shape:
                 raise InputError(
-                    f"the {name} is of {part.shape} rays; the scene's settings say {shape}. Set "
+                    f"the {name} has {part.shape} rays, but the scene's settings have {shape}. Set "
                     "them to those of the calibration"
                 )
         self.camera_sensor = sensor
@@ -98,40 +111,40 @@ class OfflineRig:
             self.picture_shape = resampling.camera_shape
 
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Return the brackets that were taken of patterns; see `rfpipe.rigs.Rig.capture`.
+        """Read the brackets of patterns; see `rfpipe.rigs.Rig.capture`.
 
-        PicturesNeeded where those of some pattern are still to be taken.
+        PicturesNeeded if there are no pictures of a pattern yet.
         """
         patterns = check_patterns(patterns, keys, self.projector_shape)
         shape = self.sensor.frame_shape(self.camera_shape, self.channels)
         frames = np.empty((len(patterns), *shape), self.sensor.frame_dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
-            taken = self.bracket and self.bracket(tuple(key), pattern)
-            if taken is None:
+            bracket = self.bracket and self.bracket(tuple(key), pattern)
+            if bracket is None:
                 raise PicturesNeeded(
-                    f"the exposures of {picture_name(key)} are still to be taken: 'rfpipe "
-                    "patterns' writes what to show, 'rfpipe import' reads what was taken"
+                    f"the exposures of {picture_name(key)} are missing: write the patterns by "
+                    "'rfpipe patterns', take the pictures, and read them by 'rfpipe import'"
                 )
-            frames[index] = taken.reshape(shape)
+            frames[index] = bracket.reshape(shape)
         return frames
 
     def picture(self, pattern: Float) -> Float:
-        """Return the projector's picture of a pattern, (Hp, Wp): views one above the other."""
+        """Convert a pattern to the projector's picture, (Hp, Wp); views are stacked vertically."""
         if self.layout is not None:
             return self.layout.picture(pattern)
         return np.reshape(pattern, RayDomain(self.projector_shape).picture_shape)
 
     def weights(self, picture: NDArray[Any]) -> Float:
-        """Return the rays' share of full code, 0 to 1, in a `picture` that was written."""
+        """Codes of the rays as fractions of 255, from a written `picture` (Hp, Wp, C)."""
         codes = np.asarray(picture[..., 0] / 255, np.float32)
         if self.layout is None:
             return codes
-        found = np.zeros(prod(self.projector_shape) + 1, np.float32)
-        found[self.layout.ray_of_pixel] = codes  # DARK is the last index
-        return found[:-1].reshape(RayDomain(self.projector_shape).picture_shape)
+        weights = np.zeros(prod(self.projector_shape) + 1, np.float32)
+        weights[self.layout.ray_of_pixel] = codes  # DARK is the last index
+        return weights[:-1].reshape(RayDomain(self.projector_shape).picture_shape)
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        """Plain data for fingerprints and manifests: everything that affects a frame."""
         return {
             "kind": "offline",
             "layout": None if self.layout is None else self.layout.describe(),
@@ -149,9 +162,9 @@ def offline_rig(
     projector_shape: tuple[int, ...],
     channels: int,
 ) -> OfflineRig:
-    """Return the offline rig of a run's settings.
+    """Create the offline rig of a run's settings.
 
-    InputError where calibration, corners and shapes don't fit together, StoreError where the
+    InputError when calibration, corners and shapes are inconsistent, StoreError when the
     calibration can't be read.
     """
     layout = resampling = None
@@ -161,7 +174,7 @@ def offline_rig(
     if layout is None and config.projector_shape is not None:
         layout = ProjectorLayout.grid(config.projector_shape, projector_shape)
     if resampling is None and config.camera_corners is not None:
-        assert config.picture_shape is not None  # the settings' model sees to it
+        assert config.picture_shape is not None  # validated by the model of the settings
         resampling = _within(config.camera_corners, camera_shape, config.picture_shape)
     return OfflineRig(
         sensor_from_config(camera), camera_shape, projector_shape, channels, layout, resampling
@@ -169,7 +182,7 @@ def offline_rig(
 
 
 def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]) -> Resampling:
-    """Return the resampling to means of the camera's pixels whose middles lie on a ray."""
+    """Create the resampling that averages the camera pixels whose centres lie on a ray."""
     from scipy.sparse import csr_array
 
     from rfpipe.photometry.resampling import Resampling, normalised
@@ -181,13 +194,22 @@ def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]
             f"offline.camera_corners: {np.count_nonzero(count == 0)} of {prod(shape)} rays have no "
             f"pixel in pictures of {picture_shape}; check the corners, or take a smaller shape"
         )
-    pixels, whole = np.flatnonzero(ray != DARK), (prod(shape), prod(picture_shape))
-    ones = csr_array((np.ones(len(pixels)), (ray[pixels], pixels)), shape=whole)
+    pixels, matrix_shape = np.flatnonzero(ray != DARK), (prod(shape), prod(picture_shape))
+    ones = csr_array((np.ones(len(pixels)), (ray[pixels], pixels)), shape=matrix_shape)
     return Resampling(shape, picture_shape, normalised(ones))
 
 
-class Shown(BaseModel):
-    """A picture to show: its file, its pattern's key (None: a marker), its fingerprint."""
+class SheetPicture(BaseModel):
+    """A picture of a sheet.
+
+    Attributes
+    ----------
+    file : str
+    key : tuple of int or None
+        Key of the pattern, None for a marker.
+    pattern : str
+        Fingerprint of the pattern.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -197,7 +219,7 @@ class Shown(BaseModel):
 
 
 class Sheet(BaseModel):
-    """All that is to be shown before an acquisition can go on.
+    """A list of pictures to be displayed and captured before an acquisition can continue.
 
     Attributes
     ----------
@@ -206,11 +228,11 @@ class Sheet(BaseModel):
         Plain data: scene, method, level, and the paths of the settings file and of the results'
         folder, relative to the sheet's folder; see `run_paths`.
     exposures_s : tuple of float
-        Of each bracket, ascending, in seconds.
+        Exposures of each bracket, ascending, in seconds.
     picture_size : (int, int)
-        Height and width of the pictures to be taken.
-    shown : tuple of Shown
-        In the order of showing: a marker and its opposite, the patterns, the opposite again.
+        Height and width of the camera's pictures.
+    shown : tuple of SheetPicture
+        Pictures in the order of display: a marker, its complement, the patterns, the complement.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -219,62 +241,78 @@ class Sheet(BaseModel):
     about: dict[str, Any]
     exposures_s: tuple[float, ...]
     picture_size: tuple[int, int]
-    shown: tuple[Shown, ...]
+    shown: tuple[SheetPicture, ...]
 
 
 def write_sheet(
     rig: OfflineRig,
     folder: Path,
-    asked: Iterable[tuple[Key, NDArray[np.float32]]],
-    about: dict[str, Any],
+    patterns: Iterable[tuple[Key, NDArray[np.float32]]],
+    description: dict[str, Any],
     gamma: float,
 ) -> Sheet:
-    """Write the pictures of patterns that are asked for, and last the manifest.
+    """Write the pictures of the patterns, and last the manifest.
 
-    The folder is made where it isn't there, and an older sheet in it replaced, unless it is the
-    same; `gamma` is the projector's. InputError where the folder holds pictures of other patterns
-    already, StoreError where it can't be written.
+    The folder is created if necessary, and a different older sheet in it is replaced.
+
+    Parameters
+    ----------
+    rig : OfflineRig
+    folder : Path
+    patterns : iterable of (key, pattern)
+    description : dict
+        Scene, method, level and paths; `Sheet.about`.
+    gamma : float
+        Gamma of the projector.
+
+    Raises
+    ------
+    InputError
+        When the folder has camera pictures of other patterns.
+    StoreError
+        When it can't be written.
     """
-    # two by two fields of light and dark
+    # checkerboard of two by two fields
     height, width = rig.projector_shape[-2:]
     row, column = np.indices(rig.projector_shape)[-2:]
     marker = ((2 * row // height + 2 * column // width) % 2 == 0).astype(np.float32)
-    opposite = ("marker", None, 1 - marker)
-    patterns: list[tuple[str, Key | None, Float]] = [("marker", None, marker), opposite]
-    patterns += [
-        (_NAMES.get(key[0], "pattern"), key, np.asarray(each, np.float32)) for key, each in asked
+    complement = ("marker", None, 1 - marker)
+    displayed: list[tuple[str, Key | None, Float]] = [("marker", None, marker), complement]
+    displayed += [
+        (_NAMES.get(key[0], "pattern"), key, np.asarray(pattern, np.float32))
+        for key, pattern in patterns
     ]
-    patterns.append(opposite)
+    displayed.append(complement)
     sheet = Sheet(
         folder=folder,
-        about=about,
+        about=description,
         exposures_s=rig.camera_sensor.exposures,
         picture_size=rig.picture_shape,
         shown=tuple(
-            Shown(file=f"{index:04d}_{name}.png", key=key, pattern=fingerprint(pattern))
-            for index, (name, key, pattern) in enumerate(patterns)
+            SheetPicture(file=f"{index:04d}_{name}.png", key=key, pattern=fingerprint(pattern))
+            for index, (name, key, pattern) in enumerate(displayed)
         ),
     )
     pictures = folder / PICTURES
     if (folder / MANIFEST).exists():
-        is_whole = all((folder / each.file).is_file() for each in sheet.shown)
-        if is_whole and _is_same(read_sheet(folder), sheet):
-            _write_manifest(sheet)  # the run may lie elsewhere now
+        is_complete = all((folder / picture.file).is_file() for picture in sheet.shown)
+        if is_complete and _is_same(read_sheet(folder), sheet):
+            _write_manifest(sheet)  # paths of the run may have changed
             return sheet
         if pictures.is_dir() and any(pictures.iterdir()):
             raise InputError(
-                f"{pictures}: holds pictures of patterns that aren't asked for any more, since "
-                "settings or code changed; move them away, then write the patterns again"
+                f"{pictures}: has pictures of previous patterns, which changed with the settings "
+                "or the code; move them to another folder, then write the patterns again"
             )
     _clear(folder)
-    for each, (_, _, pattern) in zip(sheet.shown, patterns, strict=True):
-        write_code_picture(folder / each.file, rig.picture(pattern), gamma)
+    for picture, (_, _, pattern) in zip(sheet.shown, displayed, strict=True):
+        write_code_picture(folder / picture.file, rig.picture(pattern), gamma)
     _write_manifest(sheet)
     return sheet
 
 
 def _clear(folder: Path) -> None:
-    """Make a sheet's folder, or remove an older sheet from it; StoreError where that fails."""
+    """Create a sheet's folder, or remove an older sheet from it; StoreError if that fails."""
     with storage_errors(folder, "making the sheet's folder", resumes=False):
         (folder / PICTURES).mkdir(parents=True, exist_ok=True)
         (folder / MANIFEST).unlink(missing_ok=True)
@@ -283,9 +321,9 @@ def _clear(folder: Path) -> None:
 
 
 def later_sheets(sheet: Sheet) -> list[Sheet]:
-    """Sheets beside a sheet of the same acquisition's later levels."""
-    beside = [path.parent for path in sheet.folder.absolute().parent.glob(f"*/{MANIFEST}")]
-    sheets = [read_sheet(sheet.folder.parent / folder.name) for folder in sorted(beside)]
+    """Read the sheets of later levels of the same acquisition, from the same parent folder."""
+    folders = [path.parent for path in sheet.folder.absolute().parent.glob(f"*/{MANIFEST}")]
+    sheets = [read_sheet(sheet.folder.parent / folder.name) for folder in sorted(folders)]
     level, names = sheet.about["level"], ("scene", "method", *RUN_PATHS)
     return [
         later
@@ -296,22 +334,22 @@ def later_sheets(sheet: Sheet) -> list[Sheet]:
 
 
 def remove_sheet(sheet: Sheet) -> bool:
-    """Remove a sheet and its folder, unless pictures were taken of it; return whether it is gone.
+    """Remove a sheet and its folder, unless it has camera pictures; return whether it was removed.
 
-    StoreError where it can't be removed.
+    StoreError if that fails.
     """
     pictures = sheet.folder / PICTURES
     if pictures.is_dir() and any(pictures.iterdir()):
         return False
     _clear(sheet.folder)
-    with suppress(OSError):  # files that aren't the sheet's stay, in their folder
+    with suppress(OSError):  # a folder with other files is kept
         pictures.rmdir()
         sheet.folder.rmdir()
     return True
 
 
 def _is_same(previous: Sheet, sheet: Sheet) -> bool:
-    """Test whether sheets differ at most in the paths of their run."""
+    """Test whether sheets are equal except for the paths of their run."""
     paths = {name: sheet.about[name] for name in RUN_PATHS}
     return previous.model_copy(update={"about": previous.about | paths}) == sheet
 
@@ -321,10 +359,10 @@ def _write_manifest(sheet: Sheet) -> None:
 
 
 def relative_to_sheet(path: Path, folder: Path) -> str:
-    """Path of a file or folder of a run as the run's sheet in a folder has it: relative to it.
+    """Path of a run's file or folder relative to a sheet's folder.
 
-    Sheet and run can then be copied or renamed together. Raises InputError if they lie on
-    different drives, between which there is no relative path.
+    Sheet and run can be copied or moved together. InputError if they are on different drives, which
+    have no relative path.
     """
     try:
         return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
@@ -338,34 +376,34 @@ def run_paths(sheet: Sheet) -> tuple[Path, Path]:
     Raises
     ------
     InputError
-        If one of them is not there, or the sheet has an absolute path, as sheets of early versions
-        do: it would be that of another run where this one is a copy.
+        If one of them doesn't exist, or the sheet has an absolute path, which would belong to
+        another run after a copy.
     """
-    again = "write the patterns again with 'rfpipe patterns', which keeps their pictures"
+    remedy = "write the patterns again with 'rfpipe patterns', which keeps their pictures"
     paths = []
-    for name, is_there in zip(RUN_PATHS, (Path.is_file, Path.is_dir), strict=True):
+    for name, exists in zip(RUN_PATHS, (Path.is_file, Path.is_dir), strict=True):
         path = sheet.about[name]
         if PurePosixPath(path).is_absolute() or PureWindowsPath(path).is_absolute():
             raise InputError(
-                f"{sheet.folder / MANIFEST}: has the absolute path {path} of the {name}, which are "
-                f"another run's where this one was copied; {again}"
+                f"{sheet.folder / MANIFEST}: has the absolute path {path} of the {name}, which may "
+                f"belong to another run; {remedy}"
             )
         place = Path(os.path.normpath(sheet.folder.absolute() / path))
-        if not is_there(place):
+        if not exists(place):
             raise InputError(
-                f"{sheet.folder / MANIFEST}: the run's {name} should be at {path}, relative to the "
-                f"sheet's folder, but {place} is not there. Copy or move sheet and run together, "
-                f"or {again}"
+                f"{sheet.folder / MANIFEST}: the run's {name} at {path}, relative to the sheet's "
+                f"folder, is missing: {place} doesn't exist. Copy or move sheet and run together, "
+                f"or {remedy}"
             )
         paths.append(place)
     return paths[0], paths[1]
 
 
 def read_sheet(folder: Path) -> Sheet:
-    """Read a sheet; InputError where there is none, IntegrityError where it is damaged."""
+    """Read a sheet; InputError if there is none, IntegrityError if it is damaged."""
     if not (folder / MANIFEST).is_file():
         raise InputError(
-            f"{folder}: holds no {MANIFEST}; give the folder that 'rfpipe patterns' wrote, with "
-            "the pictures taken in its folder 'pictures', or named by --pictures"
+            f"{folder}: has no {MANIFEST}; give the folder that 'rfpipe patterns' wrote, and put "
+            "the camera's pictures into its folder 'pictures', or give theirs by --pictures"
         )
     return Sheet.model_validate({**read_manifest(folder / MANIFEST), "folder": folder})

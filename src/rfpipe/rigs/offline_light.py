@@ -29,7 +29,7 @@ from rfpipe.rigs.check_pictures import (
 from rfpipe.rigs.diagnosis import light_fault, motion, room_change
 from rfpipe.rigs.faults import OFFLINE, SIGNIFICANCE, Fault, ends_fault, room_fault
 from rfpipe.rigs.noise import CountNoise
-from rfpipe.rigs.offline import Shown
+from rfpipe.rigs.offline import SheetPicture
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY
 
 Double = NDArray[np.float64]
@@ -38,13 +38,13 @@ _KINDS = {BLACK_LEVEL_KEY: BLACK, FLOODLIT_KEY: WHITE}
 
 
 def light_faults(
-    shown: Sequence[Shown], frames: Sequence[NDArray[np.float32]], sensor: CameraModel
+    shown: Sequence[SheetPicture], frames: Sequence[NDArray[np.float32]], sensor: CameraModel
 ) -> list[Fault]:
     """Find faults of the light in a sheet's pictures, the one to mend first first.
 
     Parameters
     ----------
-    shown : sequence of Shown
+    shown : sequence of SheetPicture
         Marker, complement, patterns, complement.
     frames : sequence of ndarray of float32, shape (E, n)
         Bracket of each picture.
@@ -97,7 +97,7 @@ def _last_change(series: LightSeries) -> float:
     return float(series.gain[-1, best] - 1)
 
 
-def _kind_of(shown: Shown) -> int | None:
+def _kind_of(shown: SheetPicture) -> int | None:
     """Kind of check picture; None for the patterns of the acquisition."""
     if shown.key is None:
         return PATTERN if shown.file.startswith("0000") else COMPLEMENT

@@ -1,4 +1,4 @@
-"""Rigs made from a known matrix or linear operator, or before a simulated scene."""
+"""Simulated rigs: of a known matrix or linear operator, or of a simulated scene."""
 
 from __future__ import annotations
 
@@ -22,25 +22,24 @@ if TYPE_CHECKING:
 
 
 class OperatorRig:
-    """A simulated projector and camera around given light transport ``T``: ``c = T p`` (2.11).
+    """A simulated projector and camera with known light transport ``T``: ``c = T p`` (2.11).
 
     Parameters
     ----------
     matrix : array, sparse matrix, LinearOperator, list of those, or PatternOperator
         Shape (M, N), M camera rays and N projector rays in row-major order; (C, M, N) or a list
         for C channels; or an object with ``apply(patterns (B, N)) -> (B, M, C)`` and
-        ``channels``. Entries are finite and not negative. Matrices are kept as float64.
+        ``channels``. Entries are finite and not negative. Matrices are stored as float64.
     camera_shape, projector_shape : tuple of int
-        Of M and of N rays, see `RayDomain`.
+        Shapes of the domains of M and N rays, see `RayDomain`.
     noise : None, Sensor or CameraConfig
-        None captures exact radiance; else the camera of thesis appendix B.
+        None captures exact radiance; otherwise the camera of thesis appendix B.
     seed : int
         Seed of the noise, at least 0.
     seconds_per_pattern : float
         Seconds that a real rig would take for a bracket; the simulation doesn't wait.
     threads : int
-        Threads that draw the noise of a batch's pictures, each that of its own ones: the frames
-        don't depend on it.
+        Number of threads that draw the noise of a batch; frames don't depend on it.
 
     Raises
     ------
@@ -103,7 +102,7 @@ class OperatorRig:
         return frames
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        """Plain data for fingerprints and manifests: everything that affects a frame."""
         describe = getattr(self._operator, "describe", None)
         return {
             "kind": "operator",
@@ -118,9 +117,9 @@ class OperatorRig:
 
 
 class SimulatedRig(OperatorRig):
-    """A projector and a camera that look at a simulated scene, one of `rfpipe.scenes` or your own.
+    """A rig in front of a simulated scene, one of `rfpipe.scenes` or the user's own.
 
-    The sensor is the camera, None for exact radiance; all else as `OperatorRig` has it.
+    `sensor` is the camera's sensor, None for exact radiance; other parameters as `OperatorRig`.
     """
 
     def __init__(
@@ -135,7 +134,7 @@ class SimulatedRig(OperatorRig):
         super().__init__(scene, *shapes, sensor, seed, seconds_per_pattern, threads)
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        """Plain data for fingerprints and manifests: everything that affects a frame."""
         described = super().describe()
         scene = described.pop("operator")
         return {**described, "kind": "simulated", "scene": scene}

@@ -36,32 +36,32 @@ Float = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 
-_LAPSED = "%s: the lease lapsed, or the server was restarted; taking it anew"
+_LAPSED = "%s: the lease expired, or the server was restarted; acquiring a new lease"
 
 
 class RemoteRig(Closing):
-    """The client of `rfpipe.server`: a rig whose devices another process or machine has.
+    """Client of `rfpipe.server`: a rig whose devices belong to another process or machine.
 
-    The first capture takes the rig; a heart-beat in the background keeps it until `close`. A server
-    that doesn't answer, or that another client holds, is waited for. After a restart of the server
-    a capture goes on where it was.
+    The first capture acquires the rig; a heartbeat in the background keeps it until `close`. If the
+    server doesn't answer, or another client holds the rig, the client waits. After a restart of the
+    server, a capture continues.
 
     Parameters
     ----------
     url : str
-        Such as ``http://127.0.0.1:8750``.
+        Address such as ``http://127.0.0.1:8750``.
     token : str
         The server's bearer token.
     patience_seconds : float
-        How long to wait for a server that doesn't answer, for another client to end, or for a rig
-        that fails, at least 0.
+        Longest wait for a server that doesn't answer, for another client, or for a rig that fails;
+        at least 0.
 
     Raises
     ------
     CaptureError
-        When the server doesn't answer in that time, refuses the token or speaks another version.
+        When the server doesn't answer in that time, refuses the token or has another API version.
     InputError
-        When the URL is none of ``http`` or ``https``.
+        When the URL isn't an ``http`` or ``https`` address.
     """
 
     def __init__(self, url: str, token: str, patience_seconds: float = 600.0) -> None:
@@ -84,8 +84,8 @@ class RemoteRig(Closing):
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`.
 
-        CaptureError also where the server doesn't answer, is held by another client or its rig
-        fails, for longer than `patience_seconds`, or it serves another rig than before.
+        CaptureError also when the server doesn't answer, another client holds the rig or the rig
+        fails, for longer than `patience_seconds`, or when the rig's description changed.
         """
         patterns = check_patterns(patterns, keys, self.projector_shape)
         frames = np.empty((len(patterns), *self._frame_shape), self.sensor.frame_dtype)
@@ -95,22 +95,22 @@ class RemoteRig(Closing):
         return frames
 
     def describe(self) -> dict[str, Any]:
-        """Return the description of the rig behind the server; where it is shapes no frame."""
+        """Description of the server's rig; the address doesn't affect a frame."""
         return self._rig.description
 
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
-        """What the devices behind the server counted since its start."""
+        """Counters of the server's devices since its start."""
         answer = self._connection.send("GET", "/v1/status")
         return StatusAnswer.model_validate_json(answer.content).devices
 
     def close(self) -> None:
-        """Give the rig back to other clients; closing twice is no error."""
-        self._give_back()
+        """Release the rig for other clients; further calls have no effect."""
+        self._release()
         self._connection.close()
 
     def _request(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Have patterns shown by one request, sent again until its answer arrives whole."""
+        """Capture patterns by one request, which is repeated until a complete answer arrives."""
         body = encode_patterns(patterns, keys)
         half = len(patterns) // 2
         if half and len(body) > self._rig.limits.request_bytes:
@@ -118,7 +118,7 @@ class RemoteRig(Closing):
             return np.concatenate([self._request(patterns[part], keys[part]) for part in parts])
         headers = {
             "Content-Type": MEDIA_TYPE,
-            # the server knows the request by it, and exposes nothing twice
+            # identifies repetitions of the request, so that the server exposes nothing twice
             "Idempotency-Key": secrets.token_urlsafe(24),
         }
         seconds = self.seconds_per_pattern * len(patterns)
@@ -131,38 +131,40 @@ class RemoteRig(Closing):
                 )
                 brackets = self._brackets(response.content, keys)
             except TransferError as error:
-                patience.pause(f"its answer arrived damaged ({error})")
+                patience.pause(f"its answer is damaged ({error})")
             except _RefusedError as refusal:
                 if refusal.status == 410:
                     _log.warning(_LAPSED, self.url)
-                    self._give_back()
+                    self._release()
                 elif refusal.status == 502:
                     patience.pause(f"the rig failed: {refusal.detail}")
                 else:
                     raise
             else:
-                patience.end("the rig works again; going on")
+                patience.end("the rig works again; continuing")
                 return brackets
 
     def _brackets(self, answer: bytes, keys: Sequence[Key]) -> NDArray[Any]:
-        """Return the brackets of an answer; raises TransferError where it is damaged."""
+        """Read the brackets of an answer; TransferError if it is damaged."""
         frames = np.empty((len(keys), *self._frame_shape), self.sensor.frame_dtype)
         facts, arrays = unpack(answer, frames.nbytes)
         if facts.get("keys") != [list(map(int, key)) for key in keys]:
-            raise TransferError("it answers for other patterns")
+            raise TransferError("its brackets have the keys of other patterns")
         for index, frame in enumerate(frames):
             bracket = arrays.get(str(index))
             if bracket is None or bracket.shape != frame.shape or bracket.dtype != frame.dtype:
                 form = "none" if bracket is None else f"{bracket.dtype} {bracket.shape}"
-                raise TransferError(f"bracket {index} is {form}; not {frame.dtype} {frame.shape}")
+                raise TransferError(
+                    f"bracket {index} is {form}; expected {frame.dtype} {frame.shape}"
+                )
             frame[...] = bracket
         return frames
 
     def _lease(self) -> str:
-        """Return the lease's id, the rig taken if it isn't yet."""
+        """Identifier of the lease; acquires the rig if necessary."""
         if self._heart is not None and not self._heart.is_alive():
             _log.warning(_LAPSED, self.url)
-            self._give_back()
+            self._release()
         if self._heart is None:
             client = f"{socket.gethostname()}:{getpid()}"  # for the server's log
             answer = self._connection.send("POST", "/v1/lease", json={"client": client})
@@ -171,24 +173,23 @@ class RemoteRig(Closing):
             )
             if self._described().digest != self._rig.digest:
                 raise CaptureError(
-                    f"{self.url}: the server serves another rig, or with other settings, than when "
-                    "this capture began. Start it with the settings of then, or run again to begin "
-                    "anew"
+                    f"{self.url}: the server's rig or its settings changed since this capture "
+                    "began. Restart the server with the previous settings, or run the capture again"
                 )
         return self._heart.lease
 
-    def _give_back(self) -> None:
+    def _release(self) -> None:
         heart, self._heart = self._heart, None
         if heart is not None:
             heart.stop()
 
     def _described(self) -> RigAnswer:
-        """Return the rig as the server describes it, in this version of the interface."""
+        """Read the server's description of the rig, after a check of the API version."""
         api = self._connection.send("GET", "/v1/health").json().get("api")
         if api != API:
             raise CaptureError(
-                f"{self.url}: speaks version {api} of the interface; this rfpipe speaks {API}. Run "
-                "the same rfpipe on both sides"
+                f"{self.url}: has version {api} of the API; this rfpipe has version {API}. Run the "
+                "same version of rfpipe on both sides"
             )
         return RigAnswer.model_validate_json(self._connection.send("GET", "/v1/rig").content)
 
@@ -199,11 +200,13 @@ class RemoteRig(Closing):
         try:
             return sensor_from_description(self._rig.sensor, arrays)
         except InputError as error:
-            raise CaptureError(f"{self.url}: {error}. Run the same rfpipe on both sides") from error
+            raise CaptureError(
+                f"{self.url}: {error}. Run the same version of rfpipe on both sides"
+            ) from error
 
 
 class _RefusedError(CaptureError):
-    """The server's answer is an error that waiting doesn't mend."""
+    """Error in the server's answer that can't be resolved by waiting."""
 
     def __init__(self, url: str, status: int, detail: str) -> None:
         super().__init__(f"{url}: the server refused with status {status}: {detail}")
@@ -211,7 +214,7 @@ class _RefusedError(CaptureError):
 
 
 class _Connection:
-    """HTTP to a server that may be away for a while; threads may share it."""
+    """HTTP connection to a server that may be temporarily unavailable; thread-safe."""
 
     def __init__(self, url: str, token: str, patience_seconds: float) -> None:
         import httpx
@@ -227,22 +230,24 @@ class _Connection:
         self._http = httpx.Client(
             base_url=self._url,
             headers={"Authorization": f"Bearer {token}"},
-            limits=httpx.Limits(max_connections=2, keepalive_expiry=60.0),  # and the heart-beat's
-            verify=url.startswith("https"),  # without it, certificates needn't be loaded
-            trust_env=False,  # a proxy for the web doesn't lead to a rig
+            # the second connection is for heartbeats
+            limits=httpx.Limits(max_connections=2, keepalive_expiry=60.0),
+            verify=url.startswith("https"),  # plain HTTP needs no certificates
+            trust_env=False,  # don't use a web proxy
         )
         self._closing = threading.Event()
         self._waiting = self.patience()
 
     def patience(self) -> _Patience:
-        """Return as much patience as this connection has, for something behind the server."""
+        """Create a patience of the same duration, for failures of the rig behind the server."""
         return _Patience(self._url, self._patience_seconds, self._closing)
 
     def send(self, method: str, path: str, seconds: float = 0.0, **request: Any) -> httpx.Response:
-        """Send a request until the server answers it; `seconds` is the rig's part of the time.
+        """Send a request, repeatedly if necessary, and return the answer.
 
-        _RefusedError where the answer is an error; CaptureError where there is none, or others hold
-        the rig, for longer than the patience.
+        `seconds` is the expected duration of the capture. _RefusedError when the answer is an error
+        status; CaptureError when the server doesn't answer, or another client holds the rig, for
+        longer than the patience.
         """
         import httpx
 
@@ -251,14 +256,14 @@ class _Connection:
                 response = self.try_once(method, path, seconds, **request)
             except httpx.TransportError as error:
                 self._waiting.pause(
-                    f"no answer ({type(error).__name__}: {error}); check that 'rfpipe serve' runs "
-                    "there, and the network"
+                    f"no answer ({type(error).__name__}: {error}); check that 'rfpipe serve' is "
+                    "running on that machine, and the network"
                 )
                 continue
             if response.status_code not in (408, 409, 429, 503):
                 break
             self._waiting.pause(_detail(response))
-        self._waiting.end("answers again; going on")
+        self._waiting.end("answers again; continuing")
         if response.is_success:
             return response
         detail = _detail(response)
@@ -269,21 +274,21 @@ class _Connection:
     def try_once(
         self, method: str, path: str, seconds: float = 0.0, **request: Any
     ) -> httpx.Response:
-        """Send a request and return whatever answer; raises httpx.TransportError without one."""
+        """Send a request and return the answer; httpx.TransportError without an answer."""
         import httpx
 
-        # a bracket may take some times what the rig says: retries, a device that reconnects
+        # a bracket may take several times as long, by retries or a device that reconnects
         timeout = httpx.Timeout(30.0 + 4.0 * seconds, connect=5.0)
         return self._http.request(method, path, timeout=timeout, **request)
 
     def close(self) -> None:
-        """Close the connection; closing twice is no error."""
+        """Close the connection; further calls have no effect."""
         self._closing.set()
         self._http.close()
 
 
 def _detail(response: httpx.Response) -> str:
-    """Return the detail of an error's answer."""
+    """Extract the description from the answer of an error."""
     try:
         detail = response.json()["detail"]
     except (ValueError, KeyError, TypeError):
@@ -292,10 +297,10 @@ def _detail(response: httpx.Response) -> str:
 
 
 class _HeartBeat(threading.Thread):
-    """Renews a lease until it is stopped, then gives it back; ends where the server forgot it."""
+    """Thread that renews a lease until it is stopped, then releases it; ends if it expired."""
 
     def __init__(self, connection: _Connection, answer: LeaseAnswer) -> None:
-        super().__init__(name="heart-beat", daemon=True)
+        super().__init__(name="heartbeat", daemon=True)
         self.lease = answer.lease
         self._connection = connection
         self._interval = answer.seconds / 4
@@ -303,12 +308,12 @@ class _HeartBeat(threading.Thread):
         self.start()
 
     def stop(self) -> None:
-        """Stop, and give the lease back if the server still knows it."""
+        """Stop, and release the lease if it is still valid."""
         self._stopping.set()
         self.join()
 
     def run(self) -> None:
-        """Renew the lease; other failures are the capture's to report."""
+        """Renew the lease; failures of the connection are reported by the capture."""
         import httpx
 
         headers = {"Rig-Lease": self.lease}
@@ -322,26 +327,26 @@ class _HeartBeat(threading.Thread):
         try:
             self._connection.try_once("DELETE", "/v1/lease", headers=headers)
         except httpx.TransportError as error:
-            _log.info("the lease was not given back (%s); it lapses by itself", error)
+            _log.info("the lease was not released (%s); it will expire", error)
 
 
 class _Patience:
-    """Waits between attempts, longer each time, until they have failed for too long."""
+    """Waits with increasing duration between attempts, up to a total time."""
 
     def __init__(self, name: str, seconds: float, closing: threading.Event) -> None:
         self._name, self._seconds, self._closing = name, seconds, closing
         self._since: float | None = None
 
     def end(self, news: str) -> None:
-        """Note a success, and log it after failures."""
+        """Reset after a success; log `news` if attempts had failed."""
         if self._since is not None:
             _log.warning("%s: %s", self._name, news)
             self._since = None
 
     def pause(self, reason: str) -> None:
-        """Wait a little before the next attempt, or raise CaptureError at the patience's end.
+        """Wait before the next attempt; CaptureError when the total time is over.
 
-        It says why the first attempt failed, which explains most, and the last one.
+        The message contains the reasons of the first and the last failure.
         """
         if self._since is None:
             self._since, self._pause, self._first = time.monotonic(), 0.1, reason
@@ -349,9 +354,9 @@ class _Patience:
         waited = time.monotonic() - self._since
         if waited >= self._seconds:
             raise CaptureError(
-                f"{self._name}: {self._first}. At last: {reason}. Waited for {waited:.0f} s "
-                "(capture.patience_seconds); what is captured is kept: run again when that is "
-                "mended"
+                f"{self._name}: {self._first}. Last failure: {reason}. Waited for {waited:.0f} s "
+                "(capture.patience_seconds); captured brackets are kept: run again after solving "
+                "the problem"
             )
         self._closing.wait(min(self._pause, self._seconds - waited))
         self._pause = min(2 * self._pause, 5.0)

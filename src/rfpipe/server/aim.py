@@ -1,4 +1,4 @@
-"""The page of `rfpipe aim`: what the camera sees, live, to frame, focus and expose."""
+"""Page of `rfpipe aim`: a live view of the camera's picture, to frame, focus and expose."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from rfpipe.server.run import bound_socket, local_config
 
 Devices = Callable[[], tuple[Projector, Camera]]
 
-AGAIN_SECONDS = 2.0
-"""Wait after a device failed, before it is tried again."""
+RETRY_SECONDS = 2.0
+"""Wait after a device failed."""
 
 _COOKIE = "rfpipe-aim"
 _HEADERS = {
@@ -41,23 +41,23 @@ _HEADERS = {
 
 
 def aim(devices: Devices, period: int, port: int, say: Callable[[str], object]) -> None:
-    """Serve the page of a rig on this machine alone, until SIGTERM or SIGINT.
+    """Serve the page of a rig, for this machine only, until SIGTERM or SIGINT.
 
     Parameters
     ----------
     devices : callable
         Returns projector and camera.
     period : int
-        Of the stripes in projector pixels.
+        Period of the stripes in projector pixels.
     port : int
-        0 takes a free one.
+        0 selects a free one.
     say : callable
-        Is given the page's address, its token in it, once it can be opened.
+        Called with the page's address, which contains its token, once it can be opened.
 
     Raises
     ------
     ConfigError
-        When the port is taken.
+        When the port is in use.
     RfpipeError
         When the devices can't be opened.
     """
@@ -66,32 +66,32 @@ def aim(devices: Devices, period: int, port: int, say: Callable[[str], object]) 
         app = create_app(watch, token)
         config = local_config(app, access_log=False, timeout_graceful_shutdown=2)
         say(f"http://127.0.0.1:{bound.getsockname()[1]}/?token={token}")
-        with suppress(KeyboardInterrupt):  # uvicorn raises it again after its end
+        with suppress(KeyboardInterrupt):  # raised by uvicorn after its end
             uvicorn.Server(config).run(sockets=[bound])
 
 
 def create_app(watch: Watch, token: str) -> FastAPI:
-    """Return the ASGI application of a page for one rig.
+    """Create the ASGI application of the page for one rig.
 
-    Who opens ``/?token=...`` with the token gets a cookie, and all else needs that.
+    The address ``/?token=...`` with the right token sets a cookie, which all other requests need.
     """
     app = FastAPI(title="rfpipe aim", openapi_url=None, docs_url=None, redoc_url=None)
-    # a page elsewhere that names this machine by a name of its own is no page of ours
+    # against DNS rebinding: a foreign host name that resolves to this machine is refused
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
     page = files("rfpipe.server").joinpath("aim.html").read_text(encoding="utf-8")
 
-    def is_right(given: str | None) -> bool:
-        return hmac.compare_digest((given or "").encode(), token.encode())
+    def is_valid(candidate: str | None) -> bool:
+        return hmac.compare_digest((candidate or "").encode(), token.encode())
 
     @app.middleware("http")
     async def guard(request: Request, call_next: Any) -> Response:
-        if request.url.path == "/" and is_right(request.query_params.get("token")):
+        if request.url.path == "/" and is_valid(request.query_params.get("token")):
             answer: Response = RedirectResponse("/", 303)
             answer.set_cookie(_COOKIE, token, httponly=True, samesite="strict")
-        elif is_right(request.cookies.get(_COOKIE)):
+        elif is_valid(request.cookies.get(_COOKIE)):
             answer = await call_next(request)
         else:
-            detail = "open the address that rfpipe aim printed: it has the token in it"
+            detail = "the token is missing or wrong; open the address that rfpipe aim printed"
             answer = JSONResponse({"detail": detail}, 401)
         answer.headers.update(_HEADERS)
         return answer
@@ -106,15 +106,25 @@ def create_app(watch: Watch, token: str) -> FastAPI:
 
     @app.get("/picture.png")
     def picture() -> Response:
-        if not watch.look.picture:
-            raise HTTPException(404, "nothing was seen yet")
-        return Response(watch.look.picture, media_type="image/png")
+        if not watch.view.picture:
+            raise HTTPException(404, "the camera has taken no picture yet; try again")
+        return Response(watch.view.picture, media_type="image/png")
 
     return app
 
 
-class Look(NamedTuple):
-    """The last look: its number from 1, a PNG file, and verdict, numbers and proposed bracket."""
+class View(NamedTuple):
+    """Latest view of the scene.
+
+    Attributes
+    ----------
+    number : int
+        Number of the view, from 1; 0 before the first one.
+    picture : bytes
+        PNG file.
+    facts : dict
+        Verdict, numbers and proposed exposures.
+    """
 
     number: int
     picture: bytes
@@ -122,14 +132,14 @@ class Look(NamedTuple):
 
 
 class Watch:
-    """Shows and looks until it is closed; a device that fails is reported, and tried again.
+    """Measures the scene repeatedly until it is closed; failed devices are reported and retried.
 
     Parameters
     ----------
     devices : callable
-        Returns projector and camera; is called in the thread that uses them.
+        Returns projector and camera; called in the thread that uses them.
     period : int
-        Of the stripes in projector pixels.
+        Period of the stripes in projector pixels.
 
     Raises
     ------
@@ -139,7 +149,7 @@ class Watch:
 
     def __init__(self, devices: Devices, period: int) -> None:
         self._period = period
-        self.look = Look(0, b"", {})
+        self.view = View(0, b"", {})
         self._error: str | None = None
         self._stopping = threading.Event()
         self._thread = ThreadPoolExecutor(1, "aim")
@@ -152,12 +162,12 @@ class Watch:
 
     @property
     def state(self) -> dict[str, Any]:
-        """Plain data: the last look, and the devices' error."""
-        look = self.look
-        return {"number": look.number, "error": self._error, **look.facts}
+        """Plain data: the latest view, and the devices' error."""
+        view = self.view
+        return {"number": view.number, "error": self._error, **view.facts}
 
     def close(self) -> None:
-        """Give the devices back, after the exposure in hand."""
+        """Finish the current exposure, and close the devices."""
         self._stopping.set()
         self._thread.shutdown()
 
@@ -165,35 +175,35 @@ class Watch:
         with closing(projector), closing(camera):
             while not self._stopping.is_set():
                 try:
-                    self._look_once(projector, camera)
+                    self._measure(projector, camera)
                     self._error = None
                 except RfpipeError as error:
                     self._error = str(error)
-                    self._stopping.wait(AGAIN_SECONDS)
+                    self._stopping.wait(RETRY_SECONDS)
 
-    def _look_once(self, projector: Projector, camera: Camera) -> None:
-        """Take the pictures of a look; leave it where the page is closed meanwhile."""
-        taken = []
-        for index, shown in enumerate(scene_patterns(projector.shape, self._period)):
-            taken.append(bracket_of(projector, camera, shown, f"picture {index}"))
+    def _measure(self, projector: Projector, camera: Camera) -> None:
+        """Take the pictures of a view, and replace the latest one; stop if the page is closed."""
+        brackets = []
+        for index, pattern in enumerate(scene_patterns(projector.shape, self._period)):
+            brackets.append(bracket_of(projector, camera, pattern, f"picture {index}"))
             if self._stopping.is_set():
                 return
         model = camera_model(camera)
-        sight = measure_scene(taken, model.exposures, model.white_level, self._period)
-        lit, dark = sight["lit"], sight["dark"]
-        picture = scene_image(sight["white"], sight["saturated"], dark, lit)
-        proposal = ", ".join(f"{one:g}" for one in sight["proposed_exposures_s"])
+        scene = measure_scene(brackets, model.exposures, model.white_level, self._period)
+        lit, dark = scene["lit"], scene["dark"]
+        picture = scene_image(scene["white"], scene["saturated"], dark, lit)
+        proposal = ", ".join(f"{seconds:g}" for seconds in scene["proposed_exposures_s"])
         facts = {
-            "standing": sight.verdict.standing,
-            "verdict": sight.verdict.text,
-            "saturated": sight["saturated_share"],
+            "standing": scene.verdict.standing,
+            "verdict": scene.verdict.text,
+            "saturated": scene["saturated_share"],
             "dark": float(dark.sum() / max(lit.sum(), 1)),
-            "lit": sight["lit_share"],
-            "focus": sight["focus_contrast"],
+            "lit": scene["lit_share"],
+            "focus": scene["focus_contrast"],
             "exposures": list(model.exposures),
             "proposal": f"sensor:\n  exposures: [{proposal}]",
         }
-        self.look = Look(self.look.number + 1, _png(picture), facts)
+        self.view = View(self.view.number + 1, _png(picture), facts)
 
 
 def _png(picture: NDArray[np.float64]) -> bytes:

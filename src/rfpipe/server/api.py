@@ -1,4 +1,4 @@
-"""The endpoints of the acquisition server, version 1."""
+"""Endpoints of the acquisition server, API version 1."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from rfpipe.server.worker import Leases, RigWorker
 
 _log = logging.getLogger("rfpipe.server")
 
-_MOST_PATTERNS = 64  # in a request
-_MOST_ANSWER_BYTES = 128 * 2**20  # of brackets; one pattern is always allowed
-_PIECE = 2**18  # bytes of an answer that are sent once those before it were taken
+_MOST_PATTERNS = 64  # patterns in a request
+_MOST_ANSWER_BYTES = 128 * 2**20  # size of an answer; one bracket is always allowed
+_PIECE = 2**18  # bytes of a piece of an answer, sent after the previous one was received
 
 _problem = {"content": {PROBLEM_TYPE: {"schema": Problem.model_json_schema()}}}
 _errors: Any = {status: {"description": "See detail.", **_problem} for status in ("4XX", "5XX")}
@@ -55,25 +55,25 @@ def _binary(media_type: str) -> Any:
 
 
 class _Served:
-    """What the endpoints share."""
+    """State shared by the endpoints."""
 
     def __init__(self, worker: RigWorker, settings: ServerSettings) -> None:
         self.worker, self.leases = worker, worker.leases
         self.began, self.body_seconds = time.monotonic(), settings.body_seconds
         self.rig = _described(worker.rig, settings)
         arrays = getattr(worker.rig.sensor, "arrays", dict)
-        self.arrays = pack({}, arrays(), deflate=True)  # of a resampled sensor
-        # held while a capture's body is in memory: one at a time
+        self.arrays = pack({}, arrays(), deflate=True)  # a resampled sensor has arrays
+        # only one request's body is in memory at a time
         self.reading = asyncio.Lock()
 
 
 def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> FastAPI:
-    """Return the ASGI application that serves a rig.
+    """Create the ASGI application that serves a rig.
 
     Parameters
     ----------
     rig : Rig, or callable that returns one
-        A callable is called, once and now, in the thread that will use the rig.
+        A callable is called immediately, in the thread that uses the rig.
     token : str
         The bearer token that clients must send.
     settings : ServerSettings
@@ -81,7 +81,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     Returns
     -------
     FastAPI
-        Its shutdown closes the rig. `rfpipe.server.run` adds a deadline for heads.
+        Its shutdown closes the rig. `rfpipe.server.run` adds a deadline for request headers.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         yield
-        await asyncio.to_thread(worker.close)  # before uvicorn raises SIGTERM again
+        await asyncio.to_thread(worker.close)  # before uvicorn re-raises SIGTERM
 
     app = FastAPI(
         title="rfpipe acquisition server",
@@ -127,21 +127,21 @@ KeyHeader = Annotated[
     Header(
         alias="Idempotency-Key",
         pattern="^[A-Za-z0-9_-]{16,64}$",
-        description="Random, the client's own; the same when the request is sent again.",
+        description="Random identifier of the request, the same when the request is repeated.",
     ),
 ]
 
 
 @_open.get("/health")
 async def health(served: Served) -> Health:
-    """Say that the server is there."""
+    """Return state and version of the server."""
     status = "stopping" if served.worker.is_stopping else "ok"
     return Health(status=status, version=rfpipe.__version__, api=API)
 
 
 @_closed.get("/status")
 async def status(served: Served) -> StatusAnswer:
-    """Say who holds the rig and what happened since the start."""
+    """Return the holder of the rig, and counters since the start."""
     return StatusAnswer(
         up_seconds=time.monotonic() - served.began,
         holder=served.leases.holder,
@@ -158,29 +158,29 @@ async def rig(served: Served) -> RigAnswer:
 
 @_closed.get("/rig/arrays", **_binary(MEDIA_TYPE))
 async def rig_arrays(served: Served) -> Response:
-    """Return the arrays of a resampled sensor; none of another one."""
+    """Return the arrays of a resampled sensor; a message without arrays for another one."""
     return Response(served.arrays, media_type=MEDIA_TYPE)
 
 
 @_closed.post("/lease")
 async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
-    """Take the rig for oneself."""
+    """Acquire the rig."""
     identity = served.leases.acquire(request.client)
-    _log.info("%s takes the rig", request.client)
+    _log.info("%s acquires the rig", request.client)
     return LeaseAnswer(lease=identity, seconds=served.leases.seconds)
 
 
 @_closed.put("/lease")
 async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
-    """Keep the rig: the heart-beat of its holder."""
+    """Renew the lease; the heartbeat of the rig's holder."""
     served.leases.renew(lease)
     return LeaseAnswer(lease=lease, seconds=served.leases.seconds)
 
 
 @_closed.delete("/lease", status_code=204)
 async def release(lease: LeaseHeader, served: Served) -> None:
-    """Give the rig back."""
-    _log.info("%s gives the rig back", served.leases.renew(lease, 0))
+    """Release the rig."""
+    _log.info("%s releases the rig", served.leases.renew(lease, 0))
     served.worker.forget()
 
 
@@ -195,18 +195,18 @@ async def release(lease: LeaseHeader, served: Served) -> None:
     },
 )
 async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: Served) -> Response:
-    """Show patterns and return their brackets; the same request again isn't exposed again."""
+    """Show patterns and return their brackets; a repeated request isn't exposed again."""
     served.leases.renew(lease)
     if request.headers.get("content-type") != MEDIA_TYPE:
-        raise HTTPException(415, f"the body must be of the type {MEDIA_TYPE}")
-    served.worker.check_free(key)  # before anything of the body is read
+        raise HTTPException(415, f"the body has another type; send {MEDIA_TYPE}")
+    served.worker.check_free(key)  # before the body is read
     limits = served.rig.limits
     async with served.reading:
         try:
             async with asyncio.timeout(served.body_seconds):
                 body = await request.body()
         except TimeoutError:
-            detail = "the request did not arrive in time"
+            detail = f"the body did not arrive within {served.body_seconds:g} s; send it again"
             raise HTTPException(408, detail, {"Connection": "close"}) from None
         digest = hashlib.sha256(body).hexdigest()
         patterns = partial(
@@ -214,7 +214,7 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
         )
         future = await asyncio.to_thread(served.worker.submit, key, digest, lease, patterns)
         del body, patterns
-    # shielded: a client that goes away doesn't take the exposure back
+    # shielded: a client that disconnects doesn't cancel the exposure
     message = await asyncio.shield(asyncio.wrap_future(future))
     headers = {"Content-Length": str(len(message))}
     return StreamingResponse(_in_pieces(message), media_type=MEDIA_TYPE, headers=headers)
@@ -226,11 +226,11 @@ async def _in_pieces(message: bytes) -> AsyncIterator[bytes]:
 
 
 def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
-    """Describe a rig, and how much of it a request may ask for."""
+    """Describe a rig and the limits of its requests."""
     description = rig.describe()
     bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
     brackets = _MOST_ANSWER_BYTES // (bracket * rig.sensor.frame_dtype.itemsize)
-    # of ones and zeros: eight a byte
+    # binary patterns have eight rays a byte
     patterns = 8 * settings.most_request_bytes // prod(rig.projector_shape)
     return RigAnswer(
         camera_shape=rig.camera_shape,

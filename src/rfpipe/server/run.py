@@ -1,4 +1,4 @@
-"""Running the server: its socket, its log, its signals, and its end."""
+"""Start and stop of the acquisition server: socket, log and signals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _log = logging.getLogger("rfpipe.server")
 
 
 class _Server(uvicorn.Server):
-    """Lets the exposure in hand be the last one when a signal asks to stop."""
+    """uvicorn's server that, on a signal, stops after the current exposure."""
 
     def __init__(self, config: uvicorn.Config, worker: RigWorker) -> None:
         super().__init__(config)
@@ -35,14 +35,14 @@ class _Server(uvicorn.Server):
 
 
 def make_server(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> _Server:
-    """Return the server of a rig, whose `run` takes the `bound_socket`."""
+    """Create the server of a rig; pass a `bound_socket` to its `run`."""
     app = create_app(rig, token, settings)
     config = local_config(
         app,
         http=guarded_protocol(settings),
         headers=[("cache-control", "no-store"), ("x-content-type-options", "nosniff")],
         timeout_keep_alive=120,
-        # for requests under way; the exposure in hand has what time it takes
+        # for running requests; the current exposure may take longer
         timeout_graceful_shutdown=30,
         h11_max_incomplete_event_size=16 * 2**10,
     )
@@ -50,33 +50,33 @@ def make_server(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettin
 
 
 def local_config(app: FastAPI, **options: Any) -> uvicorn.Config:
-    """Return uvicorn's settings of an application that stands behind no proxy that it trusts."""
-    none: dict[str, Any] = {"log_config": None, "proxy_headers": False, "server_header": False}
-    return uvicorn.Config(app, ws="none", **none, **options)
+    """Uvicorn's settings of an application that trusts no proxy."""
+    disabled: dict[str, Any] = {"log_config": None, "proxy_headers": False, "server_header": False}
+    return uvicorn.Config(app, ws="none", **disabled, **options)
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens, before the rig is opened.
+    """Open a listening socket, before the rig is opened.
 
     Raises
     ------
     ConfigError
-        When the address is taken or not this machine's.
+        When the address is in use, or doesn't belong to this machine.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         bound = socket.create_server((host, port), family=family, backlog=512)
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"server: can't listen on {host}, port {port}: {error}. Stop what listens there, or "
-            "choose another --port"
+            f"server: can't listen on {host}, port {port}: {error}. Stop the program that uses the "
+            "port, or choose another --port"
         ) from error
-    # with its protocol named: else asyncio leaves Nagle's delay of 40 ms in each answer
+    # asyncio disables Nagle's delay of 40 ms per answer only if the protocol is given
     return socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP, bound.detach())
 
 
 def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> None:
-    """Serve a rig until SIGTERM or SIGINT; then the exposure in hand ends and the devices close.
+    """Serve a rig until SIGTERM or SIGINT; then finish the current exposure and close the devices.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) ->
     Raises
     ------
     ConfigError
-        When the address can't be listened on.
+        When the socket can't be opened.
     RfpipeError
         When the rig can't be opened.
     """
@@ -100,7 +100,7 @@ def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) ->
         _log.info("serving the rig on http://%s:%d", f"[{host}]" if ":" in host else host, port)
         if not settings.is_loopback:
             _log.warning(
-                "other machines can connect, over plain HTTP: whoever listens in reads the token"
+                "other machines can connect over plain HTTP, so that the token can be intercepted"
             )
         # uvicorn raises KeyboardInterrupt again after its end
         with closing(server.worker), suppress(KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""What a server allows, and where it listens."""
+"""Address and limits of the acquisition server."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from rfpipe.errors import ConfigError
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """Where a server listens, and its limits.
+    """Address and limits of a server.
 
     Parameters
     ----------
     host : str
-        Address to listen on; another than loopback needs `allow_remote`.
+        Address to listen on; an address other than loopback needs `allow_remote`.
     port : int
-        0 takes any free one.
+        0 selects a free one.
     allow_remote : bool
-        Whether other machines may connect. They talk plain HTTP: who listens in reads the token.
+        Whether other machines may connect. They use plain HTTP, so that the token can be
+        intercepted.
     lease_seconds : float
-        How long a client that sends no heart-beat keeps the rig.
+        Duration of a lease without a heartbeat.
     most_request_bytes : int
-        Bytes of the body of a request, and of its patterns after decompression.
+        Largest size of a request's body, and of its patterns after decompression.
     most_connections : int
-        Connections at a time; who has shown no token makes room for further ones.
+        Largest number of connections; above it, connections without a request are closed.
     head_seconds, body_seconds : float
-        Time in which a connection has to send its first head, and a capture its body.
+        Deadlines for the headers of a connection's first request, and for the body of a capture.
 
     Raises
     ------
@@ -48,14 +49,14 @@ class ServerSettings:
     def __post_init__(self) -> None:
         if not (self.allow_remote or self.is_loopback):
             raise ConfigError(
-                f"server: {self.host} is no loopback address. Other machines could connect, over "
-                "plain HTTP; an SSH tunnel to 127.0.0.1 is safer. To allow it all the same, pass "
+                f"server: {self.host} is not a loopback address, so that other machines could "
+                "connect over plain HTTP. Use an SSH tunnel to 127.0.0.1, which is safer, or pass "
                 "--allow-remote"
             )
 
     @property
     def is_loopback(self) -> bool:
-        """Whether only this machine can connect."""
+        """Whether the address is for connections from this machine only."""
         with suppress(ValueError):
             return ipaddress.ip_address(self.host).is_loopback
         return self.host == "localhost"

@@ -1,4 +1,4 @@
-"""Who holds the rig, the one thread that uses it, and the captures that it was asked for."""
+"""Lease of the rig, and the thread that executes the captures of requests."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.rigs.devices import check_frames
-from rfpipe.rigs.messages import Message, Metrics, SentPatterns
+from rfpipe.rigs.messages import Message, Metrics, PackedPatterns
 from rfpipe.units import picture_name
 
 _log = logging.getLogger("rfpipe.server")
 
-_KEPT = 2  # captures, for requests that come again
+_STORED_CAPTURES = 2  # captures whose brackets are stored for repeated requests
 
 
-def _come_again(status: int, detail: str) -> HTTPException:
+def _retry_later(status: int, detail: str) -> HTTPException:
     return HTTPException(status, detail, {"Retry-After": "1"})
 
 
 class Leases:
-    """The one lease that a rig has; any thread may ask.
+    """The lease of a rig, of which there is one at a time; thread-safe.
 
     Parameters
     ----------
     seconds : float
-        How long it lasts without a heart-beat.
+        Duration of a lease without a heartbeat.
     clock : callable
-        Returns seconds; never runs backwards.
+        Monotonic clock, returns seconds.
     """
 
     def __init__(self, seconds: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -50,47 +50,47 @@ class Leases:
 
     @property
     def holder(self) -> str | None:
-        """What the client that holds the rig calls itself, if there is one."""
+        """Name of the client that holds the rig, None if it is free."""
         return self._client if self._clock() < self._until else None
 
     def acquire(self, client: str) -> str:
-        """Take the rig and return the holder's secret; 409 where another has it."""
+        """Acquire the rig and return the secret of the lease; status 409 if it isn't free."""
         with self._lock:
             if self.holder is not None:
-                left = self._until - self._clock()
-                raise _come_again(
+                remaining = self._until - self._clock()
+                raise _retry_later(
                     409,
-                    f"the rig is held by {self._client!r}, and for {left:.1f} s yet if its heart "
-                    "stops; wait until it is released",
+                    f"the rig is held by {self._client!r}, for another {remaining:.1f} s if it "
+                    "sends no heartbeat; wait until it is released",
                 )
             self._identity, self._client = secrets.token_urlsafe(24), client
             self._until = self._clock() + self.seconds
             return self._identity
 
     def renew(self, identity: str, seconds: float | None = None) -> str:
-        """Take a heart-beat and return the client; 410 where the lease isn't in force.
+        """Renew the lease and return the name of its client; status 410 if it isn't valid.
 
-        `seconds` is how long the lease lasts from now, 0 to give the rig back.
+        `seconds` is the duration of the lease from now on, 0 to release the rig.
         """
         with self._lock:
             if not self.is_held_by(identity):
                 raise HTTPException(
                     410,
-                    "this lease is not in force: it lapsed or the server was started anew; acquire "
-                    "again",
+                    "this lease is not valid: it expired, or the server was restarted; acquire a "
+                    "new one",
                 )
             self._until = self._clock() + (self.seconds if seconds is None else seconds)
             return self._client
 
     def is_held_by(self, identity: str) -> bool:
-        """Tell whether this lease is in force."""
-        given, known = (one.encode("utf-8", "surrogatepass") for one in (identity, self._identity))
-        return self.holder is not None and secrets.compare_digest(given, known)
+        """Test whether this lease is valid."""
+        given, valid = (key.encode("utf-8", "surrogatepass") for key in (identity, self._identity))
+        return self.holder is not None and secrets.compare_digest(given, valid)
 
 
 @dataclass
 class _Capture:
-    """One request: `message` holds the brackets of the first `exposed` of its patterns."""
+    """A request for brackets; `message` has the brackets of the first `exposed` patterns."""
 
     digest: str
     lease: str
@@ -100,14 +100,14 @@ class _Capture:
 
 
 class RigWorker:
-    """Shows patterns one after the other; whatever thread asks, one thread uses the rig.
+    """Executes captures one after the other, in one thread that uses the rig.
 
     Parameters
     ----------
     rig : Rig, or callable that returns one
-        A callable is called in the thread that uses the rig: windows and drivers may want that.
+        A callable is called in the thread that uses the rig, as some windows and drivers require.
     leases : Leases
-        A capture ends before its next pattern when its lease is no longer in force.
+        A capture ends before its next pattern when its lease isn't valid any more.
 
     Raises
     ------
@@ -130,78 +130,80 @@ class RigWorker:
             raise
 
     def check_free(self, identity: str) -> None:
-        """Refuse a new capture by 429 while another is under way.
+        """Raise status 429 for a new capture while another one is running.
 
-        Asked before anything of a request is read, or held in memory.
+        Called before the body of a request is read.
         """
         with self._lock:
             if identity not in self._captures:
                 self._check_free()
 
     def submit(
-        self, identity: str, digest: str, lease: str, patterns: Callable[[], SentPatterns]
+        self, identity: str, digest: str, lease: str, patterns: Callable[[], PackedPatterns]
     ) -> Future[bytes]:
-        """Have the patterns of a request exposed, unless it came before; one call at a time.
+        """Start the capture of a request, or return the running one of a repeated request.
+
+        Not thread-safe.
 
         Parameters
         ----------
         identity : str
-            Of the request; the same when it comes again.
+            Identifier of the request, the same when it is repeated.
         digest : str
-            Of its content.
+            Digest of its content.
         lease : str
         patterns : callable
-            Returns the patterns, all checked; called where they are to be exposed.
+            Returns the validated patterns; called if they have to be exposed.
 
         Returns
         -------
         Future
-            Of the message with the brackets. Raises CaptureError, InputError, or HTTPException 503
-            where the server stops or the lease lapsed; what was exposed until then is kept, and the
-            same request goes on from there.
+            Message with the brackets. Raises CaptureError, InputError, or HTTPException 503 when
+            the server stops or the lease expired; exposed brackets are stored then, and a
+            repetition of the request continues after them.
 
         Raises
         ------
         HTTPException
-            429 while another capture is under way, 422 where the identity was used with another
+            429 while another capture is running, 422 when the identifier was used with another
             content.
         """
         with self._lock:
-            before = self._captures.get(identity)
-            if before is not None and before.digest != digest:
+            capture = self._captures.get(identity)
+            if capture is not None and capture.digest != digest:
                 raise HTTPException(
-                    422, "this Idempotency-Key was used with other patterns; take a new one"
+                    422, "this Idempotency-Key was used with other patterns; send a new one"
                 )
-            if before is not None:
-                before.lease = lease
-                if not (before.result.done() and before.result.exception()):
-                    return before.result
-        sent = patterns()
+            if capture is not None:
+                capture.lease = lease
+                if not (capture.result.done() and capture.result.exception()):
+                    return capture.result
+        packed = patterns()
         with self._lock:
             self._check_free()
-            if before is None:
-                self._forget(_KEPT - 1)
-                message = Message({"keys": sent.keys})
-                before = self._captures[identity] = _Capture(digest, lease, message, Future())
-            before.result = self._thread.submit(self._expose, before, sent)
-            return before.result
+            if capture is None:
+                self._forget(_STORED_CAPTURES - 1)
+                message = Message({"keys": packed.keys})
+                capture = self._captures[identity] = _Capture(digest, lease, message, Future())
+            capture.result = self._thread.submit(self._expose, capture, packed)
+            return capture.result
 
     def forget(self) -> None:
-        """Free the brackets kept for requests that may come again: their client is done."""
+        """Delete the brackets stored for repeated requests, after their client is done."""
         with self._lock:
             self._forget(0)
 
     def stop(self) -> None:
-        """Let the pattern that is being exposed be the last one; a signal handler may call it."""
+        """Stop after the pattern that is being exposed; may be called by a signal handler."""
         self._stopping.set()
 
     @property
     def is_stopping(self) -> bool:
-        """Whether no more patterns are exposed."""
+        """Whether the worker exposes no further patterns."""
         return self._stopping.is_set()
 
     def close(self) -> None:
-        """Stop, wait for the exposure in hand, and close the rig; once."""
+        """Stop, wait for the current exposure, and close the rig; further calls have no effect."""
         self.stop()
         with self._lock:
             if self._is_closed:
@@ -214,37 +216,42 @@ class RigWorker:
 
     def _check_free(self) -> None:
         busy = [capture for capture in self._captures.values() if not capture.result.done()]
-        # one that has lost its lease ends before its next pattern, and may be waited for by one
+        # a capture with an expired lease ends before its next pattern, so that one may wait for it
         if len(busy) >= 2 or any(self.leases.is_held_by(capture.lease) for capture in busy):
-            raise _come_again(429, "another capture is under way; send one at a time")
+            raise _retry_later(429, "another capture is running; send one request at a time")
 
-    def _forget(self, kept: int) -> None:
-        """Forget all but the latest captures, and none that is under way."""
+    def _forget(self, count: int) -> None:
+        """Delete all finished captures except the latest `count`."""
         done = [name for name, capture in self._captures.items() if capture.result.done()]
-        for name in done[: max(0, len(done) - kept)]:
+        for name in done[: max(0, len(done) - count)]:
             del self._captures[name]
 
-    def _expose(self, capture: _Capture, patterns: SentPatterns) -> bytes:
-        """Expose the patterns that are missing: by sequences where the rig has them."""
+    def _expose(self, capture: _Capture, patterns: PackedPatterns) -> bytes:
+        """Expose the patterns without brackets, in hardware sequences if the rig has them."""
         step = max(1, sequence_patterns(self.rig))
         for first in range(capture.exposed, len(patterns), step):
             if self.is_stopping:
-                raise _come_again(503, "the server is being stopped; send it again")
+                raise _retry_later(503, "the server is stopping; repeat the request later")
             if not self.leases.is_held_by(capture.lease):
-                raise _come_again(503, "the lease lapsed; send it again")
+                raise _retry_later(
+                    503,
+                    "the lease expired during the capture; acquire a new one and repeat the "
+                    "request",
+                )
             last = min(first + step, len(patterns))
             keys = patterns.keys[first:last]
-            brackets = self._taken(patterns.expanded(first, last), keys)
+            brackets = self._brackets(patterns.expanded(first, last), keys)
             self.metrics.brackets += last - first
             for index, bracket in enumerate(brackets, first):
                 capture.message.add(str(index), bracket)
             capture.exposed = last
-        content, capture.message = capture.message.content(), Message({})  # not held twice
+        content, capture.message = capture.message.content(), Message({})  # frees the memory
         return content
 
-    def _taken(
+    def _brackets(
         self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
     ) -> NDArray[Any]:
+        """Capture brackets; log and count failures."""
         rig = self.rig
         try:
             shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)

@@ -20,7 +20,7 @@ from rfpipe.errors import InputError, PicturesNeeded
 from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import ExactSensor
 from rfpipe.rigs.offline import OfflineRig, Sheet, offline_rig, relative_to_sheet, write_sheet
-from rfpipe.rigs.offline_pictures import Checked, check_pictures
+from rfpipe.rigs.offline_pictures import ValidPictures, validate_pictures
 from rfpipe.stages import capture
 from rfpipe.stages.acquisition import acquire_transport
 from rfpipe.stages.context import Acquisition, CaptureContext
@@ -134,10 +134,10 @@ class OfflineAcquisition:
         gamma = self.settings.offline.projector_gamma
         return write_sheet(rig, sheet_folder, self._missing_patterns(rig, level), facts, gamma)
 
-    def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> Checked:
-        """Check the pictures of a sheet; see `rfpipe.rigs.offline_pictures.check_pictures`."""
+    def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> ValidPictures:
+        """Check the pictures of a sheet; see `rfpipe.rigs.offline_pictures.validate_pictures`."""
         coaxial = self.settings.scenes[self.scene].is_coaxial
-        return check_pictures(self.rig(), sheet, pictures, coaxial=coaxial, anyway=anyway)
+        return validate_pictures(self.rig(), sheet, pictures, coaxial=coaxial, anyway=anyway)
 
     def take_back(self, level: int) -> list[Path]:
         """Remove all results of the pictures of a level and of later ones; return their paths."""
