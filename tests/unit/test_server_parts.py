@@ -73,7 +73,7 @@ def test_a_token_from_a_file_or_the_environment(
 )
 def test_a_token_that_is_none(file: Path, token: str, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text(token)
-    with pytest.raises(ConfigError, match=r"rig\.token: holds a token of \d+ char") as error:
+    with pytest.raises(ConfigError, match=r"rig\.token: has a token of \d+ char") as error:
         read_token(file)
     assert not token or token not in str(error.value)
     monkeypatch.setenv("RFPIPE_TOKEN", token)
