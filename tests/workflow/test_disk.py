@@ -108,7 +108,7 @@ def test_only_what_is_missing_counts(tmp_path: Path, disk: Disk) -> None:
     mine.rig = OperatorRig(matrix_rig()._operator, SHAPE, SHAPE, CAMERA, seed=9)
     present = bytes_on_disk(tmp_path / "L00/merge.zarr")
     disk(NEED - present - 1)
-    with pytest.raises(StoreError, match="are there already"):
+    with pytest.raises(StoreError, match="are used already"):
         mine.capture(0)
     disk(NEED - present)
     mine.capture(0)

@@ -163,8 +163,8 @@ def test_what_is_read_follows_from_manifests_whatever_a_folder_is_called(
         found = {finding.path: finding for finding in check(place).findings}
         assert set(found) == {run / "L01/capture.zarr", run / "transport.zarr"}
         levels = [run / f"L01/{stage}.json" for stage in STAGES[1:]]
-        assert found[run / "L01/capture.zarr"].mend.remove == (*levels, run / "transport.json")
-        assert found[run / "transport.zarr"].mend.remove == (run / "transport.json",)
+        assert found[run / "L01/capture.zarr"].repair.remove == (*levels, run / "transport.json")
+        assert found[run / "transport.zarr"].repair.remove == (run / "transport.json",)
         for finding in found.values():
             assert f"run --directory {above.resolve()} " in command_for(finding)
 
@@ -238,8 +238,8 @@ def test_recorded_light_is_checked_by_its_manifest(
     harm(folder)
     (finding,) = check(tmp_path).findings
     assert finding.path == folder / harmed
-    assert "recorded again" in finding.mend.cost
-    assert set(finding.mend.remove) == {folder / "matrix.json", folder / harmed}
+    assert "recorded again" in finding.repair.cost
+    assert set(finding.repair.remove) == {folder / "matrix.json", folder / harmed}
 
 
 def test_a_finding_has_one_remedy(results: Path) -> None:
@@ -311,8 +311,8 @@ def test_dropped_exposures_are_no_damage_and_what_is_made_of_them_is_dear(result
     assert check(results).findings == []
     damage(run / "L01/merge.zarr")
     (finding,) = check(results).findings
-    assert "ALL patterns" in finding.mend.cost
-    assert run / "L03" in finding.mend.remove
+    assert "ALL patterns" in finding.repair.cost
+    assert run / "L03" in finding.repair.remove
     subprocess.run(command_for(finding).partition(" && ")[0], shell=True, check=True)
     assert acquire(run)
     assert check(results).findings == []

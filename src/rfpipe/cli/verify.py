@@ -75,8 +75,8 @@ def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
     copy = "copy it again from its source; no stage of this run can make it"
     for finding, command in zip(checked.findings, commands, strict=True):
         typer.echo(f"{finding.path}: {finding.what}\n    mend: {command or copy}")
-        if finding.mend.cost:
-            typer.echo(f"    cost: {finding.mend.cost}")
+        if finding.repair.cost:
+            typer.echo(f"    cost: {finding.repair.cost}")
     for note in checked.notes:
         typer.echo(f"note: {note}")
     amount = (

@@ -21,7 +21,7 @@ from rfpipe.stages.settings import rig_source_settings
 from rfpipe.storage.base import REFERENCE_BRACKETS, Storage, level_name, rig_settings
 from rfpipe.storage.differences import differing
 from rfpipe.storage.files import AcquisitionFolder
-from rfpipe.storage.retake import Retake, is_whole
+from rfpipe.storage.retake import Retake, is_complete
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -198,7 +198,7 @@ def check_retakes(config: Config, retakes: Collection[Retake]) -> None:
         try:
             with closing(RemoteRig(str(capture.url), token, patience)) as rig:
                 _check_rays(rig, rig_source_settings(config, scene)["settings"], str(capture.url))
-                if not is_whole(retakes, folder):
+                if not is_complete(retakes, folder):
                     _check_same_rig(rig, folder)
         except CaptureError as error:
             raise CaptureError(f"{error}. --retake has set nothing aside") from error

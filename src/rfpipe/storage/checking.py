@@ -22,7 +22,7 @@ from rfpipe.storage.base import (
     SYMMETRY,
 )
 from rfpipe.storage.files import BY_PRODUCTS
-from rfpipe.storage.repairs import RESTORE, Finding, Mend, is_acquisition, mend_of, part_of
+from rfpipe.storage.repairs import RESTORE, Finding, Repair, is_acquisition, part_of, repair_of
 from rfpipe.storage.run_record import RUN_RECORD
 from rfpipe.store import (
     FrameStore,
@@ -83,7 +83,7 @@ class Checked:
     folders: set[Path] = field(default_factory=set)
     facts: dict[Path, dict[str, Any]] = field(default_factory=dict)
 
-    def wrong(self, path: Path | Place, what: str, mend: Mend) -> None:
+    def wrong(self, path: Path | Place, what: str, mend: Repair) -> None:
         """Add a finding."""
         self.findings.append(Finding(path, what, mend))
 
@@ -94,7 +94,7 @@ class Checked:
 
     def removals(self) -> list[Path]:
         """Return all that has to go before the workflow runs, each once."""
-        return list(dict.fromkeys(path for each in self.findings for path in each.mend.remove))
+        return list(dict.fromkeys(path for each in self.findings for path in each.repair.remove))
 
 
 def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> Checked:
@@ -255,7 +255,7 @@ def _check_manifest(path: Path, checked: Checked) -> None:
     try:
         facts = checked.facts[path] = read_manifest(path)
     except StoreError as error:  # its stores are checked alone
-        checked.wrong(path, _damage_of(error, path), mend_of(path))
+        checked.wrong(path, _damage_of(error, path), repair_of(path))
         return
     for store, digest in _stores_of(path, facts):
         damage, stored, _ = _check_store(store, checked)
@@ -265,7 +265,7 @@ def _check_manifest(path: Path, checked: Checked) -> None:
         if is_patterns and not damage and open_arrays(store).attributes["facts"] != facts:
             damage.append(f"holds other patterns than {path.name} says")
         for what in damage:
-            checked.wrong(store, what, mend_of(path, store))
+            checked.wrong(store, what, repair_of(path, store))
     for name, digest in facts.get("files", {}).items():
         _check_file(path, path.parent / name, digest, checked)
 
@@ -291,10 +291,10 @@ def _check_file(manifest: Path, file: Path, digest: str, checked: Checked) -> No
     content = content_of(file)
     checked.read(len(content or b""))
     if content is None:
-        checked.wrong(file, "is missing", mend_of(manifest, file))
+        checked.wrong(file, "is missing", repair_of(manifest, file))
     elif digest_of(content) != digest:
         what = f"is altered: its digest isn't that of {manifest.name}"
-        checked.wrong(file, what, mend_of(manifest, file))
+        checked.wrong(file, what, repair_of(manifest, file))
 
 
 def _check_alone(path: Path, checked: Checked) -> None:
@@ -306,9 +306,9 @@ def _check_alone(path: Path, checked: Checked) -> None:
         if state.interrupted:
             checked.notes.append(f"{path}: {what}")
         elif is_recording:
-            checked.wrong(path, what, mend_of(path))
+            checked.wrong(path, what, repair_of(path))
         else:
-            checked.wrong(path, what, mend_of(manifest, path) if manifest.exists() else RESTORE)
+            checked.wrong(path, what, repair_of(manifest, path) if manifest.exists() else RESTORE)
 
 
 class _StoreState(NamedTuple):
@@ -391,14 +391,14 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
         level = folder / f"L{number:02d}"
         for manifest in (level / f"{stage}.json" for stage in STAGES):
             if not manifest.exists():
-                checked.wrong(manifest, "is missing", mend_of(manifest))
+                checked.wrong(manifest, "is missing", repair_of(manifest))
         refined = checked.facts.get(level / "refine.json")
         if refined and refined["digest"] != digest:
             text = f"was made of another {level.name}/refine.json than stands there"
-            checked.wrong(transport, text, mend_of(transport))
+            checked.wrong(transport, text, repair_of(transport))
     for path, facts in checked.facts.items():
         if path.parent == folder and facts.get("transport", made["digest"]) != made["digest"]:
-            checked.wrong(path, "is of another transport than stands beside it", mend_of(path))
+            checked.wrong(path, "is of another transport than stands beside it", repair_of(path))
 
 
 def _check_unfinished(folder: Path, checked: Checked) -> None:
@@ -408,6 +408,6 @@ def _check_unfinished(folder: Path, checked: Checked) -> None:
              "transport" in of]  # fmt: skip
     if later:
         names = " and ".join(path.name for path in later)
-        checked.wrong(transport, f"is missing, and {names} is made of it", Mend("run"))
+        checked.wrong(transport, f"is missing, and {names} is made of it", Repair("run"))
     else:
         checked.notes.append(f"{folder}: not finished; the next run goes on there")

@@ -1,4 +1,4 @@
-"""Remedies of damaged results: the files to remove, and the command that makes them again."""
+"""Repairs of damaged results: the files to remove, and the command that makes them again."""
 
 from __future__ import annotations
 
@@ -15,57 +15,58 @@ from rfpipe.storage.run_record import RUN_RECORD, rerun_command
 from rfpipe.store.places import Place
 
 RECORDING = "matrix.json"
-"""Manifest of light that a scene recorded: it names the stores beside it by its key ``pieces``."""
+"""Manifest of recorded light of a scene; its key ``pieces`` has the names of the stores."""
 
 Part = Literal["acquisition", "level", "verification", "calibration", "recording", "report", ""]
-"""Part of a run that a folder of manifests is."""
+"""Part of a run to which a manifest belongs."""
 
 _LEVEL = re.compile(r"L\d\d+")
 _PIECE = re.compile(r"(rows|columns)_\d{8}\.zarr")
 
 
-class Mend(NamedTuple):
-    """Remedy of a finding: the workflow, `rfpipe calibrate`, or a copy alone.
+class Repair(NamedTuple):
+    """Repair of damaged results.
 
     Attributes
     ----------
-    how : {"run", "calibrate", "restore"}
+    means : {"run", "calibrate", "restore"}
+        The workflow, `rfpipe calibrate`, or a backup copy only.
     remove : tuple of Path
-        Removed first, so that the workflow notices that something is missing.
+        Files to remove first, so that the workflow makes them again.
     cost : str
-        Costs beyond some computing.
+        Cost beyond computing time.
     """
 
-    how: Literal["run", "calibrate", "restore"]
+    means: Literal["run", "calibrate", "restore"]
     remove: tuple[Path, ...] = ()
     cost: str = ""
 
 
-RESTORE = Mend("restore")
+RESTORE = Repair("restore")
 
 
 class Finding(NamedTuple):
-    """Damage of a store, manifest or file, and its remedy."""
+    """Damage of a store, manifest or file, and its repair."""
 
     path: Path | Place
     what: str
-    mend: Mend
+    repair: Repair
 
 
 def is_acquisition(folder: Path) -> bool:
-    """Test whether a folder holds an acquisition: a transport's manifest, or levels."""
+    """Test whether a folder has an acquisition: a transport's manifest, or levels."""
     return (folder / "transport.json").is_file() or any(map(is_level_name, folder.glob("L*/")))
 
 
 def is_level_name(folder: Path) -> bool:
-    """Test whether a folder is called as a level of an acquisition."""
+    """Test whether a folder has the name of a level of an acquisition."""
     return _LEVEL.fullmatch(folder.name) is not None
 
 
 def part_of(manifest: Path) -> Part:
     """Return the part of a run to which a manifest belongs, by the files around it.
 
-    A scene or method may have any name, also that of a folder of a run: `recorded`, `steps`.
+    Names don't suffice: a scene or method may have the name of a run's folder, such as `steps`.
     """
     folder = manifest.parent
     if is_acquisition(folder):
@@ -83,59 +84,59 @@ def part_of(manifest: Path) -> Part:
 
 
 def _names(folder: Path) -> list[str]:
-    return [each.name for each in folder.glob("*.zarr")]
+    return [store.name for store in folder.glob("*.zarr")]
 
 
-def mend_of(manifest: Path, damaged: Path | None = None) -> Mend:
-    """Return the remedy of damage to a manifest, or to a file that it is about."""
+def repair_of(manifest: Path, damaged: Path | None = None) -> Repair:
+    """Return the repair of a damaged manifest, or of a damaged file that it describes."""
     folder, part = manifest.parent, part_of(manifest)
     if part == "calibration":
-        return Mend("calibrate", (manifest,), "the step is measured again, with the rig")
+        return Repair("calibrate", (manifest,), "the step is measured again, with the rig")
     if part == "recording":
-        gone = [path for path in (manifest, damaged) if path is not None]
-        return Mend("run", tuple(dict.fromkeys(gone)), "light of this scene is recorded again")
+        paths = [path for path in (manifest, damaged) if path is not None]
+        return Repair("run", tuple(dict.fromkeys(paths)), "light of this scene is recorded again")
     if part == "verification":
-        return Mend("run", (manifest, folder.with_name(VERIFICATION_MANIFEST)))
-    if part == "report":  # the workflow knows of the page and of the tables
-        return Mend("run", (damaged or manifest, folder / "index.html"))
-    return _mend_of_level(manifest) if part == "level" else Mend("run", (manifest,))
+        return Repair("run", (manifest, folder.with_name(VERIFICATION_MANIFEST)))
+    if part == "report":  # the workflow's outputs are the page and the tables
+        return Repair("run", (damaged or manifest, folder / "index.html"))
+    return _repair_of_level(manifest) if part == "level" else Repair("run", (manifest,))
 
 
-def _mend_of_level(manifest: Path) -> Mend:
-    """Return the remedy of damage to a level of an acquisition."""
+def _repair_of_level(manifest: Path) -> Repair:
+    """Return the repair of a damaged level of an acquisition."""
     folder, cost = manifest.parent, ""
-    gone = tuple(with_followers(manifest))
+    removed = tuple(with_followers(manifest))
     if manifest.stem == "capture":
         cost = (
-            "what is whole stays; the damaged patterns are shown again, so the scene must stand as "
-            "it did"
+            "undamaged pictures are kept; the damaged patterns are captured again, so the scene "
+            "must be as it was"
         )
     elif manifest.stem == "merge" and (folder / "capture.zarr" / "dropped.json").exists():
-        gone = tuple(sorted(folder.parent.glob("L*")))
+        removed = tuple(sorted(folder.parent.glob("L*")))
         cost = (
             "the raw exposures were dropped after their merge (capture.keep_raw): ALL patterns are "
-            "taken again. A copy of the folder, if there is one, is better"
+            "captured again. A copy of the folder, if there is one, is better"
         )
-    return Mend("run", (*gone, folder.with_name("transport.json")), cost)
+    return Repair("run", (*removed, folder.with_name("transport.json")), cost)
 
 
 def command_for(finding: Finding) -> str:
-    """Return the shell command that mends a finding; none where only a copy does."""
-    if finding.mend.how == "restore":
+    """Return the shell command that repairs a finding; "" if only a copy does."""
+    if finding.repair.means == "restore":
         return ""
     path = Path(str(finding.path)).absolute()
-    if finding.mend.how == "calibrate":
+    if finding.repair.means == "calibrate":
         step = path.parent.name == "steps"
         output = str(path.parents[1] if step else path.parent)
-        again = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", output])
+        command = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", output])
     else:
-        again = rerun_command(_results_of(path))
-    gone = shlex.join(map(str, finding.mend.remove))
-    return f"rm -rf {gone} && {again}" if gone else again
+        command = rerun_command(_results_of(path))
+    removed = shlex.join(map(str, finding.repair.remove))
+    return f"rm -rf {removed} && {command}" if removed else command
 
 
 def _results_of(path: Path) -> Path:
-    """Return the results to which a damaged file belongs: the folder that has `RUN_RECORD`."""
+    """Return the folder of results to which a file belongs: the one with `RUN_RECORD`."""
     for folder in path.parents:
         if (folder / RUN_RECORD).is_file() or any(map(is_acquisition, folder.glob("*/*/"))):
             return folder

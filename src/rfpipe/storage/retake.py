@@ -1,4 +1,4 @@
-"""Taking pictures of a finished acquisition again: the old ones are set aside, never removed."""
+"""Retakes: pictures of an acquisition are set aside, never removed, and captured again."""
 
 from __future__ import annotations
 
@@ -7,23 +7,42 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rfpipe.errors import InputError
-from rfpipe.storage.base import REFERENCE_BRACKETS, STAGES, SYMMETRY, VERIFICATION
+from rfpipe.storage.base import (
+    CHECK_PICTURES,
+    REFERENCE_BRACKETS,
+    REFERENCE_IMAGES,
+    SENSOR,
+    STAGES,
+    SUMS,
+    SYMMETRY,
+    VERIFICATION,
+    VERIFICATION_FOLDER,
+    VERIFICATION_MANIFEST,
+)
 from rfpipe.storage.files import AcquisitionFolder, with_followers
 from rfpipe.store import StoreLock, is_dropped
 from rfpipe.text import similar_names
 
-_CAPTURED = ("capture", REFERENCE_BRACKETS, SYMMETRY, "sensor", "check_pictures")
+_CAPTURED = ("capture", REFERENCE_BRACKETS, SYMMETRY, SENSOR, CHECK_PICTURES)
 """Stores of a level's capture."""
 
-_MERGED = ("merge", "sums", "reference_images")
-"""Stores of its merge, which alone hold the light where raw exposures were dropped."""
+_MERGED = ("merge", SUMS, REFERENCE_IMAGES)
+"""Stores of a level's merge, set aside instead if the raw exposures were dropped."""
 
-_NEAREST = 4  # names in a message
+_MAX_SUGGESTIONS = 4
+"""Number of similar names in a message."""
 
 
 @dataclass(frozen=True)
 class Retake:
-    """A level whose pictures are to be taken again; `VERIFICATION` in the place of its number."""
+    """Level whose pictures are to be captured again.
+
+    Attributes
+    ----------
+    folder : AcquisitionFolder
+    level : int
+        Number of the level, or VERIFICATION.
+    """
 
     folder: AcquisitionFolder
     level: int
@@ -34,10 +53,10 @@ class Retake:
         return self.folder.manifest(self.level, "capture").parent
 
     def set_aside(self) -> list[Path]:
-        """Make way for new pictures; return the stores that hold the old ones.
+        """Rename the stores of the pictures; return their new paths.
 
-        Manifests are removed first, the transport's before the capture's. If that is interrupted,
-        the next run makes the missing ones again from the old pictures.
+        The manifests of all results of these pictures are removed first, the transport's before the
+        capture's, so that a run after an interruption restores them from the same pictures.
         """
         with StoreLock(self.folder.path):
             for manifest in self._manifests():
@@ -46,18 +65,18 @@ class Retake:
 
     @property
     def is_set_aside(self) -> bool:
-        """Whether older pictures of the level are set aside."""
+        """True if earlier pictures of the level are set aside."""
         return self._last_number() > 0
 
     def put_back(self) -> list[Path]:
-        """Exchange the pictures for those set aside last; return the stores that are back.
+        """Exchange the pictures for those set aside last; return the paths of these.
 
-        Pictures taken since are set aside in turn. Manifests are removed first, as by `set_aside`.
+        The manifests are removed as by `set_aside`.
 
         Raises
         ------
         InputError
-            When no pictures of the level are set aside.
+            If no pictures of the level are set aside.
         """
         number = self._last_number()
         if not number:
@@ -71,10 +90,10 @@ class Retake:
             self._rename_aside()
             stores = [self.path / f"{name}.zarr" for name in (*_CAPTURED, *_MERGED)]
             pairs = [(_numbered(store, number), store) for store in stores]
-            return [aside.rename(store) for aside, store in pairs if aside.exists()]
+            return [previous.rename(store) for previous, store in pairs if previous.exists()]
 
     def _rename_aside(self) -> list[Path]:
-        """Rename the stores of the pictures, all with the first number that is free."""
+        """Rename the stores of the pictures, with the first unused number."""
         stores = [self.path / f"{name}.zarr" for name in _CAPTURED]
         if is_dropped(self.path / "capture.zarr"):
             stores += [self.path / f"{name}.zarr" for name in _MERGED]
@@ -82,19 +101,18 @@ class Retake:
         return [store.rename(_numbered(store, number)) for store in stores if store.exists()]
 
     def _last_number(self) -> int:
-        """Largest number in the names of stores that are set aside, 0 where there are none."""
+        """Largest number in the names of stores that are set aside, 0 for none."""
         numbers = (path.stem.rpartition("_")[2] for path in self.path.glob("*.before_*.zarr"))
         return max((int(number) for number in numbers if number.isdigit()), default=0)
 
     def _manifests(self) -> list[Path]:
-        """Manifests of the pictures and of the stages after them, in the reverse order of stages.
+        """Manifests of the pictures and of all results of them, in reverse order of the stages.
 
-        Later levels follow from the refinement; those after level 0 are also merged by its black
-        level.
+        Later levels depend on the refinement, and on level 0's reference images by their merge.
         """
         folder, captured = self.folder, with_followers(self.folder.manifest(self.level, "capture"))
         if self.level == VERIFICATION:
-            return [folder.path / "verification.json", *reversed(captured)]
+            return [folder.path / VERIFICATION_MANIFEST, *reversed(captured)]
         first = "merge" if self.level == 0 else "refine"
         below = [
             folder.manifest(level, stage)
@@ -111,15 +129,15 @@ def find_retakes(
     acquisitions: Collection[tuple[str, str]] | None = None,
     option: str = "--retake",
 ) -> list[Retake]:
-    """Return the levels of names, ``SCENE/METHOD/LEVEL`` or all of ``SCENE/METHOD``.
+    """Return captured levels by their names.
 
     Parameters
     ----------
     results : Path
-        Of the run.
+        Folder of results.
     names : sequence of str
-        A level is its number, ``L02`` or ``2``, or ``verification``, the pictures that were taken
-        to verify the transport, which are among all levels.
+        ``SCENE/METHOD/LEVEL``, with a level such as ``L02``, ``2`` or ``verification``; or
+        ``SCENE/METHOD`` for all levels and the verification pictures.
     acquisitions : collection of (str, str), optional
         Scenes and methods of the settings.
     option : str
@@ -128,34 +146,34 @@ def find_retakes(
     Raises
     ------
     InputError
-        When nothing is captured by a name, which then says the nearest ones, or the settings don't
-        have it.
+        If nothing is captured by a name, with similar names; or if the settings don't have the
+        acquisition.
     """
     captured = dict(_captured(results))
     retakes: dict[str, Retake] = {}
     for name in names:
-        wanted = [key for key in captured if key == _normal(name) or _is_in(key, _normal(name))]
-        if not wanted:
+        keys = [key for key in captured if key == _normal(name) or _is_in(key, _normal(name))]
+        if not keys:
             raise InputError(f"{option} {_unknown(name, results, list(captured))}")
-        scene, method, *_ = wanted[0].split("/")
+        scene, method, *_ = keys[0].split("/")
         if acquisitions is not None and (scene, method) not in acquisitions:
             raise InputError(
                 f"{option} {name}: the settings have no acquisition of {scene} by {method}, only "
-                f"{', '.join('/'.join(each) for each in acquisitions)}. Add it to them first"
+                f"{', '.join(map('/'.join, acquisitions))}. Add it to them first"
             )
-        retakes |= {key: captured[key] for key in wanted}
+        retakes |= {key: captured[key] for key in keys}
     return list(retakes.values())
 
 
-def is_whole(retakes: Collection[Retake], folder: AcquisitionFolder) -> bool:
-    """Whether retakes have all levels that are captured of an acquisition."""
+def is_complete(retakes: Collection[Retake], folder: AcquisitionFolder) -> bool:
+    """Test whether retakes include all captured levels of an acquisition."""
     levels = {retake.level for retake in retakes if retake.folder.path == folder.path}
     captured = _captured(folder.path.parents[1])
-    return levels >= {each.level for _, each in captured if each.folder.path == folder.path}
+    return levels >= {retake.level for _, retake in captured if retake.folder.path == folder.path}
 
 
 def _captured(results: Path) -> Iterator[tuple[str, Retake]]:
-    """Yield the name and level of each capture: begun, complete, or set aside."""
+    """Yield name and level of each capture: incomplete, complete, or set aside."""
     stores = (
         path
         for stem in ("capture", REFERENCE_BRACKETS)
@@ -164,16 +182,16 @@ def _captured(results: Path) -> Iterator[tuple[str, Retake]]:
             *results.glob(f"*/*/*/{stem}.before_*.zarr"),
         )
     )
-    for place in sorted({store.parent for store in stores}):
-        folder, name = AcquisitionFolder(place.parent), "/".join(place.parts[-3:])
-        if place.name == "verification":
+    for path in sorted({store.parent for store in stores}):
+        folder, name = AcquisitionFolder(path.parent), "/".join(path.parts[-3:])
+        if path.name == VERIFICATION_FOLDER:
             yield name, Retake(folder, VERIFICATION)
-        elif place.name.startswith("L") and place.name[1:].isdigit():
-            yield name, Retake(folder, int(place.name[1:]))
+        elif path.name.startswith("L") and path.name[1:].isdigit():
+            yield name, Retake(folder, int(path.name[1:]))
 
 
 def _normal(name: str) -> str:
-    """Return a name with its level as folders have it: 2 and L2 are L02."""
+    """Return a name with its level as in folders: 2 and L2 become L02."""
     scene_and_method, _, level = name.strip("/").rpartition("/")
     number = level.removeprefix("L").removeprefix("l")
     if number.isdigit() and "/" in scene_and_method:
@@ -186,19 +204,19 @@ def _is_in(key: str, name: str) -> bool:
 
 
 def _unknown(name: str, results: Path, known: list[str]) -> str:
-    """Describe a name by which nothing is captured."""
+    """Return the message for a name by which nothing is captured."""
     if not known:
         return f"{name}: nothing is captured in {results.absolute()}"
     acquisitions = dict.fromkeys(key.rpartition("/")[0] for key in known)
     names = [*acquisitions, *known]
-    similar = similar_names(_normal(name), names, count=_NEAREST, cutoff=0.5)
-    nearest = similar or list(acquisitions)[:_NEAREST]
+    similar = similar_names(_normal(name), names, count=_MAX_SUGGESTIONS, cutoff=0.5)
+    suggestions = similar or list(acquisitions)[:_MAX_SUGGESTIONS]
     return (
         f"{name}: nothing is captured by this name in {results.absolute()}; expected "
-        f"SCENE/METHOD or SCENE/METHOD/LEVEL, such as {', '.join(nearest)}"
+        f"SCENE/METHOD or SCENE/METHOD/LEVEL, such as {', '.join(suggestions)}"
     )
 
 
 def _numbered(store: Path, number: int) -> Path:
-    """Name of a store that is set aside."""
+    """Return the path of a store that is set aside."""
     return store.with_name(f"{store.stem}.before_{number}{store.suffix}")
