@@ -1,13 +1,12 @@
 """Search for footprints: the projector pixels that each camera pixel sees.
 
-The search has no calibration and no structured light to start from. At first a matched filter finds
-for each camera pixel the box of the projector's image whose patterns its radiance resembles most
-(`first_candidates`). Once indirect light is estimated, candidates are collected again
-(`refined_candidates`):
+The search needs neither calibration nor structured light. At first a matched filter finds for each
+camera pixel the box of the projector's image whose patterns its radiance resembles most
+(`first_candidates`). Once indirect light is estimated, the candidates are (`refined_candidates`)
 
-1. projector pixels that give light now, and those that at least two of the eight neighbouring
-   camera pixels see, each with its eight neighbours;
-2. for pixels with a large residual, the box that explains it best, such as a reflection.
+1. projector pixels whose weight exceeds 1 % of the floodlit image, and those that at least two of
+   the eight neighbouring camera pixels see; each with its own eight neighbours;
+2. for camera pixels with a large residual, the box that explains it best, such as a reflection.
 
 Two places of the projector may have the same light in all patterns: with 24 patterns, for one pixel
 in a hundred at 96 x 96. Then the place that neighbouring camera pixels also see is preferred, by a
@@ -47,9 +46,8 @@ def first_candidates(
 ) -> Candidates:
     """Find footprints from the pictures alone.
 
-    Each lit camera pixel has the projector pixels of its best box as candidates. Their weights are
-    fitted with smooth indirect light as noise: it has 20 % of the floodlit image as its standard
-    deviation, and varies over pictures as the light of coarse cells of the patterns.
+    Each lit camera pixel has the projector pixels of its best box as candidates. Their weights have
+    a prior standard deviation of 25 % of the floodlit image.
     """
     floodlit, mask = pictures.floodlit, pictures.lit_pixels
     lit = np.flatnonzero(mask)
@@ -60,17 +58,31 @@ def first_candidates(
     size = templates.projector.size
     variance = np.square(_FIRST_WEIGHT * floodlit[keys // size]).astype(np.float32)
     candidates = Candidates(camera.size, size, keys, variance, np.zeros(len(keys), np.float32))
-    # the covariance of smooth light is diagonal after a rotation of the pictures
-    cells = coarse_light(templates.projector, pictures.patterns) + 0.5
+    return _fit_first_weights(candidates, pictures, templates.projector)
+
+
+def _fit_first_weights(
+    candidates: Candidates, pictures: ViewPictures, projector: RayDomain
+) -> Candidates:
+    """Fit weights with smooth indirect light as noise.
+
+    With noise of variance v the covariance of a pixel's pictures is
+    ``v I + (0.2 F)^2 E^T E / cells``, E the mean light of each pattern in coarse cells. It becomes
+    diagonal when pictures and patterns are multiplied by the eigenvectors of ``E^T E``.
+    """
+    floodlit, known = pictures.floodlit, pictures.known[:, None]
+    cells = coarse_light(projector, pictures.patterns) + 0.5
     power, rotation = np.linalg.eigh(cells.T @ cells / len(cells))
     smooth = np.square(_FIRST_INDIRECT * floodlit)[:, None] * np.maximum(power, 0)
-    known = pictures.known[:, None]
     inverse_variance = np.maximum(pictures.inverse_variance(MODEL_ERROR), TINY)
     noise = np.where(known, 1 / inverse_variance, 1).mean(axis=1, keepdims=True)
-    rotated = (pictures.patterns @ rotation, pictures.radiance @ rotation)
-    patterns, radiance = (array.astype(np.float32) for array in rotated)
-    precision = np.where(known, 1 / (noise + smooth), 0).astype(np.float32)
-    return non_negative_weights(candidates, floodlit, patterns, radiance, precision)
+    return non_negative_weights(
+        candidates,
+        floodlit,
+        (pictures.patterns @ rotation).astype(np.float32),
+        (pictures.radiance @ rotation).astype(np.float32),
+        np.where(known, 1 / (noise + smooth), 0).astype(np.float32),
+    )
 
 
 def refined_candidates(
@@ -80,7 +92,7 @@ def refined_candidates(
     camera: RayDomain,
     templates: BoxTemplates,
 ) -> Candidates:
-    """Collect candidates around earlier ones, from neighbours, and from the residual.
+    """Collect candidates from earlier ones, from neighbours and from the residual.
 
     Parameters
     ----------

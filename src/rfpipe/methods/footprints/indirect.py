@@ -178,9 +178,8 @@ class CoreOperator:
         """Compute the pictures of cores, (M, P)."""
         from rfpipe.transport.pair_kernels import AsymmetricCores, couple_asymmetric
 
-        (first, second), (symmetric, antisymmetric) = self.basis.camera.pairs, np.split(cores, 2)
-        S = AsymmetricCores(first, second, symmetric, antisymmetric)
         received = np.zeros_like(self.sent)
+        S = AsymmetricCores(*self.basis.camera.pairs, *np.split(cores, 2))
         couple_asymmetric(S, self.sent, received)
         images: Float = (self.L @ received) * self.f[:, None]
         return images
@@ -192,8 +191,7 @@ class CoreOperator:
         received = self.L.T @ (images * self.f[:, None])
         received = np.ascontiguousarray(received, np.float32)
         result = np.empty(self.basis.core_count, np.float32)
-        (first, second), (symmetric, antisymmetric) = self.basis.camera.pairs, np.split(result, 2)
-        S = AsymmetricCores(first, second, symmetric, antisymmetric)
+        S = AsymmetricCores(*self.basis.camera.pairs, *np.split(result, 2))  # views of the result
         correlate_asymmetric(received, self.sent, S)
         return result
 
@@ -252,6 +250,11 @@ def fit_gains(light: IndirectLight, data: FitData) -> IndirectLight:
 
 
 def _fit_projector_gains(light: IndirectLight, data: FitData) -> IndirectLight:
+    """Fit the gains a of projector pixels, with prior standard deviations s.
+
+    Minimises ``sum_i (c_i - y_i)^T K_i (c_i - y_i) + sum_j ((a_j - 1) / s_j)^2`` for
+    ``y = f L S R^T diag(a) g P``, by conjugate gradients in ``(a - 1) / s``.
+    """
     basis, pictures = light.basis, data.pictures
     visible = basis.mapping.visibility > 1 / 2
     spread = np.where(visible, _VISIBLE_SPREAD, _HIDDEN_SPREAD).astype(np.float32)
@@ -282,6 +285,10 @@ def _fit_projector_gains(light: IndirectLight, data: FitData) -> IndirectLight:
 
 
 def _fit_camera_gains(light: IndirectLight, data: FitData) -> IndirectLight:
+    """Fit the gain of each camera pixel, with a prior standard deviation s.
+
+    For the light y without the gain it is ``(y^T K c + 1 / s^2) / (y^T K y + 1 / s^2)``.
+    """
     images = np.concatenate(light.in_pictures(data.pictures), axis=1)
     images /= light.camera_gain[:, None]
     weighted, prior = data.apply_precision(images), np.float32(1 / _CAMERA_SPREAD**2)
@@ -291,31 +298,33 @@ def _fit_camera_gains(light: IndirectLight, data: FitData) -> IndirectLight:
 
 
 class Misfit(NamedTuple):
-    """Differences between pictures and model, for each camera ray of a fit, (M,) each.
+    """Differences between pictures and model, for each camera ray of a fit.
 
-    chi_square : differences in squared standard deviations
-    degrees_of_freedom : mean of chi_square from noise alone
-    allowed : chi_square of an error by a given fraction of the floodlit image
+    Attributes
+    ----------
+    chi_square : ndarray of float32, shape (M,)
+        ``e^T K e`` of the differences e.
+    degrees_of_freedom : ndarray of int64, shape (M,)
+        Its mean if there are no differences except noise.
+    allowed : ndarray of float32, shape (M,)
+        Its value for an allowed error.
     """
 
     chi_square: Float
-    degrees_of_freedom: Float
+    degrees_of_freedom: Index
     allowed: Float
 
 
 def misfit(light: IndirectLight, data: FitData, allowed: float) -> Misfit:
-    """Compare the pictures with the model.
-
-    `allowed` is the allowed error as a fraction of the floodlit image.
-    """
+    """Compare the pictures with the model; `allowed` is a fraction of the floodlit image."""
     operator = core_operator(light, data.pictures, data.camera_rays)
     images = _split(operator.forward(light.cores), data.pictures)
     views = []
     for view, precision, image in zip(data.pictures, data.precisions, images, strict=True):
         residual = view.radiance - image
         count = view.patterns.shape[1]
-        weights = np.minimum(precision.candidate_counts, count // 2)
-        freedom = np.where(view.known, count - weights, 0)
+        fitted_weights = np.minimum(precision.candidate_counts, count // 2)
+        freedom = np.where(view.known, count - fitted_weights, 0)
         chi_square = np.einsum("im,im->i", residual, precision.apply(residual))
         views.append((chi_square, freedom, precision.trace * np.square(allowed * view.floodlit)))
     return Misfit(*(sum(terms[1:], terms[0]) for terms in zip(*views, strict=True)))

@@ -200,8 +200,7 @@ def marginal_factors(
             for a in range(len(U)):
                 inner[a, a] += 1 / variance[first + a]
                 U[a] = rows.patterns[pixels[a]].astype(np.float64) * inverse_variance[i]
-            lower: Double = np.linalg.cholesky(inner)
-            _substitute(lower, U)
+            _substitute(np.linalg.cholesky(inner), U)
             for u in U.ravel():
                 total -= u * u
         trace[i] = max(total, 0.0)
@@ -209,7 +208,7 @@ def marginal_factors(
 
 
 @njit(cache=True, nogil=True)
-def _substitute(lower: Double, U: Double) -> None:
+def _substitute(lower: NDArray[np.floating], U: Double) -> None:
     """Overwrite U, (k, P), with ``lower^-1 U``."""
     for a in range(len(U)):
         for b in range(a):
