@@ -32,7 +32,7 @@ def conjugate_gradients(
     start : ndarray of float32, optional
         First estimate of x; zeros by default.
     tolerance : float
-        Norm of the residual at which to stop, relative to that of `target`.
+        Norm of the residual at which to stop, relative to the norm of `target`.
     iterations : int
         Largest number of iterations.
     preconditioned_norm : bool

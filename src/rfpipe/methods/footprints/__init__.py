@@ -18,7 +18,8 @@ Modules, in reading order:
 - `charts`, `functions`: the B-splines L and R, and the factors f and g;
 - `indirect`: the fit of S;
 - `model`, `fit`: the whole model, and the loop that fits D and S in turn;
-- `patterns`: the random patterns.
+- `patterns`: the random patterns;
+- `direct_light`: uses of D in the error estimate and in the residual model.
 
 `kernels` has the compiled loops.
 

@@ -243,7 +243,7 @@ def _fit_reciprocal_parts(
     """Fit weights with ``D = D^T``, and S, in turn.
 
     The mean of D and its transpose is known so well that S is fitted to the pictures minus direct
-    light, with a small prior variance for what is missing in the weights.
+    light, with a small prior variance for errors of the weights.
     """
     footprints = with_transposed(footprints)
     footprints = _fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))

@@ -6,14 +6,16 @@ footprints D map L and f to its side: a projector pixel has the mean value of th
 it lights directly. With the direct light ``D 1`` and the floodlit image F,
 
     V = diag(1 / D^T 1) D^T
-    b = (D^T 1) / (V F) / median,    v = b / (b + 0.15),  0 where b <= 0.05
+    b = (D^T 1) / (V F)              divided by its median
+    v = b / (b + 0.15)               0 where b is at most 0.05
     R = diag(v) V L
-    f = (F - D 1) median(F / (F - D 1)),    with 0.03 F <= F - D 1 <= F
-    g = v V f + (1 - v) median(F)
+    h = F - D 1                      at least 0.03 F
+    f = h median(F / h)              the median over lit pixels, at most 20
+    g = v (V f) + (1 - v) median(F)
 
-b is the relative brightness of a projector pixel in the camera's image. Where the camera does not
-see the pixel, R is 0, and its indirect light is left to the residual model. f is scaled so that it
-equals F at a typical lit pixel; unlike F it has no edge at a shadow.
+b is the brightness of a projector pixel in the camera's image, relative to typical ones. Where the
+camera does not see the pixel, R is 0, and its indirect light is left to the residual model. The
+factor f equals F at a typical lit pixel; unlike F it has no edge at a shadow.
 
 ======  ==============================  ======  ====================================================
 symbol  name in the code                shape   meaning and unit

@@ -5,7 +5,7 @@ camera pixel the box of the projector's image whose patterns its radiance resemb
 (`first_candidates`). Once indirect light is estimated, the candidates are (`refined_candidates`)
 
 1. projector pixels whose weight exceeds 1 % of the floodlit image, and those that at least two of
-   the eight neighbouring camera pixels see; each with its own eight neighbours;
+   the eight neighbouring camera pixels see; each with its eight neighbours;
 2. for camera pixels with a large residual, the box that explains it best, such as a reflection.
 
 Two places of the projector may have the same light in all patterns: with 24 patterns, for one pixel

@@ -80,13 +80,13 @@ def uniform_arrays(floodlit: Float, projector_size: int) -> dict[str, NDArray[An
 
     channels, camera_size = floodlit.shape
     no_footprints: Any = csr_array((camera_size, projector_size), dtype=np.float32)
-    one: Any = csr_array(np.ones((1, 1), np.float32))
+    single_core: Any = csr_array(np.ones((1, 1), np.float32))
     share = np.full(1, 1 / projector_size, np.float32)
     return {
         **sparse_arrays("footprints", no_footprints, [no_footprints.data] * channels),
         **sparse_arrays("left", csr_array(np.ones((camera_size, 1), np.float32))),
         **sparse_arrays("right", csr_array(np.ones((projector_size, 1), np.float32))),
-        **sparse_arrays("cores", one, [share] * channels),
+        **sparse_arrays("cores", single_core, [share] * channels),
         "camera_factor": np.maximum(floodlit, 0),
         "projector_factor": np.ones((channels, projector_size), np.float32),
     }
