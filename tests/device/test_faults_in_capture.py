@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import logging
 import re
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.device.test_fault_table import FAULTS
 from tests.rigs.coaxial_rig import RAYS, coaxial_rig, darker
+from tests.workflow.stagewise import SETTINGS
 from tests.workflow.stagewise import acquire as acquire_on_files
-from tests.workflow.stagewise import stages
 
 import rfpipe
 from rfpipe.errors import CaptureError
-from rfpipe.jobs.workers import Resources
 from rfpipe.rigs import DeviceRig, stale
-from rfpipe.stages import capture, verification
+from rfpipe.stages import verification
+from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.storage.base import VERIFICATION_MANIFEST
 from rfpipe.store import read_manifest
 from rfpipe.testing import faults
@@ -98,14 +99,14 @@ def test_the_files_state_target_error_and_reason(
     tmp_path: Path, name: str | None, target: float, verdict: str, alarm: str | None
 ) -> None:
     rig = coaxial_rig(FAULTS[name].inject if name else None, camera=darker(2))
-    watching = {"mode": "warn", "check_interval": 8, "asymmetry": 0.05}
-    captured = {"references": (8, 16), "symmetry_frames": 6, "watching": watching}
-    settings = stages(captured, divide_out_drift=True)
+    settings = replace(
+        SETTINGS, black_frames=8, floodlit_frames=16, symmetry_frames=6, watch="warn",
+        check_interval=8, asymmetry=0.05, divide_out_drift=True,
+    )  # fmt: skip
     accepted = 0.05 if name != "gain" else 0.9  # not to go on as on a rig that isn't coaxial
     plan = Plan.of("auto", "auto", RAYS, RAYS, 1, {"target_error": target}, accepted)
     folder = acquire_on_files(tmp_path / "matrix" / "auto", rig, plan, settings)
-    capturing = partial(capture.run, rig)
-    verification.run(folder, capturing, pictures=3, settings=settings, resources=Resources())
+    verification.run(CaptureContext(folder, settings, rig_source=GivenRig(rig)), 3)
     stated = read_manifest(folder.path / VERIFICATION_MANIFEST)
     assert stated["target_error"] == target
     assert stated["verdict"] == verdict

@@ -5,9 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from rfpipe.config import Config
-from rfpipe.jobs.workers import Resources
-from rfpipe.stages import acquisition, captures
-from rfpipe.stages.plan import Plan, rig_of, stages_of
+from rfpipe.stages.acquisition import acquire_transport
+from rfpipe.stages.context import Acquisition
+from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import rig_source
+from rfpipe.stages.settings import (
+    AcquisitionSettings,
+    plan_settings,
+    rig_source_settings,
+    stage_settings,
+)
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock
 
@@ -17,9 +24,12 @@ __all__ = ["acquire_item"]
 def acquire_item(settings: Config, scene: str, method: str, results: Path) -> Path:
     """Acquire one scene by one method, as a job of the workflow does; return its folder."""
     folder = results / scene / method
-    rig = captures.by_simulation(**rig_of(settings, scene)["rig"], threads=1)
-    plan = Plan.of(**plan_settings(settings, scene, method))
-    stages = stages_of(settings, scene, method)
+    acquisition = Acquisition(
+        AcquisitionFolder(folder),
+        AcquisitionSettings(**stage_settings(settings, scene, method)),
+        rig_source=rig_source(**rig_source_settings(settings, scene)),
+        plan=Plan.of(**plan_settings(settings, scene, method)),
+    )
     with StoreLock(folder):
-        acquisition.run(plan, AcquisitionFolder(folder), rig, stages, Resources())
+        acquire_transport(acquisition)
     return folder

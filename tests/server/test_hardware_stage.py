@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.server.harness import TOKEN, ResampledRig, Running, running
-from tests.workflow.stagewise import SHAPE, StagewiseAcquisition
+from tests.workflow.stagewise import SETTINGS, SHAPE, StagewiseAcquisition
 
 from rfpipe import acquire
 from rfpipe.errors import CaptureError
-from rfpipe.stages import captures
 from rfpipe.stages.capture import read_sensor
+from rfpipe.stages.context import Acquisition
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import RemoteSource
 from rfpipe.transport import open_transport
 
 
@@ -29,14 +31,14 @@ class RemoteAcquisition(StagewiseAcquisition):
         self.token.write_text(TOKEN)
         self.token.chmod(0o600)
 
-    def capture(self, level: int) -> None:
+        self.settings = replace(SETTINGS, black_frames=8, floodlit_frames=64)
+
+    def context(self, **settings: Any) -> Acquisition:
         rays = {
             "camera_shape": self.plan.camera.shape, "projector_shape": SHAPE, "channels": 3
         }  # fmt: skip
-        captures.by_server(
-            rays, self.folder, level,
-            url=self.url, token_file=str(self.token), patience_seconds=0.0, references=(8, 64),
-        )  # fmt: skip
+        source = RemoteSource(rays, self.url, str(self.token), patience_seconds=0.0)
+        return replace(super().context(**settings), rig_source=source)
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +46,7 @@ def acquired(tmp_path_factory: pytest.TempPathFactory) -> RemoteAcquisition:
     """Acquire all levels, then stop the server."""
     with running(ResampledRig()) as server:
         acquisition = RemoteAcquisition(tmp_path_factory.mktemp("rig"), server.url)
-        for level in acquisition.folder.levels():
-            acquisition.level(level)
+        acquisition.acquire_levels()
         acquisition.assemble()
     return acquisition
 

@@ -57,7 +57,8 @@ def test_a_smaller_error_takes_more_patterns(method: str) -> None:
     assert all(row.seconds < row.max_seconds and row.disk < row.max_disk for row in rows)
     auto, small = get_method("auto"), RayDomain((16, 18))
     options = options_of(auto, target_error=1e-5)
-    assert auto.max_patterns(small, small, options) > 451  # as a run of such a scene took
+    forecast = auto.forecast(small, small, 3, options)
+    assert forecast.max_patterns > 451  # a run of such a scene took 451
     few = only(scenes={"wall": shape}, methods={method: {"patterns": 20}})
     assert (few.patterns, few.max_patterns) == (20, 20)
 
@@ -77,7 +78,7 @@ def test_no_acquisition_of_a_small_scene_takes_more_than_the_most(
     result = rfpipe.acquire(rig, method, target_error=1e-5, progress=False)
     rays = RayDomain(shape)
     options = options_of(get_method(method), target_error=1e-5)
-    most = get_method(method).max_patterns(rays, rays, options)
+    most = get_method(method).forecast(rays, rays, 3, options).max_patterns
     assert 72 < result.patterns <= most
 
 

@@ -134,4 +134,4 @@ def test_the_number_that_is_asked_for_counts_where_a_method_takes_it(
     name: str, asked: dict[str, int], patterns: int
 ) -> None:
     method, rays = get_method(name), RayDomain((62, 70))
-    assert method.expected_patterns(rays, rays, options_of(method, **asked)) == patterns
+    assert method.forecast(rays, rays, 3, options_of(method, **asked)).patterns == patterns

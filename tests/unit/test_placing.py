@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rfpipe.stages.captures import place
 
 from rfpipe.config import load_config
 from rfpipe.errors import CaptureError, ConfigError
-from rfpipe.stages import captures
+from rfpipe.stages import capture, rig_sources
+from rfpipe.stages.context import CaptureContext
+from rfpipe.stages.rig_sources import RemoteSource, place_scene
 from rfpipe.storage.files import AcquisitionFolder
 
 WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE'] + chr(10))"
@@ -27,7 +27,7 @@ def placed_by(folder: Path) -> tuple[str, Path]:
 def test_job_places_each_scene_once(tmp_path: Path) -> None:
     command, notes = placed_by(tmp_path)
     for scene in ("jug", "jug", "cup"):
-        place(command, scene)
+        place_scene(command, scene)
     assert notes.read_text().split() == ["jug", "cup"]
 
 
@@ -41,7 +41,7 @@ def test_job_places_each_scene_once(tmp_path: Path) -> None:
 def test_failed_placing_prevents_the_capture(command: str, reason: str) -> None:
     for _ in range(2):  # a failure is not remembered
         with pytest.raises(CaptureError, match="jug was not put before the rig") as caught:
-            place(command, "jug")
+            place_scene(command, "jug")
         assert reason in str(caught.value)
         assert "Nothing was captured" in str(caught.value)
 
@@ -56,19 +56,15 @@ def test_scene_is_placed_before_the_rig_is_connected(
         placed.append(notes.read_text())
         raise CaptureError("no rig here")
 
-    monkeypatch.setattr(captures, "RemoteRig", connect)
-    resources = SimpleNamespace(
-        rig_url="http://localhost:1",
-        rig_token_file="",
-        rig_patience_seconds="0",
-        rig_placing=placed_by(tmp_path)[0],
-    )
+    monkeypatch.setattr(rig_sources, "RemoteRig", connect)
     monkeypatch.setenv("RFPIPE_TOKEN", "a" * 32)
     rays = {"camera_shape": (4, 5), "projector_shape": (4, 5), "channels": 3}
-    job = SimpleNamespace(params=SimpleNamespace(by="server", rig=rays), asked=resources)
-    capture = captures.of_job(job)
+    source = RemoteSource(
+        rays, "http://localhost:1", None, patience_seconds=0, placing=placed_by(tmp_path)[0]
+    )
+    context = CaptureContext(AcquisitionFolder(tmp_path / "jug/dual"), rig_source=source)
     with pytest.raises(CaptureError, match="no rig here"):
-        capture(AcquisitionFolder(tmp_path / "jug/dual"), 0)
+        capture.run(context, 0)
     assert placed == ["jug\n"]
 
 

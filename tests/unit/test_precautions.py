@@ -15,7 +15,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.base import is_simulated
 from rfpipe.stages import acquire as module
-from rfpipe.stages.plan import in_manner, manner_of, stages_of
+from rfpipe.stages.settings import operating_settings, stage_settings
 from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
 
 FEW = {"floodlit_frames": 8, "progress": False, "symmetry_frames": 0, "tolerance": 1e-2}
@@ -92,22 +92,23 @@ def test_one_place_decides_for_runs_and_for_acquire(
         {"scenes": {"plane": vase}, "methods": {"dual": {}}, "capture": {"rig": kind}}, "c"
     )  # fmt: skip
     (_, method), *_ = settings.acquisitions
-    stages = in_manner(stages_of(settings, "plane", method), manner_of(settings, "plane"))
+    stages = stage_settings(settings, "plane", method)
     of_run = PRECAUTIONS[kind]  # type: ignore[index]
-    assert stages["capture"]["watching"]["mode"] == of_run.watch
-    assert stages["capture"]["watching"]["check_interval"] == of_run.check_interval
-    assert stages["merge"]["divide_out_drift"] == of_run.divide_out_drift
+    assert operating_settings(settings, "plane")["watch"] == of_run.watch
+    assert stages["check_interval"] == of_run.check_interval
+    assert stages["divide_out_drift"] == of_run.divide_out_drift
     assert settings.verification_pictures == of_run.verification_pictures
     if kind == "offline":
         return
-    seen: dict[str, Any] = {}
+    acquisitions = []
 
-    def levels(_plan: Any, _folder: Any, _capture: Any, stages: Any, _resources: Any) -> None:
-        seen.update(stages)
-        raise CaptureError("seen")
+    def levels(acquisition: Any) -> None:
+        acquisitions.append(acquisition)
+        raise CaptureError("stopped")
 
-    monkeypatch.setattr(module, "run_levels", levels)
-    with pytest.raises(CaptureError, match="seen"):
+    monkeypatch.setattr(module, "acquire_levels", levels)
+    with pytest.raises(CaptureError, match="stopped"):
         rfpipe.acquire(rig() if kind == "simulated" else Real(rig()), "dual")
-    assert seen["capture"]["watching"]["mode"] == of_run.watch
-    assert seen["merge"]["divide_out_drift"] == of_run.divide_out_drift
+    [acquisition] = acquisitions
+    assert acquisition.settings.watch == of_run.watch
+    assert acquisition.settings.divide_out_drift == of_run.divide_out_drift

@@ -1,4 +1,4 @@
-"""What an acquisition that goes on reads of what it left."""
+"""Reading a state from the refinements of the levels."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import pytest
 from rfpipe.errors import DamagedStageError
 from rfpipe.methods import get_method
 from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import AcquisitionFolder, write_result
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import ArrayBundle
 from rfpipe.testing.methods import MethodRun, run_method
 
@@ -24,22 +24,12 @@ def acquired(method: str) -> MethodRun:
     return run_method(get_method(method), matrix[None], SHAPE, SHAPE, **options)
 
 
-def left_in(path: Path, run: MethodRun) -> AcquisitionFolder:
-    """Write what the stages of refinement leave of a run in process."""
+def stored(path: Path, run: MethodRun) -> AcquisitionFolder:
+    """Write the refinements of a run in process."""
     folder = AcquisitionFolder(path)
-    for level in range(len(run.packs)):
-        folder.manifest(level, "refine").parent.mkdir(parents=True)
-        write_refined(folder, run, level)
+    for level, change in enumerate(run.changes):
+        folder.write(level, "refine", f"{level}", change.arrays, {}, state=dict(change.attributes))
     return folder
-
-
-def write_refined(folder: AcquisitionFolder, run: MethodRun, level: int, **arrays: object) -> None:
-    """Write what a level's refinement leaves, some of its arrays replaced."""
-    pack, after = run.packs[level], level + 1
-    write_result(
-        folder.manifest(level, "refine"), f"{level}", {**pack.arrays, **arrays},
-        {"next": after if after < len(run.packs) else None}, states=[dict(pack.attributes)],
-    )  # fmt: skip
 
 
 @pytest.fixture
@@ -57,48 +47,45 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(
-    ("method", "passing"),
+    ("method", "prefix"),
     [("symmetric", "frontier_"), ("dual", "frontier_"), ("near_far", "model_")],
 )
-def test_what_only_the_next_level_needed_is_not_read_later(
-    method: str, passing: str, tmp_path: Path, read: list[tuple[str, str]]
+def test_arrays_that_only_the_next_level_needed_are_not_read_later(
+    method: str, prefix: str, tmp_path: Path, read: list[tuple[str, str]]
 ) -> None:
     run = acquired(method)
-    folder, plan = left_in(tmp_path, run), Plan.of(method, method, SHAPE, SHAPE, 1)
-    last = len(run.packs)
+    folder, plan = stored(tmp_path, run), Plan.of(method, method, SHAPE, SHAPE, 1)
+    levels = len(run.changes)
     holders = [
         f"L{level:02d}"
-        for level, pack in enumerate(run.packs)
-        if any(name.startswith(passing) for name in pack.arrays)
+        for level, change in enumerate(run.changes)
+        if any(name.startswith(prefix) for name in change.arrays)
     ]
-    found = plan.state_before(folder, None)
+    state = plan.restored_state(folder, levels)
     assert len(holders) > 1
-    assert {level for level, name in read if name.startswith(passing)} == {holders[-1]}
+    assert {level for level, name in read if name.startswith(prefix)} == {holders[-1]}
     assert len(read) == len(set(read))
-    expected = plan.method.transport(run.states[last]).toarray()
-    np.testing.assert_array_equal(plan.method.transport(found).toarray(), expected)
+    expected = plan.method.transport(run.states[levels]).toarray()
+    np.testing.assert_array_equal(plan.method.transport(state).toarray(), expected)
 
 
-def test_a_state_is_restored_once(tmp_path: Path, read: list[tuple[str, str]]) -> None:
-    """For all stages of a level, unless what it rests on is made anew."""
+def test_leaves_are_read_when_they_are_needed(tmp_path: Path, read: list[tuple[str, str]]) -> None:
     run = acquired("symmetric")
-    folder, plan = left_in(tmp_path, run), Plan.of("symmetric", "symmetric", SHAPE, SHAPE, 1)
-    found = plan.state_before(folder, 2)
-    before = len(read)
-    assert plan.state_before(folder, 2) is found
-    plan.method.schedule(found)
-    assert len(read) == before, "a schedule needs no leaves"
-    write_refined(folder, run, 0, dark=1 - run.packs[0].arrays["dark"])
-    assert (plan.state_before(folder, 2).dark != found.dark).all()
+    folder, plan = stored(tmp_path, run), Plan.of("symmetric", "symmetric", SHAPE, SHAPE, 1)
+    state = plan.restored_state(folder, 2)
+    plan.method.next_schedule(state)
+    assert not [name for _, name in read if name.startswith(("leaves_", "parents_"))]
+    plan.method.transport(state)
+    assert {level for level, name in read if name.startswith("leaves_")} == {"L00", "L01"}
 
 
-def test_damage_of_what_is_read_names_its_stage(tmp_path: Path) -> None:
+def test_damage_of_a_state_names_its_stage(tmp_path: Path) -> None:
     run = acquired("dual")
-    folder, plan = left_in(tmp_path, run), Plan.of("dual", "dual", SHAPE, SHAPE, 1)
-    chunks = list((folder.store(1, "refine") / "stored_001_values").rglob("*"))
+    folder, plan = stored(tmp_path, run), Plan.of("dual", "dual", SHAPE, SHAPE, 1)
+    chunks = list((folder.store(1, "refine") / "stored_values").rglob("*"))
     for chunk in chunks:
         if chunk.is_file() and chunk.name != "zarr.json":
             chunk.write_bytes(b"not a chunk")
-    with pytest.raises(DamagedStageError, match="stored_001_values") as told:
-        plan.method.transport(plan.state_before(folder, 3))
-    assert told.value.manifest == folder.manifest(1, "refine")
+    with pytest.raises(DamagedStageError, match="stored_values") as caught:
+        plan.method.transport(plan.restored_state(folder, 3))
+    assert caught.value.manifest == folder.manifest(1, "refine")

@@ -12,9 +12,8 @@ from rfpipe.config import Config
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import captures
-from rfpipe.stages.capture import frame_settings
-from rfpipe.storage.base import STAGES
+from rfpipe.stages import rig_sources
+from rfpipe.storage.base import STAGES, rig_settings
 from rfpipe.storage.retake import find_retakes
 from rfpipe.store import write_manifest
 
@@ -27,10 +26,9 @@ def results(tmp_path: Path) -> Path:
     """Two finished acquisitions of three levels, with verification."""
     for method in ("dual", "auto"):
         folder = tmp_path / "results" / "vase" / method
-        for number, level in enumerate(LEVELS):
-            following = number + 1 if number < 2 else None
+        for level in LEVELS:
             for stage in STAGES[: 3 if level == "verification" else 5]:
-                write_manifest(folder / level / f"{stage}.json", {"next": following})
+                write_manifest(folder / level / f"{stage}.json", {"patterns": 4})
             for store in STORES.get(level, ("capture",)):
                 (folder / level / f"{store}.zarr").mkdir()
                 (folder / level / f"{store}.zarr" / "c.0").write_text("light")
@@ -213,10 +211,10 @@ def test_nothing_is_set_aside_unless_the_rig_answers_and_is_that_of_before(
         rig.url, rig.close = url, lambda: None
         return rig
 
-    monkeypatch.setattr(captures, "RemoteRig", rig_of_server)
+    monkeypatch.setattr(rig_sources, "RemoteRig", rig_of_server)
     monkeypatch.setenv("RFPIPE_TOKEN", "a-token-for-tests-only")
     monkeypatch.chdir(results.parent)
-    monkeypatch.setattr(captures, "_begun_with", lambda folder: described)
+    monkeypatch.setattr(rig_sources, "_recorded_rig", lambda folder: described)
     settings = Config.model_validate(
         {
             "scenes": {"vase": {"kind": "captured", "shape": [4, 4], "channels": 1}},
@@ -224,10 +222,10 @@ def test_nothing_is_set_aside_unless_the_rig_answers_and_is_that_of_before(
             "capture": {"rig": "remote", "url": "http://127.0.0.1:1"},
         }
     )
-    described = frame_settings(OperatorRig(np.eye(16)[None], (4, 4), (4, 4), CameraModel()))
+    described = rig_settings(OperatorRig(np.eye(16)[None], (4, 4), (4, 4), CameraModel()))
     retakes = find_retakes(results, [name])
     if message is None:
-        captures.check_retakes(settings, retakes)
+        rig_sources.check_retakes(settings, retakes)
     else:
         with pytest.raises(CaptureError, match=f"{message}.*set nothing aside"):
-            captures.check_retakes(settings, retakes)
+            rig_sources.check_retakes(settings, retakes)

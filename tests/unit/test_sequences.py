@@ -13,7 +13,10 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.rigs.base import Key, capture_batch, check_patterns, sequence_patterns
 from rfpipe.rigs.sequences import Sequencer
 from rfpipe.stages import capture
-from rfpipe.stages.capture import brackets_of
+from rfpipe.stages.capture import bracket_sets
+from rfpipe.stages.context import CaptureContext
+from rfpipe.stages.rig_sources import GivenRig
+from rfpipe.stages.settings import AcquisitionSettings
 from rfpipe.storage.files import AcquisitionFolder, write_result
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
@@ -208,14 +211,16 @@ def test_a_capture_goes_on_at_the_sequence_where_it_stopped(tmp_path: Path) -> N
     plain, (shown, _) = rig(), patterns("half")
     folder = AcquisitionFolder(tmp_path / "scene" / "method")
     facts = {"stage": "schedule", "level": 1, "patterns": COUNT, "complete": False}
-    facts |= {"shape": list(RAYS), "shown": "these", "units": "fraction of full light"}
+    facts |= {"shape": list(RAYS), "shown": "these", "seed": 1, "units": "fraction of full light"}
     write_result(folder.manifest(1, "schedule"), "these", {"weights": shown}, facts)
     with pytest.raises(KeyboardInterrupt):
-        capture.run(Stopping(plain, most=5), folder, 1, references=(2, 2))
-    of_level, _ = brackets_of(plain, folder, 1, (2, 2))
-    assert of_level.count_missing() == COUNT - 5
+        capture.run(CaptureContext(folder, rig_source=GivenRig(Stopping(plain, most=5))), 1)
+    [brackets] = bracket_sets(
+        folder, 1, AcquisitionSettings(), folder.describe_rig(plain), is_exact=False
+    )
+    assert brackets.count_missing(folder) == COUNT - 5
     again = SimulatedSequences(plain, most=5)
-    capture.run(again, folder, 1, references=(2, 2))
+    capture.run(CaptureContext(folder, rig_source=GivenRig(again)), 1)
     assert again.statistics["sequences"]["played"] == 2 * len(plain.sensor.exposures)
     with FrameStore.open(folder.store(1, "capture")) as frames:
         np.testing.assert_array_equal(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -83,8 +84,15 @@ class StagewiseAcquisition:
         for stage in (self.schedule, self.capture, self.merge, self.normalize, self.refine):
             stage(level)
 
+    def acquire_levels(self) -> None:
+        for level in count():
+            self.schedule(level)
+            if not self.folder.read_manifest(level, "schedule")["patterns"]:
+                return
+            for stage in (self.capture, self.merge, self.normalize, self.refine):
+                stage(level)
+
     def assemble(self) -> Any:
-        self.schedule(len(list(self.folder.levels())))
         assemble.run(self.with_measured_rig())
         return open_transport(self.folder.path / "transport.zarr")
 

@@ -39,7 +39,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     return has_free
 
 
-def acquisition(folder: Path, **settings: Any) -> Acquisition:
+def acquisition(folder: Path, **settings: Any) -> StagewiseAcquisition:
     rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
     found = StagewiseAcquisition(folder, rig, **settings)
     found.plan = Plan.of("brute_force", "brute_force", SHAPE, SHAPE, 1)

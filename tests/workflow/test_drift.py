@@ -19,7 +19,7 @@ from rfpipe.store import FrameStore
 from rfpipe.units import CHECK_PICTURE_KEY, WARM_UP_KEY
 
 EVERY = 3
-WATCHING = {"mode": "warn", "check_interval": EVERY}
+WATCHING = {"watch": "warn", "check_interval": EVERY}
 
 
 class DimmingRig:
@@ -50,7 +50,7 @@ class DimmingRig:
         return self._rig.capture(np.reshape(dimmed, patterns.shape), keys)
 
 
-def begun(path: Path, loss: float = 0.2) -> Acquisition:
+def begun(path: Path, loss: float = 0.2) -> StagewiseAcquisition:
     """An acquisition that is about to capture level 1."""
     mine = StagewiseAcquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
     mine.plan = Plan.of("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
@@ -72,7 +72,7 @@ def every_ray(monkeypatch: pytest.MonkeyPatch) -> None:
             1, (4, 5), RAYS, pattern_of_ray=np.arange(RAYS, dtype=np.int32).reshape(4, 5)
         )
 
-    monkeypatch.setattr(symmetric.Symmetric, "schedule", one_ray_each)
+    monkeypatch.setattr(symmetric.Symmetric, "next_schedule", one_ray_each)
 
 
 def images(mine: StagewiseAcquisition) -> np.ndarray:
@@ -88,7 +88,7 @@ def test_what_the_lamp_lost_is_measured_and_told(
 ) -> None:
     mine = begun(tmp_path)
     with caplog.at_level(logging.INFO):
-        mine.capture(1, watching=WATCHING)
+        mine.capture(1, **WATCHING)
     mine.merge(1)
     drift = mine.folder.read_manifest(1, "merge")["check_pictures"]
     expected = [1 - 0.2 * position / RAYS for position in check_positions(RAYS, EVERY)]
@@ -99,7 +99,7 @@ def test_what_the_lamp_lost_is_measured_and_told(
     assert "merge.divide_out_drift" in caplog.text
     steady = begun(tmp_path / "steady", loss=0.0)
     with caplog.at_level(logging.INFO):
-        steady.capture(1, watching=WATCHING)
+        steady.capture(1, **WATCHING)
         steady.merge(1)
     assert steady.folder.read_manifest(1, "merge")["check_pictures"]["change"] == [0.0] * 8
 
@@ -107,7 +107,7 @@ def test_what_the_lamp_lost_is_measured_and_told(
 def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> None:
     steady, dimming = begun(tmp_path / "steady", loss=0.0), begun(tmp_path / "dimming")
     for mine in (steady, dimming):
-        mine.capture(1, watching=WATCHING)
+        mine.capture(1, **WATCHING)
         mine.merge(1)
     expected, left = images(steady), images(dimming)
     dimming.merge(1, divide_out_drift=True)
@@ -126,10 +126,10 @@ def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     whole, stopped = begun(tmp_path / "whole", 0.05), begun(tmp_path / "stopped", 0.05)
     stopped.rig.stops_at = stops_at
     with pytest.raises(CaptureError, match="broken"):
-        stopped.capture(1, watching=WATCHING, batch_patterns=2)
+        stopped.capture(1, **WATCHING, batch_patterns=2)
     stopped.rig.stops_at = None
     for mine in (whole, stopped):
-        mine.capture(1, watching=WATCHING)
+        mine.capture(1, **WATCHING)
         mine.merge(1, divide_out_drift=True)
     assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # nothing is taken twice
     manifests = [mine.folder.read_manifest(1, "merge") for mine in (whole, stopped)]
@@ -145,7 +145,7 @@ def test_a_level_begun_without_a_watch_goes_on_without(
     with pytest.raises(CaptureError, match="broken"):
         mine.capture(1, batch_patterns=2)
     mine.rig.stops_at = None
-    mine.capture(1, watching=WATCHING)
+    mine.capture(1, **WATCHING)
     assert "check_pictures" not in mine.folder.read_manifest(1, "capture")
     mine.merge(1, divide_out_drift=True)
     assert "check_pictures" not in mine.folder.read_manifest(1, "merge")
@@ -153,10 +153,10 @@ def test_a_level_begun_without_a_watch_goes_on_without(
 
 def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Path) -> None:
     mine = begun(tmp_path)
-    mine.capture(1, watching=WATCHING)
+    mine.capture(1, **WATCHING)
     taken = len(mine.rig.keys)
     for every in (0, 10 * EVERY):
-        mine.capture(1, watching={**WATCHING, "check_interval": every})
+        mine.capture(1, watch=WATCHING["watch"], check_interval=every)
         assert mine.folder.read_manifest(1, "capture")["check_pictures"]["interval"] == EVERY
     assert len(mine.rig.keys) == taken
 

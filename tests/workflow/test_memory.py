@@ -24,7 +24,10 @@ from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
 from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.stages.context import Acquisition
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import GivenRig
+from rfpipe.stages.settings import AcquisitionSettings
 from rfpipe.storage.files import write_result
 from rfpipe.jobs.workers import Resources
 
@@ -35,20 +38,22 @@ plan = Plan.of("brute_force", "brute_force", shape, shape, 3)
 light = scipy.sparse.identity(rays, format="csr")
 rig = OperatorRig([light, 0.5 * light, 0.1 * light], shape, shape, CameraModel(), seed=1)
 resources = Resources(memory_gib=0.01, threads=2)
+settings = AcquisitionSettings(black_frames=4, floodlit_frames=20)
+acquisition = Acquisition(folder, settings, resources, GivenRig(rig), plan=plan)
 for level, patterns in enumerate((1, count)):
     lit = generator(1, level).integers(0, patterns, shape).astype(np.int32)
     schedule = Schedule(level, shape, patterns, lit, complete=True)
     write_result(
         folder.manifest(level, "schedule"), "by hand",
         {"pattern_of_ray": lit},
-        {"patterns": patterns, "complete": True, "shape": shape, "shown": schedule.digest()},
+        {
+            "seed": level, "patterns": patterns, "complete": True, "shape": shape,
+            "shown": schedule.digest(),
+        },
     )
-    capture.run(rig, folder, level, references=(4, 20), resources=resources)
-    merge.run(
-        folder, level, mask_defects=True, code="",
-        resources=resources,
-    )
-    normalize.run(plan, folder, level, mode="per_channel", code="")
+    capture.run(acquisition, level)
+    merge.run(acquisition, level)
+    normalize.run(acquisition, level)
 print(re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())[1])
 """
 

@@ -23,14 +23,22 @@ from typer.testing import CliRunner
 
 from rfpipe import OperatorRig, open_transport
 from rfpipe.cli import app
-from rfpipe.config import CameraConfig, load_config, parse_config
+from rfpipe.config import CameraConfig, Config, load_config, parse_config
 from rfpipe.errors import InputError, RfpipeError
-from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.rigs.offline import offline_rig, read_sheet
-from rfpipe.stages import captures, verification
-from rfpipe.stages.plan import Plan, rig_of, stages_of
+from rfpipe.stages import verification
+from rfpipe.stages.context import CaptureContext
+from rfpipe.stages.plan import Plan
+from rfpipe.stages.rig_sources import rig_source
+from rfpipe.stages.settings import (
+    AcquisitionSettings,
+    plan_settings,
+    rig_source_settings,
+    stage_settings,
+)
+from rfpipe.storage.base import VERIFICATION_MANIFEST
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import read_manifest, write_manifest
 
@@ -93,7 +101,7 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
         direct,
         rig,
         Plan.of(**plan_settings(settings, "desk", "symmetric")),
-        stages_of(settings, "desk", "symmetric"),
+        settings_of(settings),
     )
 
     def expose(radiance: Any, seconds: float, key: Any) -> Any:
@@ -117,19 +125,19 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     assert verified(path, tmp_path / "r")["mean_error"] < 0.01
 
 
+def settings_of(config: Config) -> AcquisitionSettings:
+    return AcquisitionSettings(**stage_settings(config, "desk", "symmetric"))
+
+
 def verified(path: Path, results: Path) -> dict[str, Any]:
     """Run the stage that verifies a finished acquisition, as the workflow does."""
     settings = load_config(path)
-    rig = rig_of(settings, "desk")
-    assert rig["by"] == "pictures"
-    verification.run(
-        AcquisitionFolder(results / "desk" / "symmetric"),
-        captures.by_pictures(**rig["rig"]),
-        pictures=settings.verification_pictures,
-        settings=stages_of(settings, "desk", "symmetric"),
-        resources=Resources(),
-    )
-    return read_manifest(results / "desk" / "symmetric" / verification.MANIFEST)
+    rig = rig_source_settings(settings, "desk")
+    assert rig["kind"] == "offline"
+    folder = AcquisitionFolder(results / "desk" / "symmetric")
+    context = CaptureContext(folder, settings_of(settings), rig_source=rig_source(**rig))
+    verification.run(context, settings.verification_pictures)
+    return read_manifest(results / "desk" / "symmetric" / VERIFICATION_MANIFEST)
 
 
 def acquired(tmp_path: Path, settings: Path, matrix_of: Any) -> list[str]:

@@ -15,7 +15,7 @@ from tests.services.waiting import wait_until
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.harness import TINY, Workflow, undo
 from tests.workflow.pieces import Dying, identity, slow
-from tests.workflow.stagewise import CAMERA, Acquisition, contents, damage, matrix_rig
+from tests.workflow.stagewise import CAMERA, StagewiseAcquisition, contents, damage, matrix_rig
 from tests.workflow.stagewise import SHAPE as STAGED
 
 from rfpipe.errors import ClusterError, IntegrityError
@@ -47,18 +47,20 @@ def elsewhere(address: str) -> Resources:
 
 
 @pytest.fixture
-def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Acquisition:
+def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StagewiseAcquisition:
     """A level of 20 patterns, two of them in a run."""
     monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
     monkeypatch.setattr(merging, "_CHUNKS_PER_PIECE", 2)
-    acquisition = Acquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
+    acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
     acquisition.plan = Plan("brute_force", "brute_force", STAGED, STAGED, 1)
     acquisition.schedule(0)
     acquisition.capture(0)
     return acquisition
 
 
-def test_a_cluster_leaves_the_bytes_that_threads_leave(captured: Acquisition, address: str) -> None:
+def test_a_cluster_leaves_the_bytes_that_threads_leave(
+    captured: StagewiseAcquisition, address: str
+) -> None:
     level = captured.folder.path / "L00"
     left = []
     ways = (
@@ -75,7 +77,7 @@ def test_a_cluster_leaves_the_bytes_that_threads_leave(captured: Acquisition, ad
 
 
 def test_damage_that_a_worker_finds_is_said_as_anywhere(
-    captured: Acquisition, address: str
+    captured: StagewiseAcquisition, address: str
 ) -> None:
     captured.resources = Resources(where=address)
     chunk = damage(captured.folder.store(0, "capture"))

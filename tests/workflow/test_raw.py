@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import (
     CAMERA,
+    SETTINGS,
     SHAPE,
     FaultyRig,
     StagewiseAcquisition,
@@ -31,7 +33,7 @@ RAW = ("L00/reference_brackets.zarr", "L00/capture.zarr", "L01/capture.zarr")
 
 
 @pytest.fixture
-def acquisition(tmp_path: Path) -> Acquisition:
+def acquisition(tmp_path: Path) -> StagewiseAcquisition:
     """Two levels without their raw exposures; its rig counts what it shows from here on."""
     acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
     acquisition.settings = replace(SETTINGS, keep_raw=False)
@@ -81,7 +83,7 @@ def test_merged_images_outlive_a_change_of_the_code(
     acquisition: StagewiseAcquisition, caplog: pytest.LogCaptureFixture
 ) -> None:
     before = everything(acquisition.folder.path)
-    acquisition.code = "other code"
+    acquisition.settings = replace(acquisition.settings, code="other code")
     with caplog.at_level(logging.WARNING, logger="rfpipe"):
         for level in (0, 1):
             acquisition.merge(level)

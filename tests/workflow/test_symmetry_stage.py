@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.workflow.stagewise import (
-    CODE,
     RAYS,
+    SETTINGS,
     SHAPE,
     StagewiseAcquisition,
     acquire,
     matrix_rig,
-    stages,
     symmetric_matrix,
 )
 
@@ -23,7 +23,7 @@ import rfpipe
 from rfpipe import open_transport
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
-from rfpipe.methods import Method
+from rfpipe.methods import Method, MethodDescription
 from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions
 from rfpipe.photometry import CameraModel
@@ -41,14 +41,12 @@ FRAMES = 6
 def judge(acquisition: StagewiseAcquisition, accepted: float = 0.05) -> dict[str, Any]:
     found = symmetry.read_asymmetry(acquisition.folder)
     assert found is not None
-    assert (
-        symmetry.choose_method(found, Symmetric(), SymmetricOptions(), accepted).name == "symmetric"
-    )
+    assert symmetry.is_coaxial(found, Symmetric(), SymmetricOptions(), accepted)
     facts: dict[str, Any] = acquisition.folder.read_manifest(0, "merge")["symmetry"]
     return facts
 
 
-def begun(path: Path, matrix: np.ndarray) -> Acquisition:
+def begun(path: Path, matrix: np.ndarray) -> StagewiseAcquisition:
     acquisition = StagewiseAcquisition(path, matrix_rig(matrix, CameraModel()))
     acquisition.schedule(0)
     acquisition.capture(0, symmetry_frames=FRAMES)
@@ -56,10 +54,11 @@ def begun(path: Path, matrix: np.ndarray) -> Acquisition:
     return acquisition
 
 
-def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: int) -> None:
+def acquired(plan: Plan, folder: StagewiseAcquisitionFolder, rig: OperatorRig, frames: int) -> None:
     """Run all levels of an acquisition."""
-    settings = stages({"symmetry_frames": frames if plan.asks_symmetry else 0})
-    acquire(folder.path, rig, plan, {**settings, "normalize": {"mode": "none", "code": CODE}})
+    frames = frames if plan.measures_symmetry else 0
+    settings = replace(SETTINGS, symmetry_frames=frames, normalization="none")
+    acquire(folder.path, rig, plan, settings)
 
 
 def crooked() -> np.ndarray:
@@ -79,16 +78,21 @@ def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
     assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
 
 
-class Choice(Symmetric):
+class Choice(MethodDescription):
     """Symmetric photography where the rig is coaxial, else the yardstick."""
 
-    needs_coaxial_rig = False
+    name = "choice"
+    title = "Choice"
+    colour = "black"
+    Options = SymmetricOptions
 
-    def asks_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
+    def measures_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
         return True
 
-    def on_rig(self, coaxial: bool) -> Method[Any]:
-        return Symmetric() if coaxial else BruteForce()
+    def for_rig(
+        self, camera: RayDomain, projector: RayDomain, is_coaxial: bool | None = None
+    ) -> Method[Any]:
+        return BruteForce() if is_coaxial is False else Symmetric()
 
 
 @pytest.mark.parametrize("coaxial", [True, False])
@@ -100,7 +104,7 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
     def run() -> str:
         plan = Plan.of("choice", name, SHAPE, SHAPE, 1)
         acquired(plan, folder, matrix_rig(matrix, CameraModel()), FRAMES)
-        return plan.method.name
+        return plan.for_measured_rig(folder).method.name
 
     chosen = run()
     assert chosen == ("symmetric" if coaxial else "brute_force")
@@ -116,14 +120,9 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
 
 def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
     found = Asymmetry(0.03, 0.001)
-    for target, chosen in ((None, Symmetric), (0.05, Symmetric), (0.01, BruteForce)):
+    for target, coaxial in ((None, True), (0.05, True), (0.01, False)):
         options = SimpleNamespace(target_error=target)
-        assert type(symmetry.choose_method(found, Choice(), options, 0.05)) is chosen
-    # whoever has no choice is warned of no more than before
-    assert isinstance(
-        symmetry.choose_method(found, Symmetric(), SimpleNamespace(target_error=0.01), 0.05),
-        Symmetric,
-    )
+        assert symmetry.is_coaxial(found, Choice(), options, 0.05) is coaxial
 
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:

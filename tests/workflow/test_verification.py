@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from functools import partial
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -13,17 +13,18 @@ import numpy as np
 import pytest
 from tests.rigs.displaced_rigs import SHAPE, Knocked, beside, wedge
 from tests.workflow.harness import Workflow
-from tests.workflow.stagewise import CODE, FaultyRig, stages
+from tests.workflow.stagewise import CODE, SETTINGS, FaultyRig
 from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.errors import CaptureError
-from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import capture, verification
+from rfpipe.stages import verification
+from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.plan import Plan
-from rfpipe.storage.checking import check
+from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.storage.base import VERIFICATION, VERIFICATION_MANIFEST
+from rfpipe.storage.checking import check
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.storage.retake import find_retakes
 from rfpipe.store import read_manifest
@@ -34,27 +35,22 @@ LOOKS = 8
 
 
 def settings(mode: str = "warn", looks: int = LOOKS, code: str = CODE) -> Any:
-    watching = {"mode": mode, "check_interval": looks}
-    capture = {"references": (2, 8), "batch_patterns": 1, "watching": watching}
-    return stages(capture, code=code)
+    return replace(
+        SETTINGS, code=code, floodlit_frames=8, batch_patterns=1, watch=mode, check_interval=looks
+    )
 
 
 def acquire(
     path: Path, rig: Any, method: str = "dual", mode: str = "warn", looks: int = LOOKS
 ) -> AcquisitionFolder:
     options = {"tolerance": 1e-2} if method == "dual" else {}
-    plan = Plan(method, method, SHAPE, SHAPE, 1, options)
+    plan = Plan.of(method, method, SHAPE, SHAPE, 1, options)
     return acquire_matrix(path, rig, plan, settings(mode, looks))
 
 
 def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str, Any]:
-    verification.run(
-        folder,
-        partial(capture.run, rig),
-        pictures=PICTURES,
-        settings=settings(code=code),
-        resources=Resources(),
-    )
+    context = CaptureContext(folder, settings(code=code), rig_source=GivenRig(rig))
+    verification.run(context, PICTURES)
     return read_manifest(folder.path / VERIFICATION_MANIFEST)
 
 
