@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rfpipe.stages.brackets import differing
+from rfpipe.storage.differences import differing
 
 VERDICTS = {"linearity": {"standing": "good", "verdict": "Exposures agree within 0.00%."}}
 RIG = {

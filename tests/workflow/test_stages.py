@@ -212,8 +212,7 @@ def test_files_hold_what_is_found_in_process_with_hot_pixels(tmp_path: Path, met
 
     rig = FaultyRig(matrix_rig(noise=CAMERA), heated)
     acquisition = StagewiseAcquisition(tmp_path, rig, None, method)
-    for level in acquisition.folder.levels():
-        acquisition.level(level)
+    acquisition.acquire_levels()
     stored = acquisition.assemble()
     result = acquire(rig, method, progress=False, black_frames=2, floodlit_frames=2)
     assert np.argwhere(result.masked).tolist() == [[1, 2], [3, 4]]

@@ -54,7 +54,7 @@ def begun(path: Path, matrix: np.ndarray) -> StagewiseAcquisition:
     return acquisition
 
 
-def acquired(plan: Plan, folder: StagewiseAcquisitionFolder, rig: OperatorRig, frames: int) -> None:
+def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: int) -> None:
     """Run all levels of an acquisition."""
     frames = frames if plan.measures_symmetry else 0
     settings = replace(SETTINGS, symmetry_frames=frames, normalization="none")

@@ -128,7 +128,8 @@ def _gains_so_far(
     times : ndarray of float64, shape (n,)
         Number of pictures taken before each check picture.
     """
-    merged = {above: storage.read_manifest(above, "merge") for above in range(level)}
+    earlier = [above for above in storage.levels() if above < level]
+    merged = {above: storage.read_manifest(above, "merge") for above in earlier}
     series = [
         (np.asarray(facts[CHECK_PICTURES]["gain"]), facts[CHECK_PICTURES]["interval"], facts)
         for facts in merged.values()

@@ -116,7 +116,7 @@ class Retake:
         first = "merge" if self.level == 0 else "refine"
         below = [
             folder.manifest(level, stage)
-            for level in reversed(folder.levels())
+            for level in reversed(list(folder.levels()))
             if level > self.level
             for stage in reversed(STAGES[STAGES.index(first) :])
         ]
