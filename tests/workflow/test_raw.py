@@ -25,7 +25,8 @@ from tests.workflow.stagewise import (
 
 from rfpipe.errors import IntegrityError, StaleStoreError, StoreError
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import merge
+from rfpipe.storage import files
+from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.storage.retake import Retake
 from rfpipe.store import FrameStore, drop, read_manifest
 
@@ -88,7 +89,7 @@ def test_merged_images_outlive_a_change_of_the_code(
         for level in (0, 1):
             acquisition.merge(level)
     assert everything(acquisition.folder.path) == before
-    assert caplog.text.count("merged by other code than today's and kept") == 2
+    assert caplog.text.count("merged by an earlier version of the code and kept") == 2
 
 
 def test_other_merge_settings_need_the_raw_exposures(acquisition: StagewiseAcquisition) -> None:
@@ -170,9 +171,9 @@ def test_a_kill_while_dropping_loses_nothing(
     cut.capture(level)
     with monkeypatch.context() as patch:
         if where == "before":
-            patch.setattr(merge, "_drop_raw", killed)
+            patch.setattr(AcquisitionFolder, "drop_raw", killed)
         elif where == "the merged to the disk":
-            patch.setattr(merge, "to_disk", killed)
+            patch.setattr(files, "to_disk", killed)
         elif where == "the marker":
             patch.setattr("rfpipe.store.frames.write_manifest", killed)
         else:
