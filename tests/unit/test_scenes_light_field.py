@@ -113,7 +113,7 @@ def test_a_ray_that_sees_nothing_is_named():
     with pytest.raises(InputError, match=r"pixel \(0, 0\) of view 0 sees no panel"):
         screen((2, 2), (4, 6), narrow)
     backward = Panel((0, 0, 3), (-3, 0, 0), (0, 3, 0), "backward", "white", (1, 1, 1))
-    with pytest.raises(InputError, match="the back of a panel"):
+    with pytest.raises(InputError, match="no panel, or the back of one"):
         screen((1, 1), (4, 6), backward)
 
 
