@@ -1,6 +1,6 @@
 def scene_settings(wildcards):
-    """What is true of a scene, however often and by whatever method it is acquired."""
-    return SETTINGS.scenes[wildcards.scene].itself()
+    """Settings of a scene that do not depend on its acquisition."""
+    return SETTINGS.scenes[wildcards.scene].scene_options()
 
 
 rule relight:

@@ -1,0 +1,59 @@
+"""Files by which others deploy the workflow: test run, catalogue, environment, container."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from rfpipe.config import load_config
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def locked_versions() -> set[tuple[str, str]]:
+    """Names and versions in requirements.lock; some packages have one per version of Python."""
+    text = (ROOT / "requirements.lock").read_text()
+    return {
+        (canonicalize_name(name), version)
+        for name, version in re.findall(r"^([A-Za-z0-9._-]+)==([^\s;]+)", text, re.M)
+    }
+
+
+def test_the_pinned_environment_has_all_dependencies_at_locked_versions() -> None:
+    environment = yaml.safe_load((ROOT / "workflow/envs/rfpipe.pinned.yaml").read_text())
+    (pip,) = (entry["pip"] for entry in environment["dependencies"] if isinstance(entry, dict))
+    pinned = {canonicalize_name(Requirement(line).name): line.partition("==")[2] for line in pip}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(pinned) == {canonicalize_name(Requirement(d).name) for d in project["dependencies"]}
+    assert set(pinned.items()) <= locked_versions()
+
+
+def test_both_environments_are_completed_by_the_same_script() -> None:
+    scripts = [
+        (ROOT / f"workflow/envs/{name}.post-deploy.sh").read_text()
+        for name in ("rfpipe", "rfpipe.pinned")
+    ]
+    assert scripts[0] == scripts[1]
+
+
+def test_the_container_installs_the_locked_versions_by_their_hashes() -> None:
+    lines = (ROOT / "Containerfile").read_text().splitlines()
+    assert [line for line in lines if line.startswith("FROM")] == ["FROM python:3.12-slim"]
+    assert any("--require-hashes --requirement requirements.lock" in line for line in lines)
+
+
+def test_the_catalogue_entry_names_a_supported_deployment() -> None:
+    usage = yaml.safe_load((ROOT / ".snakemake-workflow-catalog.yml").read_text())["usage"]
+    assert usage["software-stack-deployment"]["conda"] is True
+    assert usage["report"] is True
+
+
+def test_the_settings_of_the_test_run_are_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT / ".test")
+    settings = load_config(Path("config/config.yaml"))
+    assert settings.acquisitions == [("wedge", "symmetric")]
+    assert Path(settings.scenes["wedge"].file).is_file()
