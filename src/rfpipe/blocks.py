@@ -11,25 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Index
 from rfpipe.errors import InputError
-
-Index = NDArray[np.int64]
 
 
 def ray_shape(shape: tuple[int, ...], name: str = "the ray domain") -> tuple[int, ...]:
-    """Return the shape of a ray domain, checked.
+    """Validate the shape of a ray domain.
 
     Parameters
     ----------
     shape : tuple of int
-        ``(H, W)``, or the axes of the views before those of their images, see `RayDomain`.
+        ``(H, W)``, or the axes of views, then height and width; see `RayDomain`.
     name : str
-        What an error calls it.
+        Name of the shape in errors.
 
     Raises
     ------
     InputError
-        When it isn't two or more numbers of at least 1.
+        If it isn't two or more integers of at least 1.
     """
     try:
         lengths = tuple(index(length) for length in shape)
@@ -37,22 +36,22 @@ def ray_shape(shape: tuple[int, ...], name: str = "the ray domain") -> tuple[int
         lengths = ()
     if len(lengths) < 2 or min(lengths) < 1:
         raise InputError(
-            f"{name} is {shape!r}; expected height and width, (H, W), or axes of views before "
-            "these, as (V, H, W), each a whole number of at least 1"
+            f"{name} is {shape!r}; expected height and width, (H, W), or axes of views, then "
+            "height and width, as (V, H, W), each an integer of at least 1"
         )
     return lengths
 
 
 @dataclass(frozen=True)
 class RayDomain:
-    """The index set of one side's rays: an image, or several views of one size (a light field).
+    """Index set of the rays of a camera or projector: an image, or several views (a light field).
 
     Parameters
     ----------
     shape : tuple of int
-        ``(H, W)`` for one image; for views their own axes come first, as in ``(V, H, W)`` or
-        ``(rows, columns, H, W)``. Views, and rays, are numbered in C order. Every length is at
-        least 1; no power of two is needed.
+        ``(H, W)`` for one image; axes of views come first, as in ``(V, H, W)`` or
+        ``(rows, columns, H, W)``. Views and rays are numbered in C order. Lengths are at least 1
+        and need not be powers of two.
 
     Raises
     ------
@@ -72,12 +71,12 @@ class RayDomain:
 
     @property
     def is_stack(self) -> bool:
-        """Whether the domain has axes of views, be it of a single one."""
+        """True if the domain has axes of views, even of a single view."""
         return len(self.shape) > 2
 
     @property
     def views_shape(self) -> tuple[int, ...]:
-        """Lengths of the views' axes; none for one image by itself."""
+        """Lengths of the axes of views; empty for one image."""
         return self.shape[:-2]
 
     @property
@@ -98,13 +97,18 @@ class RayDomain:
 
     @property
     def stack_shape(self) -> tuple[int, int, int]:
-        """Number of views, height and width: values of all rays reshape to images of that shape."""
+        """Number of views, height and width: the shape of all images as one array."""
         return self.views, *self.image_shape
 
     def squares(self, side: int) -> tuple[tuple[int, int, int], NDArray[np.int64]]:
-        """Return the grid of squares of rays, views first, and the number of each ray's, (size,).
+        """Divide the rays into squares, which may be smaller at the end of an image.
 
-        Squares don't reach over views; those at an image's end may be smaller.
+        Returns
+        -------
+        grid : tuple of int
+            Views, rows and columns of squares.
+        square : ndarray of int64, shape (size,)
+            Number of the square of each ray, in C order of the grid.
         """
         view, row, column = np.indices(self.stack_shape, np.int64).reshape(3, -1)
         height, width = self.image_shape
@@ -113,17 +117,17 @@ class RayDomain:
 
     @property
     def picture_shape(self) -> tuple[int, int]:
-        """Height and width of the images of all views, one above the other."""
+        """Height and width of the images of all views, stacked vertically."""
         height, width = self.image_shape
         return self.views * height, width
 
     def view_of(self, rays: NDArray[Any]) -> NDArray[Any]:
-        """Return the view of each ray, both numbered from 0; -1 of a ray -1 that is none."""
+        """Return the number of each ray's view; -1 for ray -1."""
         return rays // self.rays_per_image
 
 
 def _halves(position: Index, length: int) -> list[Index]:
-    """Tell of each position of an axis whether it lies in the second half, halving by halving."""
+    """Halve an axis repeatedly; return for each halving 1 at positions in a second half, else 0."""
     low, high = np.zeros_like(position), np.full_like(position, length)
     second_half = []
     for _ in range((length - 1).bit_length()):
@@ -134,11 +138,11 @@ def _halves(position: Index, length: int) -> list[Index]:
     return second_half
 
 
-def _choices(domain: RayDomain) -> Iterator[tuple[Index, int]]:
-    """Give, split by split, which child each ray belongs to, and the bits that this number takes.
+def _child_numbers(domain: RayDomain) -> Iterator[tuple[Index, int]]:
+    """Yield for each level the number of the child block of each ray, and its number of bits.
 
-    The numbers broadcast to the domain's shape. Of axes that split together the first has the
-    highest bit: a Morton code.
+    Numbers broadcast to the shape of the domain. The first axis has the highest bit, so that the
+    numbers of all levels are a Morton code.
     """
     if domain.is_stack:
         view = np.arange(domain.views).reshape(*domain.views_shape, 1, 1)
@@ -154,12 +158,12 @@ def _choices(domain: RayDomain) -> Iterator[tuple[Index, int]]:
 
 
 class BlockTree:
-    """Tree of blocks over a ray domain: several views split into single ones, these as quadtrees.
+    """Tree of blocks over a ray domain: a root with all views, one quadtree for each view.
 
-    A block's axis of odd length splits into a longer first and a shorter second half, a length of
-    one does not split. Thus a block has one to four children, and the last level's blocks are
-    single rays. Rays are renumbered in *tree order*, in which every block of every level is one
-    contiguous run: block ``b`` of ``level`` is ``starts[level][b]:starts[level][b + 1]``.
+    An axis of odd length splits into a longer first and a shorter second half; a length of one does
+    not split. A block in a view therefore has one to four children, and the blocks of the last
+    level are single rays. Rays are renumbered in *tree order*, in which every block of every level
+    is contiguous: block ``b`` of ``level`` is ``starts[level][b]:starts[level][b + 1]``.
 
     Parameters
     ----------
@@ -172,17 +176,17 @@ class BlockTree:
     inverse : ndarray of int64, shape (N,)
         Tree position of each ray.
     starts : list of ndarray of int64
-        For each level the first tree position of each block, and N at the end.
+        For each level, the first tree position of each block, and last N.
     child_starts : list of ndarray of int64
-        For each level but the last: the children of block ``b`` are the next level's blocks
-        ``child_starts[level][b]:child_starts[level][b + 1]``.
+        For each level except the last: block ``b`` has the children
+        ``child_starts[level][b]:child_starts[level][b + 1]``, blocks of the next level.
     """
 
     def __init__(self, domain: RayDomain) -> None:
         self.domain = domain
         code = np.zeros(domain.shape, np.int64)
-        ends = [0]  # bits of the code that tell a level's blocks apart
-        for child, bits in _choices(domain):
+        ends = [0]  # number of leading bits of the code that identify a level's blocks
+        for child, bits in _child_numbers(domain):
             code = code << bits | child
             ends.append(ends[-1] + bits)
         flat = code.ravel()
@@ -206,7 +210,7 @@ class BlockTree:
         return len(self.starts)
 
     def splits_views(self, level: int) -> bool:
-        """Whether the children of a level's blocks are whole views."""
+        """Return True if the children of the level's blocks are whole views."""
         return level == 0 and self.domain.views > 1
 
     def n_blocks(self, level: int) -> int:
@@ -214,14 +218,14 @@ class BlockTree:
         return len(self.starts[level]) - 1
 
     def block_of_position(self, level: int) -> NDArray[np.int32]:
-        """Block id at each tree position, shape (N,)."""
+        """Return the number of the block at each tree position, shape (N,)."""
         sizes = np.diff(self.starts[level])
         return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
 
     def labels(self, level: int) -> NDArray[np.int32]:
-        """Block id of each ray, an int32 image of the domain's shape."""
+        """Return the number of each ray's block, an int32 image of the domain's shape."""
         return self.block_of_position(level)[self.inverse].reshape(self.domain.shape)
 
     def ancestors(self, level: int, coarse_level: int) -> Index:
-        """Id at `coarse_level` of the block that holds each block of `level`."""
+        """Number, at `coarse_level`, of the block that contains each block of `level`."""
         return np.searchsorted(self.starts[coarse_level], self.starts[level][:-1], "right") - 1

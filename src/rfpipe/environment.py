@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.lights.interpolation import between, unit
-
-Float = NDArray[np.float32]
 
 _SKY_ROWS = 64
 """Rows of cells into which the pixels of a panorama are joined."""

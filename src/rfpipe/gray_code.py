@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def gray_bits(count: int) -> int:
-    """Return the number of bits, ceil(log2(count)), that a code of `count` coordinates has."""
+    """Number of bits, ceil(log2(count)), of a code of `count` coordinates."""
     return (count - 1).bit_length()
 
 
@@ -22,7 +22,7 @@ def gray_code(coordinates: ArrayLike, bits: int) -> NDArray[np.bool_]:
     Parameters
     ----------
     coordinates : array_like of int, shape (...)
-        At least 0. Bits above `bits` are left out.
+        At least 0. Higher bits are dropped.
     bits : int
         Number of bits.
 

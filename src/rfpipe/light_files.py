@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
 from rfpipe.pictures.lists import read_directions, read_numbers, read_text
 from rfpipe.pictures.names import match_names
-
-Float = NDArray[np.float32]
 
 LIGHT_FILES = ("[!.]*.lp", "light_directions.txt", "lights.txt", "light_pos.npy", "lights.npy")
 """Names of files with the directions or positions of lights; case does not matter."""
@@ -31,8 +30,8 @@ PICTURE_LIST = "filenames.txt"
 class _Lights:
     """Contents of a file of lights.
 
-    `directions` has the shape (lights, 3); `names` are those of the pictures, empty where there
-    are none; `path` is the file with the names, or without names with the directions.
+    `directions` has the shape (lights, 3); `names` are those of the pictures, empty if the
+    file has none; `path` is the file with the names, else that with the directions.
     """
 
     path: Path
@@ -79,8 +78,7 @@ def light_names_in(
 ) -> tuple[str, ...]:
     """Names of pictures in the file of lights that `lights_in` reads, in the file's order.
 
-    Empty where there is no such file, or it names no pictures. Parameters and errors as
-    `lights_in`.
+    Empty if there is no such file, or it has no names. Parameters and errors as `lights_in`.
     """
     path = light_file_in(folder, parent=parent)
     return () if path is None else _read(path, pictures).names
@@ -99,8 +97,8 @@ def read_lights(path: str | Path, pictures: Sequence[str] = ()) -> Float:
     pictures : sequence of str
         Names of pictures of one light each. Lines that name pictures are matched by the names
         without folder and ending, whatever their case and Unicode form, else by the numbers in
-        them. Lines without names are in the pictures' order, or in that of a file
-        ``filenames.txt`` beside them.
+        them. Lines without names are in the order of the pictures, or of a file
+        ``filenames.txt`` in the same folder.
 
     Returns
     -------
@@ -193,7 +191,7 @@ def _files_in(folder: Path, names: Sequence[str]) -> list[Path]:
 
 
 def _read(path: Path, pictures: Sequence[str]) -> _Lights:
-    """Read a file of lights; names of pictures settle which of several numbers are x, y and z."""
+    """Read a file of lights; names of pictures determine which numbers are x, y and z."""
     if path.suffix.lower() == ".npy":
         names, array = list[str](), _load_array(path)
     else:
@@ -209,10 +207,10 @@ def _load_array(path: Path) -> Float:
     try:
         array = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: no lights, an array of numbers: {error}") from None
+        raise InputError(f"{path}: not an array of lights: {error}") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
         kind = getattr(array, "dtype", "several arrays")
-        raise InputError(f"{path}: no lights, an array (lights, 3) of real numbers, but {kind}")
+        raise InputError(f"{path}: expected an array (lights, 3) of real numbers, got {kind}")
     return array.astype(np.float32)
 
 

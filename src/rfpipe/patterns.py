@@ -1,4 +1,4 @@
-"""Schedules: which patterns a level shows (thesis §3.1, §5.1)."""
+"""Schedules: the patterns of one level (thesis §3.1, §5.1)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from rfpipe.weights import as_weights
 class Schedule:
     """The patterns of one level.
 
-    Either a partition, where each ray is lit by at most one pattern (unions of blocks, as in
-    the thesis), or explicit weight images.
+    Either a partition, in which each ray is lit by at most one pattern, a union of blocks as in the
+    thesis; or images of weights.
 
     Parameters
     ----------
@@ -32,11 +32,11 @@ class Schedule:
     pattern_of_ray : ndarray of int32, shape `shape`, optional
         Index of the pattern that lights each ray, -1 for none.
     weights : ndarray of float32, shape (count, *shape), optional
-        Explicit patterns with weights in [0, 1]; excludes `pattern_of_ray`. Booleans, and whole
-        numbers 0 and 1, become float32; a picture's 0 to 255 are refused.
+        Patterns with weights in [0, 1], instead of `pattern_of_ray`. Booleans and the integers 0
+        and 1 become float32; larger integers, such as those of a picture file, are rejected.
     complete : bool
-        Whether every ray that can send light to the camera is lit exactly once by the level,
-        so that its images add up to the floodlit image (the premise of thesis B.2).
+        True if the level lights each ray that sends light to the camera exactly once, so that its
+        images add up to the floodlit image (thesis B.2).
     """
 
     seed: int
@@ -48,13 +48,13 @@ class Schedule:
 
     def __post_init__(self) -> None:
         if (self.pattern_of_ray is None) == (self.weights is None):
-            raise InputError("a schedule holds either pattern_of_ray or weights, exactly one")
-        given = self.pattern_of_ray if self.weights is None else self.weights
+            raise InputError("a schedule has either pattern_of_ray or weights; give exactly one")
+        patterns = self.pattern_of_ray if self.weights is None else self.weights
         expected = self.shape if self.weights is None else (self.count, *self.shape)
-        assert given is not None
-        if given.shape != tuple(expected):
+        assert patterns is not None
+        if patterns.shape != tuple(expected):
             raise InputError(
-                f"a schedule over {self.shape} needs an array {expected}, got {given.shape}"
+                f"a schedule over {self.shape} needs an array {expected}, got {patterns.shape}"
             )
         if self.weights is not None:
             weights = as_weights(self.weights, "a pattern of a schedule")
@@ -69,7 +69,7 @@ class Schedule:
     def of_blocks(
         cls, tree: BlockTree, level: int, pattern_of_block: NDArray[np.int32], complete: bool
     ) -> Schedule:
-        """Return the schedule that lights each block of a level in its pattern (-1: in none)."""
+        """Return the schedule that lights each block in the pattern of its number, -1 for none."""
         count = int(pattern_of_block.max(initial=-1)) + 1
         return cls(
             level,
@@ -96,5 +96,5 @@ class Schedule:
 
     def digest(self) -> str:
         """Fingerprint of the patterns, and of the seed of their noise."""
-        shown = self.pattern_of_ray if self.weights is None else self.weights
-        return fingerprint([self.seed, list(self.shape), self.count, shown])
+        patterns = self.pattern_of_ray if self.weights is None else self.weights
+        return fingerprint([self.seed, list(self.shape), self.count, patterns])

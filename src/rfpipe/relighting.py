@@ -1,4 +1,4 @@
-"""The pictures that people relight, and the error of a relit one: one definition for all tables."""
+"""Distribution of relit pictures, and the definition of their error for all tables."""
 
 from __future__ import annotations
 
@@ -9,30 +9,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
 
-Bools = NDArray[np.bool_]
-Double = NDArray[np.float64]
-
 KINDS = ("shapes", "bars", "spots")
-"""Kinds of relit pictures, a third each."""
+"""Kinds of relit pictures, one third each."""
 
-_LEAST = 0.5  # of the light that a picture sends back typically, what errors are relative to
+_LEAST_REFERENCE = 0.5  # least norm that errors are relative to, over that of typical pictures
 
 
 def relighting_pictures(shape: tuple[int, ...], count: int, seed: int = 0) -> NDArray[np.float32]:
-    """Draw pictures from the distribution of those that people relight.
+    """Draw pictures from the distribution on which errors are defined.
 
-    In turn: shapes of all scales, lit over a tenth to six tenths of the image; bars and half planes
-    of any direction; one square spot, its side log-uniform from two pixels to an eighth of the
-    image's shorter side. Fewer are the first of more. Of a stack, every other picture of a kind
-    lights one view alone, the others all views alike.
+    In turn: shapes of all scales that cover 10 to 60 % of the image; bars and half planes of any
+    direction; one square spot, its side log-uniform from two pixels to an eighth of the image's
+    shorter side. A smaller `count` gives the first pictures of a larger one. With several views,
+    every second picture of a kind lights a single view, the others light all views equally.
 
     Parameters
     ----------
     shape : tuple of int
-        A ray domain's, (H, W) or (V, H, W).
+        A ray domain, (H, W) or (V, H, W).
     count : int
         At least 0.
     seed : int
@@ -45,7 +43,7 @@ def relighting_pictures(shape: tuple[int, ...], count: int, seed: int = 0) -> ND
     Raises
     ------
     InputError
-        If the shape isn't one of a ray domain.
+        If the shape is not a ray domain.
     """
     domain = RayDomain(shape)
     drawn = np.zeros((count, *domain.stack_shape), np.float32)
@@ -61,10 +59,10 @@ def relighting_pictures(shape: tuple[int, ...], count: int, seed: int = 0) -> ND
 def octave_noise(
     shape: tuple[int, ...], random: np.random.Generator, falloff: float = 1.0
 ) -> NDArray[np.float64]:
-    """Return noise with unit deviation, on the torus, float64 (*shape).
+    """Draw periodic noise of standard deviation 1, float64 (*shape).
 
-    Amplitudes fall with the power `falloff` of the frequency: 1 has equal power in every octave, 0
-    is white.
+    Amplitudes fall with the power `falloff` of the frequency: 1 has equal power in each octave, 0
+    is white noise.
     """
     height, width = RayDomain(shape).image_shape
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
@@ -78,81 +76,82 @@ def octave_noise(
     return noise
 
 
-def brightest(image: NDArray[np.floating[Any]], part: float) -> Bools:
-    """Return the part of an image that is brightest; of equal pixels, the first."""
-    count = max(1, round(part * image.size))
+def brightest(image: NDArray[np.floating[Any]], share: float) -> Bools:
+    """Select the brightest share of the pixels, of equal pixels the first."""
+    count = max(1, round(share * image.size))
     chosen = np.zeros(image.size, np.bool_)
     chosen[np.argsort(-image.ravel(), kind="stable")[:count]] = True
     return chosen.reshape(image.shape)
 
 
 def shapes(shape: tuple[int, int], random: np.random.Generator, lit: float | None = None) -> Bools:
-    """Draw random shapes of all scales, over a tenth to six tenths of the image, or `lit` of it."""
+    """Draw random shapes of all scales that cover 10 to 60 % of the image, or the share `lit`."""
     return brightest(octave_noise(shape, random), random.uniform(0.1, 0.6) if lit is None else lit)
 
 
 def bar(shape: tuple[int, int], random: np.random.Generator) -> Bools:
-    """Draw a bar, two pixels to half the image wide, or, as often, a half plane."""
-    place = across(shape, random.uniform(0, 2 * np.pi))
-    middle = place.ravel()[random.integers(place.size)]
+    """Draw a bar, 2 pixels to half the image wide, or with probability 1/2 a half plane."""
+    position = across(shape, random.uniform(0, 2 * np.pi))
+    centre = position.ravel()[random.integers(position.size)]
     if random.random() < 0.5:
-        return np.asarray(place >= middle)
-    wide = _between(2, max(2.0, min(shape) / 2), random.random())
-    return np.asarray(np.abs(place - middle) <= wide / 2)
+        return np.asarray(position >= centre)
+    width = _log_interpolate(2, max(2.0, min(shape) / 2), random.random())
+    return np.asarray(np.abs(position - centre) <= width / 2)
 
 
 def across(shape: tuple[int, int], angle: float) -> Double:
-    """Return each pixel's place, in pixels, along a direction: its angle from the rows, radians."""
+    """Return the position of each pixel, in pixels, along a direction at `angle` radians to rows."""
     row, column = np.indices(shape)
-    place: Double = row * np.sin(angle) + column * np.cos(angle)
-    return place
+    position: Double = row * np.sin(angle) + column * np.cos(angle)
+    return position
 
 
 def spot(shape: tuple[int, int], random: np.random.Generator, size: float | None = None) -> Bools:
-    """Draw a square spot of any size, or of one from 0, the smallest, to 1, the largest."""
+    """Draw a square spot of random size, or of `size` from 0, the smallest, to 1, the largest."""
     height, width = shape
     size = random.random() if size is None else size
-    side = min(round(_between(2, max(2.0, min(shape) / 8), size)), height, width)
-    top, left = random.integers(0, height - side + 1), random.integers(0, width - side + 1)
+    side = min(round(_log_interpolate(2, max(2.0, min(shape) / 8), size)), height, width)
+    top = random.integers(0, height - side + 1)
+    first_column = random.integers(0, width - side + 1)
     drawn = np.zeros(shape, np.bool_)
-    drawn[top : top + side, left : left + side] = True
+    drawn[top : top + side, first_column : first_column + side] = True
     return drawn
 
 
-def _between(least: float, most: float, share: float) -> float:
-    """Return a length between two, by the share of their ratio's logarithm."""
-    return float(least * (most / least) ** share)
+def _log_interpolate(first: float, last: float, share: float) -> float:
+    """Interpolate between two lengths on a logarithmic scale; share 0 is the first."""
+    return float(first * (last / first) ** share)
 
 
 def reference_light(light: Double, typical: Double | float) -> Double:
-    """Return the squared light that a picture's squared error is relative to.
+    """Squared norm that the squared error of a picture is relative to.
 
-    That is the picture's own, or a quarter of the typical where that is more: next to black,
-    relative to nothing, everything would be wrong.
+    It is the squared norm of the picture, but at least a quarter of the typical one, so that nearly
+    black pictures don't have arbitrarily large errors.
 
     Parameters
     ----------
     light : ndarray of float64
-        Summed squares of a picture's light; noise may make it negative.
+        Summed squares of a picture; estimates may be negative because of noise.
     typical : ndarray of float64, or float
-        Summed squares of the light that as many lit pixels send back on average:
-        ``|F|^2 |p|^2 / N``, F the floodlit image and p the pattern on N pixels.
+        Mean summed squares of pictures with as many lit pixels: ``|F|^2 |p|^2 / N``, where F is the
+        floodlit image and p the pattern on N pixels.
     """
-    return np.maximum(light, _LEAST**2 * np.asarray(typical))
+    return np.maximum(light, _LEAST_REFERENCE**2 * np.asarray(typical))
 
 
 @dataclass(frozen=True, eq=False)
 class Squares:
-    """Summed squares of P relit pictures, of all rays or of those without direct light.
+    """Summed squares of P relit pictures, over all rays or those without direct light.
 
     Attributes
     ----------
     wrong : ndarray of float64, shape (P,) or (L, P)
-        Of the difference between relit pictures and truth.
+        Of the difference between relit pictures and the truth.
     light : ndarray of float64, shape (P,)
         Of the truth.
     typical : ndarray of float64, shape (P,)
-        Of the light that as many lit pixels send back on average.
+        Of pictures with as many lit pixels, on average; see `reference_light`.
     """
 
     wrong: Double
@@ -161,12 +160,12 @@ class Squares:
 
     @property
     def errors(self) -> Double:
-        """Norms of the difference over `reference_light`; 0 where that is nought."""
+        """Norm of the difference relative to the root of `reference_light`; 0 where that is 0."""
         return relative_errors(self.wrong, reference_light(self.light, self.typical))
 
     @property
     def plain_errors(self) -> Double:
-        """Norms of the difference over those of the pictures; 0 of a picture without light."""
+        """Norm of the difference relative to that of the picture; 0 for a black picture."""
         return relative_errors(self.wrong, self.light)
 
 
@@ -177,9 +176,10 @@ def picture_errors(
     floodlit: NDArray[Any],
     dark: Bools | None = None,
 ) -> tuple[Double, Double]:
-    """Return the errors of relit pictures, in total and of their indirect light.
+    """Errors of relit pictures, in total and of their indirect light.
 
-    Norms of the difference, over `reference_light`; 0 where that is nought.
+    An error is the norm of the difference relative to the root of `reference_light`; 0 where that
+    is 0.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def picture_errors(
     -------
     total : ndarray of float64, shape (P,) or (L, P)
     indirect : ndarray of float64, of the same shape
-        On the dark pixels alone, of the light there; NaN where `dark` isn't given.
+        On the dark pixels, relative to the light there; NaN if `dark` is None.
     """
     total, indirect = picture_squares(images, truth, patterns, floodlit, dark)
     errors = total.errors
@@ -204,7 +204,7 @@ def picture_squares(
     floodlit: NDArray[Any],
     dark: Bools | None = None,
 ) -> tuple[Squares, Squares | None]:
-    """Sum the squares that errors of relit pictures are made of.
+    """Sum the squares from which errors of relit pictures are computed.
 
     Parameters
     ----------
@@ -215,41 +215,41 @@ def picture_squares(
     floodlit : ndarray, shape (*camera_shape, C)
         The true radiance of the floodlit scene.
     dark : ndarray of bool, shape (P, *camera_shape), optional
-        The pixels that get no direct light, where these are known.
+        Pixels without direct light.
 
     Returns
     -------
     total : Squares
     indirect : Squares or None
-        On the dark pixels alone; None where `dark` isn't given. What pictures send there typically
-        is their mean, for as many lit pixels.
+        On the dark pixels; None if `dark` is None. The typical light is the mean of the pictures
+        there, for as many lit pixels.
     """
     count = len(patterns)
     lit = np.square(patterns, dtype=np.float64).mean(axis=tuple(range(1, patterns.ndim)))
     wrong, light = [], np.zeros((2, count))
     for index, (image, true) in enumerate(zip(images, truth, strict=True)):
         error = np.square(np.subtract(image, true, dtype=np.float64)).sum(axis=-1)
-        own = np.square(true, dtype=np.float64).sum(axis=-1)
-        where = np.ones(own.shape, np.bool_) if dark is None else dark[index]
-        rays = tuple(range(-own.ndim, 0))
-        wrong.append((error.sum(axis=rays), error[..., where].sum(axis=-1)))
-        light[:, index] = own.sum(), own[where].sum()
+        square = np.square(true, dtype=np.float64).sum(axis=-1)
+        chosen = np.ones(square.shape, np.bool_) if dark is None else dark[index]
+        rays = tuple(range(-square.ndim, 0))
+        wrong.append((error.sum(axis=rays), error[..., chosen].sum(axis=-1)))
+        light[:, index] = square.sum(), square[chosen].sum()
     full = float(np.square(floodlit, dtype=np.float64).sum())
-    of_all, of_dark = np.moveaxis(np.array(wrong), 0, -1) if count else np.zeros((2, 0))
-    total = Squares(of_all, light[0], full * lit)
+    wrong_total, wrong_dark = np.moveaxis(np.array(wrong), 0, -1) if count else np.zeros((2, 0))
+    total = Squares(wrong_total, light[0], full * lit)
     if dark is None:
         return total, None
-    return total, Squares(of_dark, light[1], typical_indirect(light[1], lit))
+    return total, Squares(wrong_dark, light[1], typical_indirect(light[1], lit))
 
 
 def relative_errors(wrong: Double, reference: Double) -> Double:
-    """Return roots of squared errors, which noise may make negative, over a reference; 0 of 0."""
+    """Return ``sqrt(wrong / reference)``; 0 where either is 0 or, because of noise, negative."""
     ratio = np.zeros(wrong.shape)
     np.divide(np.maximum(wrong, 0), reference, out=ratio, where=reference > 0)
     return np.sqrt(ratio)
 
 
 def typical_indirect(light: Double, lit: Double) -> Double:
-    """Return what pictures send to their dark pixels typically, by the share that they light."""
+    """Mean light of pictures on their dark pixels, scaled to the share `lit` of each pattern."""
     shares = np.divide(light, lit, out=np.zeros(light.shape), where=lit > 0)
     return lit * shares.mean() if shares.size else shares

@@ -1,4 +1,4 @@
-"""What counts as a pattern's weights: 1 is fully on, whatever a picture's largest number is."""
+"""Weights of patterns, fractions of full light, and their conversion from pictures."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from rfpipe.errors import InputError
 __all__ = ["Curve", "as_weights", "curve_slope", "picture_weights"]
 
 Curve = Literal["linear", "srgb"]
-"""How a picture's numbers tell light: in proportion, or by the transfer curve of sRGB."""
+"""Relation of a picture's numbers to light: proportional, or the transfer curve of sRGB."""
 
 
 def as_weights(weights: ArrayLike, name: str = "the pattern") -> NDArray[Any]:
-    """Return an array whose numbers mean weights, or refuse it.
+    """Validate an array of weights.
 
-    Floating-point numbers are weights as they stand. Of whole numbers only 0, 1 and -1 are: in
-    others nobody can tell weights from a picture's counts, 0 to 255 or 0 to 65,535.
+    Floating-point numbers are weights. Of integers only 0, 1 and -1 are accepted, since others may
+    be counts of a picture, 0 to 255 or 0 to 65,535.
 
     Parameters
     ----------
     weights : array_like
     name : str
-        What an error calls it.
+        Name of the array in errors.
 
     Returns
     -------
     ndarray
-        Of floating-point numbers; those given where they were.
+        Of floating-point numbers; `weights` itself if they are.
 
     Raises
     ------
     InputError
-        When it holds whole numbers beyond -1 and 1, or no real numbers at all.
+        If it has integers beyond -1 and 1, or values that aren't real numbers.
     """
     weights = np.asarray(weights)
     if weights.dtype.kind == "f":
@@ -46,8 +46,8 @@ def as_weights(weights: ArrayLike, name: str = "the pattern") -> NDArray[Any]:
         least, largest = int(weights.min()), int(weights.max())
         if least < -1 or largest > 1:
             raise InputError(
-                f"{name} is {weights.dtype} with values from {least} to {largest}, and weights are "
-                "fractions, 1 for fully on; give rfpipe.picture_weights(picture) for a picture, "
+                f"{name} is {weights.dtype} with values from {least} to {largest}; weights are "
+                "fractions, 1 for fully on. Give rfpipe.picture_weights(picture) for a picture, "
                 "which divides by its largest number, or picture.astype(float) if weights of "
                 f"{largest} are meant"
             )
@@ -55,15 +55,15 @@ def as_weights(weights: ArrayLike, name: str = "the pattern") -> NDArray[Any]:
 
 
 def picture_weights(picture: ArrayLike, curve: Curve = "linear") -> NDArray[np.float32]:
-    """Return the weights that the numbers of a picture stand for.
+    """Convert a picture to weights.
 
     Parameters
     ----------
     picture : array_like
-        Whole numbers are divided by the largest of their kind, 255 of uint8 or 65,535 of uint16;
-        floating-point numbers are taken as fractions of 1 already.
+        Integers are divided by the largest of their type, 255 of uint8 or 65,535 of uint16;
+        floating-point numbers are fractions of 1.
     curve : {"linear", "srgb"}
-        Whether the numbers are light, or light as a screen's picture codes it (IEC 61966-2-1).
+        Whether the numbers are proportional to light, or coded for a screen (IEC 61966-2-1).
 
     Returns
     -------
@@ -73,20 +73,20 @@ def picture_weights(picture: ArrayLike, curve: Curve = "linear") -> NDArray[np.f
     Raises
     ------
     InputError
-        When a number is negative, NaN or above 1, or the dtype is one of signed whole numbers,
-        whose largest no picture reaches.
+        If a number is negative, NaN or above 1, or the type is a signed integer, whose largest
+        number is not white.
     """
     if curve not in get_args(Curve):
         raise InputError(f"curve is {curve!r}; expected one of {', '.join(get_args(Curve))}")
     picture = np.asarray(picture)
     if picture.dtype.kind not in "fub":
         raise InputError(
-            f"a picture of {picture.dtype} values, whose white nobody can tell; convert it to "
-            "uint8 or uint16, or divide it by its white"
+            f"a picture of {picture.dtype} values, whose white is unknown; convert it to uint8 "
+            "or uint16, or divide it by its white"
         )
     white = float(np.iinfo(picture.dtype).max) if picture.dtype.kind == "u" else 1.0
     weights = picture / white
-    if not ((weights >= 0) & (weights <= 1)).all():  # NaN is neither
+    if not ((weights >= 0) & (weights <= 1)).all():  # also rejects NaN
         raise InputError(
             f"a picture of {picture.dtype} values from {picture.min()} to {picture.max()}; "
             "fractions lie between 0 and 1: divide it by its white"
@@ -98,9 +98,9 @@ def picture_weights(picture: ArrayLike, curve: Curve = "linear") -> NDArray[np.f
 
 
 def curve_slope(light: NDArray[np.floating], curve: Curve) -> NDArray[np.floating]:
-    """Return the change of linear light per change of a picture's number, of the light's shape.
+    """Derivative of linear light with respect to a picture's number, both 0 to 1.
 
-    Both count from 0 to 1; `light` is linear.
+    `light` is linear; the result has its shape.
     """
     if curve == "linear":
         return np.ones_like(light)

@@ -39,7 +39,7 @@ def test_the_haar_transform_is_orthonormal(stack: tuple[int, int, int], seed: in
     assert np.vdot(transformed, dual) == pytest.approx(
         np.vdot(images, haar.inverse(dual)), abs=2e-3
     )
-    numbers = np.concatenate([rows for group in haar.groups for rows in group.alike()])
+    numbers = np.concatenate([rows for group in haar.groups for rows in group.by_place()])
     assert sorted(numbers) == list(range(haar.size))
 
 

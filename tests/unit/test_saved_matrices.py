@@ -96,8 +96,8 @@ def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
     [
         ("matrix.csv", {}, r"the suffix \.csv; expected \.npz .*\.mat .*, \.zarr"),
         ("matrix", {}, "no suffix"),
-        ("matrix.npz", {"number_format": "uint8"}, "kept as float32"),
-        ("kept.zarr", {"rows": [0]}, "a store holds the whole transport"),
+        ("matrix.npz", {"number_format": "uint8"}, "stored as float32"),
+        ("kept.zarr", {"rows": [0]}, "a store has all rays"),
         ("matrix.npz", {"limit_bytes": 1000}, r"3 x 15 x 24 entries.*choose rows or col"),
         ("matrix.mat", {"columns": [24]}, "columns: index 24 is out of bounds"),
     ],

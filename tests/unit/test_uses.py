@@ -97,8 +97,8 @@ def test_every_method_separates_alike(method, within) -> None:
 
 
 def transport_of(matrix, shape: tuple[int, ...]) -> DenseTransport:
-    held = {"matrix": np.asarray(matrix, np.float32)[None]}
-    return DenseTransport(shape, shape, 1, [], held)
+    content = {"matrix": np.asarray(matrix, np.float32)[None]}
+    return DenseTransport(shape, shape, 1, [], content)
 
 
 @pytest.mark.parametrize(
@@ -109,14 +109,14 @@ def transport_of(matrix, shape: tuple[int, ...]) -> DenseTransport:
         (lambda shape: np.full(shape, 255, np.uint8), "weights"),
     ],
 )
-def test_what_is_no_picture_is_refused(aside, picture, match) -> None:
-    with pytest.raises(InputError, match=f"wished picture .*{match}"):
+def test_invalid_pictures_are_rejected(aside, picture, match) -> None:
+    with pytest.raises(InputError, match=f"the picture .*{match}"):
         aside[0].pattern_for(picture(CAMERA.shape))
     with pytest.raises(InputError, match=f"pattern .*{match}"):
         aside[0].separate(picture(LAMP.shape))
 
 
-def test_what_is_out_of_range_is_refused(aside) -> None:
+def test_options_out_of_range_are_rejected(aside) -> None:
     with pytest.raises(InputError, match="negative"):
         aside[0].pattern_for(-np.ones(CAMERA.shape))
     for option in ({"direct": -1}, {"direct": 0.5}, {"near": 0}, {"near": np.nan}):
@@ -128,11 +128,16 @@ def test_what_is_out_of_range_is_refused(aside) -> None:
     ("shape", "light", "calls", "match"),
     [
         ((2, 8, 8), 1, ("separate", "correspondence"), "several views"),
-        ((1, 12), 1, ("separate",), "no picture"),
-        ((8, 8), 0, ("separate", "correspondence", "pattern_for"), "no pixel sees light"),
+        ((1, 12), 1, ("separate",), "are single lights"),
+        (
+            (8, 8),
+            0,
+            ("separate", "correspondence", "pattern_for"),
+            "no camera pixel receives light",
+        ),
     ],
 )
-def test_rays_without_places_are_refused(shape, light, calls, match) -> None:
+def test_rays_without_places_are_rejected(shape, light, calls, match) -> None:
     transport = transport_of(light * np.eye(np.prod(shape)), shape)
     for call in calls:
         arguments = () if call == "correspondence" else (np.ones(shape),)

@@ -1,4 +1,4 @@
-"""The transports of a collection as one field: positions x camera x projector."""
+"""Transports of a collection as one field: positions x camera x projector."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Collection", "open_collection"]
 class Collection(Mapping[str, Transport]):
     """Transports by the names of their scenes, such as the positions of a camera or a lamp.
 
-    Opened one at a time, when they are asked for, and not kept. Made by `open_collection`.
+    Each transport is opened at each use. Create a collection with `open_collection`.
     """
 
     def __init__(self, places: Mapping[str, Path | Place], memory_budget: int) -> None:
@@ -40,16 +40,18 @@ class Collection(Mapping[str, Transport]):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Positions, camera rays, projector rays; InputError when transports' rays differ."""
+        """Number of positions, camera rays, projector rays; InputError if transports differ."""
         shapes = {(it.camera_shape, it.projector_shape): name for name, it in self.items()}
         if len(shapes) > 1:
             sizes = "; ".join(f"{name}: {camera}, {lit}" for (camera, lit), name in shapes.items())
-            raise InputError(f"the transports' rays differ, so that they are no field: {sizes}")
+            raise InputError(
+                f"the transports have different rays, so that they are not one field: {sizes}"
+            )
         (camera, projector), *_ = shapes
         return (len(self), *camera, *projector)
 
     def relight(self, pattern: ArrayLike) -> Iterator[tuple[str, NDArray[np.float32]]]:
-        """Yield name and picture of every position under one pattern, as `Transport.relight`."""
+        """Yield name and picture of each position under one pattern, as `Transport.relight`."""
         for name, transport in self.items():
             yield name, transport.relight(np.asarray(pattern))
 
@@ -57,14 +59,24 @@ class Collection(Mapping[str, Transport]):
 def open_collection(
     path: str | Path, method: str | None = None, memory_budget: int = MEMORY_BUDGET
 ) -> Collection:
-    """Open the transports that a run left, one for each scene, by the scenes' names.
+    """Open the transports of a run, one for each scene, by the names of the scenes.
 
-    They are in the order of their names, numbers in these by what they count: left_2, left_10.
+    They are sorted by name, with numbers in names by their value: left_2 before left_10.
 
-    `path` is a run's ``results``, what ``rfpipe collection pack`` made of them, or a zip file of
-    either, here or on a server; `method` is needed where scenes have transports by several. The
-    memory budget is that of each transport, see `rfpipe.open_transport`. StoreError when there is
-    no transport, or none by this method, or these are the folders of one scene.
+    Parameters
+    ----------
+    path : path or address
+        The ``results`` of a run, the output of ``rfpipe collection pack``, or a zip file of either,
+        local or on a server.
+    method : str, optional
+        Needed if scenes have transports by several methods.
+    memory_budget : int
+        Bytes of each transport, see `rfpipe.open_transport`.
+
+    Raises
+    ------
+    StoreError
+        If there is no transport, none by this method, or `path` is the folder of one scene.
     """
     place = locate(path)
     stores: dict[str, dict[str, str]] = {}

@@ -1,4 +1,4 @@
-"""The pattern that makes a scene look as wished, with all its inter-reflections."""
+"""Projector compensation: the pattern under which a scene looks like a given picture."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Float = NDArray[np.float32]
 
 _TINY = float(np.finfo(np.float32).tiny)
 _ITERATIONS = 200
-_OUT_OF_REACH = 0.02  # of the wished picture's root mean square
+_LIMIT = 0.02  # error of a pixel in reach, relative to the root mean square of the picture
 
 
 @dataclass(frozen=True)
 class Compensation:
-    """A pattern, and what the scene looks like under it.
+    """A pattern, and the picture of the scene under it.
 
     Attributes
     ----------
@@ -28,9 +28,9 @@ class Compensation:
     picture : ndarray of float32, shape (*camera_shape, channels)
         The scene under the pattern.
     residual : float
-        Norm of what differs from the wished picture, relative to its norm.
+        Norm of the difference from the given picture, relative to its norm.
     out_of_reach : ndarray of bool, shape (*camera_shape)
-        Pixels that differ by more than 2 % of the wished picture's root mean square.
+        Pixels that differ by more than 2 % of the given picture's root mean square.
     """
 
     pattern: Float
@@ -39,49 +39,51 @@ class Compensation:
     out_of_reach: NDArray[np.bool_]
 
 
-def compensation_for(transport: MatrixAlgebra, wished: Float) -> Compensation:
-    """Find weights between 0 and 1 under which the scene looks most like a picture.
+def compensation_for(transport: MatrixAlgebra, target: Float) -> Compensation:
+    """Minimize ``|T p - picture|`` for weights ``0 <= p <= 1`` in each channel.
 
-    That is ``min |T p - picture|`` for ``0 <= p <= 1`` in each channel, by limited-memory BFGS with
-    bounds [Byrd et al. 1995], from the weights that direct light alone would take. The picture is
-    planar, (channels, camera rays); see `Relightable.pattern_for`.
+    The solver is limited-memory BFGS with bounds [Byrd et al. 1995], from the solution for direct
+    light. The target picture is planar, (channels, camera rays); see `Relightable.pattern_for`.
     """
-    if (wished < 0).any():
-        raise InputError("a wished picture holds negative values; light has none")
+    if (target < 0).any():
+        raise InputError("the picture has negative values; radiance is 0 or more")
     if not (transport @ np.ones(transport.shape[2])).any():
-        raise InputError("no pixel sees light of the projector: no pattern makes a picture")
+        raise InputError(
+            "no camera pixel receives light from the projector; no pattern can make a picture"
+        )
     channels, camera = range(transport.channels), transport.camera_shape
-    weights = np.stack([_weights(transport, index, wished[index]) for index in channels])
-    reached = transport.forward(weights[None], channels)[0]
-    wrong = np.sqrt(np.square(reached - wished, dtype=np.float64).mean(axis=0))
-    level = float(np.sqrt(np.square(wished, dtype=np.float64).mean()))
-    residual = float(np.sqrt(np.square(wrong).mean()) / max(level, _TINY))
+    weights = np.stack([_weights(transport, index, target[index]) for index in channels])
+    image = transport.forward(weights[None], channels)[0]
+    error = np.sqrt(np.square(image - target, dtype=np.float64).mean(axis=0))
+    level = float(np.sqrt(np.square(target, dtype=np.float64).mean()))
+    residual = float(np.sqrt(np.square(error).mean()) / max(level, _TINY))
     pattern = weights.T.reshape(*transport.projector_shape, -1)
-    picture, far_off = reached.T.reshape(*camera, -1), wrong > _OUT_OF_REACH * level
-    return Compensation(pattern, picture, residual, far_off.reshape(camera))
+    picture, out_of_reach = image.T.reshape(*camera, -1), error > _LIMIT * level
+    return Compensation(pattern, picture, residual, out_of_reach.reshape(camera))
 
 
-def _weights(transport: MatrixAlgebra, channel: int, wished: Float) -> Float:
+def _weights(transport: MatrixAlgebra, channel: int, target: Float) -> Float:
     """Return the weights of one channel, (projector rays,), for a picture (camera rays,)."""
     from scipy.optimize import minimize
 
-    def back(image: Float) -> Float:
-        sent: Float = transport.adjoint(image[None, None], [channel])[0, 0]
-        return sent
+    def adjoint(image: Float) -> Float:
+        dual: Float = transport.adjoint(image[None, None], [channel])[0, 0]
+        return dual
 
     def cost(pattern: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         image = transport.forward(pattern.astype(np.float32)[None, None], [channel])[0, 0]
-        left = image - wished
-        return float(left @ left) / scale, 2 / scale * back(left).astype(np.float64)
+        residual = image - target
+        gradient = 2 / scale * adjoint(residual).astype(np.float64)
+        return float(residual @ residual) / scale, gradient
 
-    scale = max(float(wished @ wished), _TINY)
-    brightest = max(float(wished.max(initial=0)), _TINY)
-    # the mean of what is wished where a ray's light falls
-    light = back(np.ones_like(wished))
-    start = np.clip(back(wished / brightest) / np.maximum(light, _TINY), 0, 1)
-    found = minimize(
+    scale = max(float(target @ target), _TINY)
+    brightest = max(float(target.max(initial=0)), _TINY)
+    # start: mean of the target over the camera pixels that a projector ray lights
+    light = adjoint(np.ones_like(target))
+    start = np.clip(adjoint(target / brightest) / np.maximum(light, _TINY), 0, 1)
+    solution = minimize(
         cost, start, jac=True, bounds=[(0, 1)] * len(start), method="L-BFGS-B",
         options={"maxiter": _ITERATIONS},
     )  # fmt: skip
-    weights: Float = found.x.astype(np.float32)
+    weights: Float = solution.x.astype(np.float32)
     return weights

@@ -27,14 +27,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double, Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.gray_code import gray_bits, gray_code, gray_number
 from rfpipe.transport.algebra import MatrixAlgebra
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _APART = 8  # pixels between dots; entries are read up to half as many around the place
 _NEAR = 2  # pixels around the brightest entry whose mean place is taken
@@ -49,7 +46,7 @@ _LEAST_SHARE = 0.03  # smaller shares count as this
 
 _LEAST_CONFIDENCE = 0.5  # in the mask
 _DARK = 1e-3  # of the brightest pixel's light
-_DEVIATIONS = 8  # of one picture's noise, which lit pixels exceed
+_DEVIATIONS = 8  # lit pixels exceed this number of standard deviations of a picture's noise
 
 # Steps (rows, columns) to one of each two opposite neighbours in a window of 5 x 5 pixels, and to
 # the eight neighbours of a window of 3 x 3.
@@ -60,7 +57,7 @@ _ADJACENT = [step for step in _WINDOW if max(map(abs, step)) == 1]
 
 @dataclass(frozen=True)
 class Correspondence:
-    """Places of the projector that camera pixels see.
+    """Places of the projector's picture that light camera pixels directly.
 
     Attributes
     ----------
@@ -78,7 +75,7 @@ class Correspondence:
 
     places: Float
     confidence: Float
-    mask: Mask
+    mask: Bools
 
 
 def correspondence_of(transport: MatrixAlgebra, noise: Float | None = None) -> Correspondence:
@@ -101,7 +98,7 @@ def correspondence_of(transport: MatrixAlgebra, noise: Float | None = None) -> C
         raise InputError(f"the projector's rays {shape} are several views; crop one of them first")
     floodlit = _relit(transport, np.ones((1, *shape), np.float32))[0]
     if not floodlit.max() > 0:
-        raise InputError("no pixel sees light of the projector: there is nothing to tell places by")
+        raise InputError("no camera pixel receives light from the projector; there are no places")
     coarse = [_coordinate(transport, floodlit, axis) for axis in (0, 1)]
     places, light = _mean_places(_around(transport, coarse), coarse)
     lit, coefficients = (floodlit > _DARK * floodlit.max()) & (light > 0), _WITHOUT_NOISE
@@ -119,7 +116,7 @@ def correspondence_of(transport: MatrixAlgebra, noise: Float | None = None) -> C
     )
 
 
-def _mean_places(entries: Float, coarse: list[NDArray[np.int64]]) -> tuple[Double, Double]:
+def _mean_places(entries: Float, coarse: list[Index]) -> tuple[Double, Double]:
     """Compute the mean place of the light near the brightest entry, and that light.
 
     Parameters
@@ -161,7 +158,7 @@ def _probability(
     return 1 / (1 + np.exp(-logit))
 
 
-def _agreement(places: Double, lit: Mask) -> Double:
+def _agreement(places: Double, lit: Bools) -> Double:
     """Compute the share of affine predictions from neighbours that agree with each place.
 
     Predictions are the means of the 12 pairs of opposite neighbours within 5 x 5 pixels, and the
@@ -207,7 +204,7 @@ def _relit(transport: MatrixAlgebra, patterns: Float) -> Float:
     return images
 
 
-def _coordinate(transport: MatrixAlgebra, floodlit: Float, axis: int) -> NDArray[np.int64]:
+def _coordinate(transport: MatrixAlgebra, floodlit: Float, axis: int) -> Index:
     """Decode rows (axis 0) or columns (axis 1) of the places to one pixel, (camera rays,)."""
     shape = transport.projector_shape[-2:]
     code = gray_code(np.arange(shape[axis] + 1), max(1, gray_bits(shape[axis])))
@@ -221,11 +218,11 @@ def _coordinate(transport: MatrixAlgebra, floodlit: Float, axis: int) -> NDArray
         lit = (above[1:] > 0) ^ (above[0] > 0)
         candidates.append((np.abs(above[0]), gray_number(lit)))
     (clear, first), (clearer, second) = candidates
-    place_of: NDArray[np.int64] = np.where(clearer > clear, second, first)
+    place_of: Index = np.where(clearer > clear, second, first)
     return np.minimum(place_of, shape[axis] - 1)
 
 
-def _around(transport: MatrixAlgebra, coarse: list[NDArray[np.int64]]) -> Float:
+def _around(transport: MatrixAlgebra, coarse: list[Index]) -> Float:
     """Read the transport's entries around each coarse place, (rows, columns, camera rays)."""
     shape = transport.projector_shape[-2:]
     row, column = np.indices(shape)

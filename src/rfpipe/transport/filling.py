@@ -1,4 +1,4 @@
-"""Rows that a camera could not measure, known from the columns of the same rays."""
+"""Rows of a symmetric transport that the camera could not measure, filled from its columns."""
 
 from __future__ import annotations
 
@@ -14,52 +14,60 @@ from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.responses import Responses, agree, by_level, fold
 from rfpipe.transport.sum import SumTransport
 
-_TRIALS = 4  # random patterns that tell whether T is symmetric
+_TRIALS = 4  # random patterns of the test for symmetry
 
 
 def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Transport:
-    """Take the empty rows of masked camera rays from their columns, since T = T^T.
+    """Fill the empty rows of masked camera rays from their columns, by ``T = T^T``.
 
-    Light from ray i to a masked ray j is that from j to i, which another pixel has seen. What
-    nobody has seen stays dark: a masked ray's own direct light ``T_jj``, and light between two of
-    them. Rows that a method has filled already, because its model is symmetric, stay as they are.
+    ``T_ji`` of a masked ray j is ``T_ij``, which pixel i has measured. Direct light ``T_jj`` and
+    light between two masked rays remain 0. Rows that are not empty, since the method's model is
+    symmetric, are not changed.
 
-    `masked` are the camera rays that no image shows, bool (*camera_shape). The transport stays the
-    same where there is nothing to fill, or where known rows show that the rig isn't coaxial.
+    Parameters
+    ----------
+    transport : Transport
+    masked : ndarray of bool, shape (*camera_shape)
+        Camera rays that no image shows.
+
+    Returns
+    -------
+    Transport
+        The same one if there is nothing to fill, or if known rows show that the rig isn't coaxial.
     """
     if not masked.any() or transport.camera_shape != transport.projector_shape:
         return transport
-    rays, every = np.flatnonzero(masked), np.arange(masked.size)
-    parts = transport.blocks(rays, every, by_rows=True)
+    rays, all_rays = np.flatnonzero(masked), np.arange(masked.size)
+    parts = transport.blocks(rays, all_rays, by_rows=True)
     rays = rays[~np.concatenate([rows.any(axis=(0, 2)) for *_, rows in parts])]
     if not len(rays) or not looks_coaxial(transport, ~masked):
         return transport
-    # what pixels saw of a block's masked rays is spread by what these rays saw: nothing yet
+    # the shares of masked rays in their blocks would come from their own responses, which are empty
     source = transport.evenly() if isinstance(transport, MultilevelTransport) else transport
-    parts = source.blocks(every, rays, by_rows=False)
+    parts = source.blocks(all_rays, rays, by_rows=False)
     rows = np.concatenate([columns.swapaxes(1, 2) for *_, columns in parts], axis=1)
     lit = rows.any(axis=(0, 2))
     if not lit.any():
         return transport
-    with_rows = _with_pairs if isinstance(transport, MultilevelTransport) else _with_terms
+    with_rows = _with_responses if isinstance(transport, MultilevelTransport) else _with_terms
     return with_rows(transport, rays[lit], rows[:, lit])
 
 
-def _with_pairs(transport: Any, rays: NDArray[np.int64], rows: Float) -> Transport:
-    """Add rows (C, n, N) as pairs of a single projector ray and one of `rays`."""
+def _with_responses(transport: Any, rays: NDArray[np.int64], rows: Float) -> Transport:
+    """Add rows (C, n, N) as responses of `rays` to single projector rays."""
     tree, last = transport.tree, transport.last_level
-    which, block = np.nonzero(rows[..., tree.order].any(axis=0))
-    pixel, values = rays[which].astype(np.int32), rows[:, which, tree.order[block]]
-    more = Responses(last, block.astype(np.int32), pixel, values)
-    finest = [*(pairs for pairs in transport.level_responses if pairs.level == last), more]
-    level_responses = [pairs for pairs in transport.level_responses if pairs.level < last]
+    row, block = np.nonzero(rows[..., tree.order].any(axis=0))
+    pixel, values = rays[row].astype(np.int32), rows[:, row, tree.order[block]]
+    added = Responses(last, block.astype(np.int32), pixel, values)
+    finest = [*(it for it in transport.level_responses if it.level == last), added]
+    level_responses = [it for it in transport.level_responses if it.level < last]
     level_responses.append(fold(tree, last, finest, transport.channels, tree.domain.size))
     filled: Transport = transport.with_content(transport.level_rows, by_level(level_responses))
     return filled
 
 
 def _with_terms(transport: Transport, rays: NDArray[np.int64], rows: Float) -> SumTransport:
-    """Add rows (C, n, N) as a term for each of `rays`."""
+    """Add rows (C, n, N) as one low-rank term for each of `rays`."""
     arrays = {
         "left": np.zeros_like(rows),
         "right": np.ascontiguousarray(rows),
@@ -72,7 +80,7 @@ def _with_terms(transport: Transport, rays: NDArray[np.int64], rows: Float) -> S
 
 
 def looks_coaxial(transport: Transport, known: NDArray[np.bool_] | None = None) -> bool:
-    """Tell whether a transport is its own transpose, but for errors, between known rays."""
+    """Test whether a transport is symmetric, up to errors, between known rays."""
     if transport.camera_shape != transport.projector_shape:
         return False
     rays = np.prod(transport.camera_shape)
@@ -80,6 +88,6 @@ def looks_coaxial(transport: Transport, known: NDArray[np.bool_] | None = None) 
     size = (_TRIALS, transport.channels, rays)
     signs = (2 * generator(0).integers(0, 2, size) - 1).astype(np.float32) * known
     channels = range(transport.channels)
-    there = transport.forward(signs, channels)[..., known].astype(np.float64)
-    back = transport.adjoint(signs, channels)[..., known].astype(np.float64)
-    return agree(there, back)
+    image = transport.forward(signs, channels)[..., known].astype(np.float64)
+    dual = transport.adjoint(signs, channels)[..., known].astype(np.float64)
+    return agree(image, dual)

@@ -217,6 +217,6 @@ def _misfit(name: str, shape: Shape, camera: Shape, projector: Shape) -> InputEr
     advice = " Its axes seem to be exchanged: transpose it." if shape == (columns, rows) else ""
     return InputError(
         f"{name}: holds an array of shape {shape}; camera rays {camera} and projector rays "
-        f"{projector} want ({rows}, {columns}), with channels (1 or 3) as a third axis.{advice} "
+        f"{projector} need ({rows}, {columns}), with channels (1 or 3) as a third axis.{advice} "
         "Check shape and camera_shape"
     )

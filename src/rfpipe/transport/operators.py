@@ -1,4 +1,7 @@
-"""Matrices and linear operators as light transport, each pattern's image independent of others."""
+"""Matrices and linear operators as light transport.
+
+The image of a pattern is independent, to the last bit, of other patterns of the same call.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,21 @@ __all__ = ["PatternOperator", "Transportish", "as_pattern_operator"]
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 Transportish: TypeAlias = Any
-"""ndarray (M, N) or (C, M, N), or what numpy makes one of, as dask, zarr or xarray; scipy sparse,
-LinearOperator; a list of those, one a channel; or a `PatternOperator`."""
+"""ndarray (M, N) or (C, M, N), or an array of dask, zarr or xarray; scipy sparse; LinearOperator; a
+list of those, one per channel; or a `PatternOperator`."""
 
-PATTERNS_AT_ONCE = 16
-"""Columns of every matrix product; a shorter batch is filled up with zeros."""
+PATTERNS_PER_BATCH = 16
+"""Columns of each matrix product; a shorter batch is padded with zeros."""
 
 ALIGNMENT = 64
-"""Rows and columns of a dense matrix are filled up to multiples of this."""
+"""Rows and columns of a dense matrix are padded to multiples of this."""
 
 
 class PatternOperator(Protocol):
     """Light transport as a function of patterns.
 
-    The image of a pattern must not depend, to the last bit, on the patterns that it comes with:
-    else a capture that was resumed in the middle of a batch differs from an undisturbed one.
+    The image of a pattern must not depend, to the last bit, on the other patterns of a call:
+    otherwise a resumed capture differs from an uninterrupted one.
     """
 
     @property
@@ -48,12 +51,12 @@ class PatternOperator(Protocol):
 def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> PatternOperator:
     """Return light transport of `rows` camera rays and `columns` projector rays as an operator.
 
-    A sequence holds one matrix a channel. Entries are finite and not negative.
+    A sequence has one matrix per channel. Entries are finite and not negative.
 
     Raises
     ------
     InputError
-        When it is none of these, has another shape, or holds a negative or non-finite entry.
+        If the type is another one, the shape differs, or an entry is negative or not finite.
     """
     if callable(getattr(matrix, "apply", None)) and hasattr(matrix, "channels"):
         operator: PatternOperator = matrix
@@ -70,12 +73,12 @@ def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> Patter
 
 
 def _loaded(matrix: Any) -> Any:
-    """Return an array of another library in memory, all else as it is."""
+    """Convert an array of another library to numpy; return other objects unchanged."""
     return np.asarray(matrix) if hasattr(matrix, "__array__") else matrix
 
 
 class _Channels:
-    """One matrix a channel, each as the function of its images, and what tells it from others."""
+    """Operator of one matrix per channel."""
 
     def __init__(self, matrices: Sequence[_Matrix], rows: int) -> None:
         self._matrices = matrices
@@ -94,13 +97,13 @@ class _Channels:
         return images
 
     def describe(self) -> dict[str, Any]:
-        """Plain data: the digest of each channel's matrix."""
+        """Return the digest of each channel's matrix, as plain data."""
         digests = [{"kind": matrix.kind, "digest": matrix.digest()} for matrix in self._matrices]
         return {"kind": "matrices", "channels": digests}
 
 
 class _Matrix(NamedTuple):
-    """A matrix: `images` takes patterns (B, columns) to float64 (B, rows)."""
+    """A matrix by its products: `images` maps patterns (B, columns) to float64 (B, rows)."""
 
     kind: str
     images: Callable[[Float], Double]
@@ -109,23 +112,23 @@ class _Matrix(NamedTuple):
 
 def _dense(matrix: Double) -> _Matrix:
     rows, columns = matrix.shape
-    filled = np.pad(matrix, [(0, -rows % ALIGNMENT), (0, -columns % ALIGNMENT)])
+    padded = np.pad(matrix, [(0, -rows % ALIGNMENT), (0, -columns % ALIGNMENT)])
 
     def images(patterns: Float) -> Double:
         count = len(patterns)
-        fill = [(0, -count % PATTERNS_AT_ONCE), (0, -columns % ALIGNMENT)]
-        batches = np.pad(patterns, fill).astype(np.float64)
+        padding = [(0, -count % PATTERNS_PER_BATCH), (0, -columns % ALIGNMENT)]
+        batches = np.pad(patterns, padding).astype(np.float64)
         result = np.empty((len(batches), rows))
-        for first in range(0, count, PATTERNS_AT_ONCE):
-            some = slice(first, first + PATTERNS_AT_ONCE)
-            result[some] = (batches[some] @ filled.T)[:, :rows]
+        for first in range(0, count, PATTERNS_PER_BATCH):
+            batch = slice(first, first + PATTERNS_PER_BATCH)
+            result[batch] = (batches[batch] @ padded.T)[:, :rows]
         return result[:count]
 
-    return _Matrix("dense", images, lambda: fingerprint(filled[:rows, :columns]))
+    return _Matrix("dense", images, lambda: fingerprint(padded[:rows, :columns]))
 
 
 def _sparse(matrix: csr_array[Any]) -> _Matrix:
-    """Return a sparse matrix, whose product sums each row in stored order."""
+    """Wrap a sparse matrix, whose product sums each row in stored order."""
     parts = [np.asarray(part) for part in (matrix.data, matrix.indices, matrix.indptr)]
     return _Matrix(
         "sparse",
@@ -135,7 +138,7 @@ def _sparse(matrix: csr_array[Any]) -> _Matrix:
 
 
 def _linear(operator: LinearOperator) -> _Matrix:
-    """Return an operator, applied to one pattern at a time; its probe image is its digest."""
+    """Wrap an operator, applied to one pattern at a time; its digest is that of a probe image."""
     rows, columns = operator.shape
 
     def images(patterns: Float) -> Double:
@@ -147,7 +150,7 @@ def _linear(operator: LinearOperator) -> _Matrix:
 
 
 def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
-    """Return one channel's matrix, checked."""
+    """Validate the matrix of one channel."""
     from scipy import sparse
     from scipy.sparse.linalg import LinearOperator
 
@@ -160,10 +163,10 @@ def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
         )
     if matrix.shape != (rows, columns):
         raise InputError(
-            f"{name} has the shape {matrix.shape}; camera_shape and projector_shape want "
-            f"({rows} camera rays, {columns} projector rays), channels first"
+            f"{name} has the shape {matrix.shape}; camera_shape and projector_shape "
+            f"need ({rows} camera rays, {columns} projector rays), channels first"
         )
-    if matrix.dtype is not None and matrix.dtype.kind not in "fiub":  # some operators have none
+    if matrix.dtype is not None and matrix.dtype.kind not in "fiub":  # None of some operators
         raise InputError(f"{name} has dtype {matrix.dtype}; expected real numbers")
     if isinstance(matrix, LinearOperator):
         return _linear(matrix)
@@ -176,9 +179,9 @@ def _channel(matrix: Any, rows: int, columns: int, index: int) -> _Matrix:
     entries = array.data if is_sparse else array
     if not np.all((entries >= 0) & (entries < np.inf)):  # NaN is neither
         coo = sparse.coo_array(array)
-        at = np.argmin((coo.data >= 0) & (coo.data < np.inf))
+        first = np.argmin((coo.data >= 0) & (coo.data < np.inf))
         raise InputError(
-            f"{name} is {coo.data[at]} at row {coo.row[at]}, column {coo.col[at]}; light "
+            f"{name} is {coo.data[first]} at row {coo.row[first]}, column {coo.col[first]}; light "
             "transport is finite and not negative"
         )
     return _sparse(array) if is_sparse else _dense(array)

@@ -389,10 +389,10 @@ def planar_patterns(
         planar = np.ascontiguousarray(planes, np.float32)
     else:
         raise InputError(
-            f"{name} has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
+            f"{name} has the shape {patterns.shape[1:]}; expected {shape} or {(*shape, channels)}"
         )
     if not np.isfinite(patterns).all():
-        raise InputError(f"{name} holds NaN or infinite weights; all weights must be finite")
+        raise InputError(f"{name} has NaN or infinite weights; all weights must be finite")
     return planar
 
 

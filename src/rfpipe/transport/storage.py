@@ -1,4 +1,4 @@
-"""Transports in stores: written whole, found in what a user names, opened lazily."""
+"""Stores of transports: search in folders, zip files and addresses, and lazy opening."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rfpipe.transport.base import NOISE, Transport
 from rfpipe.units import NumberFormat
 
 STORE_NAME = "transport.zarr"
-"""Under which an acquisition's transport is stored."""
+"""Name of an acquisition's transport."""
 
 ZIP_NAME = "transport.zip"
-"""Under which `rfpipe keep` brings it into a bucket, as one object."""
+"""Name of a transport as one object, to which `rfpipe keep` writes it in a bucket."""
 
 _CLASSES = {
     "dense": "dense:DenseTransport",
@@ -39,26 +39,26 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
     ----------
     path : path or address
         The ``transport.zarr`` that an acquisition wrote; or a folder or zip file that holds one,
-        such as what ``rfpipe publish`` makes; of several, name one:
-        ``crate.zip/results/desk/symmetric/transport.zarr``; or one in what ``rfpipe collection
-        pack`` made, ``packed/jug/near_far/transport.zarr``. Each may lie on a server and is then
-        read from there by ranges, no more of it than is used: ``https://host/crate.zip``,
-        ``s3://bucket/run/results/desk/symmetric/transport.zarr``. That needs the extra
-        ``publish``; S3 takes credentials, region and endpoint from the usual variables of
-        the environment (``AWS_...``), and goes unsigned without credentials.
+        such as those of ``rfpipe publish``. If it holds several, name one:
+        ``crate.zip/results/desk/symmetric/transport.zarr``, or, in a folder of ``rfpipe collection
+        pack``, ``packed/jug/near_far/transport.zarr``. On a server, only the ranges that are used
+        are read: ``https://host/crate.zip``,
+        ``s3://bucket/run/results/desk/symmetric/transport.zarr``. Addresses need the extra
+        ``publish``; S3 takes credentials, region and endpoint from the usual environment variables
+        (``AWS_...``), and requests are unsigned without credentials.
     memory_budget : int
-        Bytes. A transport whose arrays are larger is read anew, part by part, each time that it
-        is used; the results are the same. A dense one always stays in memory.
+        Bytes. A transport with larger arrays is read at each use, part by part, with the same
+        results. A dense transport always stays in memory.
 
     Raises
     ------
     StoreError
-        If there is no transport at `path`, or more than one, if a later version of rfpipe has
-        written it, or if a server doesn't answer.
+        If there is no transport at `path`, or more than one, if it was written by a later version
+        of rfpipe, or if a server doesn't answer.
     InputError
-        If the address is of another kind.
+        If the address has another scheme.
     IntegrityError
-        When an array that is read does not match its digest.
+        If an array does not match its digest.
     """
     bundle = open_arrays(find_transport(path))
     transport = unpack_transport(bundle.without(NOISE), memory_budget)
@@ -68,7 +68,7 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
 
 
 def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
-    """Build the transport that a store, or a part of one, keeps; StoreError if of no known kind."""
+    """Build a transport from a store, or a part of one; StoreError if its kind is unknown."""
     kind = bundle.attributes.get("kind")
     if kind not in _CLASSES:
         raise StoreError(
@@ -78,8 +78,8 @@ def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
     number_format = bundle.attributes["number_format"]
     if number_format not in get_args(NumberFormat):
         raise StoreError(
-            f"{bundle.path}: number format {number_format!r}, which this version of rfpipe doesn't "
-            "know; open it with the version that wrote it, or run the stage that writes it again"
+            f"{bundle.path}: number format {number_format!r} is unknown to this version of "
+            "rfpipe; open it with the version that wrote it, or run the stage that writes it again"
         )
     module, _, name = _CLASSES[kind].partition(":")
     cls: type[Transport] = getattr(import_module(f"rfpipe.transport.{module}"), name)
@@ -87,7 +87,7 @@ def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
 
 
 def transports_in(place: Path | Place) -> list[str]:
-    """Return the names, relative to a folder, of the transports below it."""
+    """Return the names of the transports below a folder, relative to it."""
     if isinstance(place, Path):
         stores = (store for store in place.rglob(STORE_NAME) if store.is_dir())
         return sorted(store.relative_to(place).as_posix() for store in stores)
@@ -101,10 +101,10 @@ def transports_in(place: Path | Place) -> list[str]:
 
 
 def find_transport(path: str | Path | Place) -> Path | Place:
-    """Return where the one transport lies that `path` names or holds, or raise StoreError."""
+    """Locate the transport at `path`, or the only one below it; StoreError otherwise."""
     place = locate(path)
     if isinstance(place, Path) and not place.is_dir():
-        what = "a file, no store" if place.exists() else "no such file or folder"
+        what = "a file, not a store" if place.exists() else "no such file or folder"
         raise StoreError(
             f"{place}: {what}; give the {STORE_NAME} that an acquisition wrote, or a folder, zip "
             "file or address that has one. A matrix in a file is read by rfpipe.read_matrix"

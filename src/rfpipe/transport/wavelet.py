@@ -1,6 +1,8 @@
-"""Symmetric transport of any shape: Haar wavelets on cells of pixels, and what they exchange.
+"""Symmetric transport between Haar wavelets on cells of pixels: ``T = F W^T C W F``.
 
-Light of any shape is dim enough, beside what smooth functions hold, to be told from few pictures.
+The wavelets W are a complete basis of images of cells, so that light of any shape can be
+represented. C couples pairs of wavelets; see `rfpipe.transport.function_pairs`, where C is S and
+``W^T`` is B.
 """
 
 from __future__ import annotations
@@ -22,15 +24,23 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 _HALF = np.float32(0.5)
-_COARSEST = 3  # cells along the shorter side of the coarsest grid, at least
+_COARSEST = 3  # least number of cells along the shorter side of the coarsest grid
 
 
 @dataclass(frozen=True)
 class Group:
-    """Functions of one scale, from `start` on, orientation by orientation.
+    """Wavelets of one scale: consecutive coefficients, orientation by orientation.
 
-    Of 3 `orientations` of details, or 1 of the coarsest means; each on a `grid` of views, rows and
-    columns; `side` is that of a function's support, in cells.
+    Attributes
+    ----------
+    start : int
+        Number of the first coefficient.
+    orientations : int
+        3 orientations of details, or 1 of the coarsest means.
+    grid : tuple of int
+        Views, rows and columns of the places of each orientation.
+    side : int
+        Side of a wavelet's support, in cells.
     """
 
     start: int
@@ -45,11 +55,11 @@ class Group:
 
     @property
     def rows(self) -> slice:
-        """Which of all functions they are."""
+        """Range of the coefficients."""
         return slice(self.start, self.start + self.orientations * self.places)
 
-    def alike(self) -> list[NDArray[np.int64]]:
-        """Return the functions of each place; of the finest scale, those of two by two places."""
+    def by_place(self) -> list[NDArray[np.int64]]:
+        """Return the wavelets of each place; at the finest scale, those of two by two places."""
         _, height, width = self.grid
         step = 2 if self.side == 2 and height % 2 == 0 and width % 2 == 0 else 1
         number = np.arange(self.rows.start, self.rows.stop)
@@ -58,20 +68,23 @@ class Group:
         return list(places.reshape(-1, self.orientations * step * step))
 
     def centres(self) -> NDArray[np.float32]:
-        """Row and column of the middle of each place in its view, in cells, (places, 2)."""
+        """Return row and column of the centre of each place in its view, in cells, (places, 2)."""
         _, row, column = np.indices(self.grid).reshape(3, -1)
         places: Float = (np.stack([row, column], axis=1).astype(np.float32) + _HALF) * self.side
         return places
 
 
 def _padded(side: int, octaves: int) -> int:
-    """Return the cells along a side that halves so many times."""
+    """Round a side up to a number of cells that can be halved `octaves` times."""
     cell = 1 << octaves
     return -(-side // cell) * cell
 
 
 class Haar:
-    """The transform of images of a stack's cells: views, which aren't mixed, rows and columns."""
+    """Haar transform of images of cells, (views, rows, columns); views are not mixed.
+
+    It is orthonormal. Images are padded with zeros to sides that can be halved at each octave.
+    """
 
     def __init__(self, stack: tuple[int, int, int]) -> None:
         views, height, width = self.stack = stack
@@ -81,7 +94,7 @@ class Haar:
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
-        """The scales, from the finest; the coarsest means are the last."""
+        """The scales from fine to coarse; the coarsest means are the last."""
         views, height, width = self.grid
         groups, start = [], 0
         for octave in range(1, self.octaves + 1):
@@ -112,28 +125,29 @@ class Haar:
         coefficients[self.groups[-1].rows] = means.reshape(-1, count)
         return coefficients
 
-    def inverse(self, found: Float) -> Float:
+    def inverse(self, coefficients: Float) -> Float:
         """Return the images (cells, M) of coefficients (size, M)."""
-        count, (views, height, width) = found.shape[1], self.stack
+        count, (views, height, width) = coefficients.shape[1], self.stack
         last = self.groups[-1]
-        means: Float = found[last.rows].reshape(*last.grid, count)
+        means: Float = coefficients[last.rows].reshape(*last.grid, count)
         for group in reversed(self.groups[:-1]):
-            across, along, both = _HALF * found[group.rows].reshape(3, *group.grid, count)
+            details = _HALF * coefficients[group.rows].reshape(3, *group.grid, count)
+            horizontal, vertical, diagonal = details
             means, (_, h, w) = _HALF * means, group.grid
             quads = np.empty((views, h, 2, w, 2, count), np.float32)
             for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                one, other = (1 - 2 * column), (1 - 2 * row)
+                x, y = (1 - 2 * column), (1 - 2 * row)
                 quads[:, :, row, :, column] = (
-                    means + one * across + other * along + one * other * both
+                    means + x * horizontal + y * vertical + x * y * diagonal
                 )
             means = quads.reshape(views, 2 * h, 2 * w, count)
         return np.ascontiguousarray(means[:, :height, :width]).reshape(-1, count)
 
 
 def cell_side(shape: tuple[int, ...], most: int) -> int:
-    """Return the least side of cells, in pixels, of which there are at most so many.
+    """Return the smallest side of cells, in pixels, with at most `most` cells in all views.
 
-    Cells don't reach over views: of as many views as that there is one cell each.
+    Each view has at least one cell.
     """
     views, height, width = RayDomain(shape).stack_shape
     side = 1
@@ -143,7 +157,7 @@ def cell_side(shape: tuple[int, ...], most: int) -> int:
 
 
 class Cells:
-    """The cells of a ray domain of N rays, `side` pixels wide and high, fewer at an image's end."""
+    """Cells of `side` by `side` pixels of a ray domain of N rays, smaller at an image's end."""
 
     def __init__(self, shape: tuple[int, ...], side: int) -> None:
         self.shape, self.side = tuple(shape), side
@@ -153,11 +167,11 @@ class Cells:
 
     @cached_property
     def haar(self) -> Haar:
-        """The wavelets."""
+        """Transform of images of the cells."""
         return Haar(self.stack)
 
     def functions(self) -> csr_array[np.float32]:
-        """Return the wavelets over the rays, sparse (N, wavelets)."""
+        """Return ``W^T`` over the rays, sparse (N, wavelets)."""
         from scipy.sparse import csr_array
 
         return csr_array(self.haar.inverse(np.eye(self.haar.size, dtype=np.float32)))[self.of_ray]
@@ -170,31 +184,31 @@ class Cells:
         return sums
 
     def spread(self, values: Float) -> Float:
-        """Return images (M, N) that have the values (cells, M) of their cells."""
+        """Return images (M, N) whose rays have the values (cells, M) of their cells."""
         return np.ascontiguousarray(values[self.of_ray].T)
 
     def shared_out(self, values: Float, over: Float) -> csr_array[np.float32]:
-        """Return each cell's part of an image (N,) over a value a cell, sparse (N, cells)."""
+        """Divide an image (N,) by the value `over` of each cell; sparse (N, cells)."""
         from scipy.sparse import csr_array
 
         sums = over[self.of_ray]
         shares = np.divide(values, sums, out=np.zeros_like(values), where=sums > 0)
-        where = (np.arange(len(shares)), self.of_ray)
-        return csr_array((shares, where), shape=(len(shares), self.count))
+        index = (np.arange(len(shares)), self.of_ray)
+        return csr_array((shares, index), shape=(len(shares), self.count))
 
 
 class WaveletTransport(FunctionPairTransport):
-    """Symmetric transport ``T = F W^T C W F`` a channel, between wavelets of two images.
+    """Symmetric transport ``T = F W^T C W F`` per channel, between Haar wavelets W.
 
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
-        See `rfpipe.transport.Transport`; one shape twice.
+        See `rfpipe.transport.Transport`; both shapes are equal.
     content : mapping of str to ndarray
         ``side``, int32 (1,): pixels along the side of a cell. ``factor``, float32 (channels, N): F.
-        ``pairs``, int32 (2, pairs): which wavelets exchange light, of those of the cells' `Haar`,
-        the first one's number at most the second's. ``cores``, float32 (channels, pairs): C, of
-        any sign. They cancel, so that no store rounds them. May be read lazily.
+        ``pairs``, int32 (2, pairs): numbers of the wavelets of each pair, ascending. ``cores``,
+        float32 (channels, pairs): C, of any sign. Arrays may be read lazily. They are stored
+        without rounding, since cores cancel.
     """
 
     kind = "wavelet"

@@ -112,7 +112,7 @@ class CellData:
     @cached_property
     def place_groups(self) -> list[NDArray[np.int64]]:
         """Numbers of the camera's wavelets, grouped by place, for the preconditioner."""
-        return [rows for group in self.haar.groups for rows in group.alike()]
+        return [rows for group in self.haar.groups for rows in group.by_place()]
 
     def matrix(self, core: Float) -> Float:
         """Compute K from C."""
