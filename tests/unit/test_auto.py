@@ -13,8 +13,8 @@ from tests.rigs.known_matrix import scene_matrices
 import rfpipe
 from rfpipe import steps
 from rfpipe.methods import Method, get_method
-from rfpipe.methods.adaptive.footprints.method import Footprints
-from rfpipe.methods.adaptive.near_far import NearFar
+from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.near_far.method import NearFar
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig

@@ -1,4 +1,4 @@
-"""After each round an acquisition goes on, goes another way, or ends."""
+"""Decisions of the adaptive methods after a round."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,136 +7,166 @@ import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.decisions import going_on, next_round
-from rfpipe.methods.adaptive.footprints.method import ROUNDS as FOOTPRINTS
-from rfpipe.methods.adaptive.footprints.method import Footprints
-from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
-from rfpipe.methods.adaptive.state import SURE, AdaptiveState
+from rfpipe.methods.adaptive.decisions import (
+    NOT_SUITABLE,
+    next_pattern_count,
+    patterns_to_target,
+)
+from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.methods.adaptive.state import TARGET_MARGIN, AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.error_estimate import Estimate
+from rfpipe.methods.footprints.method import Footprints
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.near_far.method import ROUNDS, NearFar
 from rfpipe.methods.residual.model import Residual
 from rfpipe.methods.states import level_row
 
 RAYS = RayDomain((48, 48))
-NOTHING = Residual(np.zeros((2, 0), np.int32), np.zeros((1, 0), np.float32),
-                   np.zeros((1, 0), np.float32))  # fmt: skip
+EMPTY_RESIDUAL = Residual(
+    np.zeros((2, 0), np.int32), np.zeros((1, 0), np.float32), np.zeros((1, 0), np.float32)
+)
 
 
-def after(
-    method: NearFar | Footprints, errors: Sequence[float], target: float, noise: float = 1e-4
+def after_model_rounds(
+    method: AdaptiveMethod, errors: Sequence[float], target: float, noise: float = 1e-4
 ) -> AdaptiveState:
-    """Return the state after a round of the model for each error."""
+    """Return the state after a round of the model for each estimated error.
+
+    `noise` is that of the floodlit image, relative to its light.
+    """
     light = np.ones((1, 1, RAYS.size), np.float32)
-    lit = np.ones((1, RAYS.size), np.bool_)
-    counts = [1, *(ROUNDS if isinstance(method, NearFar) else FOOTPRINTS)][: len(errors) + 1]
+    floodlit = Pictures(np.ones((1, RAYS.size), np.bool_), light, noise**2 * light)
+    state = method.start(RAYS, RAYS, 1, ErrorOptions(target_error=target))
+    counts = [1, *method.rounds(RAYS)[Phase.MODEL][: len(errors)]]
     return replace(
-        method.start(RAYS, RAYS, 1, ErrorOptions(target_error=target)),
-        level=len(counts),
+        state,
         rows=tuple(level_row(level, count) for level, count in enumerate(counts)),
         estimates=tuple(Estimate(error, error, error) for error in errors),
-        held=Pictures(lit, light, light),
-        taken=Pictures(lit, light, noise**2 * light),
+        pictures=floodlit,
+        held_out=floodlit,
+        model=method.first_model(state, floodlit),
     )
 
 
-def in_blocks(
+def after_residual_rounds(
     state: AdaptiveState, counts: Sequence[int], errors: Sequence[float]
 ) -> AdaptiveState:
-    """Return the state after rounds of blocks, too."""
-    first = len(ROUNDS) + 1
-    rows = (level_row(first + index, count) for index, count in enumerate(counts))
-    more = (Estimate(error, error, error) for error in errors)
+    """Return the state after further rounds for the residual."""
+    rows = (level_row(len(state.rows) + index, count) for index, count in enumerate(counts))
+    estimates = (Estimate(error, error, error) for error in errors)
     return replace(
-        state, following="residual", residual=NOTHING, level=first + len(counts),
-        rows=(*state.rows, *rows), estimates=(*state.estimates, *more),
-    )  # fmt: skip
-
-
-def decided(method: NearFar | Footprints, state: AdaptiveState) -> str:
-    return method.decided(replace(state, tolerance=0.0)).following
+        state,
+        residual=EMPTY_RESIDUAL,
+        rows=(*state.rows, *rows),
+        estimates=(*state.estimates, *estimates),
+    )
 
 
 @pytest.mark.parametrize(
-    ("errors", "following"),
+    ("errors", "phase"),
     [
-        ([0.05], "model"),
-        ([0.009], "done"),
-        ([0.11], "hierarchy"),
-        ([0.05, 0.03, 0.84 * 0.03], "model"),
-        ([0.05, 0.03, 0.86 * 0.03], "residual"),
+        ([0.05], Phase.MODEL),
+        ([0.009], None),
+        ([0.11], Phase.HIERARCHY),
+        ([0.05, 0.03, 0.84 * 0.03], Phase.MODEL),
+        ([0.05, 0.03, 0.86 * 0.03], Phase.RESIDUAL),
     ],
 )
-def test_smooth_light_goes_on_while_it_helps(errors: list[float], following: str) -> None:
-    state = after(NearFar(), errors, 0.01)
-    assert decided(NearFar(), state) == following
-    unlimited = following == "hierarchy"
+def test_near_far_continues_its_model_while_the_error_falls(
+    errors: list[float], phase: Phase | None
+) -> None:
+    state = after_model_rounds(NearFar(), errors, 0.01)
+    assert NearFar().decide(state, Phase.MODEL, False).phase is phase
+    # with a limit on patterns no hierarchy begins
+    options = ErrorOptions(target_error=0.01, patterns=500)
+    limited = NearFar().decide(replace(state, options=options), Phase.MODEL, False).phase
+    assert limited is (Phase.MODEL if phase is Phase.HIERARCHY else phase)
+
+
+def test_an_error_of_noise_ends_the_acquisition() -> None:
+    for noise, phase in ((0.02, None), (0.01, Phase.RESIDUAL)):
+        state = after_model_rounds(NearFar(), [0.05, 0.03, 0.86 * 0.03], 0.01, noise)
+        assert NearFar().decide(state, Phase.MODEL, False).phase is phase
+
+
+def test_a_residual_that_helps_gets_rounds_of_its_own() -> None:
+    state = after_model_rounds(NearFar(), [0.05, 0.03], 0.01)
+    helped = replace(state, residual=EMPTY_RESIDUAL)
+    assert NearFar().decide(state, Phase.MODEL, False).phase is Phase.MODEL
+    assert NearFar().decide(helped, Phase.MODEL, False).phase is Phase.RESIDUAL
+
+
+@pytest.mark.parametrize(
+    ("errors", "target", "phase"),
+    [
+        ((0.016, 0.0125), 0.01, Phase.RESIDUAL),
+        ((0.0199, 0.0198), 0.005, Phase.HIERARCHY),
+    ],
+)
+def test_a_hierarchy_begins_where_blocks_would_take_more_patterns(
+    errors: tuple[float, ...], target: float, phase: Phase
+) -> None:
+    state = after_model_rounds(NearFar(), [0.04, 0.02], target)
+    state = after_residual_rounds(state, (12, 20), errors)
+    assert NearFar().decide(state, Phase.RESIDUAL, False).phase is phase
+
+
+@pytest.mark.parametrize(
+    ("errors", "target", "phase"),
+    [
+        ((0.04, 0.02, 0.009), 0.01, None),
+        ((0.04, 0.03, 0.025), 0.02, Phase.MODEL),
+        ((0.04, 0.039, 0.038), 0.01, Phase.HIERARCHY),
+        ((0.12,), 0.01, Phase.HIERARCHY),
+        ((0.04, 0.02, 0.015, 0.014, 0.013, 0.012, 0.0113), 0.01, None),
+        ((0.04, 0.02, 0.015, 0.014, 0.013, 0.0125, 0.0122), 0.01, Phase.HIERARCHY),
+    ],
+)
+def test_dual_photography_begins_where_footprints_would_take_more_patterns(
+    errors: tuple[float, ...], target: float, phase: Phase | None
+) -> None:
+    state = after_model_rounds(Footprints(), errors, target)
+    assert Footprints().decide(state, Phase.MODEL, False).phase is phase
+
+
+def test_a_scene_that_footprints_do_not_fit_ends_at_a_limit_of_patterns() -> None:
+    state = after_model_rounds(Footprints(), [0.04], 0.01)
+    state = replace(state, model=replace(state.model, is_suitable=False))
+    assert Footprints().decide(state, Phase.MODEL, False) == (Phase.HIERARCHY, NOT_SUITABLE)
     limited = replace(state, options=ErrorOptions(target_error=0.01, patterns=500))
-    assert decided(NearFar(), limited) == ("model" if unlimited else following)
+    assert Footprints().decide(limited, Phase.MODEL, False) == (None, NOT_SUITABLE)
 
 
-def test_noise_is_no_reason_to_go_on() -> None:
-    for noise, following in ((0.02, "done"), (0.01, "residual")):
-        state = after(NearFar(), [0.05, 0.03, 0.86 * 0.03], 0.01, noise)
-        assert decided(NearFar(), state) == following
-
-
-@pytest.mark.parametrize(
-    ("errors", "target", "following"),
-    [((0.016, 0.0125), 0.01, "residual"), ((0.0199, 0.0198), 0.005, "hierarchy")],
-)
-def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
-    errors: tuple[float, ...], target: float, following: str
-) -> None:
-    state = in_blocks(after(NearFar(), [0.04, 0.02], target), (12, 20), errors)
-    assert decided(NearFar(), state) == following
-
-
-@pytest.mark.parametrize(
-    ("errors", "target", "following"),
-    [
-        ((0.04, 0.02, 0.009), 0.01, "done"),
-        ((0.04, 0.03, 0.025), 0.02, "model"),
-        ((0.04, 0.039, 0.038), 0.01, "hierarchy"),
-        ((0.12,), 0.01, "hierarchy"),
-        ((0.04, 0.02, 0.015, 0.014, 0.013, 0.012, 0.0113), 0.01, "done"),
-        ((0.04, 0.02, 0.015, 0.014, 0.013, 0.0125, 0.0122), 0.01, "hierarchy"),
-    ],
-)
-def test_footprints_give_way_where_they_cost_more_than_dual_photography(
-    errors: tuple[float, ...], target: float, following: str
-) -> None:
-    assert decided(Footprints(), after(Footprints(), errors, target)) == following
-
-
-def test_a_round_has_the_patterns_that_are_missing() -> None:
-    """Errors that fall with the root of the patterns take four times as many for a half."""
-    shown = 1 + sum(ROUNDS[:2])
-    before, now = 0.02 * np.sqrt(shown / (1 + ROUNDS[0])), 0.02
-    state = after(NearFar(), [before, now], 0.0199 / SURE)
-    assert next_round(state, 100) == 6
+def test_a_round_has_the_patterns_that_the_extrapolation_lacks() -> None:
+    """Errors that fall with the root of the patterns take four times as many for half."""
+    patterns = 1 + sum(ROUNDS[:2])
+    before, error = 0.02 * np.sqrt(patterns / (1 + ROUNDS[0])), 0.02
+    state = after_model_rounds(NearFar(), [before, error], 0.0199 / TARGET_MARGIN)
+    assert next_pattern_count(state, 100) == 6
     for target in (0.018, 0.015):
-        state = after(NearFar(), [before, now], target)
-        missing = shown * ((now / (SURE * target)) ** 2 - 1)
-        assert going_on(state) == pytest.approx(missing, rel=1e-6)
-        assert next_round(state, 100) == max(6, round(1.1 * missing))
-    assert next_round(state, 7) == 7
+        state = after_model_rounds(NearFar(), [before, error], target)
+        missing = patterns * ((error / (TARGET_MARGIN * target)) ** 2 - 1)
+        assert patterns_to_target(state) == pytest.approx(missing, rel=1e-6)
+        assert next_pattern_count(state, 100) == max(6, round(1.1 * missing))
+    assert next_pattern_count(state, 7) == 7
 
 
-def test_both_targets_are_to_be_met() -> None:
-    state = after(NearFar(), [0.04, 0.009], 0.01)
-    for indirect, following in ((0.2, "done"), (0.05, "model")):
+def test_both_targets_must_be_met() -> None:
+    state = after_model_rounds(NearFar(), [0.04, 0.009], 0.01)
+    for indirect, phase in ((0.2, None), (0.05, Phase.MODEL)):
         options = ErrorOptions(target_error=0.01, target_indirect=indirect)
-        told = replace(state, options=options)
-        told = replace(told, estimates=[replace(each, indirect=0.1) for each in state.estimates])
-        assert told.excess[-1] == pytest.approx(max(0.9, 0.1 / indirect) / SURE)
-        assert decided(NearFar(), told) == following
+        estimates = tuple(replace(estimate, indirect=0.1) for estimate in state.estimates)
+        state = replace(state, options=options, estimates=estimates)
+        assert state.excess[-1] == pytest.approx(max(0.9, 0.1 / indirect) / TARGET_MARGIN)
+        assert NearFar().decide(state, Phase.MODEL, False).phase is phase
 
 
-def test_blocks_end_where_more_of_them_hardly_help() -> None:
-    """Nearly at the target, errors that fall by a tenth while patterns double are the end."""
-    state = after(NearFar(), [0.04, 0.02], 0.01)
-    for last, following in ((0.0105, "done"), (0.0125, "hierarchy")):
+def test_blocks_end_close_to_the_target_where_more_of_them_hardly_help() -> None:
+    """The errors fall by a tenth while the patterns double."""
+    state = after_model_rounds(NearFar(), [0.04, 0.02], 0.01)
+    for last, phase in ((0.0105, None), (0.0125, Phase.HIERARCHY)):
         errors = (last * 1.1, last * 1.05, last)
-        assert going_on(in_blocks(state, (12, 20, 28), errors)) == np.inf
-        assert decided(NearFar(), in_blocks(state, (12, 20, 28), errors)) == following
+        after = after_residual_rounds(state, (12, 20, 28), errors)
+        assert patterns_to_target(after) == np.inf
+        assert NearFar().decide(after, Phase.RESIDUAL, False).phase is phase

@@ -13,7 +13,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
-from rfpipe.methods.adaptive.footprints.method import ROUNDS, Footprints
+from rfpipe.methods.footprints.method import ROUNDS, Footprints
 from rfpipe.methods.footprints.candidates import Candidates
 from rfpipe.methods.footprints.geometry import refined_candidates
 from rfpipe.methods.footprints.kernels import (

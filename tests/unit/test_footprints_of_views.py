@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.rigs.known_matrix import dense, picture_error
 
-from rfpipe.methods.adaptive.footprints.method import Footprints, patterns_in_round
+from rfpipe.methods.footprints.method import Footprints, patterns_in_round
 from rfpipe.scenes import room_scene
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MethodContract, run_method

@@ -9,9 +9,9 @@ import pytest
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods import Method, get_method, method_names, options_of
-from rfpipe.methods.adaptive.auto import Auto
-from rfpipe.methods.adaptive.footprints.method import Footprints
-from rfpipe.methods.adaptive.near_far import NearFar
+from rfpipe.methods.auto import Auto
+from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.near_far.method import NearFar
 from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.hadamard import Hadamard

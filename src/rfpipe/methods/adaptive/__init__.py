@@ -1,1 +1,1 @@
-"""Adaptive acquisition: rounds of patterns until held-out pictures are predicted well enough."""
+"""The adaptive loop: rounds of patterns until the estimated error meets the target."""

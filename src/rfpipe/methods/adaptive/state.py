@@ -1,187 +1,242 @@
-"""State of an acquisition in rounds: its pictures, its models and their estimated errors."""
+"""State of an adaptive acquisition: pictures, models, estimated errors and the next round."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Method, StateArrays, get_method, options_of
+from rfpipe.methods.adaptive.model import AdaptiveModel
+from rfpipe.methods.base import ErrorOptions, Method, StateArrays, get_method, options_of
 from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.residual.model import CellPictures, Residual
 from rfpipe.methods.states import MethodState, joined, with_prefix, without_prefix
 
-SURE = 0.95
-"""Share of the target at which an estimate ends an acquisition.
+TARGET_MARGIN = 0.95
+"""Estimated error at which an acquisition ends, relative to the target.
 
-Estimates have a standard deviation of 15 % on open scenes of 32 x 36 pixels and more, and of 20 %
-on smaller ones: 95 % of the targets are met within a fifth.
+Estimates have a standard deviation of 15 % on open scenes of at least 32 x 36 pixels and of 20 % on
+smaller ones. With this margin 98 % of the targets are met within a fifth.
 """
 
-_PLAIN = ("slot", "following", "of_hierarchy", "unfit", "tolerance")
+_PLAIN = ("residual_of_hierarchy", "tolerance")
+
+
+class Phase(StrEnum):
+    """Phases of an acquisition, in their order; each may be skipped."""
+
+    FLOODLIT = "floodlit"
+    MODEL = "model"
+    """Rounds of random patterns for the model."""
+    RESIDUAL = "residual"
+    """Rounds of random blocks for the model's residual."""
+    HIERARCHY = "hierarchy"
+    """Levels of symmetric or dual photography, which don't use the model."""
+    HIERARCHY_RESIDUAL = "hierarchy residual"
+    """Rounds of random blocks for the hierarchy's residual."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """The patterns of one level.
+
+    Attributes
+    ----------
+    phase : Phase
+    index : int
+        Number of the round within its phase, from 0.
+    key : int
+        Seed of its random patterns: 1 + the numbers of rounds of all phases before + `index`.
+    held_out, count : int
+        Numbers of held-out patterns, and of random patterns after them. The patterns of the other
+        phases are not random.
+    """
+
+    phase: Phase
+    index: int = 0
+    key: int = 0
+    held_out: int = 0
+    count: int = 0
 
 
 @dataclass(frozen=True)
 class AdaptiveState(MethodState):
-    """State of an acquisition in rounds.
+    """State of an adaptive acquisition between two rounds.
 
     Attributes
     ----------
-    slot : int
-        Number of the last round in the method's table of rounds; 0 for the floodlit image. It
-        seeds the random patterns.
-    following : str
-        Purpose of the next round: ``model``, ``residual``, ``hierarchy`` or ``done``.
-    taken, others : Pictures and CellPictures, optional
-        Pictures of the model's rounds, the floodlit one first; of all other levels, in cells.
-    estimates : sequence of Estimate
-        After each level that had images, of the transport that would be returned.
-    model : object, optional
-        What the method fits to `taken`.
+    next_round : Round, optional
+        None at the end.
+    pictures : Pictures, optional
+        Pictures of the model's rounds; the first is floodlit. None before it is taken.
+    cell_pictures : CellPictures, optional
+        Pictures of all other rounds, averaged over cells.
+    held_out : Pictures, optional
+        Held-out pictures.
+    estimates : tuple of Estimate
+        Estimated error after each round, of the transport that would be returned.
+    model : AdaptiveModel, optional
+        The model fitted to `pictures`; None before the floodlit picture.
     residual : Residual, optional
-        Residual of the model, or of the hierarchy (`of_hierarchy`).
-    unfit : bool
-        Whether the model has turned out not to fit: its rounds show held-out patterns alone.
-    inner : MethodState, optional
-        State of the hierarchy.
+        Residual of the model, or of the hierarchy if `residual_of_hierarchy`.
+    hierarchy_state : state, optional
+        State of symmetric or dual photography, once it has begun.
+    hierarchy_levels : tuple of int
+        Numbers of its levels among those of the acquisition.
     tolerance : float
-        Tolerance of the hierarchy.
-    descended : tuple of int
-        The levels of the hierarchy's own rows.
+        Its tolerance.
     """
 
-    hierarchy: ClassVar[str]
-    """Name of the method that goes down the block tree."""
+    hierarchy_method: ClassVar[str]
+    """Name of the method of the hierarchy, ``symmetric`` or ``dual``."""
 
-    options: Any
-    slot: int = 0
-    following: str = "model"
-    taken: Pictures | None = None
-    others: CellPictures | None = None
-    held: Pictures | None = None
+    options: ErrorOptions
+    next_round: Round | None = Round(Phase.FLOODLIT)
+    pictures: Pictures | None = None
+    cell_pictures: CellPictures | None = None
+    held_out: Pictures | None = None
     estimates: tuple[Estimate, ...] = ()
-    model: Any = None
+    model: AdaptiveModel | None = None
     residual: Residual | None = None
-    of_hierarchy: bool = False
-    unfit: bool = False
-    inner: Any = None
+    residual_of_hierarchy: bool = False
+    hierarchy_state: Any = None
+    hierarchy_levels: tuple[int, ...] = ()
     tolerance: float = 0.0
-    descended: tuple[int, ...] = ()
+
+    # --- derived quantities
+
+    @property
+    def patterns(self) -> int:
+        """Number of patterns so far."""
+        return sum(row["patterns"] for row in self.rows)
+
+    @property
+    def errors(self) -> list[float]:
+        """Estimated errors of relit pictures after each round."""
+        return [estimate.error for estimate in self.estimates]
+
+    @property
+    def excess(self) -> list[float]:
+        """Estimated errors over 95 % of their targets: the larger of total and indirect light."""
+        total = TARGET_MARGIN * self.options.target_error
+        indirect = TARGET_MARGIN * (self.options.target_indirect or np.inf)
+        return [float(np.fmax(e.error / total, e.indirect / indirect)) for e in self.estimates]
+
+    @property
+    def meets_target(self) -> bool:
+        """True if the last estimate is at most 95 % of the target."""
+        return bool(self.estimates) and self.excess[-1] <= 1
+
+    # --- the next state
+
+    def with_row(self, **entries: Any) -> Self:
+        """Add entries to the last level's row of the table."""
+        return replace(self, rows=(*self.rows[:-1], {**self.rows[-1], **entries}))
+
+    def with_estimate(self, estimate: Estimate) -> Self:
+        """Add an estimate, also to the last level's row."""
+        entries = {"estimated_error": estimate.error}
+        if np.isfinite(estimate.indirect):
+            entries["estimated_indirect"] = estimate.indirect
+        return replace(self.with_row(**entries), estimates=(*self.estimates, estimate))
+
+    def with_pictures(self, pictures: Pictures) -> Self:
+        """Add pictures of a round of the model."""
+        parts = [pictures] if self.pictures is None else [self.pictures, pictures]
+        return replace(self, pictures=joined(parts, axis=0))
+
+    def with_cell_pictures(self, pictures: CellPictures) -> Self:
+        """Add pictures of any other round."""
+        parts = [pictures] if self.cell_pictures is None else [self.cell_pictures, pictures]
+        return replace(self, cell_pictures=joined(parts, axis=0))
+
+    # --- storage
 
     def to_arrays(self, previous: Self) -> StateArrays:
-        """Return new pictures, models that were replaced, and what the hierarchy added."""
+        """Return new pictures, parts that were replaced, and what the hierarchy added."""
         attributes: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
         attributes |= {
+            "next_round": None if self.next_round is None else asdict(self.next_round),
             "rows": list(self.rows),
-            "descended": list(self.descended),
+            "hierarchy_levels": list(self.hierarchy_levels),
             "estimates": [asdict(estimate) for estimate in self.estimates],
         }
         arrays: dict[str, NDArray[Any]] = {}
-        for name, pictures, known in (
-            ("taken_", self.taken, previous.taken),
-            ("others_", self.others, previous.others),
-            ("held_", self.held, previous.held),
+        for prefix, pictures, before in (
+            ("pictures_", self.pictures, previous.pictures),
+            ("cell_pictures_", self.cell_pictures, previous.cell_pictures),
+            ("held_out_", self.held_out, previous.held_out),
         ):
-            if pictures is not None and pictures is not known:
-                count = 0 if known is None else len(known.lit)
-                arrays |= with_prefix(name, _picture_arrays(pictures, count))
+            if pictures is not None and pictures is not before:
+                first = 0 if before is None else len(before.lit)
+                arrays |= with_prefix(prefix, _picture_arrays(pictures, first))
         if self.residual is not previous.residual:
             attributes["has_residual"] = self.residual is not None
             if self.residual is not None:
                 arrays |= with_prefix("residual_", _residual_arrays(self.residual))
-        if self.inner is not previous.inner:
-            start = hierarchy_start(self) if previous.inner is None else previous.inner
-            inner = self.inner.to_arrays(start)
-            arrays |= with_prefix("inner_", inner.arrays)
-            attributes["inner"] = dict(inner.attributes)
+        if self.hierarchy_state is not previous.hierarchy_state:
+            before = previous.hierarchy_state or hierarchy_start(self)
+            added = self.hierarchy_state.to_arrays(before)
+            arrays |= with_prefix("hierarchy_", added.arrays)
+            attributes["hierarchy"] = dict(added.attributes)
         return StateArrays(arrays, attributes)
 
     @classmethod
     def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
-        """Restore the state; the hierarchy's leaves are read when first used."""
+        """Restore a state; the model is restored by the method's own class of states."""
         if not levels:
             return start
         last = levels[-1].attributes
-        estimates = tuple(Estimate(**values) for values in last["estimates"])
+        next_round = last["next_round"]
         state = replace(
             start,
+            next_round=None if next_round is None else _round(**next_round),
             rows=tuple(last["rows"]),
-            descended=tuple(last["descended"]),
-            estimates=estimates,
-            taken=_pictures_of(Pictures, "taken_", levels),
-            others=_pictures_of(CellPictures, "others_", levels),
-            held=_pictures_of(Pictures, "held_", levels),
-            residual=_residual_of(levels),
+            hierarchy_levels=tuple(last["hierarchy_levels"]),
+            estimates=tuple(Estimate(**values) for values in last["estimates"]),
+            pictures=_pictures(Pictures, "pictures_", levels),
+            cell_pictures=_pictures(CellPictures, "cell_pictures_", levels),
+            held_out=_pictures(Pictures, "held_out_", levels),
+            residual=_residual(levels),
             **{name: last[name] for name in _PLAIN},
         )
-        inner = [
-            StateArrays(without_prefix("inner_", level.arrays), level.attributes["inner"])
+        added = [
+            StateArrays(without_prefix("hierarchy_", level.arrays), level.attributes["hierarchy"])
             for level in levels
-            if "inner" in level.attributes
+            if "hierarchy" in level.attributes
         ]
-        if not inner:
+        if not added:
             return state
         before = hierarchy_start(state)
-        return replace(state, inner=type(before).from_arrays(before, inner))
-
-    @property
-    def pictures(self) -> Pictures:
-        """All pictures of the model's rounds; before any, a dark floodlit one."""
-        if self.taken is not None:
-            return self.taken
-        dark = np.zeros((1, self.channels, self.camera.size), np.float32)
-        return Pictures(np.ones((1, self.projector.size), np.bool_), dark, dark)
-
-    @property
-    def shown(self) -> int:
-        """Patterns shown so far."""
-        return sum(row["patterns"] for row in self.rows)
-
-    @property
-    def excess(self) -> list[float]:
-        """The estimates over what is surely the target, in total or of indirect light."""
-        targets = self.options.target_error, self.options.target_indirect
-        total, indirect = (SURE * (target or np.inf) for target in targets)
-        return [float(np.fmax(e.error / total, e.indirect / indirect)) for e in self.estimates]
-
-    @property
-    def reached(self) -> bool:
-        """Whether the last estimate is at most what is surely the target."""
-        return bool(self.estimates) and self.excess[-1] <= 1
-
-    def counted(self, **counts: Any) -> Self:
-        """Return the state with more entries in the last level's row of the table."""
-        return replace(self, rows=(*self.rows[:-1], {**self.rows[-1], **counts}))
-
-    def estimated(self, estimate: Estimate) -> Self:
-        """Return the state with an estimate, also in the last level's row."""
-        entries = {"estimated_error": estimate.error}
-        if np.isfinite(estimate.indirect):
-            entries["estimated_indirect"] = estimate.indirect
-        return replace(self.counted(**entries), estimates=(*self.estimates, estimate))
-
-    def with_taken(self, pictures: Pictures) -> Self:
-        """Return the state with more pictures for the model."""
-        taken = pictures if self.taken is None else joined([self.taken, pictures], axis=0)
-        return replace(self, taken=taken)
-
-    def with_others(self, pictures: CellPictures) -> Self:
-        """Return the state with more pictures for the residual alone."""
-        others = pictures if self.others is None else joined([self.others, pictures], axis=0)
-        return replace(self, others=others)
+        return replace(state, hierarchy_state=type(before).from_arrays(before, added))
 
 
 def hierarchy_start(state: AdaptiveState) -> Any:
-    """Return the state of the hierarchy before the floodlit image."""
-    method = get_method(state.hierarchy)
+    """Return the state of the hierarchy before its floodlit level."""
+    method = get_method(state.hierarchy_method)
     assert isinstance(method, Method)
     significance = state.options.noise_significance
     options = options_of(method, tolerance=state.tolerance, noise_significance=significance)
     return method.start(state.camera, state.projector, state.channels, options)
+
+
+def latest(attribute: str, levels: Sequence[StateArrays]) -> StateArrays | None:
+    """Return the last level that has an attribute; None if none of them has it."""
+    return next((level for level in reversed(levels) if attribute in level.attributes), None)
+
+
+def merged(parts: StateArrays, arrays: Mapping[str, Any], **attributes: Any) -> StateArrays:
+    """Return stored parts of a state with more arrays and attributes."""
+    return StateArrays({**parts.arrays, **arrays}, {**parts.attributes, **attributes})
+
+
+def _round(phase: str, **numbers: int) -> Round:
+    return Round(Phase(phase), **numbers)
 
 
 def _picture_arrays(pictures: Pictures | CellPictures, first: int) -> dict[str, NDArray[Any]]:
@@ -200,8 +255,8 @@ def _residual_arrays(residual: Residual) -> dict[str, NDArray[Any]]:
     }
 
 
-def _pictures_of(kind: Any, prefix: str, levels: Sequence[StateArrays]) -> Any:
-    """Concatenate the pictures of all levels; None where there are none."""
+def _pictures(kind: Any, prefix: str, levels: Sequence[StateArrays]) -> Any:
+    """Concatenate the pictures of all levels; None if there are none."""
     parts = [
         kind(**without_prefix(prefix, level.arrays))
         for level in levels
@@ -210,19 +265,9 @@ def _pictures_of(kind: Any, prefix: str, levels: Sequence[StateArrays]) -> Any:
     return joined(parts, axis=0) if parts else None
 
 
-def _residual_of(levels: Sequence[StateArrays]) -> Residual | None:
+def _residual(levels: Sequence[StateArrays]) -> Residual | None:
     """Read the residual of the last level that replaced it."""
     level = latest("has_residual", levels)
     if level is None or not level.attributes["has_residual"]:
         return None
     return Residual(**without_prefix("residual_", level.arrays))
-
-
-def latest(attribute: str, levels: Sequence[StateArrays]) -> StateArrays | None:
-    """Return the last level that has an attribute; None where none of them has it."""
-    return next((level for level in reversed(levels) if attribute in level.attributes), None)
-
-
-def merged(parts: StateArrays, arrays: Mapping[str, Any], **attributes: Any) -> StateArrays:
-    """Return stored parts of a state with more arrays and attributes."""
-    return StateArrays({**parts.arrays, **arrays}, {**parts.attributes, **attributes})

@@ -8,7 +8,6 @@ import numpy as np
 
 from rfpipe.array_types import Bools
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.error_estimate import HELD_OUT, held_out_patterns
 from rfpipe.methods.images import nearest, relight_white
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, residual_cells, root_factor
 from rfpipe.transport.base import Transport
@@ -18,19 +17,20 @@ from rfpipe.transport.footprints import FootprintTransport
 _DARK = 0.02
 
 
-def pixels_without_direct_light(direct: FootprintTransport) -> Bools:
-    """Find the camera pixels with at most 2 % of their direct light in each held-out picture.
+def pixels_without_direct_light(direct: FootprintTransport, lit: Bools) -> Bools:
+    """Find the camera pixels with at most 2 % of their direct light under each pattern.
 
     Parameters
     ----------
     direct : FootprintTransport
         Direct light, `FootprintTransport.direct`.
+    lit : ndarray of bool, shape (P, N)
+        The patterns.
 
     Returns
     -------
-    ndarray of bool, shape (held-out pictures, M)
+    ndarray of bool, shape (P, M)
     """
-    lit = held_out_patterns(direct.projector_shape).reshape(len(HELD_OUT), -1)
     patterns = np.concatenate([np.ones_like(lit[:1]), lit])
     full, *images = relight_white(direct, patterns).sum(axis=1)
     return ~np.asarray(np.stack(images) > _DARK * full)

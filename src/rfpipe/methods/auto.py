@@ -1,21 +1,20 @@
-"""A method for any rig and scene that needs only a target error."""
+"""Automatic acquisition: a method for any rig and scene that needs only a target error."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.footprints.method import Footprints
-from rfpipe.methods.adaptive.near_far import NearFar
 from rfpipe.methods.base import ErrorOptions, Forecast, Method, MethodDescription
+from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.near_far.method import NearFar
 
 
 class Auto(MethodDescription):
     """Near/far acquisition on coaxial rigs, footprint acquisition on all others and on views.
 
-    Both methods measure whether the light is smooth, or sparse and mirrored, and hand sparse light
-    over to symmetric or dual photography. If the rig's symmetry isn't measured, a rig of equal ray
-    domains counts as coaxial.
+    Both find out whether their model fits the light, and hand over to symmetric or dual photography
+    if it doesn't.
     """
 
     name = "auto"
@@ -35,7 +34,10 @@ class Auto(MethodDescription):
     def for_rig(
         self, camera: RayDomain, projector: RayDomain, is_coaxial: bool | None = None
     ) -> Method[Any]:
-        """Choose the method by the shapes of the rays and, if measured, by the symmetry."""
+        """Choose the method by the ray domains and, if measured, by the symmetry.
+
+        If the symmetry isn't measured, a rig with one view and equal ray domains counts as coaxial.
+        """
         may_be_coaxial = self.measures_symmetry(camera, projector)
         if not may_be_coaxial or is_coaxial is False:
             return Footprints()
@@ -44,7 +46,7 @@ class Auto(MethodDescription):
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
     ) -> Forecast:
-        """Forecast the method of these shapes, with the larger number of patterns of both."""
+        """Forecast the method of these ray domains; its bound is the larger one of both methods."""
         methods = [self.for_rig(camera, projector, is_coaxial) for is_coaxial in (None, False)]
         forecasts = [method.forecast(camera, projector, channels, options) for method in methods]
         most = max(forecast.max_patterns for forecast in forecasts)

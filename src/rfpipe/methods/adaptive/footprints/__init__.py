@@ -1,1 +1,0 @@
-"""The model of any rig: each camera pixel's few projector pixels, and smooth indirect light."""

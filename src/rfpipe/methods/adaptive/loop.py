@@ -1,0 +1,414 @@
+"""The adaptive loop: show patterns, fit models, estimate the error, decide how to continue.
+
+An acquisition passes through phases, each of several rounds and each of which it may skip::
+
+    floodlit            one picture, from which a first model is made
+    model               random patterns; the model is fitted to all pictures so far
+    residual            random blocks; the residual of the model is fitted
+    hierarchy           levels of symmetric or dual photography, for light that no model describes
+    hierarchy residual  random blocks; the residual of the hierarchy is fitted
+
+With the first round six held-out pictures are taken. After each round the transport that predicts
+them best is the current result, and its error on them is the estimated error
+(`rfpipe.methods.error_estimate`). The method then decides on the next phase, or to end
+(`rfpipe.methods.adaptive.decisions`).
+"""
+
+from __future__ import annotations
+
+import logging
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.methods.adaptive.decisions import (
+    ALL_SHOWN,
+    EXPECTED_PATTERNS,
+    EXPECTED_POWER,
+    LIMIT_REACHED,
+    Decision,
+    HierarchyCost,
+    next_pattern_count,
+    target_of,
+)
+from rfpipe.methods.adaptive.model import AdaptiveModel
+from rfpipe.methods.adaptive.state import (
+    TARGET_MARGIN,
+    AdaptiveState,
+    Phase,
+    Round,
+    hierarchy_start,
+)
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    ErrorOptions,
+    Forecast,
+    LevelImages,
+    Method,
+    check_rays,
+    get_method,
+)
+from rfpipe.methods.error_estimate import HELD_OUT, Estimate, estimate_error, held_out_patterns
+from rfpipe.methods.images import ImagesAs, Pictures
+from rfpipe.methods.residual.fit import fit_residual
+from rfpipe.methods.residual.model import CameraCells, residual_cells
+from rfpipe.methods.residual.patterns import block_patterns
+from rfpipe.methods.states import joined, level_row
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+from rfpipe.transport.sum import SumTransport
+
+_log = logging.getLogger(__name__)
+
+RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
+"""Patterns of the rounds for a residual: each about 1.4 times as many as all before it."""
+
+# Largest number of patterns of a hierarchy, over the number that its `HierarchyCost` expects.
+_HIERARCHY_MARGIN = 4.0
+
+# The residual of a model is kept if it leaves less than this share of the error.
+_RESIDUAL_GAIN = 0.95
+
+Rounds = dict[Phase, tuple[int, ...]]
+"""Largest number of random patterns of each round, for each phase after the floodlit one."""
+
+
+class Candidate(NamedTuple):
+    """A transport that may be returned, its estimated error, and whether it is the hierarchy's."""
+
+    estimate: Estimate
+    transport: Transport
+    is_hierarchy: bool
+
+
+class AdaptiveMethod(Method[AdaptiveState]):
+    """A method that shows rounds of patterns until its estimated error meets the target.
+
+    Attributes
+    ----------
+    State : type of AdaptiveState
+    hierarchy_cost : HierarchyCost
+        Of `State.hierarchy_method`.
+    residual_is_optional : bool
+        Whether the residual of a model is dropped unless it reduces the error by 5 %. Otherwise it
+        is fitted from the first round on.
+    """
+
+    estimates_error = True
+    Options = ErrorOptions
+    trades = "target_error"
+    State: ClassVar[type[AdaptiveState]]
+    hierarchy_cost: ClassVar[HierarchyCost]
+    residual_is_optional: ClassVar[bool]
+
+    @abstractmethod
+    def rounds(self, projector: RayDomain) -> Rounds:
+        """Return the rounds of each phase, in the order of the phases."""
+
+    @abstractmethod
+    def first_model(self, state: AdaptiveState, floodlit: Pictures) -> AdaptiveModel:
+        """Make the model of the floodlit picture alone."""
+
+    @abstractmethod
+    def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
+        """Decide after a round of a phase; `is_last` if the phase has no other round."""
+
+    # --- the loop
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
+    ) -> AdaptiveState:
+        """Return the state before the floodlit picture."""
+        check_rays(self, camera, projector)
+        return self.State(camera, projector, channels, options)
+
+    def next_schedule(self, state: AdaptiveState) -> Schedule | None:
+        """Return the next round's patterns, held-out ones before random ones."""
+        coming, shape = state.next_round, state.projector.shape
+        if coming is None:
+            return None
+        if coming.phase is Phase.FLOODLIT:
+            return Schedule.floodlit(shape)
+        if coming.phase is Phase.HIERARCHY:
+            schedule = self._hierarchy(state).next_schedule(state.hierarchy_state)
+            return None if schedule is None else replace(schedule, seed=coming.key)
+        if coming.phase is Phase.MODEL:
+            patterns = self._model(state).next_patterns(coming.key, coming.count)
+        else:
+            patterns = block_patterns(residual_cells(shape), coming.key, coming.count)
+        weights = np.concatenate([held_out_patterns(shape)[: coming.held_out], patterns])
+        return Schedule(coming.key, shape, len(weights), weights=weights.astype(np.float32))
+
+    def refine(
+        self, state: AdaptiveState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
+    ) -> AdaptiveState:
+        """Fit all pictures so far, estimate the error, and choose the next round."""
+        shown = state.next_round
+        assert shown is not None, "the acquisition has ended"
+        if shown.phase is Phase.FLOODLIT:
+            return self._after_floodlit(state, images)
+        if shown.phase is Phase.HIERARCHY:
+            return self._after_hierarchy_level(state, images, memory_bytes)
+        row = level_row(state.level, images.schedule.count)
+        after = replace(state, rows=(*state.rows, row))
+        if shown.held_out:
+            after = replace(after, held_out=_read(state, images, 0, shown.held_out))
+        if shown.count and shown.phase is Phase.MODEL:
+            pictures = _read(state, images, shown.held_out, images.schedule.count)
+            after = self._fit_model(after.with_pictures(pictures))
+        elif shown.count:
+            pictures = _camera_cells(state).read(images, shown.held_out)
+            after = self._fit_residual(after.with_cell_pictures(pictures))
+        after = self._with_best_model(after, state)
+        is_last = shown.index + 1 == len(self.rounds(state.projector)[shown.phase])
+        return self._continue(after, self.decide(after, shown.phase, is_last))
+
+    def transport(self, state: AdaptiveState) -> Transport:
+        """Return the transport that predicts the held-out pictures best."""
+        return self._best(state).transport
+
+    def transport_of_dark_rays(self, state: AdaptiveState) -> Transport:
+        """Return the hierarchy's transport while it is refined, whatever its error."""
+        if state.next_round is None or state.next_round.phase is not Phase.HIERARCHY:
+            return self.transport(state)
+        return self._hierarchy(state).transport(state.hierarchy_state)
+
+    # --- rounds
+
+    def _after_floodlit(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+        """Make the first model from the floodlit picture."""
+        row = level_row(state.level, 1, scalar=state.camera.size)
+        floodlit = self._floodlit(state, _read(state, images, 0, 1))
+        model = self.first_model(state, floodlit)
+        after = replace(state, rows=(row,), pictures=floodlit, model=model)
+        return self._continue(after, Decision(Phase.MODEL))
+
+    def _floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
+        """Prepare the floodlit picture for the model."""
+        return picture
+
+    def _fit_model(self, state: AdaptiveState) -> AdaptiveState:
+        """Fit the model to all pictures, and its residual where that may help."""
+        shown, model = state.next_round, self._model(state).fit(_taken(state))
+        state = replace(state.with_row(**model.counts), model=model, residual=None)
+        assert shown is not None
+        if self.residual_is_optional and not shown.index:
+            return state
+        base = self._best(state)
+        if state.with_estimate(base.estimate).meets_target:
+            return state
+        after = self._with_residual_of(state, base)
+        if not self.residual_is_optional:
+            return after
+        helps = self._best(after).estimate.error < _RESIDUAL_GAIN * base.estimate.error
+        return after if helps else state
+
+    def _fit_residual(self, state: AdaptiveState) -> AdaptiveState:
+        """Fit the residual of the better of model and hierarchy, unless it meets the target."""
+        base = self._best(replace(state, residual=None))
+        if state.with_estimate(base.estimate).meets_target:
+            return state
+        return self._with_residual_of(state, base)
+
+    def _with_residual_of(self, state: AdaptiveState, base: Candidate) -> AdaptiveState:
+        """Fit the residual of a transport to the pictures of all rounds."""
+        camera, taken = _camera_cells(state), _taken(state)
+        pictures = [camera.summed(taken.lit, taken.radiance, taken.variance)]
+        if state.cell_pictures is not None:
+            pictures.append(state.cell_pictures)
+        projector = self._model(state).projector_cells(camera, base.transport)
+        residual = fit_residual(camera, projector, joined(pictures, axis=0), base.transport)
+        return replace(state, residual=residual, residual_of_hierarchy=base.is_hierarchy)
+
+    # --- the hierarchy
+
+    def _hierarchy(self, state: AdaptiveState) -> Method[Any]:
+        method = get_method(state.hierarchy_method)
+        assert isinstance(method, Method)
+        return method
+
+    def _start_hierarchy(self, state: AdaptiveState) -> AdaptiveState:
+        """Hand the floodlit picture over to the hierarchy."""
+        state = replace(state, tolerance=self.hierarchy_cost.tolerance * target_of(state.options))
+        pictures, shape = _taken(state), (1, *state.camera.shape, state.channels)
+        radiance, variance = (
+            np.ascontiguousarray(images[0].T).reshape(shape)
+            for images in (pictures.radiance, pictures.variance)
+        )
+        schedule = Schedule.floodlit(state.projector.shape)
+        floodlit = ImagesAs(schedule, lambda *_: (radiance, variance))
+        inner = self._hierarchy(state).refine(hierarchy_start(state), floodlit)
+        return replace(state, hierarchy_state=inner)
+
+    def _after_hierarchy_level(
+        self, state: AdaptiveState, images: LevelImages, memory_bytes: int
+    ) -> AdaptiveState:
+        """Refine the hierarchy; after its last level, fit its residual."""
+        inner = self._hierarchy(state).refine(state.hierarchy_state, images, memory_bytes)
+        levels = (*state.hierarchy_levels, state.level)
+        rows = [*state.rows, level_row(state.level, images.schedule.count)]
+        # a level may change the row of the level before
+        changed = min(len(levels), 2)
+        for row, level in zip(inner.rows[-changed:], levels[-changed:], strict=True):
+            rows[level] = {**rows[level], **row, "level": level}
+        after = replace(state, rows=tuple(rows), hierarchy_state=inner, hierarchy_levels=levels)
+        after = after.with_cell_pictures(_camera_cells(state).read(images))
+        is_complete = not len(inner.frontier)
+        if is_complete:
+            after = self._fit_residual(after)
+        after = after.with_estimate(self._best(after).estimate)
+        if after.meets_target:
+            return self._continue(after, Decision(None))
+        phase = Phase.HIERARCHY_RESIDUAL if is_complete else Phase.HIERARCHY
+        return self._continue(after, Decision(phase))
+
+    # --- the best transport
+
+    def _model(self, state: AdaptiveState) -> AdaptiveModel:
+        """Return the model; before the floodlit picture, that of a dark one."""
+        if state.model is not None:
+            return state.model
+        dark = np.zeros((1, state.channels, state.camera.size), np.float32)
+        lit = np.ones((1, state.projector.size), np.bool_)
+        return self.first_model(state, Pictures(lit, dark, dark))
+
+    def _transports(self, state: AdaptiveState) -> Iterator[tuple[Transport, bool]]:
+        """Yield all transports that may be returned, and whether each is the hierarchy's."""
+        model, rows, residual = self._model(state), list(state.rows), []
+        if state.residual is not None:
+            residual = [state.residual.transport(_camera_cells(state), state.projector.shape)]
+        yield model.transport(rows), False
+        if residual and not state.residual_of_hierarchy:
+            yield model.transport(rows, residual), False
+        if state.hierarchy_state is None:
+            return
+        hierarchy = self._hierarchy(state).transport(state.hierarchy_state)
+        yield SumTransport([hierarchy], rows), True
+        if residual and state.residual_of_hierarchy:
+            yield model.transport(rows, residual, hierarchy), True
+
+    def _best(self, state: AdaptiveState) -> Candidate:
+        """Return the transport that predicts the held-out pictures best."""
+        if state.held_out is None:
+            return Candidate(Estimate(1.0, 1.0, 1.0), *next(self._transports(state)))
+        held_out, floodlit = state.held_out, _taken(state).floodlit
+        dark = self._model(state).dark_pixels(held_out.lit)
+        candidates = [
+            Candidate(estimate_error(transport, held_out, floodlit, dark), transport, is_hierarchy)
+            for transport, is_hierarchy in self._transports(state)
+        ]
+        return min(candidates, key=lambda candidate: candidate.estimate.error)
+
+    def _with_best_model(self, state: AdaptiveState, previous: AdaptiveState) -> AdaptiveState:
+        """Estimate the error; keep the models before the round if they are better."""
+        estimate = self._best(state).estimate
+        if previous.estimates and estimate.error > previous.estimates[-1].error:
+            _log.info("the fit to more pictures has a larger error; keeping the previous one")
+            state = replace(
+                state,
+                model=previous.model,
+                residual=previous.residual,
+                residual_of_hierarchy=previous.residual_of_hierarchy,
+            )
+            estimate = previous.estimates[-1]
+        return state.with_estimate(estimate)
+
+    # --- the next round
+
+    def _continue(self, state: AdaptiveState, decision: Decision) -> AdaptiveState:
+        """Choose the next round; log, and note in the table of levels, the reason of an end."""
+        phase = decision.phase
+        if phase is Phase.HIERARCHY and state.hierarchy_state is None:
+            title = self._hierarchy(state).title.lower()
+            _log.info("%s; continuing with %s", decision.reason, title)
+            state = self._start_hierarchy(state)
+        elif phase is not None and decision.reason:
+            _log.info("%s; continuing with random blocks", decision.reason)
+        coming = None if phase is None else self._next_round(state, phase)
+        if coming is None and not state.meets_target:
+            shortage = LIMIT_REACHED if state.options.patterns else ALL_SHOWN
+            reason = shortage if phase is not None else decision.reason
+            state = state.with_row(ended=reason)
+            if state.estimates:
+                ratio = TARGET_MARGIN * state.excess[-1]
+                message = "ended at an estimated error of %.2f times the target: %s"
+                _log.warning(message, ratio, reason)
+        return replace(state, next_round=coming)
+
+    def _next_round(self, state: AdaptiveState, phase: Phase) -> Round | None:
+        """Return the next round of a phase; None if it has no patterns left."""
+        shown, rounds = state.next_round, self.rounds(state.projector)
+        assert shown is not None
+        index = shown.index + 1 if phase is shown.phase else 0
+        if index >= len(rounds[phase]):
+            return None
+        phases = list(rounds)
+        before = sum(len(rounds[earlier]) for earlier in phases[: phases.index(phase)])
+        key = 1 + before + index
+        if phase is Phase.HIERARCHY:
+            is_complete = not len(state.hierarchy_state.frontier)
+            return None if is_complete else Round(phase, index, key)
+        held_out, count = self._pattern_counts(state, phase, rounds[phase][index])
+        return Round(phase, index, key, held_out, count) if held_out + count else None
+
+    def _pattern_counts(self, state: AdaptiveState, phase: Phase, most: int) -> tuple[int, int]:
+        """Return the numbers of held-out and of random patterns of the next round."""
+        held_out = len(HELD_OUT) if state.held_out is None else 0
+        is_useful = phase is not Phase.MODEL or self._model(state).is_suitable
+        count = next_pattern_count(state, most) if is_useful else 0
+        if not state.options.patterns:
+            return held_out, count
+        remaining = state.options.patterns - state.patterns
+        if remaining >= held_out + min(count, 1):
+            return held_out, min(count, remaining - held_out)
+        # without held-out pictures a round gives no estimate
+        return 0, 0 if held_out else min(count, max(remaining, 0))
+
+    # --- forecast
+
+    def forecast(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
+    ) -> Forecast:
+        """Forecast the patterns from the target error, see `EXPECTED_PATTERNS`."""
+        check_rays(self, camera, projector)
+        ratio = 0.01 / target_of(options)
+        typical = projector.views * EXPECTED_PATTERNS * float(ratio**EXPECTED_POWER)
+        most = self._max_patterns(projector, options)
+        return self.forecast_of(camera, channels, min(round(typical), projector.size, most), most)
+
+    def _max_patterns(self, projector: RayDomain, options: ErrorOptions) -> int:
+        """Bound the number of patterns of all phases.
+
+        A hierarchy shows each block of each level at most once; on large projectors 4 times the
+        number that its cost expects is the lower bound.
+        """
+        rounds = sum(sum(counts) for counts in self.rounds(projector).values())
+        tree = BlockTree(projector)
+        blocks = sum(tree.n_blocks(level) for level in range(1, tree.n_levels))
+        expected = self.hierarchy_cost.expected_patterns(projector, target_of(options))
+        hierarchy = min(blocks, round(_HIERARCHY_MARGIN * expected))
+        total = 1 + len(HELD_OUT) + rounds + hierarchy
+        return min(total, options.patterns or total)
+
+
+def hierarchy_rounds(projector: RayDomain) -> Rounds:
+    """Return the rounds of a hierarchy below its floodlit level, and of its residual."""
+    levels = BlockTree(projector).n_levels - 1
+    return {Phase.HIERARCHY: (0,) * levels, Phase.HIERARCHY_RESIDUAL: RESIDUAL_ROUNDS}
+
+
+def _read(state: AdaptiveState, images: LevelImages, first: int, last: int) -> Pictures:
+    return Pictures.read(images, state.channels, state.camera.size, first, last)
+
+
+def _taken(state: AdaptiveState) -> Pictures:
+    assert state.pictures is not None, "the floodlit picture comes first"
+    return state.pictures
+
+
+def _camera_cells(state: AdaptiveState) -> CameraCells:
+    return CameraCells.of_pictures(state.camera.shape, _taken(state))

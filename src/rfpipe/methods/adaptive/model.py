@@ -1,0 +1,61 @@
+"""Interface between a model of the transport and the adaptive loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.images import Pictures
+from rfpipe.methods.residual.model import CameraCells, ProjectorCells
+from rfpipe.transport.base import Transport
+from rfpipe.transport.sum import SumTransport
+
+Bools = NDArray[np.bool_]
+
+
+class AdaptiveModel(Protocol):
+    """Model of the transport that the adaptive loop fits; implementations are frozen.
+
+    It begins with the floodlit picture alone, from which it already estimates a transport.
+    """
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Entries of the model in the table of levels, such as ``nodes``."""
+
+    @property
+    def is_suitable(self) -> bool:
+        """False if the scene or rig can't be described by the model."""
+
+    def next_patterns(self, key: int, count: int) -> Bools:
+        """Draw random patterns, bool (count, *projector_shape); other ones for each key."""
+
+    def fit(self, pictures: Pictures) -> Self:
+        """Fit the model to all pictures so far, the first of them floodlit."""
+
+    def transport(
+        self,
+        rows: list[dict[str, Any]],
+        residual: Sequence[Transport] = (),
+        hierarchy: Transport | None = None,
+    ) -> SumTransport:
+        """Assemble the transport.
+
+        Parameters
+        ----------
+        rows : list of dict
+            The transport's table of levels.
+        residual : sequence of Transport
+            Further parts.
+        hierarchy : Transport, optional
+            Replaces the fitted part of the model.
+        """
+
+    def dark_pixels(self, lit: Bools) -> Bools:
+        """Find the camera pixels (P, M) without direct light under patterns (P, N)."""
+
+    def projector_cells(self, camera: CameraCells, base: Transport) -> ProjectorCells:
+        """Return the projector's cells for the residual of a transport."""

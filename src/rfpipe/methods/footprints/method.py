@@ -1,0 +1,284 @@
+"""Footprint acquisition: few random patterns for any rig, up to a target error.
+
+The model ``T = D + diag(f) L S R^T diag(g)`` (`rfpipe.methods.footprints.model`) is fitted to
+rounds of random patterns. The projector pixels that each camera pixel sees are found from the same
+pictures, without calibration or structured light. Where the model does not fit, dual photography
+follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from numpy.typing import NDArray
+
+from rfpipe.array_types import Bools, Float
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.decisions import (
+    ALL_SHOWN,
+    NOT_SUITABLE,
+    Decision,
+    HierarchyCost,
+    after_hierarchy_residual_round,
+    end,
+    exceeds_hierarchy,
+    is_nearly_met,
+)
+from rfpipe.methods.adaptive.loop import AdaptiveMethod, Rounds, hierarchy_rounds
+from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
+from rfpipe.methods.base import StateArrays
+from rfpipe.methods.error_estimate import HELD_OUT
+from rfpipe.methods.footprints.candidates import Candidates
+from rfpipe.methods.footprints.direct_light import pixels_without_direct_light, projector_cells
+from rfpipe.methods.footprints.fit import fit_model, solution_count
+from rfpipe.methods.footprints.model import transport_arrays, uniform_arrays
+from rfpipe.methods.footprints.patterns import view_patterns
+from rfpipe.methods.footprints.pictures import radiance_unit, split_pictures
+from rfpipe.methods.images import Pictures
+from rfpipe.methods.residual.model import CameraCells, ProjectorCells
+from rfpipe.methods.states import with_prefix, without_prefix
+from rfpipe.steps import steps
+from rfpipe.transport.base import Transport
+from rfpipe.transport.footprints import FootprintTransport
+from rfpipe.transport.sum import SumTransport
+
+ROUNDS = (24, 26, 36, 48, 64, 80, 110, 150)
+"""Largest number of random patterns of each round, for one projector view.
+
+Fewer than 24 patterns do not distinguish the footprints of small scenes.
+"""
+
+# Largest number of patterns on each view in each round, if there are several.
+_VIEW_ROUNDS = (24, 12, 16, 24, 32, 40, 50, 60)
+
+WRONG_MODEL = 0.07
+"""First estimated error from which on dual photography takes over. The first round leaves 3 to 5 %
+on diffuse scenes, 8 to 11 % on caustics."""
+
+# Mean errors are 2 to 6 tolerances of dual photography; the residual halves them.
+HIERARCHY = HierarchyCost(patterns=45.0, power=0.75, tolerance=0.2)
+
+
+def patterns_in_round(number: int, views: int) -> int:
+    """Return the largest number of patterns of a round, numbered from 0, for all views together."""
+    if views == 1:
+        return ROUNDS[number]
+    # the first round also shows a floodlit pattern on each view
+    return views * (_VIEW_ROUNDS[number] + (number == 0))
+
+
+def suits_random_patterns(projector: RayDomain, limit: int) -> bool:
+    """Return True if random patterns need fewer pictures than dual photography from the start.
+
+    Parameters
+    ----------
+    projector : RayDomain
+        With at least four times as many rays as the patterns of the first round.
+    limit : int
+        Largest number of patterns, 0 for none. Several views need a floodlit pattern and more than
+        four other patterns on each view.
+    """
+    views = projector.views
+    if views > 1 and limit and limit <= 1 + len(HELD_OUT) + 5 * views:
+        return False
+    return projector.size >= 4 * ROUNDS[0] * views
+
+
+def fit_pictures(
+    camera: RayDomain, projector: RayDomain, pictures: Pictures, previous: Candidates | None
+) -> tuple[dict[str, NDArray[Any]], Candidates]:
+    """Fit the model to pictures of all channels.
+
+    Parameters
+    ----------
+    camera, projector : RayDomain
+    pictures : Pictures
+        The first is floodlit.
+    previous : Candidates, optional
+        Footprints of the channels' sum of the last fit.
+
+    Returns
+    -------
+    arrays : dict of str to ndarray
+        Of the `FootprintTransport`.
+    footprints : Candidates
+        Footprints of the channels' sum.
+    """
+    unit, views, channels = radiance_unit(pictures), projector.views, pictures.channels
+    grey = split_pictures(pictures.grey() if channels > 1 else pictures, unit, views)
+    single = (
+        split_pictures(pictures.channel(index), unit, views)
+        for index in range(channels if channels > 1 else 0)
+    )
+    with steps("footprints", solution_count(projector, channels, is_first=previous is None)):
+        model = fit_model(camera, projector, grey, single, previous)
+    return transport_arrays(model, unit), model.grey
+
+
+@dataclass(frozen=True)
+class FootprintEstimate:
+    """The footprint model in the adaptive loop.
+
+    Attributes
+    ----------
+    camera, projector : RayDomain
+    floodlit : ndarray of float32, shape (C, M)
+        The floodlit image.
+    is_suitable : bool
+        False for dark scenes and small projectors.
+    arrays : dict of str to ndarray, optional
+        The arrays of the fitted `FootprintTransport`; None before the first fit.
+    footprints : Candidates, optional
+        Footprints of the channels' sum, in the unit of the fit: the start of the next search.
+    """
+
+    camera: RayDomain
+    projector: RayDomain
+    floodlit: Float
+    is_suitable: bool
+    arrays: dict[str, NDArray[Any]] | None = None
+    footprints: Candidates | None = None
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Numbers of cores, as ``nodes``, and of weights of footprints, as ``scalar``."""
+        if self.arrays is None:
+            return {}
+        nodes, scalar = self.arrays["cores_columns"], self.arrays["footprints_columns"]
+        return {"nodes": len(nodes), "scalar": len(scalar)}
+
+    def next_patterns(self, key: int, count: int) -> Bools:
+        """Draw noise of three kinds of detail."""
+        return view_patterns(self.projector.shape, key, count)
+
+    def fit(self, pictures: Pictures) -> Self:
+        """Fit footprints and indirect light to all pictures."""
+        arrays, footprints = fit_pictures(
+            self.camera, self.projector, pictures, self.footprints
+        )
+        return replace(self, arrays=arrays, footprints=footprints)
+
+    def transport(
+        self,
+        rows: list[dict[str, Any]],
+        residual: Sequence[Transport] = (),
+        hierarchy: Transport | None = None,
+    ) -> SumTransport:
+        """Assemble footprints with indirect light, or the hierarchy, and the residual."""
+        base = self.fitted_transport() if hierarchy is None else hierarchy
+        return SumTransport([base, *residual], rows)
+
+    def dark_pixels(self, lit: Bools) -> Bools:
+        """Find the camera pixels with at most 2 % of their direct light."""
+        return pixels_without_direct_light(self.fitted_transport().direct(), lit)
+
+    def projector_cells(self, camera: CameraCells, base: Transport) -> ProjectorCells:
+        """Compute where the projector's cells lie in the camera's image, by direct light."""
+        return projector_cells(self.fitted_transport().direct(), base, camera)
+
+    def fitted_transport(self) -> FootprintTransport:
+        """Return the fit; before it, the floodlit image spread evenly over the projector."""
+        arrays = self.arrays
+        if arrays is None:
+            arrays = uniform_arrays(self.floodlit, self.projector.size)
+        shapes = self.camera.shape, self.projector.shape
+        return FootprintTransport(*shapes, len(self.floodlit), [], arrays)
+
+
+@dataclass(frozen=True)
+class FootprintState(AdaptiveState):
+    """State of a footprint acquisition."""
+
+    hierarchy_method = "dual"
+
+    model: FootprintEstimate | None = None
+
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return the parts that the last level changed, the model among them."""
+        parts, model = super().to_arrays(previous), self.model
+        if model is None or model.arrays is None or model is previous.model:
+            return parts
+        footprints = model.footprints
+        assert footprints is not None
+        arrays = {
+            "keys": footprints.keys,
+            "variance": footprints.variance,
+            "weights": footprints.weights,
+        }
+        parts = merged(parts, with_prefix("model_", model.arrays), has_model=True)
+        return merged(parts, with_prefix("footprints_", arrays))
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state."""
+        state = super().from_arrays(start, levels)
+        if state.pictures is None:
+            return state
+        model = first_model(state, state.pictures)
+        level = latest("has_model", levels)
+        if level is not None:
+            sizes = state.camera.size, state.projector.size
+            footprints = Candidates(*sizes, **without_prefix("footprints_", level.arrays))
+            arrays = dict(without_prefix("model_", level.arrays))
+            model = replace(model, arrays=arrays, footprints=footprints)
+        return replace(state, model=model)
+
+
+def first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintEstimate:
+    """Make the model of the floodlit picture alone."""
+    suits = suits_random_patterns(state.projector, state.options.patterns)
+    is_suitable = suits and floodlit.some(slice(0, 1)).shine()
+    return FootprintEstimate(state.camera, state.projector, floodlit.floodlit, is_suitable)
+
+
+class Footprints(AdaptiveMethod):
+    """Footprint acquisition, for any rig.
+
+    It ends at ``target_error``, by the estimate from held-out pictures, and returns the transport
+    that predicts these best.
+    """
+
+    name = "footprints"
+    title = "Footprint acquisition"
+    colour = "#6a3d9a"
+    marker = "p"
+    bytes_per_ray = 100_000
+    trials = (0.05, 0.01, 0.005)
+    State = FootprintState
+    hierarchy_cost = HIERARCHY
+    residual_is_optional = False
+
+    def rounds(self, projector: RayDomain) -> Rounds:
+        """Return the rounds of all phases; the model's residual is fitted to its own rounds."""
+        counts = tuple(patterns_in_round(k, projector.views) for k in range(len(ROUNDS)))
+        return {Phase.MODEL: counts, **hierarchy_rounds(projector)}
+
+    def first_model(self, state: AdaptiveState, floodlit: Pictures) -> FootprintEstimate:
+        """Make the model of the floodlit picture alone."""
+        return first_model(state, floodlit)
+
+    def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
+        """Decide after a round, by its phase."""
+        if phase is Phase.MODEL:
+            return end(state) or _after_model_round(state, is_last)
+        return after_hierarchy_residual_round(state, is_last)
+
+
+def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
+    """Decide after a round of the model whose error is above the target."""
+    assert state.model is not None
+    is_wrong = len(state.errors) == 1 and state.errors[0] > WRONG_MODEL
+    may_start_hierarchy = not state.options.patterns
+    if may_start_hierarchy and (is_wrong or not state.model.is_suitable):
+        return Decision(Phase.HIERARCHY, NOT_SUITABLE)
+    if not state.model.is_suitable:
+        return Decision(None, NOT_SUITABLE)
+    if not is_last and not exceeds_hierarchy(state, HIERARCHY):
+        return Decision(Phase.MODEL)
+    if is_nearly_met(state):
+        return Decision(None, "the error is close to the target")
+    if may_start_hierarchy:
+        return Decision(Phase.HIERARCHY, "more rounds would take more patterns")
+    return Decision(None, ALL_SHOWN) if is_last else Decision(Phase.MODEL)

@@ -1,0 +1,235 @@
+"""Near/far acquisition: transport by range on coaxial rigs, from few pictures.
+
+Direct light, near-range and far-range indirect light are fitted together to pictures of random
+patterns (`rfpipe.methods.near_far.model`). The residual of this model is fitted to pictures of
+random blocks. Light that goes to single places, as by mirrors and glass, is left to symmetric
+photography.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import log2
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.decisions import (
+    ALL_SHOWN,
+    NOT_SUITABLE,
+    Decision,
+    HierarchyCost,
+    after_hierarchy_residual_round,
+    end,
+    exceeds_hierarchy,
+    has_stalled,
+    is_mostly_noise,
+    is_nearly_met,
+)
+from rfpipe.methods.adaptive.loop import (
+    RESIDUAL_ROUNDS,
+    AdaptiveMethod,
+    Rounds,
+    hierarchy_rounds,
+)
+from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
+from rfpipe.methods.base import StateArrays
+from rfpipe.methods.images import Pictures
+from rfpipe.methods.near_far.fit import fit_smooth_model
+from rfpipe.methods.near_far.model import SmoothModel, light_range, near_far_transport
+from rfpipe.methods.near_far.patterns import probe_patterns
+from rfpipe.methods.residual.model import CameraCells, ProjectorCells, coaxial_projector
+from rfpipe.methods.states import without_prefix
+from rfpipe.steps import steps
+from rfpipe.transport.base import Transport
+from rfpipe.transport.multiscale import coarsest_scale
+from rfpipe.transport.sum import SumTransport
+
+ROUNDS = (6, 10, 8, 12, 16, 24, 32)
+"""Patterns of each round of the model: small rounds first, since many scenes need no more."""
+
+WRONG_MODEL = 0.1
+"""First estimated error from which on symmetric photography takes over. The first round leaves 2 to
+8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."""
+
+# Mean errors are 1 to 3 tolerances of symmetric photography; the residual halves them.
+HIERARCHY = HierarchyCost(patterns=30.0, power=0.55, tolerance=0.6)
+
+_NOISE = "the remaining error is noise of the floodlit image"
+_CLOSE = "the error is close to the target"
+
+
+@dataclass(frozen=True)
+class NearFarModel:
+    """The near/far model in the adaptive loop.
+
+    Attributes
+    ----------
+    floodlit : Pictures
+        The floodlit picture alone.
+    shape : tuple of int
+        The ray domain.
+    smooth : SmoothModel, optional
+        Indirect light; None before the first fit, when all light counts as direct.
+    """
+
+    floodlit: Pictures
+    shape: tuple[int, ...]
+    smooth: SmoothModel | None = None
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Number of cores, as ``nodes``."""
+        return {} if self.smooth is None else {"nodes": len(self.smooth.basis.first)}
+
+    @property
+    def is_suitable(self) -> bool:
+        """True: the first fit decides."""
+        return True
+
+    def next_patterns(self, key: int, count: int) -> NDArray[np.bool_]:
+        """Draw octave noise; after a fit, with bands of equal range of the indirect light."""
+        if self.smooth is None:
+            return probe_patterns(self.shape, key, count)
+        origin = light_range(self.shape, self.smooth, self.floodlit.floodlit)
+        return probe_patterns(self.shape, key, count, origin)
+
+    def fit(self, pictures: Pictures) -> Self:
+        """Fit the indirect light to all pictures."""
+        # one solution for each scale, two for the sum of the channels, one for each channel
+        solutions = round(log2(coarsest_scale(self.shape))) + 2 + pictures.channels
+        with steps("smooth light", solutions):
+            return replace(self, smooth=fit_smooth_model(self.shape, pictures))
+
+    def transport(
+        self,
+        rows: list[dict[str, Any]],
+        residual: Sequence[Transport] = (),
+        hierarchy: Transport | None = None,
+    ) -> SumTransport:
+        """Assemble indirect light; direct light is what the floodlit image has besides."""
+        if hierarchy is not None:
+            parts = [hierarchy, *residual]
+            return near_far_transport(self.shape, rows, None, self.floodlit, parts)
+        return near_far_transport(self.shape, rows, self.smooth, self.floodlit, residual)
+
+    def dark_pixels(self, lit: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the pixels that a pattern leaves dark: camera and projector share their rays."""
+        return ~lit
+
+    def projector_cells(self, camera: CameraCells, base: Transport) -> ProjectorCells:
+        """Return the camera's cells."""
+        return coaxial_projector(camera)
+
+
+@dataclass(frozen=True)
+class NearFarState(AdaptiveState):
+    """State of a near/far acquisition."""
+
+    hierarchy_method = "symmetric"
+
+    model: NearFarModel | None = None
+
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return the parts that the last level changed, the model among them."""
+        parts = super().to_arrays(previous)
+        if self.model is None or self.model.smooth is None or self.model is previous.model:
+            return parts
+        smooth = self.model.smooth
+        return merged(
+            parts,
+            {"model_functions": smooth.functions, "model_cores": smooth.cores},
+            model_shape=list(smooth.shape),
+        )
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state."""
+        state = super().from_arrays(start, levels)
+        if state.pictures is None:
+            return state
+        smooth, level = None, latest("model_shape", levels)
+        if level is not None:
+            arrays = without_prefix("model_", level.arrays)
+            smooth = SmoothModel(level.attributes["model_shape"], **arrays)
+        return replace(state, model=_model(state, state.pictures, smooth))
+
+
+def _model(state: AdaptiveState, pictures: Pictures, smooth: SmoothModel | None) -> NearFarModel:
+    return NearFarModel(pictures.some(slice(0, 1)), state.projector.shape, smooth)
+
+
+class NearFar(AdaptiveMethod):
+    """Near/far acquisition, for coaxial rigs.
+
+    It ends at ``target_error``, by the estimate from held-out pictures, and returns the transport
+    that predicts these best.
+    """
+
+    name = "near_far"
+    title = "Near/far acquisition"
+    colour = "#b3263a"
+    marker = "D"
+    needs_coaxial_rig = True
+    bytes_per_ray = 10_000
+    trials = (0.05, 0.01, 0.003)
+    State = NearFarState
+    hierarchy_cost = HIERARCHY
+    residual_is_optional = True
+
+    def rounds(self, projector: RayDomain) -> Rounds:
+        """Return the rounds of all phases."""
+        return {
+            Phase.MODEL: ROUNDS,
+            Phase.RESIDUAL: RESIDUAL_ROUNDS,
+            **hierarchy_rounds(projector),
+        }
+
+    def first_model(self, state: AdaptiveState, floodlit: Pictures) -> NearFarModel:
+        """Make the model without indirect light."""
+        return _model(state, floodlit, None)
+
+    def _floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
+        """Give unknown pixels the radiance of the nearest known one: they light others too."""
+        return picture.completed(state.projector.shape)
+
+    def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
+        """Decide after a round, by its phase."""
+        if decision := end(state):
+            return decision
+        if phase is Phase.MODEL:
+            return _after_model_round(state, is_last)
+        if phase is Phase.RESIDUAL:
+            return _after_residual_round(state, is_last)
+        if is_nearly_met(state) and exceeds_hierarchy(state, HIERARCHY):
+            return Decision(None, _CLOSE)
+        return after_hierarchy_residual_round(state, is_last)
+
+
+def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
+    """Decide after a round of the model whose error is above the target."""
+    is_exhausted = is_last or has_stalled(state)
+    if is_exhausted and is_mostly_noise(state):
+        return Decision(None, _NOISE)
+    if len(state.errors) == 1 and state.errors[0] > WRONG_MODEL and not state.options.patterns:
+        return Decision(Phase.HIERARCHY, NOT_SUITABLE)
+    # the residual was kept because it helps; blocks determine more of it than probes do
+    if is_exhausted or state.residual is not None:
+        return Decision(Phase.RESIDUAL, "smooth light is not all there is")
+    return Decision(Phase.MODEL)
+
+
+def _after_residual_round(state: AdaptiveState, is_last: bool) -> Decision:
+    """Decide after a round of the model's residual whose error is above the target."""
+    if is_last and is_mostly_noise(state):
+        return Decision(None, _NOISE)
+    if not is_last and not exceeds_hierarchy(state, HIERARCHY):
+        return Decision(Phase.RESIDUAL)
+    if is_nearly_met(state):
+        return Decision(None, _CLOSE)
+    if not state.options.patterns:
+        return Decision(Phase.HIERARCHY, "more rounds would take more patterns")
+    return Decision(None, ALL_SHOWN) if is_last else Decision(Phase.RESIDUAL)
