@@ -10,9 +10,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
@@ -22,25 +23,56 @@ from benchmarks.harness import write
 from benchmarks.methods.cases import Case
 from benchmarks.methods.measure import measure
 from rfpipe.methods.adaptive import decisions
-from rfpipe.methods.adaptive.footprints.method import Footprints
-from rfpipe.methods.adaptive.near_far import NearFar
+from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.methods.footprints import method as footprints
+from rfpipe.methods.near_far import method as near_far
 
 SCENES = ("two_blocks", "red_wall_box", "translucent", "foreshortened", "glass_and_ring",
           "wedge_iv", "wedge_30", "wedge_120", "wedge_aside", "bottle")  # fmt: skip
 
-CHANGED: dict[str, tuple[Any, ...]] = {
-    "stalled": (0.7, 0.95),
-    "slowest": (0.12, 0.5),
-    "least": ((3, 0.05), (12, 0.2)),
-    "ample": (0.9, 1.4),
-    "nearly": (1.0, 1.5),
-    "noise": (1.1, 2.5),
-    "symmetric": ((20.0, 0.55), (45.0, 0.55)),
-    "dual": ((30.0, 0.75), (70.0, 0.75)),
-    "lost": (0.6, 1.7),
-    "tolerance": (0.6, 1.7),
+Change = tuple[object, str, Any]
+"""An object, the name of its attribute, and another value of the attribute."""
+
+
+def constant(name: str, *values: Any) -> list[tuple[Any, list[Change]]]:
+    """Return other values of a constant of `decisions`."""
+    return [(value, [(decisions, name, value)]) for value in values]
+
+
+def cost(module: ModuleType, method: type[AdaptiveMethod], field: str, factor: float) -> list[Change]:
+    """Multiply a field of a method's `HierarchyCost`."""
+    present = method.hierarchy_cost
+    other = replace(present, **{field: factor * getattr(present, field)})
+    return [(module, "HIERARCHY", other), (method, "hierarchy_cost", other)]
+
+
+def costs(field: str, factor: float) -> list[Change]:
+    """Multiply a field of the `HierarchyCost` of both methods."""
+    return [
+        *cost(near_far, near_far.NearFar, field, factor),
+        *cost(footprints, footprints.Footprints, field, factor),
+    ]
+
+
+def wrong_model(factor: float) -> list[Change]:
+    """Multiply the first error from which on a hierarchy takes over."""
+    modules = (near_far, footprints)
+    return [(module, "WRONG_MODEL", factor * module.WRONG_MODEL) for module in modules]
+
+
+CHANGES: dict[str, list[tuple[Any, list[Change]]]] = {
+    "stalled": constant("STALLED", 0.7, 0.95),
+    "slowest_power": constant("SLOWEST_POWER", 0.12, 0.5),
+    "least_patterns": constant("LEAST_PATTERNS", 3, 12),
+    "least_share": constant("LEAST_SHARE", 0.05, 0.2),
+    "extrapolation": constant("EXTRAPOLATION_MARGIN", 0.9, 1.4),
+    "nearly": constant("NEARLY", 1.0, 1.5),
+    "noise": constant("MOSTLY_NOISE", 1.1, 2.5),
+    "hierarchy_patterns": [(factor, costs("patterns", factor)) for factor in (0.67, 1.5)],
+    "tolerance": [(factor, costs("tolerance", factor)) for factor in (0.6, 1.7)],
+    "wrong_model": [(factor, wrong_model(factor)) for factor in (0.6, 1.7)],
 }
-"""Of `decisions.Thresholds`; of both ways, `lost` and `tolerance` are multiplied."""
+"""Two other values of each threshold; the last three have factors."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -48,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.methods.thresholds")
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
     parser.add_argument("--targets", nargs="+", type=float, default=[0.01])
-    parser.add_argument("--only", nargs="+", choices=CHANGED, default=list(CHANGED))
+    parser.add_argument("--only", nargs="+", choices=CHANGES, default=list(CHANGES))
     parser.add_argument("--cache", type=Path, default=Path("results/recorded"))
     options = parser.parse_args(arguments)
     write("thresholds", rows(options.scenes, options.targets, options.only, options.cache))
@@ -60,8 +92,8 @@ def rows(
     """Yield a row for each value of each threshold."""
     places = list(product(scenes, targets))
     before = [acquired(*place, cache) for place in places]
-    for name, value in [(threshold, value) for threshold in names for value in CHANGED[threshold]]:
-        with changed(name, value):
+    for name, value, changes in [(name, *other) for name in names for other in CHANGES[name]]:
+        with changed(changes):
             after = [acquired(*place, cache) for place in places]
         more = [b["patterns"] / a["patterns"] for a, b in zip(before, after, strict=True)]
         worse = [b["error_mean"] / a["error_mean"] for a, b in zip(before, after, strict=True)]
@@ -78,16 +110,11 @@ def rows(
         }
 
 
-def changed(name: str, value: Any) -> ExitStack:
-    """Return a context in which a threshold has another value."""
+def changed(changes: Sequence[Change]) -> ExitStack:
+    """Return a context in which attributes have other values."""
     stack = ExitStack()
-    if name in {field.name for field in fields(decisions.Thresholds)}:
-        stack.enter_context(patch.object(decisions, "_AT", replace(decisions._AT, **{name: value})))
-    for method, law in ((NearFar, "symmetric"), (Footprints, "dual")):
-        way = method.way
-        overrides = {law: {"law": value}, name: {name: value * getattr(way, name, 0)}}
-        if name == law or name in ("lost", "tolerance"):
-            stack.enter_context(patch.object(method, "way", replace(way, **overrides[name])))
+    for owner, name, value in changes:
+        stack.enter_context(patch.object(owner, name, value))
     return stack
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import CameraConfig
+from rfpipe.methods.dual import Dual
 from rfpipe.methods.footprints.method import Footprints
 from rfpipe.methods.near_far.method import NearFar
-from rfpipe.methods.dual import Dual
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.scenes import reference_scene
 from rfpipe.transport import save_transport

@@ -13,7 +13,6 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
-from rfpipe.methods.footprints.method import ROUNDS, Footprints
 from rfpipe.methods.footprints.candidates import Candidates
 from rfpipe.methods.footprints.geometry import refined_candidates
 from rfpipe.methods.footprints.kernels import (
@@ -23,6 +22,7 @@ from rfpipe.methods.footprints.kernels import (
     solve_weights,
 )
 from rfpipe.methods.footprints.matching import box_templates
+from rfpipe.methods.footprints.method import ROUNDS, Footprints
 from rfpipe.methods.footprints.pictures import ViewPictures
 from rfpipe.methods.footprints.weights import fit_weights
 from rfpipe.stages.evaluate import relative_rms

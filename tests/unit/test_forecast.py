@@ -15,7 +15,7 @@ import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.config import Config
 from rfpipe.jobs import workers
-from rfpipe.methods.adaptive.decisions import PATTERNS
+from rfpipe.methods.adaptive.decisions import EXPECTED_PATTERNS, EXPECTED_POWER
 from rfpipe.methods.base import get_method, options_of
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages.forecast import forecast
@@ -88,8 +88,8 @@ def test_expected_patterns_are_those_of_the_open_benchmark() -> None:
     taken = taken[taken["camera_rays"] >= 48 * 48]
     is_open = ~taken["held_out_scene"].astype(bool) & ~taken["held_out_seed"].astype(bool)
     views = np.where(taken["scene"].str.startswith("views"), 9, 1)
-    a_view, power = PATTERNS
-    times = taken["patterns"] / (views * a_view * (0.01 / taken["value"]) ** power)
+    expected = views * EXPECTED_PATTERNS * (0.01 / taken["value"]) ** EXPECTED_POWER
+    times = taken["patterns"] / expected
     assert np.quantile(times[is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.75, 1.1, 1.75], 0.1)
     assert np.quantile(times[~is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.77, 3.6, 6.8], 0.1)
 

@@ -1,4 +1,4 @@
-"""Near/far acquisition: few pictures, an error that is known, and what to do where it fails."""
+"""Near/far acquisition: patterns, errors, estimates, and the hand-over to symmetric photography."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from tests.rigs.known_matrix import acquire_matrix, dense, picture_error
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError
-from rfpipe.methods.adaptive.near_far import ROUNDS, NearFar
-from rfpipe.methods.adaptive.rounds import BLOCK_ROUNDS
+from rfpipe.methods.adaptive.loop import RESIDUAL_ROUNDS
+from rfpipe.methods.adaptive.state import Phase
 from rfpipe.methods.error_estimate import HELD_OUT
+from rfpipe.methods.near_far.method import ROUNDS, NearFar
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, reference_scene, relighting_patterns
 from rfpipe.stages.acquire import AcquisitionResult
@@ -68,26 +69,26 @@ def smooth_views() -> np.ndarray:
     return np.block([[one, one / 2], [one / 2, one]]) + 0.3 * np.eye(30)
 
 
-# --- what a room costs
+# --- patterns and errors
 
 
 @pytest.mark.parametrize("noise", [None, CameraConfig()])
-def test_a_wedge_is_known_from_far_fewer_patterns_than_symmetric_photography_takes(
+def test_a_wedge_takes_far_fewer_patterns_than_by_symmetric_photography(
     noise: CameraConfig | None,
 ) -> None:
     scene = reference_scene("IV", (32, 32), channels=1)
     few = run(scene, "near_far", noise)
     many = run(scene, "symmetric", noise, tolerance=6e-3)
-    found, rival = errors(scene, few.transport), errors(scene, many.transport)
-    assert len(found) == 5
+    few_errors, many_errors = errors(scene, few.transport), errors(scene, many.transport)
+    assert len(few_errors) == 5
     # 0.29 and 0.38 % from 23 patterns, against 0.20 and 0.30 % from 65
-    assert max(found) < 0.01
-    assert max(rival) < 0.01
+    assert max(few_errors) < 0.01
+    assert max(many_errors) < 0.01
     assert few.patterns < 0.4 * many.patterns
     assert few.history["estimated_error"].iloc[-1] <= 0.01
 
 
-def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond_noise() -> None:
+def test_a_scene_of_direct_light_takes_one_round_and_has_only_the_error_of_noise() -> None:
     scene = reference_scene("I", (32, 32), channels=1)
     first = 1 + len(HELD_OUT) + ROUNDS[0]
     exact, noisy = (run(scene, "near_far", noise) for noise in (None, CameraConfig()))
@@ -103,39 +104,50 @@ def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [mirror, caustics])
 @pytest.mark.parametrize("noise", [None, CameraConfig()])
-def test_where_nothing_is_smooth_symmetric_photography_takes_over(
+def test_symmetric_photography_takes_over_where_no_light_is_smooth(
     make: Callable[[int], np.ndarray], noise: CameraConfig | None
 ) -> None:
     matrix, shape = make(24), (24, 24)
     rig = OperatorRig(matrix, shape, shape, noise)
-    found = acquire(rig, "near_far", progress=False)
+    result = acquire(rig, "near_far", progress=False)
     rival = acquire(rig, "symmetric", progress=False, tolerance=0.01)
-    # a round's probes, the held-out pictures, and with noise two rounds of blocks: the error is a
-    # third of the estimate, which is what noise could hide
-    blocks = 2 * BLOCK_ROUNDS[0][1] if noise else 0
-    assert found.patterns <= rival.patterns + ROUNDS[0] + len(HELD_OUT) + blocks
-    assert any(isinstance(part, HierarchicalTransport) for part in found.transport.parts)
-    rows = found.transport.level_rows
+    # the first round, and with noise two rounds of blocks: the error is a third of the estimate,
+    # which is the error that noise could hide
+    blocks = 2 * RESIDUAL_ROUNDS[0] if noise else 0
+    assert result.patterns <= rival.patterns + ROUNDS[0] + len(HELD_OUT) + blocks
+    assert any(isinstance(part, HierarchicalTransport) for part in result.transport.parts)
+    rows = result.transport.level_rows
     assert [row["level"] for row in rows] == list(range(len(rows)))
-    assert sum(row["patterns"] for row in rows) == found.patterns
-    apart = [relative_rms(dense(result.transport)[0], matrix) for result in (found, rival)]
-    assert apart[0] < 1.1 * apart[1] + 1e-7
+    assert sum(row["patterns"] for row in rows) == result.patterns
+    error, rival_error = (
+        relative_rms(dense(acquired.transport)[0], matrix) for acquired in (result, rival)
+    )
+    assert error < 1.1 * rival_error + 1e-7
     if noise is None and make is not caustics:
-        assert apart[0] < 1e-6
-    # what is estimated is the error of the transport that is returned, not of the model before it
-    true = picture_error(found.transport, matrix, generator(8).random((4, *shape)) < 0.3)
-    told = found.history["estimated_error"]
-    floor = 1e-3 if noise is None else 5e-3  # that noise of two pictures leaves
-    assert 0.4 * true - floor < told.iloc[-1] < 2.5 * true + floor
-    assert told.iloc[0] > 10 * told.iloc[-1]
-    assert found.history["patterns"].iloc[-1] == found.patterns
+        assert error < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [mirror, caustics])
+@pytest.mark.parametrize("noise", [None, CameraConfig()])
+def test_the_estimated_error_is_that_of_the_hierarchy_that_is_returned(
+    make: Callable[[int], np.ndarray], noise: CameraConfig | None
+) -> None:
+    matrix, shape = make(24), (24, 24)
+    result = acquire(OperatorRig(matrix, shape, shape, noise), "near_far", progress=False)
+    error = picture_error(result.transport, matrix, generator(8).random((4, *shape)) < 0.3)
+    estimated = result.history["estimated_error"]
+    hidden = 1e-3 if noise is None else 5e-3  # by the noise of two pictures
+    assert 0.4 * error - hidden < estimated.iloc[-1] < 2.5 * error + hidden
+    assert estimated.iloc[0] > 10 * estimated.iloc[-1]
+    assert result.history["patterns"].iloc[-1] == result.patterns
 
 
 # --- states
 
 
-class OnAMirror(MethodContract):
-    """The contract where symmetric photography takes over."""
+class MirrorContract(MethodContract):
+    """The contract on a mirror, where symmetric photography takes over."""
 
     def make_method(self) -> NearFar:
         return NearFar()
@@ -144,24 +156,39 @@ class OnAMirror(MethodContract):
         return np.repeat(0.9 * np.eye(42)[None, ::-1], 3, axis=0)
 
 
-def test_a_state_that_symmetric_photography_took_over_is_restored() -> None:
-    suite = OnAMirror()
+def test_a_state_with_a_hierarchy_is_restored() -> None:
+    suite = MirrorContract()
     states = suite._run(suite._matrix()).states
-    first = next(state for state in states if state.following == "hierarchy")
-    # what is left dark while it is refined is known from it, however far off it is
-    assert isinstance(NearFar().known(first), HierarchicalTransport)
-    suite.test_a_state_is_restored_from_its_packs()
+    rounds = [state.next_round for state in states]
+    first = next(
+        state
+        for state, coming in zip(states, rounds, strict=True)
+        if coming is not None and coming.phase is Phase.HIERARCHY
+    )
+    # rays that a level leaves dark are predicted by the hierarchy, whatever its error
+    assert isinstance(NearFar().transport_of_dark_rays(first), HierarchicalTransport)
+    suite.test_a_state_is_restored_from_its_arrays()
+
+
+def test_keys_of_rounds_depend_on_phase_and_index_alone() -> None:
+    suite = MirrorContract()
+    rounds = [state.next_round for state in suite._run(suite._matrix()).states]
+    keys = [(coming.phase, coming.index, coming.key) for coming in rounds if coming is not None]
+    assert keys[:2] == [(Phase.FLOODLIT, 0, 0), (Phase.MODEL, 0, 1)]
+    first_key = 1 + len(ROUNDS) + len(RESIDUAL_ROUNDS)
+    assert keys[2:4] == [(Phase.HIERARCHY, index, first_key + index) for index in range(2)]
 
 
 @pytest.mark.parametrize("limit", [1, 7, 8, 14, 30])
 @pytest.mark.parametrize("case", ["prime_sides", "mirror"])
-def test_a_number_of_patterns_is_a_limit_and_nothing_takes_over(case: str, limit: int) -> None:
+def test_shows_no_more_patterns_than_the_limit(case: str, limit: int) -> None:
     scene = CASES[case]()
     rig = OperatorRig(scene, scene.shape, scene.shape)
     result = acquire(rig, "near_far", progress=False, patterns=limit, target_error=1e-5)
     assert result.patterns <= limit
     if limit > 7 and case == "prime_sides":
         assert result.patterns == limit
+    assert result.transport.level_rows[-1]["ended"]
     assert np.isfinite(dense(result.transport)).all()
     if case == "prime_sides":
         assert max(errors(scene, result.transport)) < 0.5
@@ -173,7 +200,7 @@ def test_a_number_of_patterns_is_a_limit_and_nothing_takes_over(case: str, limit
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_every_hard_case_ends(name: str) -> None:
+def test_ends_at_its_target_on_hard_cases(name: str) -> None:
     scene = CASES[name]()
     if name == "asymmetric_alignment":
         with pytest.raises(CaptureError, match="as it comes"):
@@ -190,7 +217,7 @@ def test_every_hard_case_ends(name: str) -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-4])
-def test_a_stack_of_views(sigma: float) -> None:
+def test_acquires_a_stack_of_views(sigma: float) -> None:
     matrix = smooth_views()
     done = acquire_matrix(NearFar(), matrix, (2, 3, 5), (2, 3, 5), sigma=sigma)
     assert np.isfinite(dense(done.transport)).all()

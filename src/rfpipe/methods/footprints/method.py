@@ -155,9 +155,7 @@ class FootprintEstimate:
 
     def fit(self, pictures: Pictures) -> Self:
         """Fit footprints and indirect light to all pictures."""
-        arrays, footprints = fit_pictures(
-            self.camera, self.projector, pictures, self.footprints
-        )
+        arrays, footprints = fit_pictures(self.camera, self.projector, pictures, self.footprints)
         return replace(self, arrays=arrays, footprints=footprints)
 
     def transport(
