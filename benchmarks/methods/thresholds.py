@@ -39,7 +39,9 @@ def constant(name: str, *values: Any) -> list[tuple[Any, list[Change]]]:
     return [(value, [(decisions, name, value)]) for value in values]
 
 
-def cost(module: ModuleType, method: type[AdaptiveMethod], field: str, factor: float) -> list[Change]:
+def cost(
+    module: ModuleType, method: type[AdaptiveMethod], field: str, factor: float
+) -> list[Change]:
     """Multiply a field of a method's `HierarchyCost`."""
     present = method.hierarchy_cost
     other = replace(present, **{field: factor * getattr(present, field)})
@@ -92,7 +94,7 @@ def rows(
     """Yield a row for each value of each threshold."""
     places = list(product(scenes, targets))
     before = [acquired(*place, cache) for place in places]
-    for name, value, changes in [(name, *other) for name in names for other in CHANGES[name]]:
+    for name, value, changes in [(key, *other) for key in names for other in CHANGES[key]]:
         with changed(changes):
             after = [acquired(*place, cache) for place in places]
         more = [b["patterns"] / a["patterns"] for a, b in zip(before, after, strict=True)]
