@@ -286,7 +286,7 @@ def test_photographs_of_a_paper_come_back(
         (lambda at: (at / "test/img_0002.exr").unlink(), "2 pictures of the 1 patterns.*img_0002"),
         (lambda at: write(at / "train/img_0004.exr", np.ones((12, 13, 3), "f4")), "another size"),
         (lambda at: write(at / "cam/raw/test/img_0001.exr", np.ones((9, 9, 3), "f4")), "be alike"),
-        (lambda at: shutil.rmtree(at / "train"), "train: is no folder"),
+        (lambda at: shutil.rmtree(at / "train"), "train: is not a folder"),
     ],
 )
 def test_folders_of_papers_that_don_t_fit(tmp_path: Path, stored: Path, change, message) -> None:

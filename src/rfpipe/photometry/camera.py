@@ -35,19 +35,19 @@ _EXACT_POISSON_BELOW = 64.0
 # is a rounded Gaussian of the same mean and variance (skewness of the true one: at most 1/8).
 
 UNKNOWN_DEVIATION = 0.125
-"""Standard deviation of a sample saturated in every exposure, in units of the full scale. That
-it is light is known, how much is not: the value is significant, eight deviations among any number
-of measurements, and its weight small."""
+"""Standard deviation of a sample saturated in every exposure, in units of the full scale. The value
+is significant, with eight standard deviations, but has a small weight, since only a lower bound of
+the light is known."""
 
 _ROUNDS = 2
-# Rounds of weights from the pooled estimate; a third changes the result by less than a thousandth
-# of its standard deviation (RMS), a hundredth at most.
+# Iterations of the weights from the pooled estimate. A third one changes the result by less than
+# 0.001 standard deviations (RMS), and at most 0.01.
 
 _GLOW_SIGNIFICANCE = 4.0
 # Electrons in the all-off frames count as more than the dark current above this many standard
 # deviations of their noise; its shot noise then enters the variance.
 
-_SAMPLES = 2**14  # merged at once: what comes between stays in the cache
+_SAMPLES = 2**14  # number of samples merged at a time, so that intermediate arrays fit the cache
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class CameraModel(Sensor):
     """A camera with photon and read noise, limited wells and a converter of few bits.
 
     Radiance -> lens -> mosaic -> electrons of each exposure (Poisson), full well, read noise
-    -> response, gain, black level, rounding -> counts; `merge` is the way back.
+    -> response, gain, black level, rounding -> counts; `merge` is the inverse.
 
-    The settings are those of `rfpipe.config.CameraConfig`, which says their units and ranges.
+    The parameters, their units and ranges are those of `rfpipe.config.CameraConfig`.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class CameraModel(Sensor):
 
     @property
     def white_level(self) -> int:
-        """Full scale in counts: where the sensor saturates, if that is below what its bits hold."""
+        """Full scale in counts: the level of saturation, or the largest count of the bits."""
         return int(2**self.bits) - 1 if self.white_level_counts is None else self.white_level_counts
 
     @property
@@ -103,7 +103,7 @@ class CameraModel(Sensor):
 
     @property
     def electrons_per_count(self) -> float:
-        """Gain of a linear camera: the full well gives full scale."""
+        """Gain of a linear camera, whose full well gives full scale."""
         return self.full_well_electrons / (self.white_level - self.black_level_counts)
 
     @property
@@ -121,14 +121,14 @@ class CameraModel(Sensor):
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
-        if self.white_level_counts is None:  # as it was before there was such a setting
+        if self.white_level_counts is None:  # keeps fingerprints without this setting
             del settings["white_level_counts"]
         return {"kind": "camera", **settings, "exposures": list(self.exposures)}
 
     def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> Counts:
         """Take one bracket of a radiance image (*camera_shape, C); see `Sensor.expose`.
 
-        Counts uint16 of shape `frame_shape`, 0 to `white_level`. Raises InputError when the image
+        Returns counts, uint16 of shape `frame_shape`, 0 to `white_level`. InputError when the image
         can't be sampled through the mosaic.
         """
         light = apply_optics(
@@ -142,11 +142,13 @@ class CameraModel(Sensor):
         return frames
 
     def merging(self, black: NDArray[Any], black_count: int = 1) -> CountsMerge:
-        """Return what merges many brackets to radiance with its variance.
+        """Prepare a merge of brackets to radiance with its variance.
 
-        A response_gamma above 1 is steep at the black level: one that leaves no room for the read
-        noise cuts its lower half off, and the mean of bent counts doesn't wholly hold a dark
-        current below the read noise. Darkness is then off by a fraction of its noise.
+        Notes
+        -----
+        A response_gamma above 1 is steep at the black level. If the black level is so low that read
+        noise is clipped, or the dark current is below the read noise, the mean of the non-linear
+        counts is biased, and dark radiance is off by a fraction of its noise.
         """
         return CountsMerge(self, black, black_count)
 
@@ -176,14 +178,16 @@ class CameraModel(Sensor):
 
 
 def sensor_from_config(config: CameraConfig | None) -> Sensor:
-    """Return the sensor of a run's settings: a camera, or exact radiance for None."""
+    """Create the sensor of a run's settings: a camera, or exact radiance for None."""
     if config is None:
         return ExactSensor()
     return CameraModel(**config.model_dump())
 
 
 def apply_optics(radiance: Float, psf_sigma: float, vignetting: float, flare: float) -> Float:
-    """Return the image on the sensor; linear in the radiance, each view and channel by itself.
+    """Apply the lens to an image: blur, vignetting and flare, separately by view and channel.
+
+    All effects are linear in the radiance.
 
     Parameters
     ----------
@@ -215,7 +219,7 @@ def apply_optics(radiance: Float, psf_sigma: float, vignetting: float, flare: fl
 
 
 def _falloff(height: int, width: int, vignetting: float) -> Float:
-    """Return cos^4 of the field angle, 1 at the centre and ``1 - vignetting`` in the corners."""
+    """cos^4 of the field angle, 1 at the centre and ``1 - vignetting`` in the corners."""
     y = np.arange(height) - (height - 1) / 2
     x = np.arange(width) - (width - 1) / 2
     radius_squared = y[:, None] ** 2 + x[None, :] ** 2
@@ -228,7 +232,7 @@ def _falloff(height: int, width: int, vignetting: float) -> Float:
 
 
 class CountsMerge:
-    """The merge of a camera's brackets, given the mean of the all-off frames (E, ...) in counts."""
+    """Merge of a camera's brackets, for a mean of the all-off frames (E, ...) in counts."""
 
     def __init__(self, camera: CameraModel, black: NDArray[Any], black_count: int) -> None:
         black = np.asarray(black, np.float32)
@@ -242,7 +246,7 @@ class CountsMerge:
         self._usable_below = COUNTS(np.ceil(SATURATION_FRACTION * camera.white_level))
         table = electrons_of_counts(camera)
         background = np.interp(black, np.arange(len(table)), table).astype(np.float32)
-        # the converter's steps are as coarse in electrons as the response is steep
+        # the size of a count in electrons is the slope of the inverse response
         steps = np.square(np.gradient(table)).astype(np.float32) / 12
         noise = _fixed_noise(camera, background, black_count)
         self._is_linear = camera.response_gamma == 1
@@ -261,20 +265,20 @@ class CountsMerge:
         saturated = 0
         for index, bracket in enumerate(flat):
             for first in range(0, flat.shape[-1], _SAMPLES):
-                some = slice(first, first + _SAMPLES)
-                counts, noise = bracket[:, some], self._noise[:, some]
+                part = slice(first, first + _SAMPLES)
+                counts, noise = bracket[:, part], self._noise[:, part]
                 if self._is_linear:
-                    electrons = counts - self._background[:, some]
+                    electrons = counts - self._background[:, part]
                     electrons *= np.float32(self._camera.electrons_per_count)
                 else:
-                    electrons = self._table[counts] - self._background[:, some]
+                    electrons = self._table[counts] - self._background[:, part]
                     noise = noise + self._steps[counts]
                 usable = counts < self._usable_below
                 result = merge_bracket(
                     electrons, usable, self._collection, list(noise), self._full_scale
                 )
-                radiance[index, some], variance[index, some], lost = result
-                saturated += lost
+                radiance[index, part], variance[index, part], part_saturated = result
+                saturated += part_saturated
         merged = radiance.reshape(count, *image), variance.reshape(count, *image)
         if self._camera.bayer is not None:
             merged = demosaic(*merged, self._camera.bayer)
@@ -322,14 +326,14 @@ def merge_bracket(
     """
     samples = electrons.shape[1:]
     signal = electrons * usable
-    lost = ~usable.any(axis=0)
+    is_saturated = ~usable.any(axis=0)
     estimate = np.zeros(samples, np.float32)
     precision = np.zeros(samples, np.float32)
     for k, e, u in zip(collection, signal, usable, strict=True):
         estimate += e
         precision += u * np.float32(k)
     for _ in range(_ROUNDS):
-        np.divide(estimate, precision, out=estimate, where=~lost)
+        np.divide(estimate, precision, out=estimate, where=~is_saturated)
         np.maximum(estimate, 0, out=estimate)
         pooled = estimate
         estimate = np.zeros(samples, np.float32)
@@ -341,21 +345,22 @@ def merge_bracket(
             estimate += weight * e
             weight *= u * np.float32(k)
             precision += weight
-    precision[lost] = 1
+    precision[is_saturated] = 1
     estimate /= precision
     variance = np.reciprocal(precision)
-    saturated = int(np.count_nonzero(lost))
+    saturated = int(np.count_nonzero(is_saturated))
     if saturated:
-        estimate[lost] = electrons[0][lost] / np.float32(collection[0])
-        variance[lost] = np.float32((UNKNOWN_DEVIATION * full_scale) ** 2)
+        estimate[is_saturated] = electrons[0][is_saturated] / np.float32(collection[0])
+        variance[is_saturated] = np.float32((UNKNOWN_DEVIATION * full_scale) ** 2)
     return estimate, variance, saturated
 
 
 def are_saturated(radiance: Float, variance: Float) -> NDArray[np.bool_]:
-    """Tell which samples of pictures of one scene were saturated in every exposure.
+    """Find samples, in pictures of one scene, that were saturated in every exposure.
 
-    They are as bright as the brightest one, and as uncertain as `UNKNOWN_DEVIATION` says, up to a
-    tenth: of all other samples, only dark ones are. What isn't finite isn't told.
+    They have the brightness of the brightest sample and the standard deviation `UNKNOWN_DEVIATION`,
+    within 10 %; no other sample is both bright and so uncertain. Samples that aren't finite are
+    not marked.
     """
     known = np.isfinite(radiance) & np.isfinite(variance)
     brightest = radiance.max(initial=0, where=known)

@@ -23,14 +23,14 @@ MAD_TO_DEVIATION = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class DefectMap:
-    """Pixels not to be trusted.
+    """Map of defective pixels.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (*camera_shape)
-        The defects and, under a colour mosaic, their neighbours, which are filled from them.
+        The defects and, under a colour mosaic, their neighbours, whose colours depend on them.
     hot, dead : int
-        Pixels with an outlying black level or noise; others that read the same whatever happens.
+        Numbers of pixels with an outlying black level or noise, and of others with constant counts.
     """
 
     mask: Mask
@@ -39,14 +39,14 @@ class DefectMap:
 
 
 class DarkFrames:
-    """Mean, variance and range of the all-off brackets, which pass by a few at a time.
+    """Mean, variance and range of all-off brackets, accumulated in batches.
 
-    The first two are sums in float64: of counts they are exact, whatever comes together.
+    Sums are float64, which is exact for counts, so that batches don't affect the result.
 
     Attributes
     ----------
     count : int
-        Brackets seen.
+        Number of brackets.
     smallest, largest : ndarray, shape (E, ...)
         The smallest and the largest value of each sample, in the brackets' dtype.
     """
@@ -59,20 +59,20 @@ class DarkFrames:
 
     @classmethod
     def of(cls, frames: NDArray[Any]) -> DarkFrames:
-        """Return those of brackets (K, E, ...) at hand."""
+        """Accumulate brackets (K, E, ...)."""
         dark = cls()
         dark.add(frames)
         return dark
 
     def add(self, frames: NDArray[Any]) -> None:
-        """Take brackets (B, E, ...) into account."""
+        """Add brackets (B, E, ...)."""
         for bracket in frames:
             if not self.count:
                 self._first = bracket.astype(np.float64)
                 self._total, self._squares = np.zeros((2, *bracket.shape))
                 self.smallest = self.largest = bracket
             self._total += bracket
-            # about the first one, so that a high black level doesn't drown its noise
+            # relative to the first bracket, against rounding errors at a high black level
             self._squares += np.square(bracket - self._first)
             self.smallest, self.largest = (
                 np.minimum(self.smallest, bracket),
@@ -87,22 +87,22 @@ class DarkFrames:
 
     @property
     def variance(self) -> NDArray[np.float64]:
-        """Variance of each sample between brackets, shape (E, ...); takes two or more."""
+        """Variance of each sample between two or more brackets, shape (E, ...)."""
         shift = self._total - self.count * self._first
         spread = np.maximum(self._squares - np.square(shift) / self.count, 0)
         return np.asarray(spread / (self.count - 1))
 
 
 def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor) -> DefectMap:
-    """Find pixels that are hot, dead or stuck, by dark frames and a floodlit bracket (E, ...).
+    """Find pixels that are hot, dead or stuck, from dark frames and a floodlit bracket (E, ...).
 
     Notes
     -----
     Hot: the mean of the black frames, or (with two or more) their variance, is an outlier of any
     exposure, relative to the robust spread over pixels. Dead or stuck: all frames of an exposure,
-    the floodlit one among them, hold the same count. A pixel that merely sees no light has the
-    noise of any other and is none of these, whatever its neighbours see. Where the converter's
-    steps hide that noise a constant count says nothing, and no pixel is called dead.
+    including the floodlit one, have the same count. A pixel that receives no light has the noise of
+    any other pixel and is not a defect. Where rounding hides the noise, constant counts are no
+    evidence, and no pixel is dead.
     """
     hot = find_hot(dark)
     dead = _constant(dark, floodlit_frames)
@@ -114,14 +114,14 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     if not has_channels:
         from scipy.ndimage import binary_dilation
 
-        # by one pixel in each direction of the image, the reach of the demosaic
+        # by one pixel in each direction, the support of the demosaicing filter
         mask = binary_dilation(mask, np.ones((*(1,) * (mask.ndim - 2), 3, 3), bool))
     return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
 
 
 def find_hot(dark: DarkFrames) -> Mask:
     """Find the photosites with an outlying black level or noise: bool, shape of a frame."""
-    # the mean of dark frames is no more certain than their rounding
+    # the mean of dark frames has at least the uncertainty of their rounding
     floor = float(1 / np.sqrt(12)) / np.sqrt(dark.count)
     count, black = dark.count, dark.mean
     variance = dark.variance if count > 1 else None
@@ -136,35 +136,35 @@ def find_hot(dark: DarkFrames) -> Mask:
 
 
 def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
-    """Find photosites that hold one count in all frames of each exposure, and can't by chance."""
+    """Find photosites with constant counts in all frames, unless this is possible by chance."""
     constant: Mask = (dark.smallest == dark.largest) & (floodlit_frames == dark.smallest)
-    # a black level at the converter's lower end cuts the noise off
+    # a black level at 0 counts clips the noise
     constant &= ~((dark.smallest == 0) & (np.median(dark.smallest) == 0))
     stuck: Mask = np.asarray(constant.all(axis=0))
     if dark.count < 2:
         return np.zeros_like(stuck)
     chance = log(constant[0].size)
     for variance in dark.variance:
-        # of the noise before its rounding [Sheppard 1898]
+        # standard deviation of the noise before rounding [Sheppard 1898]
         deviation = np.sqrt(max(float(np.median(variance)) - 1 / 12, 0.0))
-        # a good photosite holds one count most easily where its mean is just that count
+        # constant counts are most probable for a mean at an integer
         once = erf(1 / (np.sqrt(8) * deviation)) if deviation else 1.0
         chance += (dark.count + 1) * log(once)
     return stuck if chance < -(SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
 
 
 def _threshold(size: int) -> float:
-    """Deviations that none of `size` good Gaussian pixels exceeds."""
+    """Standard deviations that no pixel out of `size` good Gaussian ones exceeds."""
     return SIGNIFICANCE + float(np.sqrt(2 * np.log(max(size, 2))))
 
 
 def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
-    """Find pixels whose variance, of so many degrees of freedom, is an outlier.
+    """Find pixels whose variance, with `freedom` degrees of freedom, is an outlier.
 
     The cube root of a chi-squared variable is close to Gaussian (Wilson and Hilferty 1931).
     """
     spread = 2 / (9 * freedom)
-    # the median of a chi-squared variable over its mean
+    # the mean of a chi-squared variable from its median
     typical = max(float(np.median(variance)) / (1 - spread) ** 3, floor**2)
     score = (np.cbrt(variance / typical) - (1 - spread)) / np.sqrt(spread)
     outlying: Mask = score > _threshold(variance.size)
@@ -176,11 +176,11 @@ def check_floodlit(
     variance: NDArray[Any],
     remedy: str = "Check that the projector is on, and that the exposures are long enough",
 ) -> None:
-    """Raise CaptureError where the floodlit image is below the black level or black.
+    """Raise CaptureError if the floodlit image is black or darker than the black level.
 
-    Light must exceed `SIGNIFICANCE` standard deviations of noise in the sum over the image or,
-    beyond what the largest of as many noisy samples reaches, in a sample. `remedy` is what to do
-    about a black image.
+    Light must exceed the noise by `SIGNIFICANCE` standard deviations, either in the sum over the
+    image or in a single sample, there beyond the expected maximum of pure noise. `remedy` is the
+    advice for a black image.
     """
     image = np.asarray(radiance, np.float64)
     spread = np.asarray(variance, np.float64)

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float32]
 
-# Bilinear weights, for red, green and blue, of a pixel's own photosite, its direct and its diagonal
-# neighbours, where they have the colour.
+# Bilinear weights for red, green and blue, of the photosite itself, its direct and its diagonal
+# neighbours, if they have the colour.
 _WEIGHTS = ((1, 0.5, 0.25), (1, 0.25, 0), (1, 0.5, 0.25))
 
 
 def check_mosaic(camera_shape: tuple[int, ...], channels: int) -> None:
-    """Raise InputError unless images of this shape can be sampled through a colour mosaic."""
+    """Raise InputError if images of this shape can't be sampled through a colour mosaic."""
     if channels != 3 or min(camera_shape[-2:]) < 2:
         raise InputError(
             f"a Bayer mosaic needs 3 channels of at least 2 x 2 pixels, not {channels} of "
@@ -44,9 +44,9 @@ def mosaic(image: Float, pattern: str) -> Float:
 def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Float]:
     """Interpolate the missing colours of a radiance image, with the variance of the result.
 
-    Bilinear: linear, so that light that adds up in the scene adds up in the images, as the
-    transport matrix wants, and without overshoot. It still spreads light that falls on few
-    photosites and loses its colour [B.2]; see `normalize`.
+    Bilinear interpolation is linear, as a transport matrix requires, and doesn't overshoot. It
+    spreads light that falls on few photosites, and the light loses its colour [B.2]; see
+    `normalize`.
 
     Parameters
     ----------
@@ -57,11 +57,11 @@ def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Flo
     Returns
     -------
     radiance, variance : ndarray of float32, shape (..., H, W, 3)
-        Samples next to each other now share noise; the variance is each one's own.
+        Noise of adjacent samples is correlated; the variance is for single samples.
     """
     shape = radiance.shape[-2:]
     weights = filling(shape, pattern)
-    squares = [each.power(2) for each in weights]
+    squares = [matrix.power(2) for matrix in weights]
     filled, spread = (
         weighed(matrices, samples.reshape(-1, prod(shape), 1)).reshape(*samples.shape, 3)
         for matrices, samples in ((weights, radiance), (squares, variance))
@@ -71,11 +71,11 @@ def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Flo
 
 @lru_cache(maxsize=4)
 def filling(shape: tuple[int, int], pattern: str) -> tuple[csr_array[Any], ...]:
-    """Return what fills photosites (H, W) in, float32 (H W, H W) for red, green and blue.
+    """Matrices of the interpolation, float32 (H W, H W) for red, green and blue.
 
-    Beyond the border the image goes on mirrored about its last pixels, as the pattern does.
-    colour-demosaicing, which it agrees with elsewhere, doubles them instead: red comes out 2.25
-    times too bright in a corner.
+    At the border, the image is mirrored about its outermost pixels, which preserves the pattern of
+    the mosaic. The package colour-demosaicing gives equal results except at the border, where it
+    repeats the outermost pixels, and red is 2.25 times too bright in a corner.
     """
     from scipy.sparse import csr_array
 
@@ -95,9 +95,10 @@ def filling(shape: tuple[int, int], pattern: str) -> tuple[csr_array[Any], ...]:
 
 
 def weighed(matrices: Sequence[csr_array[Any]], images: NDArray[Any]) -> Float:
-    """Apply a matrix to each channel of images (B, pixels, C), or to the only one, image by image.
+    """Apply one matrix to each channel of images (B, pixels, C), or all to a single channel.
 
-    float32 (B, rows, matrices): an image's bits don't depend on those that it comes with.
+    Returns float32 (B, rows, matrices). Images are processed one by one, so that the bits of a
+    result don't depend on the batch.
     """
     out = np.empty((len(images), matrices[0].shape[0], len(matrices)), RADIANCE)
     for image, result in zip(images, out, strict=True):
@@ -108,7 +109,7 @@ def weighed(matrices: Sequence[csr_array[Any]], images: NDArray[Any]) -> Float:
 
 
 def _sampled(shape: tuple[int, ...], pattern: str) -> NDArray[np.bool_]:
-    """Return whether a photosite has the colour red, green or blue, (3, H, W)."""
+    """Masks of the red, green and blue photosites, (3, H, W)."""
     sampled = np.zeros((3, *shape), bool)
     for position, colour in enumerate(pattern):
         y, x = divmod(position, 2)

@@ -1,4 +1,4 @@
-"""Colour normalization: a level's images made to add up to the floodlit image [B.2]."""
+"""Colour normalization: scaling of a level's images to add up to the floodlit image [B.2]."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 Mode = Literal["none", "per_channel", "total_energy"]
 
 MAXIMUM_GAIN = 10.0
-"""A level whose images hold less than the inverse of this of the floodlit image's energy at a
-pixel didn't light it: nothing there to scale."""
+"""Largest factor of a sample. A pixel that would need a larger one was not lit by the level."""
 
 
 @dataclass(frozen=True, eq=False)
 class Normalization:
-    """What `apply` does to the images of one level.
+    """Scaling of the images of one level.
 
     Parameters
     ----------
     gain : ndarray of float32, shape (*camera_shape, C)
-        Factor of each sample, 1 where nothing is done; in [0, MAXIMUM_GAIN] for "per_channel".
-        For "total_energy" it multiplies an image's value summed over channels.
+        Factor of each sample, 1 where it isn't scaled; in [0, MAXIMUM_GAIN] for "per_channel". For
+        "total_energy" it multiplies an image's sum over channels.
     covered : ndarray of bool, shape (*camera_shape, C)
         Samples that are scaled; the corrected images add up to the floodlit image there.
     """
@@ -42,7 +41,7 @@ def level_gain(
     significance: float,
     floodlit_variance: NDArray[Any],
 ) -> Normalization:
-    """Return the factors that make a level's images add up to the floodlit image.
+    """Compute the factors with which a level's images add up to the floodlit image.
 
     Parameters
     ----------
@@ -51,11 +50,11 @@ def level_gain(
     total, total_variance : ndarray of float, same shape
         Sum of the level's images, and its variance (the sum of theirs).
     mode : {"none", "per_channel", "total_energy"}
-        Nothing; each channel for itself; or, as in the thesis, the floodlit image's channels
-        distributed to the images in proportion to their energy, summed over channels.
+        No scaling; scaling of each channel separately; or, as in the thesis, distribution of the
+        floodlit image's channels to the images in proportion to their sum over channels.
     complete : bool
-        Whether the level lights every ray that can send light. If not, its images needn't add
-        up to the floodlit image, and nothing is done anywhere.
+        Whether the level lights every ray that can send light. Otherwise its images don't add up to
+        the floodlit image, and nothing is scaled.
     significance : float
         Standard deviations by which a total must exceed its noise to be scaled, at least 0.
     floodlit_variance : ndarray of float, same shape
@@ -64,8 +63,8 @@ def level_gain(
     Returns
     -------
     Normalization
-        Finite and bounded. Not covered: pixels where the total or the floodlit image is unknown,
-        within noise or not positive, or where the total holds less than ``1 / MAXIMUM_GAIN`` of the
+        Finite and bounded. Pixels are not covered where the total or the floodlit image is unknown,
+        within noise or not positive, or where the total is less than ``1 / MAXIMUM_GAIN`` of the
         floodlit image.
     """
     floodlit, floodlit_variance, total, total_variance = (
@@ -77,7 +76,7 @@ def level_gain(
         return Normalization(np.ones(floodlit.shape, np.float32), nowhere, mode)
     target = floodlit
     if mode == "total_energy":
-        # channels without light are noise about zero; light is not negative
+        # channels without light have noise around zero, but light is not negative
         target = np.maximum(floodlit, 0)
         floodlit, floodlit_variance, total, total_variance = (
             array.sum(axis=-1, keepdims=True)
@@ -104,9 +103,9 @@ def apply(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Scale images of a level and their variance, float32 (P, *camera_shape, C).
 
-    Returns the inputs themselves where nothing is covered. The noise of the gain is not part of the
-    variance: it is common to all images of the level and below theirs. A channel whose light was
-    taken away (gain 0) keeps its variance.
+    Returns the inputs if nothing is covered. The variance doesn't include the noise of the gain,
+    which is common to all images of the level and smaller than theirs. A channel with a gain of 0
+    keeps its variance.
     """
     if not normalization.covered.any():
         return images, variance

@@ -1,4 +1,4 @@
-"""What turns light into frames and frames back into radiance, and the sensor without noise."""
+"""Protocol of sensors, which convert light to frames and frames to radiance; exact sensor."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rfpipe.units import RADIANCE, picture_name
 Float = NDArray[np.float32]
 
 _NEGATIVE_TOLERANCE = 1e-3
-# Negative light up to this fraction of the image's maximum counts as a compressed operator's
-# rounding and is set to zero; below that the operator is wrong.
+# Negative light up to this fraction of the image's maximum is attributed to rounding in a
+# compressed operator and set to zero; a larger one is an error of the operator.
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class Merged:
     Parameters
     ----------
     radiance, variance : ndarray of float32, shape (B, *camera_shape, C)
-        In units of the transport matrix; finite; noise may take radiance below zero. The variance
-        is 0 of exact radiance.
+        In units of the transport matrix; finite. Radiance may be negative due to noise. The
+        variance of exact radiance is 0.
     saturated : int
-        Samples (photosites under a mosaic, else pixels times channels) of the batch that were
-        saturated in every exposure. Their radiance is a lower bound, their deviation a quarter of
-        full scale.
+        Number of samples of the batch (photosites under a mosaic, else pixels times channels) that
+        were saturated in every exposure. Their radiance is a lower bound, with a standard deviation
+        of `rfpipe.photometry.camera.UNKNOWN_DEVIATION` of full scale.
     """
 
     radiance: Float
@@ -40,17 +40,17 @@ class Merged:
 
 
 class BracketMerge(Protocol):
-    """Merges brackets whose all-off frames are settled; threads may share it."""
+    """Merge of brackets for given all-off frames; thread-safe."""
 
     def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
-        """Merge brackets (B, E, ...), the first of them that of pattern `first_index`.
+        """Merge brackets (B, E, ...); `first_index` is the number of the first pattern.
 
-        Raises CaptureError where a frame can't be one of this sensor's.
+        CaptureError if a frame is impossible for this sensor.
         """
 
 
 class Sensor(Protocol):
-    """A camera's sensor: radiance to frames, and frames back to radiance."""
+    """A camera's sensor: converts radiance to frames, and frames to radiance."""
 
     @property
     def exposures(self) -> tuple[float, ...]:
@@ -64,39 +64,37 @@ class Sensor(Protocol):
         """Shape of one bracket: (E, *camera_shape, C), or (E, *camera_shape) under a mosaic."""
 
     def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> NDArray[Any]:
-        """Take one bracket of a radiance image (*camera_shape, C).
+        """Simulate one bracket of a radiance image (*camera_shape, C).
 
-        The noise depends on (seed, key, exposure index) alone. Raises CaptureError where the
-        radiance is not finite or is negative.
+        The noise depends on seed, key and exposure only. CaptureError if the radiance is negative
+        or not finite.
         """
 
     def merge(self, frames: NDArray[Any], black: NDArray[Any], black_count: int = 1) -> Merged:
         """Merge brackets (B, E, ...), given the mean of `black_count` all-off brackets (E, ...).
 
-        Its noise enters the variance.
-
-        Raises CaptureError where a frame can't be one of this sensor's: names the pattern and the
-        pixel.
+        The variance includes the noise of this mean. CaptureError, with pattern and pixel, if a
+        frame is impossible for this sensor.
         """
         return self.merging(black, black_count)(frames)
 
     def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
-        """Return `merge` for many brackets, all that depends on `black` alone worked out once.
+        """Prepare `merge` for many brackets with the same `black`.
 
-        Raises CaptureError where `black` can't be of this sensor.
+        CaptureError if `black` is impossible for this sensor.
         """
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        """Plain data for fingerprints and manifests: everything that affects a frame."""
 
 
 @dataclass(frozen=True)
 class ExactSensor(Sensor):
-    """A sensor without noise or limits: one exposure of a second, frames are radiance."""
+    """A sensor without noise or limits: one exposure of 1 s, whose frame is the radiance."""
 
     @property
     def exposures(self) -> tuple[float, ...]:
-        """The only exposure, of a second."""
+        """The only exposure, 1 s."""
         return (1.0,)
 
     @property
@@ -113,7 +111,7 @@ class ExactSensor(Sensor):
         return check_light(radiance, key)[None]
 
     def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:  # noqa: ARG002
-        """Return what subtracts the all-off frame; the variance is zero."""
+        """Prepare a merge that subtracts the all-off frame; the variance is zero."""
         check_black(np.asarray(black), 1)
         return partial(_subtracted, np.asarray(black))
 

@@ -44,9 +44,9 @@ def relative_exposures(headers: Sequence[Header], names: Sequence[str]) -> NDArr
     if exposures.size == 0 or exposures.max() <= SAME_EXPOSURE * exposures.min():
         return np.ones(len(headers))
     if headers[0].exposure_s is None:
-        other = int(np.argmax(np.abs(np.log(exposures / exposures[0]))))
+        differing = int(np.argmax(np.abs(np.log(exposures / exposures[0]))))
         raise InputError(
-            f"{names[other]}: has another sensitivity or aperture than {names[0]}, and no file "
+            f"{names[differing]}: has another sensitivity or aperture than {names[0]}, and no file "
             "states its exposure time. Give files with their metadata, or take all pictures alike"
         )
     return exposures

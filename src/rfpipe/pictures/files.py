@@ -47,10 +47,10 @@ def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
     Raises
     ------
     InputError
-        When there is no such folder, or no picture in it.
+        When the folder doesn't exist, or has no pictures.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; expected one of pictures")
+        raise InputError(f"{folder}: is not a folder; give a folder of pictures")
     suffixes = {*PLAIN, *RAW, *more}
     files = [
         path
@@ -112,10 +112,10 @@ def read_parts(path: Path, *, develop_raw: bool = False) -> list[Part]:
         )
     if len(stored) == 1:
         return [_part(stored[0], path.name)]
-    for each in stored:
-        each.spec.channelnames = [name.rpartition(".")[2] for name in each.spec.channelnames]
-    names = [each.attribute("oiio:subimagename") or f"{each.index}" for each in stored]
-    return [_part(each, name) for each, name in zip(stored, names, strict=True)]
+    for part in stored:
+        part.spec.channelnames = [name.rpartition(".")[2] for name in part.spec.channelnames]
+    names = [part.attribute("oiio:subimagename") or f"{part.index}" for part in stored]
+    return [_part(part, name) for part, name in zip(stored, names, strict=True)]
 
 
 def _only(path: Path, develop_raw: bool) -> Part:

@@ -143,22 +143,25 @@ def read_exr(stored: Stored) -> Reading:
     """Read EXR: pixels are placed in the display window, padded by 0, and cropped to it."""
     spec = stored.spec
     size = (spec.full_height, spec.full_width)
-    top, left = spec.y - spec.full_y, spec.x - spec.full_x
+    row_offset, column_offset = spec.y - spec.full_y, spec.x - spec.full_x
     header = header_of(stored, None if not stored.is_light else "linear", size)
-    if (top, left, *size) == (0, 0, spec.height, spec.width):
+    if (row_offset, column_offset, *size) == (0, 0, spec.height, spec.width):
         return Reading(header, stored.white)
-    rows = slice(max(top, 0), min(top + spec.height, size[0]))
-    columns = slice(max(left, 0), min(left + spec.width, size[1]))
+    rows = slice(max(row_offset, 0), min(row_offset + spec.height, size[0]))
+    columns = slice(max(column_offset, 0), min(column_offset + spec.width, size[1]))
     if rows.start >= rows.stop or columns.start >= columns.stop:
         raise InputError(
             f"{stored.path}: has no pixel within its display window, {size[0]} x {size[1]}: its "
-            f"data lie {top} below and {left} right of that window's corner. Save it again"
+            f"data begin {row_offset} pixels below and {column_offset} pixels right of that window's "
+            "corner. Save it again"
         )
 
     def place(pixels: NDArray[Any]) -> NDArray[Any]:
         placed = np.zeros((*size, pixels.shape[-1]), pixels.dtype)
-        inside = pixels[rows.start - top : rows.stop - top]
-        placed[rows, columns] = inside[:, columns.start - left : columns.stop - left]
+        inside = pixels[rows.start - row_offset : rows.stop - row_offset]
+        placed[rows, columns] = inside[
+            :, columns.start - column_offset : columns.stop - column_offset
+        ]
         return placed
 
     return Reading(header, stored.white, place)

@@ -176,10 +176,10 @@ def _after_picture_name(path: Path, row: Row) -> int:
 
 def _columns(path: Path, rows: Sequence[list[str]], pictures: set[str]) -> int:
     """Count of numbers after the names, which have no ending that marks their end."""
-    most = min(map(_trailing, rows))
-    if most == 3:
+    count = min(map(_trailing, rows))
+    if count == 3:
         return 3
-    candidates = range(3, most + 1)
+    candidates = range(3, count + 1)
     named = {
         columns: sum(stem_key(" ".join(words[:-columns])) in pictures for words in rows)
         for columns in candidates
@@ -189,7 +189,7 @@ def _columns(path: Path, rows: Sequence[list[str]], pictures: set[str]) -> int:
         best = [columns for columns in candidates if _are_unit(rows, columns)]
     if len(best) != 1:
         raise InputError(
-            f"{path}: has {most} numbers a line, as in {' '.join(rows[0])!r}; which are x, y and "
+            f"{path}: has {count} numbers a line, as in {' '.join(rows[0])!r}; which are x, y and "
             "z is ambiguous. Write three, or the picture's name with its ending before them"
         )
     return best[0]

@@ -1,4 +1,4 @@
-"""Whether pictures of a coaxial rig show their patterns."""
+"""Tests whether pictures show the patterns that they are assigned to."""
 
 from __future__ import annotations
 
@@ -20,106 +20,113 @@ TURNS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
     "mirrored along the diagonal": lambda picture: np.swapaxes(picture, 0, 1),
     "mirrored along the other diagonal": lambda picture: np.rot90(np.swapaxes(picture, 0, 1), 2),
 }
-"""What turns a picture (H, W) or (H, W, C), by its name."""
+"""Functions that turn or mirror a picture (H, W) or (H, W, C), by name."""
 
-# Correlation of pictures with their patterns from which on a rig behaves as a coaxial one, and by
-# how much another pattern's or turn's is higher: see benchmarks/offline_faults.py.
+# Least correlation of pictures and patterns on a coaxial rig, and least advantage of another
+# pattern or orientation: see benchmarks/offline_faults.py.
 _COAXIAL, _ABOVE = 0.75, 0.25
-# Standard deviation that a picture of even light may have, as a share of white light, and share
-# of the light from which on a pattern is looked for: one of fewer pixels may light a mirror alone.
+# Largest standard deviation of a picture of even light, relative to white; and least share of lit
+# pixels of a compared pattern, since a smaller pattern may light a mirror only.
 _UNEVEN, _LEAST_LIT = 0.1, 0.1
 
 
-# Pictures of the pattern before, at least, and their share of those that differ from their own.
+# Least number of pictures of the previous pattern, and their least share of the distinct pictures.
 _LATE, _LATE_SHARE = 3, 0.8
-# Correlation of brightness with that of the patterns before, where shapes can't be compared.
+# Least correlation of brightness with the previous patterns, where shapes can't be compared.
 _LATE_BRIGHTNESS = 0.9
 
 
 def are_late(patterns: Float, light: Float, *, coaxial: bool) -> bool:
-    """Test whether pictures, from some picture on, show the pattern before their own.
+    """Test whether pictures, from some picture on, show the previous pattern.
 
     Parameters
     ----------
     patterns, light : ndarray of float32, shape (K, H, W)
         Weights of the patterns, and light of the pictures.
     coaxial : bool
-        Whether both share their rays, so that shapes can be compared; else brightness alone.
+        Whether patterns and pictures have common rays, so that their shapes can be compared;
+        otherwise only their brightness is.
     """
     if not coaxial:
-        shown, seen = patterns.mean(axis=(1, 2)), light.mean(axis=(1, 2))
-        fit_before = correlation(shown[:-1], seen[1:])
-        return fit_before > max(_LATE_BRIGHTNESS, correlation(shown[1:], seen[1:]) + _ABOVE)
+        weights, brightness = patterns.mean(axis=(1, 2)), light.mean(axis=(1, 2))
+        previous_fit = correlation(weights[:-1], brightness[1:])
+        fit = correlation(weights[1:], brightness[1:])
+        return previous_fit > max(_LATE_BRIGHTNESS, fit + _ABOVE)
     mean = light.mean(axis=0)
     lit = mean > mean.mean() / 4
-    shown, seen = patterns[:, lit], light[:, lit] / mean[lit]
-    own = np.array([correlation(one, two) for one, two in zip(shown, seen, strict=True)])[1:]
-    before = np.array(
-        [correlation(one, two) for one, two in zip(shown[:-1], seen[1:], strict=True)]
+    shapes, images = patterns[:, lit], light[:, lit] / mean[lit]
+    own_fit = np.array([correlation(*pair) for pair in zip(shapes[1:], images[1:], strict=True)])
+    previous_fit = np.array(
+        [correlation(*pair) for pair in zip(shapes[:-1], images[1:], strict=True)]
     )
-    # a scene full of indirect light resembles other patterns by chance
-    is_late = before > np.maximum(np.maximum(own, 0) + _ABOVE, _COAXIAL)
-    is_own = own > np.maximum(before, 0) + _ABOVE
+    # in a scene full of indirect light, pictures resemble any pattern by chance
+    is_late = previous_fit > np.maximum(np.maximum(own_fit, 0) + _ABOVE, _COAXIAL)
+    is_right = own_fit > np.maximum(previous_fit, 0) + _ABOVE
     first = int(is_late.argmax())
     count = int(is_late.sum())
-    return count >= _LATE and count > _LATE_SHARE * (count + int(is_own[first:].sum()))
+    return count >= _LATE and count > _LATE_SHARE * (count + int(is_right[first:].sum()))
 
 
-def correlation(one: Float, other: Float) -> float:
-    """Return the correlation of two arrays of one shape, 0 where one is constant."""
-    one, other = one - one.mean(), other - other.mean()
-    norm = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float((one * other).sum()) / norm if norm > 0 else 0.0
+def correlation(first: Float, second: Float) -> float:
+    """Correlation of two arrays of one shape, 0 if one is constant."""
+    first, second = first - first.mean(), second - second.mean()
+    norm = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return float((first * second).sum()) / norm if norm > 0 else 0.0
 
 
 def misplaced(patterns: Float, names: Sequence[str], light: Float) -> list[str]:
-    """Say which pictures show something else than their patterns, and what.
+    """Describe pictures of a coaxial rig that don't show their patterns.
 
-    Nothing is said of pictures that noise hides, nor where the rig isn't coaxial after all.
+    Pictures in which noise hides the pattern are not judged, and none are if the rig turns out not
+    to be coaxial.
 
     Parameters
     ----------
     patterns : ndarray of float32, shape (K, H, W)
-        Weights from 0 to 1: a marker and its opposite, others, the opposite again.
+        Weights from 0 to 1: a marker and its complement, patterns, the complement.
     names : sequence of K str
-        Of the pictures.
+        Names of the pictures.
     light : ndarray of float32, shape (K, H, W)
-        Of the pictures.
+        Light of the pictures.
     """
     light = light - light.min(axis=0)
     white = light[0] + light[1]
-    bright = white > white.mean() / 4  # dark pixels tell little
+    bright = white > white.mean() / 4  # excludes dark pixels
 
     def shapes(images: Float) -> tuple[Float, Float]:
-        """Return images less their means, (K, pixels) of norm 1; and the variances of pixels."""
+        """Images minus their means, scaled to norm 1, (K, pixels); and variances, (K,)."""
         flat = images[:, bright]
         flat = flat - flat.mean(axis=1, keepdims=True)
         power = np.maximum(np.square(flat).mean(axis=1), np.finfo(np.float32).eps)
         return flat / np.sqrt(power[:, None] * flat.shape[1]), power
 
     ratio = np.asarray(light / np.where(bright, white, np.inf), np.float32)
-    (known, spread), (seen, power) = shapes(patterns), shapes(ratio)
+    (pattern_shapes, spread), (picture_shapes, power) = shapes(patterns), shapes(ratio)
     noise = shapes(ratio[1:2] - ratio[-1:])[1] / 2
-    level, lit = (each[:, bright].mean(axis=1) for each in (ratio, patterns))
-    edge = np.minimum(lit, 1 - lit)
-    is_other = (power > np.maximum(_UNEVEN**2, 5 * noise)) | (np.abs(level - lit) > 0.5)
-    other = np.flatnonzero(is_other & (edge < _UNEVEN**2 / 4))
-    found = dict.fromkeys(other, "isn't evenly lit, or dark")
+    level, lit = (images[:, bright].mean(axis=1) for images in (ratio, patterns))
+    edge = np.minimum(lit, 1 - lit)  # small for all-on and all-off patterns
+    is_wrong = (power > np.maximum(_UNEVEN**2, 5 * noise)) | (np.abs(level - lit) > 0.5)
+    uneven = np.flatnonzero(is_wrong & (edge < _UNEVEN**2 / 4))
+    faults = dict.fromkeys(uneven, "isn't evenly lit, or dark")
     shaped = edge > _LEAST_LIT
-    told = np.flatnonzero(shaped & (noise < np.median((power / spread)[shaped]) * spread / 2))
-    own = {
-        turn: np.median(np.einsum("kp,kp->k", shapes(np.stack([*map(how, ratio)]))[0], known)[told])
-        for turn, how in TURNS.items()
-        if how(white).shape == white.shape
+    judged = np.flatnonzero(shaped & (noise < np.median((power / spread)[shaped]) * spread / 2))
+    fits = {
+        turn: np.median(
+            np.einsum("kp,kp->k", shapes(np.stack([*map(turned, ratio)]))[0], pattern_shapes)[
+                judged
+            ]
+        )
+        for turn, turned in TURNS.items()
+        if turned(white).shape == white.shape
     }
-    best = max(own, key=lambda turn: own[turn])
-    if best and own[best] >= _COAXIAL and own[""] < _ABOVE:
+    best = max(fits, key=lambda turn: fits[turn])
+    if best and fits[best] >= _COAXIAL and fits[""] < _ABOVE:
         return [f"all pictures fit when they are {best}: turn them"]
-    told = told if own[""] >= _COAXIAL else told[:0]
-    for index, fit in zip(told, seen[told] @ known.T, strict=True):
+    judged = judged if fits[""] >= _COAXIAL else judged[:0]
+    for index, fit in zip(judged, picture_shapes[judged] @ pattern_shapes.T, strict=True):
         if fit.max() > fit[index] + _ABOVE:
-            found[index] = f"shows the pattern of {names[int(fit.argmax())]}"
+            faults[index] = f"shows the pattern of {names[int(fit.argmax())]}"
         elif fit[index] < _ABOVE:
-            found[index] = "shows none of these patterns"
-    said = [f"{names[int(index)]} {found[index]}" for index in sorted(found)]
-    return said if len(said) <= 4 else [*said[:4], f"and {len(said) - 4} more"]
+            faults[index] = "shows none of these patterns"
+    lines = [f"{names[int(index)]} {faults[index]}" for index in sorted(faults)]
+    return lines if len(lines) <= 4 else [*lines[:4], f"and {len(lines) - 4} more"]

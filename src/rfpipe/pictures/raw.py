@@ -84,8 +84,8 @@ def read_raw(source: Path | bytes, name: str = "") -> Raw:
             )
         counts = np.array(raw.raw_image_visible)
         mosaic = _mosaic(raw)
-        other = raw.other
-        seconds, iso, f_number = other.shutter_speed, other.iso_speed, other.aperture
+        metadata = raw.other
+        seconds, iso, f_number = metadata.shutter_speed, metadata.iso_speed, metadata.aperture
         black = float(np.mean(raw.black_level_per_channel))
         white = int(raw.white_level)
         saturated = raw.camera_white_level_per_channel
@@ -164,14 +164,14 @@ def _header(path: Path, raw: Any, develop: bool) -> Header:
             f"{path}: has a mosaic of {raw.num_colors} colours; expected R, G and B. Save it "
             "as TIFF of 16 bits, linear"
         )
-    other, sizes = raw.other, raw.sizes
+    metadata, sizes = raw.other, raw.sizes
     return Header(
         (sizes.height, sizes.width),
         raw.num_colors if develop else 1,
         "counts",
-        _positive(other.shutter_speed),
-        _positive(other.iso_speed),
-        _positive(other.aperture),
+        _positive(metadata.shutter_speed),
+        _positive(metadata.iso_speed),
+        _positive(metadata.aperture),
         "linear",
         None if develop else _mosaic(raw),
     )

@@ -65,8 +65,8 @@ def check_sequence(
 
 def pixel_fingerprint(pixels: NDArray[Any]) -> str:
     """Return a hash of an array's shape, type and values."""
-    about = f"{pixels.shape} {pixels.dtype}".encode()
-    return hashlib.blake2b(about + np.ascontiguousarray(pixels).tobytes()).hexdigest()
+    header = f"{pixels.shape} {pixels.dtype}".encode()
+    return hashlib.blake2b(header + np.ascontiguousarray(pixels).tobytes()).hexdigest()
 
 
 def _duplicates(files: Sequence[Path], fingerprints: Sequence[Hashable]) -> list[list[Path]]:
