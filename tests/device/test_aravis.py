@@ -42,7 +42,7 @@ def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, name: str) -> N
         assert (camera.expose().reshape(3, *SHAPE) == picture).all()
 
 
-def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
+def test_automatic_functions_are_off_and_frames_are_triggered_with_exact_exposures(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     times = []
@@ -56,8 +56,8 @@ def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
         assert nodes.write("GainAuto", "Off") == "Off"
         for name, value in (("GainRaw", 0), ("OffsetY", 8), ("OffsetX", 16)):
             assert nodes.number(name) == value
-        asked = "arv_device_get_string_feature_value", nodes.device, b"TriggerMode"
-        assert aravis_library.checked_call(*asked) == b"On"
+        request = "arv_device_get_string_feature_value", nodes.device, b"TriggerMode"
+        assert aravis_library.checked_call(*request) == b"On"
         camera.expose()
     assert times == [1000, 10_000, 100_000]
 
@@ -71,13 +71,13 @@ def test_nothing_adapts_frames_are_triggered_and_exposures_have_their_times(
         ({"gain_db": 3.0}, "has no gain in decibels"),
     ],
 )
-def test_what_the_camera_refuses_is_explained(changes: dict[str, Any], expected: str) -> None:
+def test_refused_settings_are_explained(changes: dict[str, Any], expected: str) -> None:
     enable_fake()
     with pytest.raises(CaptureError, match=expected):
         AravisCamera(SENSOR, **{"shape": SHAPE, "serial": "1", **QUICK, **changes})
 
 
-def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_names_the_package_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(aravis_library, "_LIBRARY", "libaravis-of-nobody.so.0")
     aravis_library.load_aravis.cache_clear()
     try:
@@ -87,7 +87,7 @@ def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
         aravis_library.load_aravis.cache_clear()
 
 
-def test_a_lost_camera_is_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_camera_is_reconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     first, execute = iter([True]), AravisNodes.execute
 
     def failing(nodes: AravisNodes, name: str) -> None:
@@ -101,7 +101,7 @@ def test_a_lost_camera_is_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
         assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 0, "reconnected": 1}
 
 
-def test_each_trigger_gives_a_frame_in_order() -> None:
+def test_each_trigger_delivers_a_frame_in_order() -> None:
     with (
         gige_camera("RFPIPE1"),
         AravisCamera(

@@ -1,4 +1,4 @@
-"""The optical bench in software: what comes through projector and camera driver is the simulation.
+"""The optical bench in software: pictures through both drivers equal the simulation.
 
 And the rig's contract on it, as on any rig of hardware.
 """
@@ -60,7 +60,7 @@ class TestBenchProjector(ProjectorContract):
         return projector.bench_scene.codes.astype(np.float32) / 255
 
 
-def test_a_bracket_is_the_simulation_within_its_noise() -> None:
+def test_a_bracket_equals_the_simulation_within_noise() -> None:
     patterns = (np.random.default_rng(0).random((6, *RAYS)) < 0.5).astype(np.float32)
     with bench() as rig:
         dark = np.zeros((8, *RAYS), np.float32)
@@ -78,7 +78,7 @@ def test_a_bracket_is_the_simulation_within_its_noise() -> None:
     assert np.abs(images.radiance - expected).mean() < 0.01 * expected.mean()
 
 
-def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_temporary_files_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     rig = bench()
@@ -87,7 +87,7 @@ def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_knock_moves_the_picture_from_then_on() -> None:
+def test_a_knock_shifts_all_later_pictures() -> None:
     plain = settings(bench={"knock": [2, 0, 3]})  # after one bracket of two exposures
     with rig_from_config(plain) as rig:  # type: ignore[attr-defined]
         pattern = (np.random.default_rng(0).random((1, *RAYS)) < 0.5).astype(np.float32)

@@ -47,10 +47,10 @@ def calibrated(
 ) -> tuple[dict[str, dict[str, str]], dict[str, Any], str]:
     """Calibrate a bench; return the verdicts, the facts, and the report's text."""
     calibrate_rig(parse_rig_config(settings(**changes), "rig.yaml"), folder, only)
-    found = CalibrationFolder(folder)
-    page = build_calibration_report(found).read_text(encoding="utf-8")
-    verdicts = found.verdicts()
-    return verdicts, {name: found.read(name).facts for name in verdicts}, page
+    result = CalibrationFolder(folder)
+    page = build_calibration_report(result).read_text(encoding="utf-8")
+    verdicts = result.verdicts()
+    return verdicts, {name: result.read(name).facts for name in verdicts}, page
 
 
 UNSEEN = [[[22, 3], [62, 4], [61, 37], [21, 36]]]
@@ -87,10 +87,10 @@ def test_a_calibration_that_is_not_good_is_not_served(
     done = CliRunner().invoke(app, ["calibrate", str(rig), "--output", str(folder)])
     assert done.exit_code == 1
     assert "Rays of camera and projector: NOT GOOD" in done.output
-    found = CalibrationFolder(folder)
-    count, total = found.read("rays").facts["unseen_rays"], RAYS**2
+    result = CalibrationFolder(folder)
+    count, total = result.read("rays").facts["unseen_rays"], RAYS**2
     assert 0.3 * total < count < 0.7 * total
-    verdicts = found.verdicts()
+    verdicts = result.verdicts()
     assert f"{count} of {total} rays are not seen" in verdicts["rays"]["verdict"]
     assert "leaves the camera's view at the right edge" in verdicts["scene"]["verdict"]
     assert "NOT GOOD" in (folder / "report.html").read_text(encoding="utf-8")

@@ -37,7 +37,7 @@ class TestDlpc900(ProjectorContract):
         return self.emulator.lit
 
 
-def test_bytes_are_those_of_the_guide() -> None:
+def test_messages_match_the_programmers_guide() -> None:
     # its tables 1-7 (a write, here with a reply asked for) and 5.3 (two patterns)
     (packet,) = message(0x1100, bytes.fromhex("ff01ff01ff01"), 0x12)
     assert packet[:12] == bytes.fromhex("40 12 0800 0011 ff01ff01ff01")
@@ -49,7 +49,7 @@ def test_bytes_are_those_of_the_guide() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 24, 25, 60])
-def test_sequences_are_shown_in_any_order(count: int) -> None:
+def test_sequences_are_displayed_in_any_order(count: int) -> None:
     random = np.random.default_rng(count)
     pictures = (random.random((count, *SHAPE)) < 0.5).astype(np.float32)
     pictures[0] = np.kron(random.random((3, 4)) < 0.5, np.ones((10, 11)))  # runs and equal rows
@@ -66,7 +66,7 @@ def test_sequences_are_shown_in_any_order(count: int) -> None:
     np.testing.assert_array_equal(np.stack(seen[9:]), 200 * pictures[order[:2]])
 
 
-def test_what_cannot_be_shown_is_explained() -> None:
+def test_invalid_pictures_and_device_errors_are_explained() -> None:
     emulator = Emulator(SHAPE)
     with projector(emulator) as shown:
         grey = np.zeros((2, *SHAPE), np.float32)
@@ -121,7 +121,7 @@ class TriggeredCamera(SimulatedCamera):
 
 
 @pytest.mark.parametrize("missed", [set(), {13, 31}])
-def test_a_rig_takes_binary_patterns_by_sequences(missed: set[int]) -> None:
+def test_a_rig_captures_binary_patterns_in_sequences(missed: set[int]) -> None:
     emulator = Emulator(SHAPE)
     camera = TriggeredCamera(emulator, missed)
     layout = ProjectorLayout.grid(SHAPE, RAYS)

@@ -47,7 +47,7 @@ class TestPhotoCamera(CameraContract):
         return camera_of()
 
 
-def test_counts_are_those_of_the_raw_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_counts_equal_the_raw_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     released, release = [], Photo.release
 
     def look(photo: Photo) -> None:
@@ -61,7 +61,7 @@ def test_counts_are_those_of_the_raw_file(tmp_path: Path, monkeypatch: pytest.Mo
     assert released == ["0.0100s", "0.0500s"]
 
 
-def test_what_the_sensor_cannot_count_is_saturated(tmp_path: Path) -> None:
+def test_counts_above_the_white_level_are_saturated(tmp_path: Path) -> None:
     bright = COUNTS.copy()
     bright[4:10, 4:10] = WHITE + 200  # noise above the white level, within 14 bits
     put(tmp_path, bright)
@@ -73,7 +73,7 @@ def test_what_the_sensor_cannot_count_is_saturated(tmp_path: Path) -> None:
     assert merged.saturated == np.count_nonzero(bright >= np.ceil(0.98 * WHITE))
 
 
-def test_a_part_of_the_sensor(tmp_path: Path) -> None:
+def test_a_region_of_the_sensor_is_cropped(tmp_path: Path) -> None:
     with camera_of(shape=(20, 30), offset=(4, 8)) as camera:
         assert camera.shape == (20, 30)
         assert (camera.expose() == COUNTS[4:24, 8:38]).all()
@@ -81,7 +81,7 @@ def test_a_part_of_the_sensor(tmp_path: Path) -> None:
         PhotoOptions(offset=(1, 0))
 
 
-def test_exposure_times_are_those_that_the_camera_has(
+def test_exposures_are_the_nearest_times_of_the_camera(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -94,7 +94,7 @@ def test_exposure_times_are_those_that_the_camera_has(
         camera_of(replace(SENSOR, exposures=(1.0, 1.1)))
 
 
-def test_a_picture_that_is_not_raw_says_what_to_set(tmp_path: Path) -> None:
+def test_a_picture_that_is_not_raw_names_the_setting(tmp_path: Path) -> None:
     (tmp_path / "raw.jpg").write_bytes(b"\xff\xd8" + bytes(5_000))
     expected = r"can't be read as a raw file.*camera\.options\.settings"
     with pytest.raises(CaptureError, match=expected):
@@ -115,7 +115,7 @@ def test_a_picture_of_another_exposure_is_taken_again(
     assert "metadata record an exposure of 0.05 s" in caplog.text
 
 
-def test_a_lost_camera_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_camera_is_reconnected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     release, left = Photo.release, iter([True])
 
     def gone(photo: Photo) -> None:
@@ -129,7 +129,7 @@ def test_a_lost_camera_is_found_again(tmp_path: Path, monkeypatch: pytest.Monkey
         assert camera.statistics == {"frames": 2, "failed": 0, "timed_out": 0, "reconnected": 1}
 
 
-def test_settings_are_made_or_refused(tmp_path: Path) -> None:
+def test_settings_are_written_or_refused(tmp_path: Path) -> None:
     with camera_of(settings={"f-number": "f/8"}) as camera:
         assert camera._handle.get("f-number") == "f/8"
         assert camera._handle.get("autofocus") == "Off"

@@ -32,21 +32,21 @@ def measured(delay: float, settle: float, *, is_covered: bool = False):  # type:
 
 
 def test_a_quick_display_is_good() -> None:
-    projector, found = measured(0, 0.1)
-    assert found.verdict.standing == "good"
-    assert found.facts["delay_seconds"] == 0
-    assert found.facts["settle_seconds"] == 0.1
+    projector, result = measured(0, 0.1)
+    assert result.verdict.standing == "good"
+    assert result.facts["delay_seconds"] == 0
+    assert result.facts["settle_seconds"] == 0.1
     assert projector.statistics["shown"] == PICTURES
 
 
 def test_a_slow_display_is_found_and_what_to_set() -> None:
-    _, found = measured(0.1, 0.01)
-    assert found.verdict.standing == "poor"
-    assert 0.05 < found.facts["delay_seconds"] < 0.2
-    proposed = found.facts["proposed_settle_seconds"]
-    assert f"projector.options.settle_seconds to {proposed:g}" in found.verdict.text
-    assert proposed > found.facts["delay_seconds"]
-    assert found.arrays["worst"][0] < 0.5 < found.arrays["worst"][-1] == 1
+    _, result = measured(0.1, 0.01)
+    assert result.verdict.standing == "poor"
+    assert 0.05 < result.facts["delay_seconds"] < 0.2
+    proposed = result.facts["proposed_settle_seconds"]
+    assert f"projector.options.settle_seconds to {proposed:g}" in result.verdict.text
+    assert proposed > result.facts["delay_seconds"]
+    assert result.arrays["worst"][0] < 0.5 < result.arrays["worst"][-1] == 1
 
 
 def test_a_projector_that_is_covered_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

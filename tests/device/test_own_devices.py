@@ -73,7 +73,7 @@ def test_the_pair_gets_its_options_and_the_sensor(
     assert RigConfig.model_validate(config.model_dump(mode="json")) == config
 
 
-def test_it_acquires_and_a_server_has_it(tmp_path: Path) -> None:
+def test_user_devices_acquire_and_are_served(tmp_path: Path) -> None:
     config = parse_rig_config(PAIR, "rig.yaml")
     with running(lambda: rig_from_config(config)) as server, server.client() as rig:
         result = acquire(rig, "brute_force", progress=False, black_frames=2, floodlit_frames=2)
@@ -82,7 +82,7 @@ def test_it_acquires_and_a_server_has_it(tmp_path: Path) -> None:
     assert lit.mean() == pytest.approx(0.8 * 0.4, rel=0.05)
 
 
-def test_a_rig_as_a_whole() -> None:
+def test_a_user_rig_is_one_object() -> None:
     rig = rig_from_config(parse_rig_config(WHOLE, "rig.yaml"))
     assert isinstance(rig, DeviceRig)
     assert rig.projector.describe()["brightness"] == 0.5
@@ -90,7 +90,7 @@ def test_a_rig_as_a_whole() -> None:
         devices_from_config(parse_rig_config(WHOLE, "rig.yaml"))
 
 
-def test_calibrate_drives_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_calibration_uses_user_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     quick = {"dark_frames": 4, "levels": 4, "coaxial": False}
     path = settings_file(tmp_path, {**PAIR, "calibration": "found", "calibrate": quick})

@@ -64,7 +64,7 @@ def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, tmp_path: Path)
     assert (bracket == counts >> (16 - bits)).all()
 
 
-def test_nothing_adapts_whatever_another_program_left() -> None:
+def test_automatic_functions_are_off_after_any_previous_settings() -> None:
     with PylonCamera(SENSOR, shape=SHAPE, gain_db=12, **QUICK) as camera:
         assert camera._handle.Gain.Value == pytest.approx(12, abs=0.1)
     with PylonCamera(SENSOR, shape=SHAPE, **QUICK) as camera:
@@ -99,7 +99,7 @@ def test_a_camera_that_always_fails_is_an_error_with_advice(
         assert camera.expose().shape == (3, *SHAPE, 1)
 
 
-def test_a_late_frame_is_not_taken_for_the_next(tmp_path: Path) -> None:
+def test_a_late_frame_is_not_mistaken_for_the_next(tmp_path: Path) -> None:
     counts = np.full(SHAPE, 160, np.uint16)
     nodes = pictures(tmp_path, counts)
     with PylonCamera(SENSOR, shape=SHAPE, nodes=nodes, **QUICK) as camera:
@@ -110,7 +110,7 @@ def test_a_late_frame_is_not_taken_for_the_next(tmp_path: Path) -> None:
         assert (camera.expose() == 20).all()
 
 
-def test_a_lost_camera_is_found_again(
+def test_a_lost_camera_is_reconnected(
     camera: PylonCamera, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -121,7 +121,7 @@ def test_a_lost_camera_is_found_again(
     assert "camera 0815-0000 is back" in caplog.text
 
 
-def test_a_camera_that_stays_away_is_an_error_with_advice(
+def test_a_camera_that_stays_lost_is_an_error_with_advice(
     monkeypatch: pytest.MonkeyPatch, camera: PylonCamera
 ) -> None:
     unplug(camera)
@@ -143,7 +143,7 @@ def test_a_camera_that_stays_away_is_an_error_with_advice(
         ({"nodes": {"Gain": 99.0}}, "refuses Gain = 99"),
     ],
 )
-def test_what_the_camera_refuses_is_explained(settings: dict[str, Any], expected: str) -> None:
+def test_refused_settings_are_explained(settings: dict[str, Any], expected: str) -> None:
     with pytest.raises(CaptureError, match=expected):
         PylonCamera(SENSOR, **{"shape": SHAPE, **QUICK, **settings})
     with pytest.raises(InputError, match="bits is 14; a GenICam camera has 8, 10, 12 or 16"):

@@ -100,14 +100,16 @@ class TestUvcCamera(CameraContract):
         return UvcCamera(replace(SENSOR, exposures=(0.02, 0.1, 0.5)))
 
 
-def test_counts_are_the_frames_red_first(tmp_path: Path) -> None:
+def test_counts_equal_the_frames_in_rgb_order(tmp_path: Path) -> None:
     with webcam(tmp_path) as camera:
         assert (camera.expose()[0] == PICTURE).all()
     with webcam(tmp_path, channels=1) as camera:
         assert (camera.expose()[0, ..., 0] == PICTURE[..., 1]).all()
 
 
-def test_a_warning_says_what_stays_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_warning_names_functions_that_cannot_be_switched_off(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with webcam(tmp_path) as camera:
         assert camera.adapts[:3] == (
             "automatic exposure", "automatic white balance", "autofocus",
@@ -116,7 +118,7 @@ def test_a_warning_says_what_stays_on(tmp_path: Path, caplog: pytest.LogCaptureF
     assert "its exposure time can't be set and is unknown" in caplog.text
 
 
-def test_what_can_be_switched_off_is(caplog: pytest.LogCaptureFixture) -> None:
+def test_automatic_functions_are_switched_off(caplog: pytest.LogCaptureFixture) -> None:
     with UvcCamera(SENSOR) as camera:
         assert camera.adapts == ()
         assert camera._handle.get(cv2.CAP_PROP_AUTO_EXPOSURE) == 1  # manual, of V4L2
@@ -131,7 +133,7 @@ def test_exposures_are_in_ticks_of_v4l2() -> None:
     assert means.tolist() == [8, 50, 250]  # frames on their way were dropped
 
 
-def test_exposures_that_the_camera_rounds_are_said(
+def test_rounded_exposures_are_logged(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(VirtualUvc, "step", 100)
@@ -159,7 +161,7 @@ def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:
         ({"sensor": CameraModel()}, InputError, "8 bits and no mosaic"),
     ],
 )
-def test_what_does_not_work_is_explained(
+def test_device_errors_are_explained(
     tmp_path: Path, changes: dict[str, Any], kind: type[Exception], expected: str
 ) -> None:
     settings = {"device": sequence(tmp_path), "backend": "images", **QUICK, **changes}

@@ -54,7 +54,7 @@ def white(projector: WindowProjector) -> np.ndarray:
 
 
 @XVFB
-def test_it_shows_colours(projector: WindowProjector, x_server: XServer) -> None:
+def test_a_window_displays_colours(projector: WindowProjector, x_server: XServer) -> None:
     picture = np.random.default_rng(0).random((*projector.shape, 3), np.float32)
     projector.show_colour(picture)
     np.testing.assert_allclose(x_server.pixels[..., ::-1] / 255, picture, atol=0.6 / 255)
@@ -66,7 +66,9 @@ def test_it_shows_colours(projector: WindowProjector, x_server: XServer) -> None
 
 
 @XVFB
-def test_a_window_that_is_moved_is_put_back(projector: WindowProjector, x_server: XServer) -> None:
+def test_a_moved_window_is_opened_again_in_place(
+    projector: WindowProjector, x_server: XServer
+) -> None:
     from Xlib.display import Display
 
     client = Display(x_server.name)
@@ -102,7 +104,7 @@ def test_a_lost_display_is_an_error_until_it_comes_back(caplog: pytest.LogCaptur
 
 
 @XVFB
-def test_it_tells_when_its_picture_was_hidden(
+def test_a_hidden_picture_is_reported_as_disturbed(
     projector: WindowProjector, x_server: XServer
 ) -> None:
     for _ in range(10):  # never without a reason
@@ -127,7 +129,7 @@ def test_it_tells_when_its_picture_was_hidden(
     assert projector.undisturbed()
 
 
-def test_without_a_display_it_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_display_names_the_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(CaptureError, match=r"display unset: no display is available.*DISPLAY"):
         WindowProjector()
@@ -141,7 +143,7 @@ def test_without_a_display_it_says_what_to_set(monkeypatch: pytest.MonkeyPatch) 
         ({"shape": (200, 160)}, r"\(200, 160\) pixels at \(0, 0\) doesn't fit on monitor 0"),
     ],
 )
-def test_what_does_not_fit_is_explained(
+def test_pictures_that_do_not_fit_are_explained(
     x_server: XServer, settings: dict[str, Any], expected: str
 ) -> None:
     with pytest.raises(CaptureError, match=expected):
@@ -149,7 +151,7 @@ def test_what_does_not_fit_is_explained(
 
 
 @XVFB
-def test_the_window_ends_with_its_owner(projector: WindowProjector) -> None:
+def test_the_window_closes_when_its_owner_ends(projector: WindowProjector) -> None:
     process = projector._window._process
     projector._window._connection.close()
     assert process.wait(timeout=60) == 0
@@ -160,6 +162,6 @@ def test_the_window_ends_with_its_owner(projector: WindowProjector) -> None:
     [np.ones(256), np.r_[np.linspace(0, 1, 255), 0.5], np.linspace(0, 1, 100),
      np.r_[np.linspace(0, 1, 255), np.nan]],
 )  # fmt: skip
-def test_a_response_must_be_one(light: np.ndarray) -> None:
+def test_an_invalid_response_is_refused(light: np.ndarray) -> None:
     with pytest.raises(InputError, match="never fall"):
         code_table(light)

@@ -1,4 +1,4 @@
-"""Addresses that are none, said in one line; and passwords in addresses, which nothing prints."""
+"""Invalid addresses are explained in one line, and passwords in addresses are never printed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NONE = [
 
 
 @pytest.mark.parametrize("url", NONE)
-def test_an_url_that_no_server_can_have(url: str) -> None:
+def test_impossible_urls_are_refused(url: str) -> None:
     with pytest.raises(InputError, match=r"^url is '.*'; it should ") as caught:
         RemoteRig(url, TOKEN)
     assert "\n" not in str(caught.value)
@@ -44,7 +44,7 @@ def test_an_url_that_no_server_can_have(url: str) -> None:
 @pytest.mark.parametrize(
     "url", ["http://127.0.0.1:9", "http://[::1]:9/", "https://a_rig.example:9", "http://rig-é:9"]
 )
-def test_an_url_that_a_server_may_have_is_waited_for(url: str) -> None:
+def test_possible_urls_are_requested(url: str) -> None:
     with pytest.raises(CaptureError, match="no answer"):
         RemoteRig(url, TOKEN, patience_seconds=0)
 
@@ -80,8 +80,8 @@ def test_no_command_shows_the_password_of_an_address(
         given = [argument.format(run=run, out=output) for argument in arguments]
         result = CliRunner().invoke(app, given)
     assert result.exception is None or isinstance(result.exception, RfpipeError)
-    told = f"{result.output} {result.exception}"
-    assert SECRET not in told + caplog.text
-    assert "127.0.0.1" in told or result.exception is None
+    raised = f"{result.output} {result.exception}"
+    assert SECRET not in raised + caplog.text
+    assert "127.0.0.1" in raised or result.exception is None
     for file in output.rglob("*"):
         assert SECRET.encode() not in file.read_bytes()

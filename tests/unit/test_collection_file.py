@@ -25,9 +25,9 @@ def settings(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: 
 
 def refusal(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: Any) -> list[str]:
     """What is said of a collection, without the folder's name."""
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as message:
         load_config(settings(folder, rows, name, **more))
-    return str(told.value).replace(f"{folder}/", "").splitlines()
+    return str(message.value).replace(f"{folder}/", "").splitlines()
 
 
 def test_rows_are_scenes_with_settings_of_their_own(tmp_path: Path) -> None:
@@ -148,17 +148,17 @@ MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
 def test_every_mistake_is_reported_with_its_line(
     tmp_path: Path, case: tuple[str | bytes, *tuple[str, ...]]
 ) -> None:
-    told = refusal(tmp_path, case[0])
-    assert len(told) == len(case) - 1
-    for line, start in zip(told, case[1:], strict=True):
+    message = refusal(tmp_path, case[0])
+    assert len(message) == len(case) - 1
+    for line, start in zip(message, case[1:], strict=True):
         assert line.startswith(f"scenes.csv: {start}")
 
 
 def test_of_a_thousand_mistakes_some_are_told(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,shapee\n" + "".join(f"a{n},plane,white,3\n" for n in range(1000))
-    told = refusal(tmp_path, rows)
-    assert len(told) < 50
-    assert "and 970 more" in told[-1]
+    message = refusal(tmp_path, rows)
+    assert len(message) < 50
+    assert "and 970 more" in message[-1]
 
 
 def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
@@ -177,8 +177,8 @@ def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
 
 def test_a_wrong_rig_and_a_missing_file_are_reported(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,rig\na,plane,white,studio\n"
-    (told,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
-    assert told.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be at most 16")
+    (message,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
+    assert message.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be at most 16")
     (tmp_path / "run.yaml").write_text("collection: gone.csv\n")
     with pytest.raises(ConfigError, match=f"no file gone.csv nor {tmp_path}/gone.csv"):
         load_config(tmp_path / "run.yaml")

@@ -1,4 +1,4 @@
-"""Collections on files: one field of all transports, contents kept once."""
+"""Collections of transports, and packed folders that store each content once."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, Path]:
     return settings, folder / "results"
 
 
-def test_a_collection_is_one_field(run: tuple[Config, Path]) -> None:
+def test_a_collection_is_one_reflectance_field(run: tuple[Config, Path]) -> None:
     _, results = run
     field = rfpipe.open_collection(results, method="hadamard")
     assert list(field) == ["a", "b"]
@@ -57,13 +57,13 @@ def test_a_collection_is_one_field(run: tuple[Config, Path]) -> None:
 
 def test_a_run_is_not_packed_into_itself(run: tuple[Config, Path]) -> None:
     output = run[1] / "packed"
-    told = CliRunner().invoke(app, ["collection", "pack", str(run[1]), "-o", str(output)])
-    assert isinstance(told.exception, InputError)
-    assert "lies in" in str(told.exception)
+    raised = CliRunner().invoke(app, ["collection", "pack", str(run[1]), "-o", str(output)])
+    assert isinstance(raised.exception, InputError)
+    assert "would be packed" in str(raised.exception)
     assert not output.exists()
 
 
-def test_a_packed_run_reads_alike_survives_a_zip_and_comes_back(
+def test_a_packed_run_is_readable_also_in_a_zip_and_is_restored(
     run: tuple[Config, Path], tmp_path: Path
 ) -> None:
     _, results = run
@@ -101,7 +101,7 @@ def test_a_packed_run_reads_alike_survives_a_zip_and_comes_back(
     other = back / "a/hadamard/transport.json"
     other.write_bytes(other.read_bytes()[:-2] + b"?\n")
     result = invoke(app, ["collection", "unpack", str(packed), "-o", str(back)])
-    assert f"{other}: another file stands here" in str(result.exception)
+    assert f"{other}: exists with another content" in str(result.exception)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""One view, or a part of a picture, relights as within the whole, and little else is fetched."""
+"""A view or region relights as in the full transport, and only its data are fetched."""
 
 import zipfile
 from functools import cache
@@ -55,7 +55,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["stored", "memory", "sum", "dual"])
-def test_what_is_cropped_relights_as_within_the_whole(kind: str, run: Path) -> None:
+def test_a_crop_relights_as_the_full_transport(kind: str, run: Path) -> None:
     light = np.random.default_rng(3).random(SHAPE, np.float32)
     opened = rfpipe.open_transport(run / STORE)
     whole = {
@@ -78,7 +78,7 @@ def test_what_is_cropped_relights_as_within_the_whole(kind: str, run: Path) -> N
     assert np.allclose(both.toarray(), both.T.toarray().swapaxes(1, 2), atol=scale)
 
 
-def test_rays_that_are_not_there_are_refused(run: Path) -> None:
+def test_missing_rays_are_refused(run: Path) -> None:
     transport = rfpipe.open_transport(run / STORE)
     for wrong in (9, np.s_[3, 4], np.s_[2:2], "view"):
         with pytest.raises(InputError, match=r"camera = .* of rays \(9, 24, 28\): expected"):
@@ -115,7 +115,7 @@ def test_a_view_is_fetched_from_a_bucket_by_ranges(
             assert fetched(place, np.s_[4, :4, :5]) < 0.4 * stored, place
 
 
-def test_damage_in_a_part_is_found(run: Path, tmp_path: Path) -> None:
+def test_damage_in_a_part_is_detected(run: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(run / "crate.zip") as archive:
         archive.extractall(tmp_path)
     chunk = next((tmp_path / STORE).glob("level_03_*_codes/c.0.0"))

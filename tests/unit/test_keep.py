@@ -1,4 +1,4 @@
-"""A run's results in a bucket: whole whatever breaks, sent once, read and checked from there."""
+"""Upload of a run's results to a bucket: complete after any failure, and readable remotely."""
 
 import itertools
 import os
@@ -73,7 +73,7 @@ def listed(address: str) -> dict[str, str]:
     return {line[66:]: line[:64] for line in content.decode().splitlines()}
 
 
-def test_results_are_sent_once_and_read_from_there(
+def test_results_are_uploaded_once_and_readable_in_the_bucket(
     run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = kept(run, address)
@@ -110,7 +110,7 @@ def test_results_are_sent_once_and_read_from_there(
         rfpipe.open_transport(f"{address}/nothing.zip")
 
 
-def test_what_the_network_and_the_server_break_is_sent_again(
+def test_uploads_are_retried_after_network_and_server_errors(
     run: Path, address: str, faults: Faults
 ) -> None:
     faults.fail, faults.cut = 2, 2
@@ -119,7 +119,7 @@ def test_what_the_network_and_the_server_break_is_sent_again(
     assert verified(address)[0] == 0
 
 
-def test_a_server_that_stays_broken_is_said_and_the_next_run_goes_on(
+def test_a_broken_server_is_reported_and_the_next_upload_continues(
     run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     send, sent = Bucket.put, []
@@ -141,7 +141,7 @@ def test_a_server_that_stays_broken_is_said_and_the_next_run_goes_on(
     assert verified(address)[0] == 0
 
 
-def test_missing_buckets_rights_and_credentials_are_said(
+def test_missing_buckets_permissions_and_credentials_are_explained(
     run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(StoreError, match="no such bucket; make it"):
@@ -151,12 +151,12 @@ def test_missing_buckets_rights_and_credentials_are_said(
         kept(run, address)
     assert listed(address) == {}
     for wrong in ("lab/run", "s3://", "s3://key:secret@lab/run", "s3://Lab/run"):
-        with pytest.raises(ConfigError, match=r"keep_at.*should be a bucket") as refused:
+        with pytest.raises(ConfigError, match=r"keep_at.*bucket") as refused:
             parse_config({"storage": {"keep_at": wrong}}, "test")
     assert "secret" not in str(refused.value)
 
 
-def test_an_uploader_that_is_killed_leaves_nothing_half_and_goes_on(
+def test_a_killed_upload_leaves_no_partial_object_and_continues(
     run: Path, address: str, faults: Faults
 ) -> None:
     command = [sys.executable, "-m", "rfpipe.cli", "keep", str(run), address]
@@ -181,7 +181,9 @@ def test_an_uploader_that_is_killed_leaves_nothing_half_and_goes_on(
     assert len(listed(address)) == N_OBJECTS
 
 
-def test_damage_there_is_found_and_sent_again(run: Path, address: str, faults: Faults) -> None:
+def test_damaged_objects_are_detected_and_sent_again(
+    run: Path, address: str, faults: Faults
+) -> None:
     kept(run, address)
     bucket = Bucket(address)
     name = "results/desk/dual/transport.zip"
@@ -198,7 +200,7 @@ def test_damage_there_is_found_and_sent_again(run: Path, address: str, faults: F
         assert (status, "1 stores" in output) == (0, True), output
 
 
-def test_a_store_of_shards_is_read_and_checked_from_a_bucket(
+def test_a_sharded_store_is_read_and_verified_in_a_bucket(
     run: Path, address: str, faults: Faults
 ) -> None:
     store = run / "results/desk/dual/transport.zarr"

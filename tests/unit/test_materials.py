@@ -1,4 +1,4 @@
-"""Light that the materials of a user's file of Mitsuba call for: caustics, bounces, omissions."""
+"""Tracing parameters chosen by the materials of a Mitsuba file: caustics, bounces, omissions."""
 
 from pathlib import Path
 
@@ -71,7 +71,7 @@ def chosen(settings: MitsubaOptions) -> dict:
 
 @pytest.mark.parametrize("rig", ["coaxial", "aside"])
 @pytest.mark.parametrize("name", MATERIALS)
-def test_null_is_what_the_materials_of_a_file_need(tmp_path: Path, name: str, rig: str) -> None:
+def test_null_is_chosen_by_the_materials_of_a_file(tmp_path: Path, name: str, rig: str) -> None:
     material, caustics, bounces = MATERIALS[name]
     settings = of_ball(tmp_path, material, *([ASIDE] if rig == "aside" else []))
     light = settings.light
@@ -97,13 +97,13 @@ def test_glass_in_a_group_of_shapes_counts_and_unused_glass_does_not(tmp_path: P
 @pytest.mark.parametrize(
     ("given", "value"), [({"caustics": False}, False), ({"caustics": True}, True)]
 )
-def test_what_the_settings_say_is_followed_and_is_no_choice(tmp_path, given, value) -> None:
+def test_explicit_settings_are_used_and_not_listed_as_choices(tmp_path, given, value) -> None:
     settings = of_ball(tmp_path, GLASS, bounces=4, **given)
     assert (settings.light.caustics, settings.light.bounces) == (value, 4)
     assert set(chosen(settings)) == {"projectors"}
 
 
-def test_direct_light_alone_has_no_caustics(tmp_path: Path) -> None:
+def test_direct_light_has_no_caustics(tmp_path: Path) -> None:
     settings = of_ball(tmp_path, GLASS, bounces=1)
     assert chosen(settings)["caustics"] is False
     assert settings.omissions == []
@@ -127,7 +127,7 @@ OMISSIONS = {  # material, options, words of the sentence that names the ball; "
 
 
 @pytest.mark.parametrize("name", OMISSIONS)
-def test_light_that_is_left_out_is_named(tmp_path: Path, name: str) -> None:
+def test_omitted_light_is_described(tmp_path: Path, name: str) -> None:
     material, given, words = OMISSIONS[name]
     omissions = of_ball(tmp_path, material, **given).omissions
     assert len(omissions) == bool(words)
@@ -141,7 +141,7 @@ def test_a_heterogeneous_medium_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_our_own_scenes_declare_what_their_materials_need(name: str) -> None:
+def test_scenes_declare_the_parameters_of_their_materials(name: str) -> None:
     world, surfaces = WORLDS[name], surfaces_of(load_scene(WORLDS[name]))
     assert world.caustics == choose_caustics(surfaces, world.bounces).value
     assert not any(surface.is_sharp or surface.is_graded for surface in surfaces)
@@ -157,7 +157,7 @@ def written(tmp_path: Path, material: str) -> Path:
     return settings
 
 
-def test_plan_says_what_is_chosen_and_what_is_lacking(tmp_path, monkeypatch) -> None:
+def test_plan_lists_choices_and_missing_software(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "none")
     planned = run("plan", written(tmp_path, GLASS), "--directory", tmp_path)
     assert "valid" in planned
@@ -168,7 +168,9 @@ def test_plan_says_what_is_chosen_and_what_is_lacking(tmp_path, monkeypatch) -> 
 
 
 @pytest.mark.needs("llvm")
-def test_plan_lacks_nothing_where_the_scene_can_be_or_was_recorded(tmp_path, monkeypatch) -> None:
+def test_plan_lists_nothing_missing_for_a_recordable_or_recorded_scene(
+    tmp_path, monkeypatch
+) -> None:
     settings = written(tmp_path, MATT)
     assert "can't run here" not in run("plan", settings, "--directory", tmp_path)
     monkeypatch.chdir(tmp_path)

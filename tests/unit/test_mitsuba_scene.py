@@ -65,7 +65,7 @@ class TestAside(TestTwoBlocks):
 
 
 @needs_llvm
-def test_a_file_s_projector_stands_aside_and_its_other_lights_are_left_out(tmp_path: Path) -> None:
+def test_a_file_has_a_separate_projector_and_its_lights_are_ignored(tmp_path: Path) -> None:
     settings = options(tmp_path, file_of(tmp_path, LOOKING, ASIDE, THINGS))
     assert not settings.is_coaxial
     assert settings.projector_side.pinholes[0].position == (1.5, 0, 3.5)
@@ -98,7 +98,7 @@ def test_a_file_without_projector_is_coaxial_and_its_transport_symmetric(tmp_pat
         ({"cameras": [{"origin": (0, 0, 0), "target": (0, 2, 0)}]}, "another point to look at"),
     ],
 )
-def test_scenes_and_rigs_that_are_wrong(tmp_path: Path, given: dict, said: str) -> None:
+def test_invalid_scenes_and_rigs_are_refused(tmp_path: Path, given: dict, said: str) -> None:
     parts = given.pop("parts", None)
     if parts:
         given["scene"] = file_of(tmp_path, *parts)
@@ -107,7 +107,7 @@ def test_scenes_and_rigs_that_are_wrong(tmp_path: Path, given: dict, said: str) 
 
 
 @needs_llvm
-def test_what_was_recorded_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_is_reused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = pictures(options(tmp_path, bounces=2))
     scene = MitsubaScene(options(tmp_path, bounces=2))
     kept = read_manifest(scene.recording.folder / "matrix.json")
@@ -120,14 +120,14 @@ def test_what_was_recorded_is_found_again(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @needs_llvm
-def test_a_recording_that_was_stopped_goes_on(
+def test_an_interrupted_recording_continues(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = pictures(options(tmp_path / "whole"))
+    complete = pictures(options(tmp_path / "whole"))
     monkeypatch.setattr(recording, "_PIECE_BYTES", 16 * 48 * 16)  # three pieces
     pieced = pictures(options(tmp_path / "pieced"))
     # Other pieces draw other random numbers.
-    assert 0 < np.linalg.norm(pieced - whole) < 0.1 * np.linalg.norm(whole)
+    assert 0 < np.linalg.norm(pieced - complete) < 0.1 * np.linalg.norm(complete)
     rows, traced = Tracer.rows, []
 
     def stopping(tracer, half, first, last):
@@ -145,20 +145,20 @@ def test_a_recording_that_was_stopped_goes_on(
 
 
 @needs_llvm
-def test_the_noise_that_is_told_is_that_of_another_seed(tmp_path: Path) -> None:
+def test_estimated_noise_matches_the_difference_of_two_seeds(tmp_path: Path) -> None:
     lit = np.zeros((1, 12, 16), dtype=np.float32)
     lit[..., :8] = 1
     scenes = [
         MitsubaScene(options(tmp_path, shape=(12, 16), samples=256, seed=seed)) for seed in (0, 1)
     ]
     one, other = (scene.apply(lit).astype(np.float64) for scene in scenes)
-    told = np.hypot(*(scene.recorded["grain"]["whole"] for scene in scenes))
+    estimated = np.hypot(*(scene.recorded["grain"]["whole"] for scene in scenes))
     assert {"mitsuba", "drjit", "llvm"} < set(scenes[0].recorded["versions"])
     apart = np.linalg.norm(one - other) / np.linalg.norm((one + other) / 2)
-    assert told / 1.5 < apart < told * 1.5
+    assert estimated / 1.5 < apart < estimated * 1.5
 
 
-def test_the_newest_llvm_that_mitsuba_can_use(
+def test_the_newest_supported_llvm_is_selected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "libLLVM-15.so.1").touch()

@@ -1,4 +1,4 @@
-"""The light of physically based scenes against what is known of it without a renderer."""
+"""Light of physically based scenes compared with analytic results and Mitsuba's integrators."""
 
 from pathlib import Path
 
@@ -114,7 +114,7 @@ def test_a_matt_plane_has_its_albedo_as_radiance(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bounces", [2, 5])
-def test_light_within_a_sphere_is_the_same_all_over(tmp_path: Path, bounces: int) -> None:
+def test_light_within_a_sphere_is_uniform(tmp_path: Path, bounces: int) -> None:
     """Each point of a sphere gets the same from each other one: an integrating sphere."""
     albedo, radius = 0.7, 2.0
     inside = {"type": "twosided", "material": matt(albedo)}
@@ -153,7 +153,7 @@ def test_a_mirror_shows_the_picture_from_behind_it(tmp_path: Path) -> None:
     assert differ(seen, expected[:, ::-1]) > 0.1  # a letter that isn't its own image
 
 
-def test_a_mirror_throws_a_pattern_as_from_behind_it(tmp_path: Path) -> None:
+def test_a_mirror_reflects_a_pattern_as_a_virtual_projector(tmp_path: Path) -> None:
     thrown = world(MIRROR, WALL, camera=OTHER, projector=AHEAD, bounces=2, caustics=True)
     by_mirror = scene_of(tmp_path, thrown, 1024)
     directly = scene_of(
@@ -183,7 +183,7 @@ WHITE = sheet((2, 0, 0), (0, 0, 2), (0, 2, 0), matt(0.5))
 INNER = slice(1, -1)  # pixels that a blur by a pixel takes no light from beyond the picture to
 
 
-def test_a_mirror_shows_what_it_throws_light_on_as_from_behind_it(tmp_path: Path) -> None:
+def test_light_through_a_mirror_both_ways_equals_the_virtual_rig(tmp_path: Path) -> None:
     both_ways = scene_of(tmp_path, world(MIRROR, WHITE, bounces=3, caustics=True), 4096)
     directly = scene_of(tmp_path, world(WHITE, camera=IMAGE_OF_AHEAD, bounces=1), 4096)
     seen, expected = (
@@ -206,7 +206,7 @@ def test_a_mirror_shows_what_it_throws_light_on_as_from_behind_it(tmp_path: Path
 REFLECTED = 0.2**2  # by either boundary of glass of index 1.5
 
 
-def test_a_plane_behind_a_plate_of_glass(tmp_path: Path) -> None:
+def test_a_plane_behind_glass_has_the_transmitted_radiance(tmp_path: Path) -> None:
     thick, away = 0.2, 3
     plane = sheet((0, 0, 0), (3, 0, 0), (0, 3, 0), matt(0.1))
     plate = box((0, 0, 1), (4, 4, thick), 0, glass(1.5))
@@ -233,7 +233,7 @@ def traced_from_the_projector(scene: MitsubaScene) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("beside", [None, BESIDE], ids=["coaxial", "aside"])
 @pytest.mark.parametrize("material", [glass(), mirror()], ids=["glass", "mirror"])
-def test_what_a_ball_throws_is_what_mitsuba_traces_from_the_projector(
+def test_a_caustic_equals_mitsubas_particle_tracer(
     tmp_path: Path, material: dict, beside: View | None
 ) -> None:
     of = world(

@@ -1,4 +1,4 @@
-"""Our own physically based scenes: plain data, the same each time, and seen by their views."""
+"""The predefined physically based scenes: reproducible plain data with visible surfaces."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def kinds_in(value: object) -> set[type]:
     return {type(value)}
 
 
-def test_worlds_are_plain_data_and_the_same_each_time() -> None:
+def test_worlds_are_reproducible_plain_data() -> None:
     for world in WORLDS.values():
         assert kinds_in(world.build()) <= {str, float, int, bool, np.ndarray}
         assert world.describe() == world.describe()
@@ -42,7 +42,7 @@ def test_each_view_of_a_world_sees_something(name: str) -> None:
             assert met.min() > 0.3
 
 
-def test_a_turned_body_is_closed_and_its_outside_away_from_the_axis() -> None:
+def test_a_surface_of_revolution_is_closed_with_outward_normals() -> None:
     can = lathe((1, 2, 3), [(0, 0), (0.5, 0), (0.5, 2), (0, 2)], matt(0.5))
     corners = can["vertices"][can["faces"]].astype(np.float64)
     volume = np.linalg.det(corners - [1, 2, 3]).sum() / 6

@@ -1,4 +1,4 @@
-"""A run becomes a crate: whole or not at all, the same bytes twice, licence asked for once."""
+"""Publication of a run as a crate: atomic, reproducible, with a citation."""
 
 import hashlib
 import json
@@ -56,14 +56,14 @@ def contents(path: Path) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
 
 
-def test_zips_and_folders_hold_the_same_bytes_with_their_digests(run: Path) -> None:
+def test_zips_and_folders_have_the_same_bytes_and_digests(run: Path) -> None:
     (run / "results/desk/symmetric/L00").mkdir(parents=True)
     output = published(run, *GIVEN)
     assert str(run / "publication.zip") in output
     assert "aren't complete: desk by symmetric" in output
-    whole = (run / "publication.zip").read_bytes()
+    full_name = (run / "publication.zip").read_bytes()
     published(run, "--overwrite")
-    assert (run / "publication.zip").read_bytes() == whole
+    assert (run / "publication.zip").read_bytes() == full_name
     # nothing tells of the second in which it was written
     assert b"1980:01:01 00:00:00" in encoded(np.ones((4, 5, 3), np.float32), "exr")
     published(run, "-o", run / "crate")
@@ -89,7 +89,7 @@ def test_zips_and_folders_hold_the_same_bytes_with_their_digests(run: Path) -> N
     assert settings.result_settings() == known_matrix.settings_of_a_plane().result_settings()
 
 
-def test_licence_and_creators_are_asked_for_once(run: Path) -> None:
+def test_the_command_prompts_once_for_licence_and_creators(run: Path) -> None:
     with pytest.raises(
         InputError, match=r"creators is missing.*--creator.*\n.*license is missing.*--license"
     ):
@@ -98,16 +98,16 @@ def test_licence_and_creators_are_asked_for_once(run: Path) -> None:
     os.write(person, b"Doe, Jane\nCC0-1.0\n")
     command = "from rfpipe.cli import main; main()"
     with os.fdopen(terminal) as stdin:
-        asked = subprocess.run(
+        prompted = subprocess.run(
             [sys.executable, "-c", command, "publish", str(run)],
             stdin=stdin, capture_output=True, text=True, check=True,
         )  # fmt: skip
     os.close(person)
-    assert "Licence" in asked.stdout
-    kept = yaml.safe_load((run / "publication.yaml").read_text())
-    assert kept["license"] == "CC0-1.0"
-    kept |= {"title": "A desk", "doi": "https://doi.org/10.5281/zenodo.1234567"}
-    (run / "publication.yaml").write_text(yaml.safe_dump(kept))
+    assert "Licence" in prompted.stdout
+    stored = yaml.safe_load((run / "publication.yaml").read_text())
+    assert stored["license"] == "CC0-1.0"
+    stored |= {"title": "A desk", "doi": "https://doi.org/10.5281/zenodo.1234567"}
+    (run / "publication.yaml").write_text(yaml.safe_dump(stored))
     published(run, "--overwrite")
     assert "doi: 10.5281/zenodo.1234567" in (run / "publication.yaml").read_text()
     files = contents(run / "publication.zip")
@@ -139,12 +139,12 @@ def test_licence_and_creators_are_asked_for_once(run: Path) -> None:
         ("a desk", "a desk is unknown"),
     ],
 )
-def test_what_a_citation_cannot_be_is_said(kept: object, says: str, run: Path) -> None:
-    (run / "publication.yaml").write_text(yaml.safe_dump(kept))
-    given = [] if set(kept) & {"license", "creators"} else GIVEN
+def test_invalid_citations_are_explained(stored: object, says: str, run: Path) -> None:
+    (run / "publication.yaml").write_text(yaml.safe_dump(stored))
+    given = [] if set(stored) & {"license", "creators"} else GIVEN
     with pytest.raises(InputError, match=says):
         published(run, *given)
-    assert yaml.safe_load((run / "publication.yaml").read_text()) == kept
+    assert yaml.safe_load((run / "publication.yaml").read_text()) == stored
     assert not (run / "publication.zip").exists()
 
 
@@ -152,7 +152,7 @@ def test_what_a_citation_cannot_be_is_said(kept: object, says: str, run: Path) -
     "orcid",  # of ORCID's documentation and of its registry
     ["0000-0002-1825-0097", "0000-0001-5109-3700", "0000-0002-1694-233X", "0000-0003-1415-9269"],
 )
-def test_check_digits_are_those_of_iso_7064(orcid: str) -> None:
+def test_check_digits_follow_iso_7064(orcid: str) -> None:
     assert check_digit(orcid[:-1].replace("-", "")) == orcid[-1]
     for place, digit in enumerate(orcid[:-1]):
         if digit.isdigit():
@@ -161,7 +161,7 @@ def test_check_digits_are_those_of_iso_7064(orcid: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["mit", "cc0-1.0", "odbl-1.0", "https://example.org/licence"])
-def test_licences_have_the_spelling_of_their_list(name: str) -> None:
+def test_licences_are_normalized_to_the_spdx_list(name: str) -> None:
     expected = {"mit": "MIT", "cc0-1.0": "CC0-1.0", "odbl-1.0": "ODbL-1.0"}.get(name, name)
     facts = {"title": "a", "creators": ["Doe, Jane"], "published": "2026-01-01"}
     assert Citation.model_validate({**facts, "license": name}).license == expected
@@ -184,9 +184,7 @@ OWN = {
 }
 
 
-def test_files_of_a_user_s_own_are_published_where_the_settings_find_them(
-    run: Path, tmp_path: Path
-) -> None:
+def test_user_files_are_published_at_the_paths_in_the_settings(run: Path, tmp_path: Path) -> None:
     for name, content in OWN.items():
         (run / name).parent.mkdir(exist_ok=True)
         (run / name).write_text(content)
@@ -245,7 +243,7 @@ EDITED = {
 
 
 @pytest.mark.parametrize("case", EDITED)
-def test_code_that_did_not_make_the_results_is_refused(case: str, run: Path) -> None:
+def test_user_code_that_changed_after_the_run_is_refused(case: str, run: Path) -> None:
     name, settings = EDITED[case]
     file = run / name
     file.parent.mkdir(exist_ok=True)
@@ -301,7 +299,7 @@ def test_the_example_runs_from_the_zip_and_the_folder(run: Path) -> None:
         assert f"mean {mean:.4f}" in done.stdout
 
 
-def test_nothing_that_stands_there_is_lost(run: Path, tmp_path: Path) -> None:
+def test_existing_files_are_not_overwritten(run: Path, tmp_path: Path) -> None:
     published(run, *GIVEN)
     before = (run / "publication.zip").read_bytes()
     with pytest.raises(InputError, match="--overwrite"):
@@ -318,7 +316,7 @@ def test_nothing_that_stands_there_is_lost(run: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["crate", "crate.zip"])
-def test_an_interrupted_publication_leaves_the_one_before(
+def test_an_interrupted_publication_keeps_the_previous_one(
     name: str, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     published(run, *GIVEN, "-o", run / name)
@@ -357,7 +355,7 @@ def test_a_damaged_or_foreign_transport_is_not_published(run: Path) -> None:
     assert not (run / "publication.zip").exists()
 
 
-def test_settings_that_no_report_knows_are_given(run: Path, tmp_path: Path) -> None:
+def test_settings_are_given_for_a_run_without_a_report(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(
         yaml.safe_dump(known_matrix.settings_of_a_plane(seed=7).model_dump(mode="json"))
@@ -367,7 +365,7 @@ def test_settings_that_no_report_knows_are_given(run: Path, tmp_path: Path) -> N
     assert b"seed: 7" in contents(run / "publication.zip")["settings.yaml"]
 
 
-def test_a_calibration_goes_with_a_real_rig(run: Path) -> None:
+def test_the_calibration_of_a_real_rig_is_published(run: Path) -> None:
     (run / "calibration").mkdir()
     (run / "calibration/calibration.json").write_text("{}")
     published(run, *GIVEN)

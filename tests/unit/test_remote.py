@@ -119,7 +119,7 @@ def test_the_password_of_an_address_reaches_its_server(run: Path) -> None:
         ("{no_ranges}/crate.zip", "range requests"),
         ("http://[::1", "Invalid IPv6"),
         ("s3://key:geheim@lab/run", "environment, as AWS_ACCESS_KEY_ID"),
-        ("s3://La b/run", "should be a bucket"),
+        ("s3://La b/run", "expected a bucket"),
         ("s3://lab/run.zip", "Missing SecretAccessKey; check .*AWS_"),
     ],
 )
@@ -144,7 +144,7 @@ def test_damage_is_found_wherever_it_lies(run: Path, tmp_path: Path) -> None:
     (tmp_path / "crate.zip").write_bytes(content)
     with serving(tmp_path) as server:
         for place in (str(tmp_path / "crate.zip"), f"{server.address}/crate.zip"):
-            with pytest.raises(IntegrityError, match="anew"):
+            with pytest.raises(IntegrityError, match="again"):
                 rfpipe.open_transport(place).relight(np.ones(SHAPE))
     (tmp_path / "short.zip").write_bytes(content[:-100])
     with pytest.raises(StoreError, match="can't be read as a zip file"):
@@ -167,7 +167,7 @@ def test_a_zip_made_again_by_another_program_is_read_and_checked(run: Path, tmp_
         damaged = bytearray(whole)
         damaged[start : start + len(fill)] = fill
         again.write_bytes(damaged)
-        with pytest.raises(IntegrityError, match="anew"):
+        with pytest.raises(IntegrityError, match="again"):
             rfpipe.open_transport(again).relight(light)
         assert "is missing, truncated or altered" in verified(again, status=1)
 

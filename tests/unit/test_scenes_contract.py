@@ -1,4 +1,4 @@
-"""The contract of scenes: rfpipe's own keep it, and it finds what is wrong with others."""
+"""The contract of scenes: all scenes of rfpipe fulfil it, and it detects violations."""
 
 import itertools
 
@@ -71,7 +71,7 @@ def dim(weights):
         ((dim, ["used"]), "description", "after use"),
     ],
 )
-def test_what_is_wrong_is_found(scene, test, message):
+def test_violations_of_the_contract_are_detected(scene, test, message):
     def run(*settings):
         suite = SceneContract()
         suite.make_scene = lambda: Own(*settings)

@@ -1,4 +1,4 @@
-"""Surfaces and points behind the pixels, what hides them, textures and relighting patterns."""
+"""Surface points of pixels, occlusion, textures and relighting patterns."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_planes_meet_at_the_angles_of_their_names():
     assert corner @ corner.T == pytest.approx(np.eye(3), abs=1e-12)
 
 
-def test_points_of_plane_and_wedge_lie_where_they_should_and_cover_what_is_seen():
+def test_points_of_plane_and_wedge_have_exact_positions_and_areas():
     points = surface_points((31, 35), GEOMETRIES["plane"])
     assert np.allclose(points.positions[:, 2], 3)
     assert np.allclose(points.positions[0, :2], [-17 / 31 * 3, -15 / 31 * 3])
@@ -53,7 +53,7 @@ def test_points_of_plane_and_wedge_lie_where_they_should_and_cover_what_is_seen(
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 @pytest.mark.parametrize("shape", [(64, 64), (62, 70), (33, 31), (1, 5), (7, 3), (1, 1)])
-def test_every_ray_meets_a_surface_and_each_room_is_evenly_shared(geometry, shape):
+def test_every_ray_hits_a_surface_and_rooms_are_divided_evenly(geometry, shape):
     points = surface_points(shape, GEOMETRIES[geometry])
     assert (points.areas > 0).all()
     assert np.isfinite(points.positions).all()
@@ -78,7 +78,7 @@ def test_the_sphere_rests_on_its_floor_and_its_visible_cap_is_covered():
     assert points.areas.max() < 10 * points.mean_area  # rays along the limb, too
 
 
-def test_surfaces_and_places_that_cannot_be():
+def test_invalid_surfaces_and_positions_are_refused():
     with pytest.raises(InputError, match=r"pixel \(0, 0\) .* floor"):
         surface_points((4, 4), (Plane("floor", (0, 1, 0), (0, -1, 0)),))
     with pytest.raises(InputError, match="another point to look at"):
@@ -96,13 +96,13 @@ def test_surfaces_and_places_that_cannot_be():
         ((-0.2, 0, 1), (0.2, 0, 1), False),  # runs within its plane
     ],
 )
-def test_segments_behind_an_occluder(first, second, expected):
+def test_segments_are_blocked_by_an_occluder(first, second, expected):
     p, q = (np.array(point, dtype=float) for point in (first, second))
     assert bool(is_occluded(p, q, [SQUARE])) is bool(is_occluded(q, p, [SQUARE])) is expected
 
 
 @pytest.mark.parametrize("shape", [(62, 70), (155, 175)])
-def test_pages_are_of_high_frequency_and_follow_from_seed_and_surface(shape):
+def test_textures_have_high_frequencies_and_depend_on_seed_and_surface(shape):
     page = printed_page(shape, seed=3, page=1)
     assert np.array_equal(page, printed_page(shape, seed=3, page=1))
     assert not np.array_equal(page, printed_page(shape, seed=4, page=1))
@@ -124,7 +124,7 @@ def test_albedo_has_the_stated_values_and_its_tint_stays_below_one():
         assert colour == pytest.approx(grey * np.array(tint))
 
 
-def test_relighting_patterns_are_those_of_the_design_and_follow_from_their_seed():
+def test_relighting_patterns_follow_the_design_and_their_seed():
     patterns = relighting_patterns((62, 70), seed=1)
     assert list(patterns) == ["vertical_bar", "horizontal_bar", "noise", "binary", "spot"]
     assert all(p.dtype == np.float32 and p.shape == (62, 70) for p in patterns.values())

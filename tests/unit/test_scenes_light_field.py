@@ -1,4 +1,4 @@
-"""The room and the array of views that looks at it: geometry, texels, and its 8D transport."""
+"""The room in front of an array of views: geometry, texels, and 8D transport."""
 
 import json
 
@@ -49,12 +49,12 @@ def test_views_span_the_angles_and_look_at_the_scene():
         assert view.axes[2] @ way == pytest.approx(np.linalg.norm(way))
 
 
-def test_pixels_see_texels_in_whole_and_footprints_add_up():
+def test_weights_of_texels_add_up_and_so_do_footprints():
     views = view_array((3, 3), SPAN, (26, 40))
-    seen, _ = texel_weights(views, TexelGrid(room_panels(SURFACES), DISTANCE * views[0].pitch))
-    assert seen.shape[0] == 9 * 26 * 40
-    assert seen.sum(axis=1) == pytest.approx(np.ones(seen.shape[0]))
-    assert seen.data.min() > 0
+    weights, _ = texel_weights(views, TexelGrid(room_panels(SURFACES), DISTANCE * views[0].pitch))
+    assert weights.shape[0] == 9 * 26 * 40
+    assert weights.sum(axis=1) == pytest.approx(np.ones(weights.shape[0]))
+    assert weights.data.min() > 0
     (one,) = view_array((1, 1), (0, 0), (20, 30))
     _, footprint = texel_weights([one], TexelGrid([SCREEN], 0.1))
     wide = 30 * one.pitch * DISTANCE
@@ -64,13 +64,16 @@ def test_pixels_see_texels_in_whole_and_footprints_add_up():
 def test_a_uniformly_lit_screen_has_no_ripples():
     light = np.zeros((1, 9, 26, 40))
     light[:, 0] = 1  # one view's light, seen by another where both look
-    seen = screen((3, 3), (26, 40)).apply(light).reshape(9, 26, 40)[4, 8:-8, 12:-12]
-    second = np.diff(seen, n=2, axis=0) / seen[1:-1], np.diff(seen, n=2, axis=1) / seen[:, 1:-1]
+    weights = screen((3, 3), (26, 40)).apply(light).reshape(9, 26, 40)[4, 8:-8, 12:-12]
+    second = (
+        np.diff(weights, n=2, axis=0) / weights[1:-1],
+        np.diff(weights, n=2, axis=1) / weights[:, 1:-1],
+    )
     assert max(np.abs(part).max() for part in second) < 0.02
 
 
 @pytest.mark.parametrize("shape", [(8, 12), (26, 40)])
-def test_no_light_is_made_and_the_default_camera_takes_it(shape):
+def test_energy_is_conserved_and_within_the_default_camera_range(shape):
     scene = room_scene(SURFACES, shape, views=(3, 3))
     points, _ = scene._patches
     # what of the light that leaves a point arrives elsewhere
@@ -81,7 +84,7 @@ def test_no_light_is_made_and_the_default_camera_takes_it(shape):
     assert picture.max() < 1.9  # the default camera fills its well at 2
 
 
-def test_views_hide_parts_from_each_other_where_only_indirect_light_comes():
+def test_occluded_parts_of_views_receive_only_indirect_light():
     direct, whole = (
         room_scene(SURFACES, (26, 40), views=(3, 3), bounces=bounces, channels=1)
         for bounces in (1, 3)
@@ -99,7 +102,7 @@ def test_views_hide_parts_from_each_other_where_only_indirect_light_comes():
 
 @pytest.mark.parametrize(("views", "shape"), [(None, (9, 14)), ((1, 1), (5, 8)), ((2, 3), (4, 6))])
 @pytest.mark.parametrize("span", [(0.0, 0.0), (45.0, 45.0)])
-def test_every_array_sees_fronts_alone(views, shape, span):
+def test_every_array_sees_only_fronts(views, shape, span):
     scene = room_scene(SURFACES, shape, views=views, span_degrees=span)
     rays = shape if views is None else (views[0] * views[1], *shape)
     assert scene.shape == rays
@@ -108,7 +111,7 @@ def test_every_array_sees_fronts_alone(views, shape, span):
     assert np.isfinite(scene.apply(np.ones((1, *rays)))).all()
 
 
-def test_a_ray_that_sees_nothing_is_named():
+def test_a_ray_without_a_hit_is_named():
     narrow = Panel((0, 0, 3), (0.1, 0, 0), (0, 0.1, 0), "narrow", "white", (1, 1, 1))
     with pytest.raises(InputError, match=r"pixel \(0, 0\) of view 0 sees no panel"):
         screen((2, 2), (4, 6), narrow)
@@ -117,7 +120,7 @@ def test_a_ray_that_sees_nothing_is_named():
         screen((1, 1), (4, 6), backward)
 
 
-def test_settings_make_the_same_scene_and_descriptions_tell_scenes_apart(small):
+def test_settings_build_the_same_scene_and_descriptions_are_unique(small):
     given = {"shape": (5, 8), "views": (2, 3), "span_degrees": (20, 10), "channels": 1, "seed": 3}
     config = SceneSettings.of("room", surfaces=SURFACES, **given)
     made = scene_from_config(config)

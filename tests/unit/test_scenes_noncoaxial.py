@@ -1,4 +1,4 @@
-"""Camera and projector apart: direct light, shadows, reciprocity, and the coaxial case."""
+"""Separate camera and projector: direct light, shadows, reciprocity, and the coaxial case."""
 
 from itertools import cycle
 
@@ -74,7 +74,7 @@ def test_swapping_camera_and_projector_gives_the_transpose(geometry, occluders, 
 
 
 @pytest.mark.parametrize("geometry", PLACES)
-def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
+def test_a_projector_at_the_camera_gives_the_coaxial_matrix(geometry):
     shape = (13, 17)
     surfaces = [kind for _, kind in zip(surface_names(geometry), cycle(("texture", "white")))]
     coaxial = planes_scene(geometry, surfaces, shape)
@@ -84,24 +84,24 @@ def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
     parts = first_hits(Pinhole(shape), GEOMETRIES[geometry], 4).surface.reshape(-1, 16)
     whole = (parts == parts[:, :1]).all(axis=1)
     assert whole.mean() > 0.6
-    found = same.dense(1) / same.scale
+    actual = same.dense(1) / same.scale
     expected = coaxial.dense(1) / coaxial.scale
     edges = np.diag(np.where(whole, 1, 0)) + 1 - np.eye(len(whole))
-    np.testing.assert_allclose(found * edges, expected * edges, atol=1e-12 * expected.max())
-    assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)
+    np.testing.assert_allclose(actual * edges, expected * edges, atol=1e-12 * expected.max())
+    assert np.linalg.norm(actual - expected) < 0.1 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("geometry", ["plane", "wedge_120"])
-def test_direct_light_falls_off_as_it_should(geometry):
+def test_direct_light_follows_the_inverse_square_law(geometry):
     scene = aside(geometry, (31, 36), (24, 28), grey, bounces=1)
     lit = scene.apply(np.ones((1, 24 * 28)))[0, :, 0] / scene.scale
-    seen, lamp = first_hits(Pinhole((31, 36)), GEOMETRIES[geometry]), lamp_at(geometry, (24, 28))
-    way = seen.positions - lamp.origin
+    hits, lamp = first_hits(Pinhole((31, 36)), GEOMETRIES[geometry]), lamp_at(geometry, (24, 28))
+    way = hits.positions - lamp.origin
     distance, ahead = np.linalg.norm(way, axis=1), way @ lamp.axes[2]
-    cosine = -(way * seen.normals).sum(1) / distance
+    cosine = -(way * hits.normals).sum(1) / distance
     # a pixel's solid angle is pitch^2 (ahead / distance)^3
     expected = 0.5 * cosine / distance**2 * (distance / ahead) ** 3 / lamp.pitch**2
-    place = lamp.project(seen.positions)
+    place = lamp.project(hits.positions)
     inside = ((place > 1) & (place < np.array([24, 28]) - 1)).all(axis=1)
     assert inside.mean() > 0.6
     ratio = lit[inside] / expected[inside]
@@ -115,7 +115,7 @@ def test_direct_light_falls_off_as_it_should(geometry):
     assert light.max() < 1.1
 
 
-def test_what_stands_between_throws_a_shadow_where_geometry_says():
+def test_an_occluder_casts_the_geometric_shadow():
     wall = GEOMETRIES["plane"]
     plate = Occluder((1.25, 0, 1.6), (0.15, 0, 0), (0, 0.15, 0))  # beside the camera's view
     lamp = Pinhole((24, 28), PLACES["plane"], MIDDLE)
@@ -154,7 +154,7 @@ def test_settings_place_the_projector():
     assert made.describe() == direct.describe()
 
 
-def test_impossible_places_are_refused():
+def test_projectors_behind_surfaces_are_refused():
     centre = GEOMETRIES["sphere_on_plane"][2].centre
     face = GEOMETRIES["coloured_room"][5]
     within = tuple(np.array(face.centre) - 0.1 * face.plane.unit_normal)

@@ -66,14 +66,14 @@ def test_matrix_follows_the_formulas_entry_by_entry():
 
 @pytest.mark.parametrize("geometry", [each for each in GEOMETRIES if each != "plane"])
 @pytest.mark.parametrize("shape", [(32, 32), (33, 35)])
-def test_no_point_gets_more_light_than_leaves_the_others(geometry, shape):
+def test_no_point_receives_more_light_than_is_emitted(geometry, shape):
     points = surface_points(shape, GEOMETRIES[geometry])
     received = FormFactors(points, compress=False).apply(points.areas[:, None])[:, 0]
     assert (received >= 0).all()
     assert 0.15 < received.max() <= 1
 
 
-def test_occluder_blocks_exactly_the_pairs_behind_it():
+def test_an_occluder_blocks_exactly_the_occluded_pairs():
     free, plated = (textured((16, 16), channels=1, bounces=2, occluders=o) for o in ((), (PLATE,)))
     points = free.points
     left = points.surface == 0
@@ -126,7 +126,7 @@ def test_the_coloured_room_casts_its_colours():
     assert red > 2 * green > 2 * blue > 0  # white, in red light
 
 
-def test_a_pattern_gives_the_same_bits_in_any_company_though_compressed(monkeypatch):
+def test_a_pattern_has_the_same_bits_in_any_batch_also_compressed(monkeypatch):
     monkeypatch.setattr("rfpipe.scenes.radiosity.DENSE_LIMIT", 0)
     scene = textured((21, 23))
     patterns = random_patterns(35, 21 * 23)
@@ -156,7 +156,7 @@ def test_albedo_out_of_range_is_refused():
         RadiosityScene(points, np.ones((4, 5, 1)))
 
 
-def test_the_settings_make_the_same_scenes():
+def test_settings_build_the_same_scenes():
     others = {"room", "captured", "matrix", "mitsuba"}
     assert set(GEOMETRIES) == set(names(SCENES)) - others
     for name in GEOMETRIES:
@@ -170,7 +170,7 @@ def test_the_settings_make_the_same_scenes():
     assert scene_from_config(config).describe() == direct.describe()
 
 
-def test_descriptions_are_plain_and_tell_scenes_apart():
+def test_descriptions_are_plain_and_unique():
     variants = [
         textured(),
         textured(seed=1),

@@ -1,4 +1,4 @@
-"""Sequences of patterns in hardware: what is lost or mixed up is found, and taken again."""
+"""Hardware sequences of patterns: lost and reordered frames are detected and captured again."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -131,7 +131,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("scene", ["direct", "mixed", "cavity"])
 @pytest.mark.parametrize("kind", ["half", "grey", "one ray", "black and white"])
-def test_without_faults_nothing_is_doubted(scene: str, kind: str) -> None:
+def test_all_frames_are_certain_without_faults(scene: str, kind: str) -> None:
     plain, given = rig(scene), patterns(kind)
     sequences = SimulatedSequences(plain)
     np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
@@ -144,7 +144,7 @@ def test_without_faults_nothing_is_doubted(scene: str, kind: str) -> None:
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("scene", ["direct", "cavity"])
 @pytest.mark.parametrize("kind", ["half", "grey", "one ray"])
-def test_faults_are_found_and_mended(fault: str, scene: str, kind: str) -> None:
+def test_faults_are_detected_and_corrected(fault: str, scene: str, kind: str) -> None:
     plain, given, lost = rig(scene), patterns(kind), 0
     for seed in range(2):
         sequences = SimulatedSequences(plain, seed=seed, **FAULTS[fault])
@@ -180,7 +180,7 @@ def test_patterns_without_certain_frames_are_captured_one_by_one(
     assert "capturing them one by one" in caplog.text
 
 
-def test_long_lists_are_cut_and_short_ones_are_none() -> None:
+def test_long_lists_are_divided_and_short_lists_need_no_sequence() -> None:
     plain, given = rig(), patterns("half")
     sequences = SimulatedSequences(plain, most=5)
     np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
@@ -207,7 +207,7 @@ class Stopping(SimulatedSequences):
         return super().show_sequence(shown, keys)
 
 
-def test_a_capture_goes_on_at_the_sequence_where_it_stopped(tmp_path: Path) -> None:
+def test_an_interrupted_capture_continues_at_its_sequence(tmp_path: Path) -> None:
     plain, (shown, _) = rig(), patterns("half")
     folder = AcquisitionFolder(tmp_path / "scene" / "method")
     facts = {"stage": "schedule", "level": 1, "patterns": COUNT, "complete": False}

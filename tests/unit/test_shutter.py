@@ -19,7 +19,7 @@ HALVES = ("15", "11", "8", "3", "1.5", "1", "0.7", "1/2", "1/11", "1/45", "1/60"
         (HALVES, {"1/45": 2**-5.5, "0.7": 2**-0.5}),
     ],
 )
-def test_names_stand_for_parts_of_a_stop(
+def test_names_of_times_are_parts_of_a_stop(
     names: tuple[str, ...], expected: dict[str, float]
 ) -> None:
     by_name = {time.name: time.seconds for time in shutter_times(names)}
@@ -27,7 +27,7 @@ def test_names_stand_for_parts_of_a_stop(
     assert {name: by_name[name] for name in expected} == pytest.approx(expected, rel=1e-15)
 
 
-def test_the_nearest_by_ratio() -> None:
+def test_the_nearest_time_is_by_ratio() -> None:
     times = shutter_times(THIRDS)
     names = [time.name for time in nearest_times((1 / 64, 0.07, 1.1), times)]
     assert names == ["1/60", "1/15", "1"]

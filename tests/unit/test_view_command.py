@@ -1,4 +1,4 @@
-"""`rfpipe view`: pages of stored transports, and what it says of what it is given."""
+"""``rfpipe view``: pages of stored transports, and messages for invalid arguments."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "results"
 
 
-def test_a_page_says_what_it_shows_and_needs_nothing_from_elsewhere(results: Path) -> None:
+def test_a_page_is_self_contained_and_lists_facts(results: Path) -> None:
     said = run("view", results / "corner" / "symmetric")
     text = Path("corner_symmetric.html").read_text("utf-8")
     assert said.startswith("corner_symmetric.html: ")
@@ -38,7 +38,7 @@ def test_a_page_says_what_it_shows_and_needs_nothing_from_elsewhere(results: Pat
     assert not re.search(r"https?://", text)
 
 
-def test_another_transport_or_a_picture_is_compared(results: Path, tmp_path: Path) -> None:
+def test_a_transport_or_a_picture_is_compared(results: Path, tmp_path: Path) -> None:
     store, page = results / "corner" / "symmetric" / "transport.zarr", tmp_path / "a.html"
     run("view", store, "-o", page, "--compare", results / "corner" / "near_far", "--title", "A & B")
     text = page.read_text("utf-8")
@@ -49,7 +49,7 @@ def test_another_transport_or_a_picture_is_compared(results: Path, tmp_path: Pat
     assert "Compare with truth.exr" in page.read_text("utf-8")
 
 
-def test_a_large_one_has_the_last_level_alone(results: Path) -> None:
+def test_a_large_page_has_only_the_last_level(results: Path) -> None:
     said = run("view", results / "corner" / "symmetric", "--largest", 0.01)
     assert re.search(r"levels \d+\n", said)
 
@@ -63,13 +63,13 @@ def test_a_large_one_has_the_last_level_alone(results: Path) -> None:
         (["results/corner/symmetric", "-o", "page.pdf"], r"\.pdf; expected \.html"),
     ],
 )
-def test_what_is_wrong_is_said(results: Path, arguments: list[str], message: str) -> None:
+def test_invalid_arguments_are_explained(results: Path, arguments: list[str], message: str) -> None:
     write_image(Path("small.exr"), np.ones((3, 4, 3), np.float32))
     with pytest.raises(RfpipeError, match=message):
         run("view", *arguments)
 
 
-def test_a_run_s_page_compares_with_another_method_again_the_same(results: Path) -> None:
+def test_the_page_of_a_run_compares_methods_reproducibly(results: Path) -> None:
     stores = [results / "corner" / name / "transport.zarr" for name in ("near_far", "symmetric")]
     first, again = (
         write_acquisition(stores[0], stores[1:], results / folder / "page.html").page.read_text()

@@ -1,4 +1,4 @@
-"""What one can do on a viewer's page: by mouse, touch, keys and links; and who can use it."""
+"""Interaction with a viewer's page by mouse, touch, keys and links, and its accessibility."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_bars_brushes_and_floodlight(page: Any) -> None:
     assert lit["flood"] == 480 > lit["bar"] > lit["brush"] > 10
 
 
-def test_a_picture_is_light(page: Any, tmp_path: Path) -> None:
+def test_a_picture_is_used_as_light(page: Any, tmp_path: Path) -> None:
     picture = np.zeros((40, 48, 3), np.float32)
     picture[:, :24, 0] = 1
     write_image(tmp_path / "light.png", picture, 1.0)
@@ -141,7 +141,7 @@ def test_the_camera_s_side_can_be_lit(page: Any) -> None:
     alike(page, transport_of("symmetric").T)
 
 
-def test_wipe_and_difference_are_those_of_the_two_transports(page: Any) -> None:
+def test_wipe_and_difference_show_both_transports(page: Any) -> None:
     page.locator("[data-tool=flood]").click()
     slide(page, "wipe", 50)
     light, picture = shown(page)
@@ -227,7 +227,7 @@ def test_the_picture_is_saved_at_a_size(
     assert page.inner_text("#kept").endswith(f"{saved.shape[1]} x {saved.shape[0]} pixels.")
 
 
-def test_what_is_said_of_a_comparison_goes_with_it(page: Any) -> None:
+def test_the_text_of_a_comparison_is_removed_with_it(page: Any) -> None:
     def begin() -> None:
         page.locator("#difference").check()
         settled(page)
@@ -263,7 +263,9 @@ def test_all_parts_of_the_page_are_in_one_column(page: Any, width: int) -> None:
 
 @pytest.mark.parametrize("colours", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 400])
-def test_axe_finds_nothing(chromium: Any, symmetric: Path, colours: str, width: int) -> None:
+def test_axe_reports_no_accessibility_problem(
+    chromium: Any, symmetric: Path, colours: str, width: int
+) -> None:
     page = opened(chromium, symmetric, color_scheme=colours)
     page.set_viewport_size({"width": width, "height": 900})
     page.locator("summary").click()
@@ -278,7 +280,7 @@ def test_axe_finds_nothing(chromium: Any, symmetric: Path, colours: str, width: 
     page.context.close()
 
 
-def test_parts_of_the_light_go_on_and_off(chromium: Any, tmp_path: Path) -> None:
+def test_parts_of_the_light_are_switched_on_and_off(chromium: Any, tmp_path: Path) -> None:
     transport = transport_of("near_far")
     page = opened(chromium, write_view(View(transport, "Parts"), tmp_path / "near.html").page)
     page.locator("#parts input[value=direct]").uncheck()
@@ -289,7 +291,7 @@ def test_parts_of_the_light_go_on_and_off(chromium: Any, tmp_path: Path) -> None
     page.context.close()
 
 
-def test_views_are_chosen_on_both_sides(chromium: Any, tmp_path: Path) -> None:
+def test_views_are_selected_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     transport = transport_of("light field")
     page = opened(chromium, write_view(View(transport, "Views"), tmp_path / "field.html").page)
     drag(page, "#seen", (0.9, 0.9), (0.9, 0.8))  # of all lit views none is that seen
@@ -307,7 +309,7 @@ def test_views_are_chosen_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     page.context.close()
 
 
-def test_a_page_without_room_has_the_last_level_and_a_picture_to_compare_with(
+def test_a_small_limit_keeps_the_last_level_and_the_comparison(
     chromium: Any, tmp_path: Path
 ) -> None:
     transport = transport_of("symmetric")
@@ -326,7 +328,7 @@ def test_a_page_without_room_has_the_last_level_and_a_picture_to_compare_with(
     page.context.close()
 
 
-def test_the_kernel_is_that_of_its_source() -> None:
+def test_the_kernel_is_compiled_from_its_source() -> None:
     import wasmtime
 
     kernel = files("rfpipe.viewer").joinpath("kernel")
@@ -334,7 +336,7 @@ def test_the_kernel_is_that_of_its_source() -> None:
     assert bytes(wasmtime.wat2wasm(source)) == kernel.joinpath("kernels.wasm").read_bytes()
 
 
-def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
+def test_incomparable_transports_are_refused(tmp_path: Path) -> None:
     comparison = Comparison(transport_of("one channel"), "other")
     with pytest.raises(InputError, match="transports of the same rig"):
         write_view(View(transport_of("symmetric"), "", comparison=comparison), tmp_path / "a.html")

@@ -17,7 +17,7 @@ KERNELS = ("", "?kernel=javascript")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_pictures_are_python_s(chromium: Any, kind: str, tmp_path: Path) -> None:
+def test_pictures_equal_those_of_python(chromium: Any, kind: str, tmp_path: Path) -> None:
     transport = transport_of(kind)
     if kind.endswith("uint8"):
         save_transport(transport, tmp_path / "transport.zarr", "uint8")

@@ -1,4 +1,4 @@
-"""``rfpipe publish``, ``keep`` and ``collection``: results on their way to others."""
+"""``rfpipe publish``, ``keep`` and ``collection``: sharing results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import typer
 from rfpipe.errors import InputError
 
 Folder = Annotated[
-    Path, typer.Argument(metavar="FOLDER", help="A run's folder, in which its 'results' lie.")
+    Path, typer.Argument(metavar="FOLDER", help="A run's folder, which contains 'results'.")
 ]
 
 _QUESTIONS = {
@@ -29,8 +29,8 @@ def publish(
         typer.Option(
             "--output",
             "-o",
-            help="Zip file (*.zip) or folder to write; publication.zip in FOLDER by default. Of a "
-            "zip, others can relight over the network with few requests.",
+            help="Zip file (*.zip) or folder to write; default: publication.zip in FOLDER. A zip "
+            "can be relit over the network with few requests.",
         ),
     ] = None,
     license_: Annotated[
@@ -41,29 +41,29 @@ def publish(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Who is to be cited: 'Family, Given; ORCID; affiliation'; may be repeated.",
+            help="Creator to cite: 'Family, Given; ORCID; affiliation'; may be repeated.",
         ),
     ] = None,
     captured: Annotated[
         bool,
         typer.Option(
-            "--captured", help="Publish the captured frames, too, and all that was made of them."
+            "--captured", help="Include the captured frames and the results of all stages."
         ),
     ] = False,
     config: Annotated[
         Path | None,
-        typer.Option(help="The run's settings, where it has no report, which knows them."),
+        typer.Option(help="The run's settings, if it has no report."),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a publication that stands there.")
+        bool, typer.Option("--overwrite", help="Replace an existing publication.")
     ] = False,
 ) -> None:
-    """Write a run's transports, report and pictures as a crate that can be cited and checked.
+    """Write a run's transports, report and pictures as a citable, verifiable crate.
 
-    The crate is a Workflow Run RO-Crate with DataCite metadata, SHA-256 of every
-    file, and a ten-line example that relights it from a folder, a zip file or an address. Licence
-    and creators are asked for once and kept in FOLDER/publication.yaml, with a title, a version
-    and more to edit. Without a terminal, give --license and --creator.
+    The crate is a Workflow Run RO-Crate with DataCite metadata, the SHA-256 of every file, and an
+    example program that relights it from a folder, a zip file or an address. The command prompts
+    for licence and creators once, and saves them in FOLDER/publication.yaml, where title, version
+    and further entries can be edited. Without a terminal, give --license and --creator.
     """
     from rfpipe.output import checked_output
     from rfpipe.publishing.metadata import CITATION_FILE, stored_values, write_citation
@@ -79,7 +79,7 @@ def publish(
     values |= {"creators": creator} if creator else {}
     for name, question in _QUESTIONS.items():
         if not values.get(name) and sys.stdin.isatty():
-            answer = typer.prompt(f"{question} (kept in {run.folder / CITATION_FILE})")
+            answer = typer.prompt(f"{question} (saved in {run.folder / CITATION_FILE})")
             values[name] = [answer] if name == "creators" else answer
     citation = write_citation(run.folder, values)
     place = output or run.folder / "publication.zip"
@@ -96,41 +96,41 @@ def publish(
     typer.echo(f"cite as: {citation.text}")
     typer.echo(f"check:   {shlex.join(['rfpipe', 'verify', str(place)])}")
     if run.settings is None and config is None:
-        typer.echo("left out: its settings, which no report knows; give --config", err=True)
+        typer.echo("omitted: the settings, since there is no report; give --config", err=True)
     for note in written.notes:
-        typer.echo(f"left out: {note}", err=True)
+        typer.echo(f"omitted: {note}", err=True)
     if run.incomplete:
-        typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
+        typer.echo(f"omitted, since they aren't complete: {', '.join(run.incomplete)}", err=True)
 
 
 def keep(
     folder: Folder,
     address: Annotated[
         str,
-        typer.Argument(metavar="ADDRESS", help="Of this run alone: s3://bucket/folder."),
+        typer.Argument(metavar="ADDRESS", help="s3://bucket/folder, used by this run only."),
     ],
 ) -> None:
-    """Bring a run's transports, relit pictures and report into a bucket; captures stay here.
+    """Upload a run's transports, relit pictures and report to a bucket, without captures.
 
-    What is there already isn't sent again, and an upload that was interrupted goes on: run it
-    again. Credentials come from the environment: AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY,
-    AWS_REGION and, for servers other than Amazon's, AWS_ENDPOINT_URL. Read what is there with
-    rfpipe.open_transport("s3://..."), rfpipe relight and rfpipe verify. A run whose settings have
-    storage.keep_at does this by itself, at its end.
+    Unchanged objects aren't sent again; to continue an interrupted upload, run the command again.
+    Credentials come from the environment: AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION
+    and, for servers other than Amazon's, AWS_ENDPOINT_URL. Read the results with
+    rfpipe.open_transport("s3://..."), rfpipe relight and rfpipe verify. With the setting
+    storage.keep_at, a run uploads its results automatically at its end.
     """
-    from rfpipe.publishing.keep import keep as bring
+    from rfpipe.publishing.keep import keep as upload
     from rfpipe.publishing.run import find_run
 
-    record = bring(find_run(folder), address, lambda name: typer.echo(f"  {name}", err=True))
+    summary = upload(find_run(folder), address, lambda name: typer.echo(f"  {name}", err=True))
     typer.echo(
-        f"{record.address}: {record.objects:,} objects, {record.nbytes / 1e6:,.1f} MB; sent "
-        f"{record.sent:,} of them, {record.nbytes_sent / 1e6:,.1f} MB"
+        f"{summary.address}: {summary.objects:,} objects, {summary.nbytes / 1e6:,.1f} MB; sent "
+        f"{summary.sent:,} of them, {summary.nbytes_sent / 1e6:,.1f} MB"
     )
-    typer.echo(f"check: {shlex.join(['rfpipe', 'verify', record.address])}")
+    typer.echo(f"check: {shlex.join(['rfpipe', 'verify', summary.address])}")
 
 
 collection = typer.Typer(
-    help="Keep a run's results with what its scenes share stored once, and get them back.",
+    help="Pack a run's results with equal files stored once, and unpack them.",
     no_args_is_help=True,
 )
 
@@ -138,31 +138,32 @@ collection = typer.Typer(
 @collection.command()
 def pack(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="A run's results.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The folder to make.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The folder to create.")],
     transports: Annotated[
         bool,
         typer.Option(
-            "--transports", help="Keep transports and manifests alone: all that relighting needs."
+            "--transports", help="Pack only transports and manifests, which suffice for relighting."
         ),
     ] = False,
 ) -> None:
-    """Store a run's files by what they hold, each content once.
+    """Pack a run's files, storing each content once.
 
-    What is the same in many scenes (dark frames, patterns, schedules, calibration) takes its place
-    once, and does so still when the folder is copied, zipped or put on a server, where
-    rfpipe.open_collection reads it as it lies. 'rfpipe verify' checks it; 'unpack' gives back the
-    same files.
+    Files that are equal in many scenes (dark frames, patterns, schedules, calibration) are stored
+    once, also when the folder is copied, zipped or put on a server. rfpipe.open_collection reads
+    it without unpacking, 'rfpipe verify' verifies it, and 'unpack' restores the same files.
     """
     from rfpipe.output import check_no_run, checked_output
-    from rfpipe.store.packed import pack as store
+    from rfpipe.store.packed import pack as pack_files
     from rfpipe.transport.storage import STORE_NAME
 
     checked_output("collection pack", output)
     check_no_run(output, "objects")
     if not results.is_dir():
-        raise InputError(f"{results}: is no folder; give a run's results")
+        raise InputError(f"{results}: isn't a folder; give a run's results")
     if output.absolute().is_relative_to(results.absolute()):
-        raise InputError(f"--output {output}: lies in {results}; it would be packed the next time")
+        raise InputError(
+            f"--output {output}: is in {results} and would be packed next time; give another"
+        )
     files = [
         file
         for file in results.rglob("*")
@@ -171,8 +172,8 @@ def pack(
         and (not transports or STORE_NAME in file.parts or file.name == "transport.json")
     ]
     if not files:
-        raise InputError(f"{results}: has no files of a run")
-    index = store(results, files, output)
+        raise InputError(f"{results}: has no files of a run; give a run's results")
+    index = pack_files(results, files, output)
     contents = dict(index.values())
     nbytes, stored = sum(size for _, size in index.values()), sum(contents.values())
     typer.echo(
@@ -185,22 +186,20 @@ def pack(
 def unpack(
     packed: Annotated[
         Path,
-        typer.Argument(
-            metavar="PACKED", help="What 'pack' made: its folder, a zip file of it, or its address."
-        ),
+        typer.Argument(metavar="PACKED", help="A packed folder, a zip file of it, or its address."),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
 ) -> None:
-    """Write the files of a packed run as they were; each is checked."""
+    """Restore the files of a packed run, and verify each."""
     from rfpipe.output import checked_output
     from rfpipe.store.location import locate
     from rfpipe.store.packed import PackedPlace, packed_in
-    from rfpipe.store.packed import unpack as write
+    from rfpipe.store.packed import unpack as unpack_files
 
     checked_output("collection unpack", output)
     place = locate(packed)
     contents = place if isinstance(place, PackedPlace) else packed_in(place)
     if contents is None:
-        raise InputError(f"{packed}: is no packed run; 'rfpipe collection pack' makes one")
-    write(contents, output)
+        raise InputError(f"{packed}: isn't a packed run; 'rfpipe collection pack' makes one")
+    unpack_files(contents, output)
     typer.echo(f"{output}: {len(contents.index):,} files, {contents.nbytes() / 1e6:,.1f} MB")

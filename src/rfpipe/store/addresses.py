@@ -1,4 +1,4 @@
-"""Objects behind an address, http(s) or S3, through obstore: read by ranges, written whole."""
+"""Objects on HTTP servers and in S3 buckets, through obstore: ranged reads, atomic writes."""
 
 from __future__ import annotations
 
@@ -17,45 +17,44 @@ from urllib.parse import SplitResult, quote, unquote, urlsplit
 from rfpipe.errors import InputError, StoreError, UnreachableError, installing
 from rfpipe.store.places import Place, Range
 
-# However slow a line is, it is waited for while bytes come, at most a day; one that stalls is
-# asked once more.
+# A slow download may take up to a day; one that stalls for 30 s is retried.
 _READING: dict[str, Any] = {"timeout": timedelta(days=1), "read_timeout": timedelta(seconds=30)}
-# A part of a large object is sent in one request; two at once within the time that one may take
-# need 90 kB/s.
+# Each part of a large object is one request; two concurrent parts of 5 MiB within the timeout need
+# 90 kB/s.
 _WRITING: dict[str, Any] = {"timeout": timedelta(seconds=120), "connect_timeout": "10s"}
 _PART_BYTES, _PARTS_AT_ONCE = 5 * 2**20, 2
 _RETRIES: dict[str, Any] = {"max_retries": 4, "retry_timeout": timedelta(seconds=60)}
-# Of a zip file's end, the directory of some thousand files, and the metadata written before it;
-# and what is read ahead: a request takes as long as half a MB on a usual line.
+# Size of a first read at the end of a zip file, which covers the directory of some thousand files
+# and metadata, and of read-ahead: a request takes as long as transferring about half a MB.
 _AHEAD_BYTES = 256 * 2**10
-# What lies between two parts that are wanted and is fetched with them rather than asked twice.
+# Largest gap between two ranges that are fetched by one request.
 _BETWEEN_BYTES = 32 * 2**10
-_MESSAGE = re.compile(r"(\d{3} [A-Za-z ]+): .*<Message>(.*?)</Message>")  # of S3's servers
+_MESSAGE = re.compile(r"(\d{3} [A-Za-z ]+): .*<Message>(.*?)</Message>")  # errors of S3 servers
 _ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
 _BUCKET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-# Without these, requests to S3 go unsigned, as public buckets take them.
+# Without any of these variables, requests to S3 are unsigned, which public buckets accept.
 _CREDENTIALS = re.compile(
     "AWS_(ACCESS_KEY_ID|WEB_IDENTITY_TOKEN_FILE|CONTAINER_CREDENTIALS_(RELATIVE|FULL)_URI)"
 )
 _DENIED = (
-    "check who may do it, and of s3:// the credentials of the environment (AWS_ACCESS_KEY_ID, "
-    "AWS_SECRET_ACCESS_KEY) and AWS_ENDPOINT_URL"
+    "check your permissions and, for s3://, the environment variables AWS_ACCESS_KEY_ID, "
+    "AWS_SECRET_ACCESS_KEY and AWS_ENDPOINT_URL"
 )
 _ADVICE = {
-    "NoSuchBucket": "there is no such bucket; make it, or check the address and AWS_ENDPOINT_URL",
-    "NotSupportedError": "its server doesn't answer range requests, or answers a page of its own, "
-    "such as one to log in: check the address, or download it and open the file",
+    "NoSuchBucket": "there is no such bucket; create it, or check the address and AWS_ENDPOINT_URL",
+    "NotSupportedError": "the server doesn't support range requests, or returns another page, "
+    "such as a login page: check the address, or download the file and open it",
     "PermissionDeniedError": _DENIED,
     "UnauthenticatedError": _DENIED,
 }
 _WITHOUT_NETWORK = (
-    "check the network, the address and, of s3://, AWS_ENDPOINT_URL, then run again: an upload "
-    "goes on where it stopped"
+    "check the network, the address and, for s3://, AWS_ENDPOINT_URL, then run again: an upload "
+    "continues where it stopped"
 )
 
 
 class ObjectPlace(Place):
-    """A folder or file behind an address, in a store of obstore, whose own address is `root`."""
+    """A folder or file in an obstore store whose address is `root`."""
 
     def __init__(self, store: Any, key: str, root: str) -> None:
         super().__init__(key)
@@ -63,11 +62,11 @@ class ObjectPlace(Place):
 
     @classmethod
     def of(cls, address: str) -> ObjectPlace:
-        """Return the place of an address; InputError where it is of another kind."""
+        """Connect to an address; InputError for an unsupported scheme."""
         return cls(*_connect(address, _READING))
 
     def __str__(self) -> str:
-        # can be copied into another program
+        # a valid address for copying
         return f"{self._root}/{self.key if self._is_s3 else quote(self.key)}".rstrip("/")
 
     def at(self, key: str) -> ObjectPlace:
@@ -90,12 +89,12 @@ class ObjectPlace(Place):
             return [bytes(part) for part in parts]
 
     def _end(self, nbytes: int) -> tuple[bytes, int]:
-        """Return the last bytes of a file, and its size."""
+        """Read the last bytes of a file; return them and the file's size."""
         response = self._store.get(self.key, options={"range": {"suffix": nbytes}})
         return bytes(response.bytes()), int(response.meta["size"])
 
     def open(self) -> IO[bytes]:
-        """Open a file, to be read by ranges; its end, a zip's directory, comes with the first."""
+        """Open a file for ranged reads; its end, with a zip's directory, is read at once."""
         with _errors(str(self)):
             tail, size = self._end(_AHEAD_BYTES)
         return cast(IO[bytes], io.BufferedReader(_Ranged(self, tail, size), _AHEAD_BYTES))
@@ -112,7 +111,7 @@ class ObjectPlace(Place):
         return sum(self.sizes().values()) if self._is_s3 else None
 
     def sizes(self) -> dict[str, int]:
-        """Return the bytes of all objects in a bucket's folder, by name."""
+        """Sizes in bytes of all objects in a bucket's folder, by name."""
         start = f"{self.key}/" if self.key else ""
         with _errors(str(self), "listed"):
             pages = self._store.list(prefix=self.key or None)
@@ -126,7 +125,7 @@ class ObjectPlace(Place):
 
 
 class Bucket(ObjectPlace):
-    """A folder in a bucket, ``s3://bucket/folder``, that is written, too.
+    """A writable folder in a bucket, ``s3://bucket/folder``.
 
     Credentials, region and endpoint come from the environment: ``AWS_ACCESS_KEY_ID``,
     ``AWS_SECRET_ACCESS_KEY``, ``AWS_SESSION_TOKEN``, ``AWS_REGION``, ``AWS_ENDPOINT_URL``.
@@ -134,16 +133,16 @@ class Bucket(ObjectPlace):
 
     def __init__(self, address: str) -> None:
         if not address.startswith("s3:"):
-            raise InputError(f"{address}: should be a bucket, such as s3://lab/desk")
+            raise InputError(f"{address}: expected a bucket, such as s3://lab/desk")
         super().__init__(*_connect(address, _WRITING))
 
     def put(self, name: str, content: Path | bytes) -> None:
-        """Write an object, which replaces an older one once it is whole.
+        """Write an object; it replaces an existing one when it is complete.
 
         Raises
         ------
         StoreError
-            When the bucket is missing or may not be written, or its server doesn't answer.
+            When the bucket is missing or read-only, or its server doesn't answer.
         """
         place = self / name
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
@@ -158,7 +157,7 @@ class Bucket(ObjectPlace):
 
 
 class _Ranged(io.RawIOBase):
-    """A file behind an address, of which the last bytes are known."""
+    """A remote file whose last bytes are in memory."""
 
     def __init__(self, place: ObjectPlace, tail: bytes, size: int) -> None:
         self._place, self._tail, self._size = place, tail, size
@@ -188,13 +187,13 @@ class _Ranged(io.RawIOBase):
 
 
 def _connect(address: str, client: dict[str, Any]) -> tuple[Any, str, str]:
-    """Return the obstore store of an address's server or bucket, the key in it, and its root."""
+    """Return the obstore store of a server or bucket, the key in it, and its root address."""
     try:
         from obstore.exceptions import BaseError
         from obstore.store import HTTPStore, S3Store
     except ImportError as error:
         raise StoreError(
-            f"{address}: to read behind an address needs the extra publish; download it, or "
+            f"{address}: reading addresses needs the extra publish; download the file, or "
             f"{installing('publish')}"
         ) from error
     settings: dict[str, Any] = {
@@ -209,7 +208,7 @@ def _connect(address: str, client: dict[str, Any]) -> tuple[Any, str, str]:
             root = f"s3://{parts.netloc}"
             return S3Store(parts.netloc, **settings), parts.path.strip("/"), root
         parts = _split(address)
-        if parts.username is not None:  # which obstore leaves out
+        if parts.username is not None:  # obstore ignores it
             user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
             encoded = base64.b64encode(user.encode()).decode()
             settings["client_options"]["default_headers"] = {"Authorization": f"Basic {encoded}"}
@@ -217,25 +216,25 @@ def _connect(address: str, client: dict[str, Any]) -> tuple[Any, str, str]:
         return HTTPStore.from_url(f"{root}/", **settings), unquote(parts.path).strip("/"), root
     except (ValueError, BaseError) as error:
         raise InputError(
-            f"{address}: {_reason(error)}; check the address, of s3:// the environment's AWS_..."
+            f"{address}: {_reason(error)}; check the address and, for s3://, the AWS_... variables"
         ) from None
 
 
 def _bucket_of(address: str) -> SplitResult:
-    """Return the parts of a bucket's address; ValueError where it or the environment is wrong."""
+    """Split a bucket's address; ValueError if it or the environment is invalid."""
     parts = urlsplit(address)
     if not _BUCKET.fullmatch(parts.netloc) or parts.query or parts.fragment:
         raise ValueError(
-            "should be a bucket, or a folder or object in one, such as s3://lab/desk; credentials "
-            "stand in the environment, as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+            "expected a bucket, or a folder or object in one, such as s3://lab/desk; credentials "
+            "belong in the environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
         )
     for name in filter(os.environ.__contains__, _ENDPOINTS):
-        try:  # obstore dies of a wrong one
+        try:  # obstore aborts on an invalid one
             _split(os.environ[name])
         except ValueError:
             raise ValueError(
                 f"the environment's {name} is {os.environ[name]!r}; expected the server's "
-                "address, such as https://objects.example.org, or none for Amazon's"
+                "address, such as https://objects.example.org; remove it for Amazon's"
             ) from None
     return parts
 
@@ -253,10 +252,10 @@ def _split(address: str) -> SplitResult:
 
 @contextmanager
 def _errors(place: str, action: str = "read") -> Iterator[None]:
-    """Turn what obstore raises into a StoreError of one line; FileNotFoundError passes."""
+    """Convert obstore's errors to a StoreError of one line, except FileNotFoundError."""
     from obstore.exceptions import BaseError
 
-    # none of them chained: obstore's own message shows the address as it was given
+    # without a cause: obstore's message contains the address with user name and password
     try:
         yield
     except (BaseError, FileNotFoundError) as error:
@@ -269,7 +268,7 @@ def _errors(place: str, action: str = "read") -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Return what obstore or the server says is wrong, in one line."""
+    """Extract the message of obstore or the server as one line."""
     text = " ".join(str(error).partition("\n\nDebug source")[0].split())
     message = _MESSAGE.search(text)
     return f"{message[1]}: {message[2]}" if message else text

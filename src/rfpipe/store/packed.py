@@ -29,7 +29,7 @@ _DOWNLOADS_AT_ONCE = 16  # latency, not bandwidth, limits downloads of small fil
 
 
 class PackedPlace(ListedPlace):
-    """A file or folder of those packed in `base`; `index` has SHA-256 and bytes by name."""
+    """A file or folder in the packed folder `base`; `index` has SHA-256 and size by name."""
 
     def __init__(
         self, base: Path | Place, index: Mapping[str, tuple[str, int]], key: str = ""
@@ -44,17 +44,18 @@ class PackedPlace(ListedPlace):
         return PackedPlace(self.base, self.index, key)
 
     def read_bytes(self) -> bytes:
-        """Read a file, and check that it is what its name says."""
+        """Read a file, and verify its SHA-256."""
         content = content_of(self._stored)
         if content is None or hashlib.sha256(content).hexdigest() != self.index[self.key][0]:
-            what = "is missing" if content is None else "damaged"
+            problem = "is missing" if content is None else "is damaged"
             raise IntegrityError(
-                f"{self._stored}: {what}, of {self.key}; copy or fetch {self.base} anew"
+                f"{self._stored}: {problem} (content of {self.key}); copy or fetch {self.base} "
+                "again"
             )
         return content
 
     def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
-        """Read parts of a file, which can't be compared with its name."""
+        """Read ranges of a file, without verifying its SHA-256."""
         return read_ranges(self._stored, ranges)
 
     @property
@@ -69,9 +70,9 @@ class PackedPlace(ListedPlace):
 
 
 def pack(folder: Path, files: Iterable[Path], output: Path) -> dict[str, tuple[str, int]]:
-    """Store files of a folder by what they hold; return SHA-256 and bytes by name.
+    """Store files of a folder by the SHA-256 of their contents; return it and the size by name.
 
-    A pack that was stopped is gone on with.
+    An interrupted call can be repeated, and skips stored contents.
     """
     index: dict[str, tuple[str, int]] = {}
     for file in sorted(files):
@@ -86,14 +87,16 @@ def pack(folder: Path, files: Iterable[Path], output: Path) -> dict[str, tuple[s
         {"kind": _KIND, "version": 1, "about": {"of": "results"}, "files": index}, indent=0
     )
     lines = sorted({f"{digest}  {_object(digest)}" for digest, _ in index.values()})
-    whole = hashlib.sha256(text.encode()).hexdigest()
-    write_atomically(output / CHECKSUMS, "\n".join([*lines, f"{whole}  {_INDEX}", ""]).encode())
+    index_digest = hashlib.sha256(text.encode()).hexdigest()
+    write_atomically(
+        output / CHECKSUMS, "\n".join([*lines, f"{index_digest}  {_INDEX}", ""]).encode()
+    )
     write_atomically(output / _INDEX, text.encode())
     return index
 
 
 def unpack(place: PackedPlace, output: Path) -> None:
-    """Write the files of a packed folder as they were, each checked against its digest."""
+    """Restore the files of a packed folder, each verified by its digest."""
 
     def write(name: str) -> None:
         target = output / name
@@ -103,7 +106,7 @@ def unpack(place: PackedPlace, output: Path) -> None:
         with storage_errors(target, "reading"):
             digest = hashlib.sha256(target.read_bytes()).hexdigest()
         if digest != place.index[name][0]:
-            raise StoreError(f"{target}: another file stands here; unpack into an empty folder")
+            raise StoreError(f"{target}: exists with another content; unpack into an empty folder")
 
     with ThreadPoolExecutor(1 if isinstance(place.base, Path) else _DOWNLOADS_AT_ONCE) as pool:
         for _ in pool.map(write, place.index):
@@ -111,18 +114,19 @@ def unpack(place: PackedPlace, output: Path) -> None:
 
 
 def packed_in(base: Path | Place) -> PackedPlace | None:
-    """Open a packed folder where it lies, None where something else does."""
+    """Open a packed folder; None if `base` isn't one."""
     content = readable_content(base / _INDEX)
     if content is None:
         return None
     try:
-        facts = json.loads(content)
-        index = {name: (str(digest), int(size)) for name, (digest, size) in facts["files"].items()}
-        if facts["kind"] != _KIND or not all(map(_is_inside, index)):
+        data = json.loads(content)
+        index = {name: (str(digest), int(size)) for name, (digest, size) in data["files"].items()}
+        if data["kind"] != _KIND or not all(map(_is_inside, index)):
             raise ValueError("of another kind")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise IntegrityError(
-            f"{base}/{_INDEX}: damaged, or no index of a packed folder ({error!r}); fetch it anew"
+            f"{base}/{_INDEX}: isn't the index of a packed folder, or is damaged ({error!r}); "
+            "fetch it again"
         ) from error
     return PackedPlace(base, index)
 

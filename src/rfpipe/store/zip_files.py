@@ -28,7 +28,7 @@ def open_zip(file: Path | Place, key: str = "") -> ZipPlace:
     Raises
     ------
     StoreError
-        When there is no such zip file, or it is damaged.
+        When the zip file is missing or damaged.
     """
     try:
         archive = zipfile.ZipFile(file if isinstance(file, Path) else file.open())
@@ -42,7 +42,7 @@ def open_zip(file: Path | Place, key: str = "") -> ZipPlace:
 
 
 class ZipPlace(ListedPlace):
-    """A folder or file in a zip file."""
+    """A file or folder in a zip file."""
 
     def __init__(self, archive: zipfile.ZipFile, file: Path | Place, key: str = "") -> None:
         super().__init__(key)
@@ -55,12 +55,12 @@ class ZipPlace(ListedPlace):
         return ZipPlace(self._archive, self._file, key)
 
     def read_bytes(self) -> bytes:
-        """Read a file; its checksum is checked."""
+        """Read a file, and verify its checksum."""
         with self._damage():
             return self._archive.read(self._info)
 
     def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
-        """Read parts of a file, by ranges where it lies in the zip file as it is."""
+        """Read ranges of a file, directly from the zip file if it is stored uncompressed."""
         info = self._info
         if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
             return super().read_ranges(ranges)
@@ -72,7 +72,7 @@ class ZipPlace(ListedPlace):
         return read_ranges(self._file, [(first + start, first + stop) for start, stop, _ in bounds])
 
     def open(self) -> IO[bytes]:
-        """Open a file for reading; its checksum is checked at its end."""
+        """Open a file for reading; its checksum is verified at the end."""
         with self._damage():
             return self._archive.open(self._info)
 
@@ -94,10 +94,10 @@ class ZipPlace(ListedPlace):
             yield
         except FileNotFoundError:
             raise
-        except RuntimeError as error:  # of a method that is missing, too
+        except RuntimeError as error:  # also for an unsupported method
             raise StoreError(
-                f"{self}: can't be unpacked ({error}); unpack {self._file} by what made it, or "
-                "make it again without a password, its files stored as they are or deflated"
+                f"{self}: can't be unpacked ({error}); unpack {self._file} with the program that "
+                "made it, or make it again without a password, uncompressed or deflated"
             ) from error
         except _DAMAGE as error:
-            raise IntegrityError(f"{self}: damaged ({error}); fetch {self._file} anew") from error
+            raise IntegrityError(f"{self}: damaged ({error}); fetch {self._file} again") from error
