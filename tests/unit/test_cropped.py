@@ -58,22 +58,22 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_crop_relights_as_the_full_transport(kind: str, run: Path) -> None:
     light = np.random.default_rng(3).random(SHAPE, np.float32)
     opened = rfpipe.open_transport(run / STORE)
-    whole = {
+    complete = {
         "memory": light_field(),
         "sum": SumTransport([light_field(), opened], []),
         "dual": opened.T,
     }.get(kind, opened)
-    expected = whole.relight(light)
-    fresh = rfpipe.open_transport(run / STORE) if kind == "stored" else whole
+    expected = complete.relight(light)
+    fresh = rfpipe.open_transport(run / STORE) if kind == "stored" else complete
     scale = expected.max() * 1e-5
     for part in (np.s_[4], np.s_[8, 3:11, ::2], np.s_[2:4], np.s_[:, :, 5:6]):
-        found = rfpipe.crop(fresh, camera=part).relight(light)
-        assert found.shape == expected[part].shape
-        np.testing.assert_allclose(found, expected[part], atol=scale)
+        raised = rfpipe.crop(fresh, camera=part).relight(light)
+        assert raised.shape == expected[part].shape
+        np.testing.assert_allclose(raised, expected[part], atol=scale)
         lit = np.zeros_like(light)
         lit[part] = light[part]
-        found = rfpipe.crop(fresh, np.s_[1:, 2:], part).relight(light[part])
-        np.testing.assert_allclose(found, whole.relight(lit)[1:, 2:], atol=scale)
+        raised = rfpipe.crop(fresh, np.s_[1:, 2:], part).relight(light[part])
+        np.testing.assert_allclose(raised, complete.relight(lit)[1:, 2:], atol=scale)
     both = rfpipe.crop(fresh, 3, np.s_[6, :8])
     assert np.allclose(both.toarray(), both.T.toarray().swapaxes(1, 2), atol=scale)
 
@@ -88,24 +88,24 @@ def test_missing_rays_are_refused(run: Path) -> None:
 def test_a_view_is_fetched_from_a_bucket_by_ranges(
     run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, validators: str
 ) -> None:
-    """Of nine views one shares in a fifth of the pairs, a part of it in fewer of their blocks."""
+    """One of nine views needs a fifth of the pairs, a part of it fewer of their blocks."""
     pack(run, [file for _, file in files_below(run / STORE, STORE)], tmp_path / "packed")
     light = np.random.default_rng(3).random(SHAPE, np.float32)
     expected = rfpipe.open_transport(run / STORE).relight(light)
     stored = sum(file.stat().st_size for _, file in files_below(run / STORE, STORE))
-    with s3_server(validators) as behind, proxy(behind) as bucket:
+    with s3_server(validators) as server, proxy(server) as bucket:
         for name, file in [*files_below(run / STORE, STORE), ("crate.zip", run / "crate.zip")]:
-            put(f"{behind}/{BUCKET}/{name}", file.read_bytes())
+            put(f"{server}/{BUCKET}/{name}", file.read_bytes())
         for file in filter(Path.is_file, (tmp_path / "packed").rglob("*")):
             name = file.relative_to(tmp_path).as_posix()
-            put(f"{behind}/{BUCKET}/{name}", file.read_bytes())
+            put(f"{server}/{BUCKET}/{name}", file.read_bytes())
         use(monkeypatch, bucket.endpoint)
 
         def fetched(place: str, part: object) -> int:
             transport = rfpipe.open_transport(f"s3://{BUCKET}/{place}")
             opened = len(bucket.requests)
-            found = rfpipe.crop(transport, camera=part).relight(light)
-            np.testing.assert_allclose(found, expected[part], atol=expected.max() * 1e-5)
+            raised = rfpipe.crop(transport, camera=part).relight(light)
+            np.testing.assert_allclose(raised, expected[part], atol=expected.max() * 1e-5)
             return sum(received for *_, received in bucket.requests[opened:])
 
         for place in (STORE, "crate.zip", f"packed/{STORE}"):

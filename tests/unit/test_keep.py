@@ -41,9 +41,9 @@ def server(validators: str) -> Iterator[str]:
 @pytest.fixture
 def faults(server: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Faults]:
     """A proxy in front of the server, which the environment names."""
-    with proxy(server) as found:
-        use(monkeypatch, found.endpoint)
-        yield found
+    with proxy(server) as summary:
+        use(monkeypatch, summary.endpoint)
+        yield summary
 
 
 @pytest.fixture
@@ -57,10 +57,10 @@ def run(tmp_path: Path) -> Path:
     return write_run(tmp_path / "run", *SCENES)
 
 
-def kept(run: Path, address: str) -> UploadSummary:
-    found = keep(find_run(run), address)
+def upload(run: Path, address: str) -> UploadSummary:
+    summary = keep(find_run(run), address)
     assert not list(run.rglob(".keep*"))
-    return found
+    return summary
 
 
 def verified(address: str) -> tuple[int, str]:
@@ -76,36 +76,36 @@ def listed(address: str) -> dict[str, str]:
 def test_results_are_uploaded_once_and_readable_in_the_bucket(
     run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = kept(run, address)
+    summary = upload(run, address)
     names = {f"results/{scene}/dual/{part}.zip" for scene in SCENES
              for part in ("transport", "relight")}  # fmt: skip
     report = ("index.html", "view/desk.html", "tables/errors.csv", "results.json")
     names |= {"provenance.zip", *(f"results/report/{name}" for name in report)}
     assert set(listed(address)) == names
-    assert (found.objects, found.sent) == (len(names), len(names))
+    assert (summary.objects, summary.sent) == (len(names), len(names))
     assert faults.written()[-1].endswith(LIST)
     assert not any("capture" in path for path in faults.written())
     assert verified(address)[0] == 0
 
     before = len(faults.requests)
-    again = kept(run, address)
-    assert (again.objects, again.sent) == (len(names), 0)
+    second = upload(run, address)
+    assert (second.objects, second.sent) == (len(names), 0)
     assert len(faults.requests) - before == 2  # the bucket's objects, and its own list
 
     write_transport(run, "shelf", np.ones((3, N, N)))
     (run / "results/report/index.html").write_text("<h1>Another</h1>")
-    third = kept(run, address)
+    third = upload(run, address)
     assert third.sent == 2
     shelf = rfpipe.open_transport(f"{address}/results/shelf/dual/transport.zip")
     assert np.allclose(shelf.relight(np.ones(SHAPE)), N)
     with pytest.raises(StoreError, match="has 3 transports"):
         rfpipe.open_transport(address)
     light = np.random.default_rng(3).random(SHAPE)
-    here = rfpipe.open_transport(run / "results/desk").relight(light)
+    local = rfpipe.open_transport(run / "results/desk").relight(light)
     for signed in (True, False):  # of a public bucket without credentials
         use(monkeypatch, faults.endpoint, signed=signed)
-        there = rfpipe.open_transport(f"{address}/results/desk")
-        assert np.array_equal(there.relight(light), here)
+        remote = rfpipe.open_transport(f"{address}/results/desk")
+        assert np.array_equal(remote.relight(light), local)
     with pytest.raises(StoreError, match="no such file"):
         rfpipe.open_transport(f"{address}/nothing.zip")
 
@@ -114,7 +114,7 @@ def test_uploads_are_retried_after_network_and_server_errors(
     run: Path, address: str, faults: Faults
 ) -> None:
     faults.fail, faults.cut = 2, 2
-    assert kept(run, address).sent == N_OBJECTS
+    assert upload(run, address).sent == N_OBJECTS
     assert (faults.fail, faults.cut) == (0, 0)
     assert verified(address)[0] == 0
 
@@ -134,10 +134,10 @@ def test_a_broken_server_is_reported_and_the_next_upload_continues(
         patched.setattr(addresses, "_RETRIES", {"max_retries": 1})
         patched.setattr(Bucket, "put", breaking)
         with pytest.raises(StoreError, match="goes on where it stopped") as caught:
-            kept(run, address)
+            upload(run, address)
     assert "\n" not in str(caught.value)
     faults.fail = 0
-    assert kept(run, address).sent == N_OBJECTS
+    assert upload(run, address).sent == N_OBJECTS
     assert verified(address)[0] == 0
 
 
@@ -145,10 +145,10 @@ def test_missing_buckets_permissions_and_credentials_are_explained(
     run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(StoreError, match="no such bucket; make it"):
-        kept(run, "s3://nobody/run")
+        upload(run, "s3://nobody/run")
     faults.deny = True
     with pytest.raises(StoreError, match=r"Not now; check .*AWS_SECRET_ACCESS_KEY\)"):
-        kept(run, address)
+        upload(run, address)
     assert listed(address) == {}
     for wrong in ("lab/run", "s3://", "s3://key:secret@lab/run", "s3://Lab/run"):
         with pytest.raises(ConfigError, match=r"keep_at.*bucket") as refused:
@@ -176,7 +176,7 @@ def test_a_killed_upload_leaves_no_partial_object_and_continues(
                 assert transport.relight(np.ones(SHAPE)).shape == (*SHAPE, 3)
         for name in listed(address):
             assert name in bucket.sizes()
-    assert kept(run, address).objects == N_OBJECTS
+    assert upload(run, address).objects == N_OBJECTS
     assert verified(address)[0] == 0
     assert len(listed(address)) == N_OBJECTS
 
@@ -184,7 +184,7 @@ def test_a_killed_upload_leaves_no_partial_object_and_continues(
 def test_damaged_objects_are_detected_and_sent_again(
     run: Path, address: str, faults: Faults
 ) -> None:
-    kept(run, address)
+    upload(run, address)
     bucket = Bucket(address)
     name = "results/desk/dual/transport.zip"
     bucket.put(name, b"half of it")
@@ -193,7 +193,7 @@ def test_damaged_objects_are_detected_and_sent_again(
     assert status == 1
     assert f"{address}/{name}: is altered" in output
     assert "strange.txt: isn't in the list" in output
-    assert kept(run, address).sent == 1
+    assert upload(run, address).sent == 1
     assert verified(address)[0] == 0
     for place in (f"{address}/{name}", f"{address}/results/desk"):
         status, output = verified(place)

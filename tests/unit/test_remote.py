@@ -118,12 +118,12 @@ def test_the_password_of_an_address_reaches_its_server(run: Path) -> None:
         ("{server}/crate.zip?download=1", "without '\\?'"),
         ("{no_ranges}/crate.zip", "range requests"),
         ("http://[::1", "Invalid IPv6"),
-        ("s3://key:geheim@lab/run", "environment, as AWS_ACCESS_KEY_ID"),
+        ("s3://key:geheim@lab/run", "environment: AWS_ACCESS_KEY_ID"),
         ("s3://La b/run", "expected a bucket"),
         ("s3://lab/run.zip", "Missing SecretAccessKey; check .*AWS_"),
     ],
 )
-def test_what_an_address_lacks_is_said(
+def test_invalid_addresses_are_explained(
     address: str, says: str, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     use(monkeypatch, "http://127.0.0.1:9")

@@ -148,9 +148,9 @@ def test_relighting_patterns_follow_the_design_and_their_seed():
 
 def test_relighting_patterns_of_views_repeat_the_picture():
     views, image = relighting_patterns((3, 8, 10)), relighting_patterns((8, 10))
-    one = views.pop(ONE_VIEW)
-    assert one[0].all()
-    assert not one[1:].any()
+    one_view = views.pop(ONE_VIEW)
+    assert one_view[0].all()
+    assert not one_view[1:].any()
     for name, stack in views.items():
         assert stack.shape == (3, 8, 10)
         assert all(np.array_equal(view, image[name]) for view in stack)

@@ -55,9 +55,9 @@ def test_weights_of_texels_add_up_and_so_do_footprints():
     assert weights.shape[0] == 9 * 26 * 40
     assert weights.sum(axis=1) == pytest.approx(np.ones(weights.shape[0]))
     assert weights.data.min() > 0
-    (one,) = view_array((1, 1), (0, 0), (20, 30))
-    _, footprint = texel_weights([one], TexelGrid([SCREEN], 0.1))
-    wide = 30 * one.pitch * DISTANCE
+    (pinhole,) = view_array((1, 1), (0, 0), (20, 30))
+    _, footprint = texel_weights([pinhole], TexelGrid([SCREEN], 0.1))
+    wide = 30 * pinhole.pitch * DISTANCE
     assert footprint.sum() == pytest.approx(wide * wide * 20 / 30, rel=1e-9)
 
 
@@ -85,7 +85,7 @@ def test_energy_is_conserved_and_within_the_default_camera_range(shape):
 
 
 def test_occluded_parts_of_views_receive_only_indirect_light():
-    direct, whole = (
+    direct, all_light = (
         room_scene(SURFACES, (26, 40), views=(3, 3), bounces=bounces, channels=1)
         for bounces in (1, 3)
     )
@@ -97,7 +97,7 @@ def test_occluded_parts_of_views_receive_only_indirect_light():
     # shadows of the things in the room, not only places that the other view doesn't look at
     assert all(shadow[light, 4, 8:18, 12:28].any() for light in (0, 2, 6, 8))
     assert not np.array_equal(shadow[0, 4], shadow[8, 4])  # they move with the light
-    assert (whole.apply(lights[:1]).reshape(9, 26, 40)[shadow[0]] > 0).mean() > 0.9
+    assert (all_light.apply(lights[:1]).reshape(9, 26, 40)[shadow[0]] > 0).mean() > 0.9
 
 
 @pytest.mark.parametrize(("views", "shape"), [(None, (9, 14)), ((1, 1), (5, 8)), ((2, 3), (4, 6))])

@@ -64,13 +64,13 @@ class TestAside(SceneContract):
 @pytest.mark.parametrize("geometry", PLACES)
 def test_swapping_camera_and_projector_gives_the_transpose(geometry, occluders, bounces):
     settings = {"occluders": occluders, "bounces": bounces}
-    one = aside(geometry, **settings)
+    scene_1 = aside(geometry, **settings)
     swapped = lamp_at(geometry, (12, 14)), Pinhole((15, 18))
-    other = noncoaxial_scene(GEOMETRIES[geometry], *swapped, waves, **settings)
-    here, there = one.dense() / one.scale, other.dense() / other.scale
-    assert here.shape == (270, 168)
-    assert here.min() >= 0
-    np.testing.assert_allclose(here, there.T, atol=1e-12 * here.max())
+    scene_2 = noncoaxial_scene(GEOMETRIES[geometry], *swapped, waves, **settings)
+    matrix, exchanged = scene_1.dense() / scene_1.scale, scene_2.dense() / scene_2.scale
+    assert matrix.shape == (270, 168)
+    assert matrix.min() >= 0
+    np.testing.assert_allclose(matrix, exchanged.T, atol=1e-12 * matrix.max())
 
 
 @pytest.mark.parametrize("geometry", PLACES)
@@ -82,11 +82,11 @@ def test_a_projector_at_the_camera_gives_the_coaxial_matrix(geometry):
     np.testing.assert_array_equal(same.albedo, coaxial.albedo)
     # pixels on an edge see parts of two surfaces, of which the coaxial one takes the middle's
     parts = first_hits(Pinhole(shape), GEOMETRIES[geometry], 4).surface.reshape(-1, 16)
-    whole = (parts == parts[:, :1]).all(axis=1)
-    assert whole.mean() > 0.6
+    is_uniform = (parts == parts[:, :1]).all(axis=1)
+    assert is_uniform.mean() > 0.6
     actual = same.dense(1) / same.scale
     expected = coaxial.dense(1) / coaxial.scale
-    edges = np.diag(np.where(whole, 1, 0)) + 1 - np.eye(len(whole))
+    edges = np.diag(np.where(is_uniform, 1, 0)) + 1 - np.eye(len(is_uniform))
     np.testing.assert_allclose(actual * edges, expected * edges, atol=1e-12 * expected.max())
     assert np.linalg.norm(actual - expected) < 0.1 * np.linalg.norm(expected)
 

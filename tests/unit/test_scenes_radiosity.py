@@ -48,16 +48,16 @@ def normals_of(points):
 def cosines_of(points):
     """Both cosines times the distance between all points, and the squared distance, clamped."""
     to, normals = points.positions[None] - points.positions[:, None], normals_of(points)
-    here = np.maximum(np.einsum("ijx,ix->ij", to, normals), 0)
-    there = np.maximum(-np.einsum("ijx,jx->ij", to, normals), 0)
-    return here, there, np.maximum((to**2).sum(2), points.mean_area)
+    cosine_i = np.maximum(np.einsum("ijx,ix->ij", to, normals), 0)
+    cosine_j = np.maximum(-np.einsum("ijx,jx->ij", to, normals), 0)
+    return cosine_i, cosine_j, np.maximum((to**2).sum(2), points.mean_area)
 
 
 def test_matrix_follows_the_formulas_entry_by_entry():
     scene = textured((4, 6), channels=1)
     points, albedo = scene.points, scene.albedo.reshape(-1).astype(np.float64)
-    here, there, squared = cosines_of(points)
-    geometry = here * there / (np.pi * squared**2)
+    cosine_i, cosine_j, squared = cosines_of(points)
+    geometry = cosine_i * cosine_j / (np.pi * squared**2)
     reflect = np.diag(albedo)
     expected = np.diag(albedo / points.areas) + reflect @ geometry @ reflect
     expected += reflect @ geometry @ np.diag(albedo * points.areas) @ geometry @ reflect
@@ -76,9 +76,9 @@ def test_no_point_receives_more_light_than_is_emitted(geometry, shape):
 def test_an_occluder_blocks_exactly_the_occluded_pairs():
     free, plated = (textured((16, 16), channels=1, bounces=2, occluders=o) for o in ((), (PLATE,)))
     points = free.points
-    left = points.surface == 0
-    before, after = (scene.dense()[np.ix_(left, ~left)] for scene in (free, plated))
-    start, stop = points.positions[left], points.positions[~left]
+    on_left = points.surface == 0
+    before, after = (scene.dense()[np.ix_(on_left, ~on_left)] for scene in (free, plated))
+    start, stop = points.positions[on_left], points.positions[~on_left]
     fraction = start[:, None, 0] / (start[:, None, 0] - stop[None, :, 0])  # crosses x = 0
     crossing = start[:, None] + fraction[..., None] * (stop[None] - start[:, None])
     hidden = (np.abs(crossing[..., 1]) <= 0.5) & (np.abs(crossing[..., 2] - 2.6) <= 0.25)
@@ -109,9 +109,9 @@ def test_nothing_shines_through_a_block_or_a_sphere(geometry):
         if faces:
             in_block = -np.max([face.heights(on_way) for face in faces], axis=0)
             inside = np.maximum(inside, in_block)
-    here, there, squared = (each[::2] for each in cosines_of(points))
-    expected = here * there / (np.pi * squared**2)
-    lit = (np.minimum(here, there) > 1e-9) & (inside < -2e-2)
+    cosine_i, cosine_j, squared = (each[::2] for each in cosines_of(points))
+    expected = cosine_i * cosine_j / (np.pi * squared**2)
+    lit = (np.minimum(cosine_i, cosine_j) > 1e-9) & (inside < -2e-2)
     shadow = (inside > 1e-6) & (expected > 0)
     assert not entries[inside > 1e-6].any()
     assert entries[lit] == pytest.approx(expected[lit], rel=1e-9)
@@ -157,8 +157,8 @@ def test_albedo_out_of_range_is_refused():
 
 
 def test_settings_build_the_same_scenes():
-    others = {"room", "captured", "matrix", "mitsuba"}
-    assert set(GEOMETRIES) == set(names(SCENES)) - others
+    kinds_without_geometry = {"room", "captured", "matrix", "mitsuba"}
+    assert set(GEOMETRIES) == set(names(SCENES)) - kinds_without_geometry
     for name in GEOMETRIES:
         assert scene_from_config(SceneSettings.of(name, shape=(6, 7))).shape == (6, 7)
         count = len(surface_names(name))

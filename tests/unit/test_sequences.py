@@ -83,8 +83,8 @@ class SimulatedSequences:
         random, chances, count = self._random, self._chances, len(frames)
         order = list(range(count))
         if random.random() < chances["swapped"]:
-            one, other = random.choice(count, 2, replace=False)
-            order[one], order[other] = order[other], order[one]
+            one, j = random.choice(count, 2, replace=False)
+            order[one], order[j] = order[j], order[one]
         is_dropped = random.random(count) < chances["dropped"]
         times = 1 + (random.random(count) < chances["twice"])
         came = np.repeat(order, np.where(is_dropped, 0, times))
@@ -145,7 +145,7 @@ def test_all_frames_are_certain_without_faults(scene: str, kind: str) -> None:
 @pytest.mark.parametrize("scene", ["direct", "cavity"])
 @pytest.mark.parametrize("kind", ["half", "grey", "one ray"])
 def test_faults_are_detected_and_corrected(fault: str, scene: str, kind: str) -> None:
-    plain, given, lost = rig(scene), patterns(kind), 0
+    plain, given, n_lost = rig(scene), patterns(kind), 0
     for seed in range(2):
         sequences = SimulatedSequences(plain, seed=seed, **FAULTS[fault])
         frames = sequences.show_sequence(*given)
@@ -158,8 +158,8 @@ def test_faults_are_detected_and_corrected(fault: str, scene: str, kind: str) ->
             merged(plain, expected),
             atol=1e-3 * merged(plain, expected).max(),
         )
-        lost += sequences.statistics["sequences"]["lost"]
-    assert (lost > 0) is (fault != "all come one late")  # which is told by the words alone
+        n_lost += sequences.statistics["sequences"]["lost"]
+    assert (n_lost > 0) is (fault != "all come one late")  # which is told by the words alone
 
 
 def merged(plain: OperatorRig, frames: Float) -> Float:
@@ -219,9 +219,9 @@ def test_an_interrupted_capture_continues_at_its_sequence(tmp_path: Path) -> Non
         folder, 1, AcquisitionSettings(), folder.describe_rig(plain), is_exact=False
     )
     assert brackets.count_missing(folder) == COUNT - 5
-    again = SimulatedSequences(plain, most=5)
-    capture.run(CaptureContext(folder, rig_source=GivenRig(again)), 1)
-    assert again.statistics["sequences"]["played"] == 2 * len(plain.sensor.exposures)
+    resumed = SimulatedSequences(plain, most=5)
+    capture.run(CaptureContext(folder, rig_source=GivenRig(resumed)), 1)
+    assert resumed.statistics["sequences"]["played"] == 2 * len(plain.sensor.exposures)
     with FrameStore.open(folder.store(1, "capture")) as frames:
         np.testing.assert_array_equal(
             frames.read(0, COUNT), plain.capture(shown, [(1, i) for i in range(COUNT)])

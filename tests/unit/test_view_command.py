@@ -71,9 +71,9 @@ def test_invalid_arguments_are_explained(results: Path, arguments: list[str], me
 
 def test_the_page_of_a_run_compares_methods_reproducibly(results: Path) -> None:
     stores = [results / "corner" / name / "transport.zarr" for name in ("near_far", "symmetric")]
-    first, again = (
+    first, second = (
         write_acquisition(stores[0], stores[1:], results / folder / "page.html").page.read_text()
         for folder in ("first", "again")
     )
     assert "Compare with corner by symmetric" in first
-    assert again == first
+    assert second == first

@@ -31,11 +31,11 @@ def symmetric(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def page(chromium: Any, symmetric: Path) -> Iterator[Any]:
-    found = opened(chromium, symmetric)
-    yield found
-    assert found.said == []
-    assert all(re.match(r"file:|blob:|data:", address) for address in found.asked), found.asked
-    found.context.close()
+    result = opened(chromium, symmetric)
+    yield result
+    assert result.said == []
+    assert all(re.match(r"file:|blob:|data:", address) for address in result.asked), result.asked
+    result.context.close()
 
 
 def settled(page: Any) -> None:
@@ -52,8 +52,8 @@ def slide(page: Any, name: str, value: float) -> None:
 
 def shown(page: Any) -> tuple[np.ndarray, np.ndarray]:
     """The light (C, rays) and the picture (C, rays) of the page."""
-    found = page.evaluate("[[...shown.light], shown.colour, [...shown.picture]]")
-    light, colour, picture = map(np.array, found)
+    result = page.evaluate("[[...shown.light], shown.colour, [...shown.picture]]")
+    light, colour, picture = map(np.array, result)
     coloured = light.size == picture.size
     return light.reshape(3, -1) if coloured else np.outer(colour, light), picture.reshape(3, -1)
 
@@ -145,8 +145,8 @@ def test_wipe_and_difference_show_both_transports(page: Any) -> None:
     page.locator("[data-tool=flood]").click()
     slide(page, "wipe", 50)
     light, picture = shown(page)
-    other = relit(light, transport_of("near_far"))
-    error = np.linalg.norm(picture - other) / np.linalg.norm(other)
+    expected_other = relit(light, transport_of("near_far"))
+    error = np.linalg.norm(picture - expected_other) / np.linalg.norm(expected_other)
     said = float(re.search(r"Differs by ([\d.e-]+) %", page.inner_text("#compared"))[1])
     assert said == pytest.approx(100 * error, rel=0.05)
     before = page.evaluate("$('seen').toDataURL()")
@@ -175,14 +175,14 @@ def test_a_link_restores_everything(page: Any, chromium: Any, symmetric: Path) -
         slide(page, name, value)
     drag(page, "#light", (0.2, 0.2), (0.3, 0.7))
     page.locator("#link").click()
-    again = opened(chromium, symmetric, page.evaluate("location.hash"))
-    settled(again)
-    wait_until(again, "shown.compared !== null")
-    settled(again)
+    restored = opened(chromium, symmetric, page.evaluate("location.hash"))
+    settled(restored)
+    wait_until(restored, "shown.compared !== null")
+    settled(restored)
     picture = "$('seen').toDataURL()"
-    assert again.evaluate(picture) == page.evaluate(picture)
-    assert again.input_value("#angle") == "30"
-    again.context.close()
+    assert restored.evaluate(picture) == page.evaluate(picture)
+    assert restored.input_value("#angle") == "30"
+    restored.context.close()
 
 
 def test_a_damaged_link_still_opens(chromium: Any, symmetric: Path) -> None:
@@ -272,8 +272,8 @@ def test_axe_reports_no_accessibility_problem(
     page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
     for tool in ("spot", "bar", "brush", "picture", "pixel"):
         page.locator(f"[data-tool={tool}]").click()
-        found = page.evaluate("axe.run()")["violations"]
-        assert [(each["id"], each["nodes"][0]["html"]) for each in found] == []
+        result = page.evaluate("axe.run()")["violations"]
+        assert [(each["id"], each["nodes"][0]["html"]) for each in result] == []
         controls = page.locator(".controls").bounding_box()
         assert width == 400 or controls["y"] + controls["height"] <= 900  # not below the fold
     assert page.evaluate("document.documentElement.scrollWidth") <= width

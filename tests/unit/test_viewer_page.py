@@ -28,13 +28,13 @@ def test_pictures_equal_those_of_python(chromium: Any, kind: str, tmp_path: Path
         assert page.evaluate("document.body.dataset.kernel") == ("javascript" if kernel else "wasm")
         levels = page.evaluate("MANIFEST.levels")
         for level in {levels[-1], levels[len(levels) // 2]}:
-            seen = transport.truncate(level)
-            for dual, view in ((False, seen), (True, seen.T)):
+            visible = transport.truncate(level)
+            for dual, view in ((False, visible), (True, visible.T)):
                 for light in lights(view.projector_shape, view.channels):
                     expected = planar(view.relight(light), view.camera_shape, view.channels)
                     given = planar(light, view.projector_shape, view.channels)
-                    found = picture_of(page, given, level, dual).reshape(expected.shape)
+                    actual = picture_of(page, given, level, dual).reshape(expected.shape)
                     limit = 2e-4 * np.abs(expected).max() + 1e-12
-                    assert np.abs(found - expected).max() < limit, (level, dual, kernel)
+                    assert np.abs(actual - expected).max() < limit, (level, dual, kernel)
         assert page.said == []
         page.context.close()
