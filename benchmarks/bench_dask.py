@@ -25,6 +25,7 @@ import psutil
 
 from rfpipe.jobs.workers import Resources
 from rfpipe.stages import merge
+from rfpipe.stages.context import CaptureContext
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import FrameStore, read_manifest
 
@@ -42,10 +43,7 @@ def nothing(first: int, _last: int) -> int:
 def merged_anew(folder: AcquisitionFolder, level: int, resources: Resources) -> None:
     """Merge a level's brackets."""
     FrameStore.discard(folder.store(level, "merge"))
-    merge.run(
-        folder, level,
-        mask_defects=True, code="", resources=resources,
-    )  # fmt: skip
+    merge.run(CaptureContext(folder, resources=resources), level)
 
 
 def idle(folder: Path, resources: Resources) -> None:
@@ -59,7 +57,7 @@ def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
     manifest = read_manifest(source / "transport.json")
     level = max(range(1, len(manifest["levels"])), key=lambda n: manifest["levels"][n]["patterns"])
     parts = ["L00", f"L{level:02d}", "transport.zarr"]
-    above = AcquisitionFolder(source).levels_above(level)[1:]
+    above = range(1, level)
     for part in [*parts, *(f"L{n:02d}" for n in above)]:
         ignored = None if part in parts else shutil.ignore_patterns("capture.zarr", "merge.zarr")
         shutil.copytree(source / part, place / part, ignore=ignored)

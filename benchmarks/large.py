@@ -24,6 +24,7 @@ from rfpipe.config import Config, load_config
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, scene_from_config
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.settings import plan_settings
 from rfpipe.stages.verification import verify
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import open_arrays
@@ -83,10 +84,11 @@ def curve(
     patterns, truth, floodlit = test
     folder = AcquisitionFolder(Path("results") / name / method)
     plan = Plan.of(**plan_settings(config, name, method))
-    plan.settle(folder)
+    plan = plan.for_measured_rig(folder)
     dark = patterns == 0 if config.scenes[name].is_coaxial else None
-    for behind in [*list(folder.levels())[1:], None]:
-        state = plan.state_before(folder, behind)
+    levels = list(folder.levels())
+    for level in levels:
+        state = plan.restored_state(folder, level + 1)
         transport = plan.method.transport(state)
         relit = np.concatenate(
             [
@@ -96,7 +98,7 @@ def curve(
         )
         errors, indirect = picture_errors(relit, truth, patterns, floodlit, dark)
         known = estimates(transport.level_rows)
-        verified = np.nan if behind is not None else verify(folder, transport).mean_error
+        verified = np.nan if level < levels[-1] else verify(folder, transport).mean_error
         yield {
             "scene": name,
             "method": method,

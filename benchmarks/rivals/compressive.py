@@ -6,18 +6,19 @@ S. Darabi, *Compressive dual photography*, Computer Graphics Forum 28 (2009).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, PatternOptions
+from rfpipe.methods.base import MEMORY_BYTES, Float, Forecast, LevelImages, Options, StateArrays
 from rfpipe.methods.brute_force import BruteForce, ScanState
 from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.states import level_row
@@ -39,6 +40,17 @@ _RAYS_PER_PATTERN, _FEWEST = 8, 32
 _MEASUREMENTS_PER_ATOM = 4
 
 
+class CompressiveOptions(Options):
+    """Options of compressive sensing."""
+
+    patterns: int = Field(
+        0,
+        ge=0,
+        le=1_000_000,
+        description="Patterns to show at most, 0 to 1000000; 0 leaves it to the method.",
+    )
+
+
 @dataclass(frozen=True)
 class CompressiveState(ScanState):
     """The state of compressive sensing: level 0 is the floodlit image, 1 all random patterns.
@@ -52,9 +64,22 @@ class CompressiveState(ScanState):
         The floodlit image and its variance.
     """
 
-    options: PatternOptions
+    options: CompressiveOptions
     floodlit: Float
     variance: Float
+
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return the matrix, the floodlit image and the table of levels."""
+        arrays = {"matrix": self.matrix, "floodlit": self.floodlit, "variance": self.variance}
+        return StateArrays(arrays, {"rows": list(self.rows)})
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state after the last of the levels."""
+        if not levels:
+            return start
+        last = levels[-1]
+        return replace(start, rows=tuple(last.attributes["rows"]), **last.arrays)
 
 
 class Compressive(BruteForce):
@@ -71,23 +96,20 @@ class Compressive(BruteForce):
     title = "Compressive sensing"
     colour = "#4c8c4a"
     marker = "v"
-    Options = PatternOptions
+    Options = CompressiveOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
     line = "-"
 
-    def expected_patterns(
-        self, camera: RayDomain, projector: RayDomain, options: PatternOptions
-    ) -> int:
-        """Return the number that is asked for, or one for some rays."""
-        return pattern_count(projector.size, options.patterns)
-
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return 2: the floodlit image, and all random patterns; any camera will do."""
-        return 2
+    def forecast(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: CompressiveOptions
+    ) -> Forecast:
+        """Forecast the number of the options, or one pattern for each `_RAYS_PER_PATTERN` rays."""
+        patterns = pattern_count(projector.size, options.patterns)
+        return self.forecast_of(camera, channels, patterns, patterns)
 
     def start(
-        self, camera: RayDomain, projector: RayDomain, channels: int, options: PatternOptions
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: CompressiveOptions
     ) -> CompressiveState:
         """Return the state before the floodlit image.
 
@@ -106,11 +128,13 @@ class Compressive(BruteForce):
         dark = np.zeros(matrix.shape[:2], np.float32)
         return CompressiveState(camera, projector, channels, options, matrix, dark, dark)
 
-    def schedule(self, state: CompressiveState) -> Schedule:
+    def next_schedule(self, state: CompressiveState) -> Schedule | None:
         """Show the floodlit pattern, then all random ones."""
         shape, rays = state.projector.shape, state.projector.size
         if state.level == 0:
             return Schedule.floodlit(shape)
+        if state.level > 1:
+            return None
         count = pattern_count(rays, state.options.patterns) - 1
         weights = as_light(random_signs(count, rays, _SEED, state.level), shape)
         return Schedule(state.level, shape, count, weights=weights)
@@ -129,7 +153,7 @@ class Compressive(BruteForce):
             floodlit, variance = measured[:, 0], variance[:, 0]
             matrix = np.repeat(floodlit[..., None] / np.float32(rays), rays, axis=2)
             new = {"floodlit": floodlit, "variance": variance, "matrix": matrix}
-        elif count:
+        else:
             floodlit = state.floodlit[:, None]
             measured = np.concatenate([floodlit, 2 * measured - floodlit], axis=1)
             # the floodlit image's noise is common to all and the least by far; not its rounding
@@ -143,7 +167,7 @@ class Compressive(BruteForce):
             matrix, atoms = recover(signs, measured, variance, state.projector)
             new = {"matrix": matrix}
         row = level_row(state.level, count, nodes=pixels * channels, scalar=atoms)
-        return state.after(row, **new)
+        return replace(state, rows=(*state.rows, row), **new)
 
 
 def pattern_count(rays: int, asked: int) -> int:

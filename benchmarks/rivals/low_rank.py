@@ -9,17 +9,27 @@ of a matrix*, Applied Numerical Mathematics 57 (2007).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import ceil, log2, sqrt
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    ErrorOptions,
+    Float,
+    Forecast,
+    LevelImages,
+    Method,
+    StateArrays,
+    check_rays,
+)
 from rfpipe.methods.images import planar_batches, rounding
-from rfpipe.methods.states import MethodState, PackingMethod, grown, kept, level_row
+from rfpipe.methods.states import MethodState, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.low_rank import LowRankTransport
 
@@ -197,9 +207,37 @@ class LowRankState(MethodState):
     """
 
     options: ErrorOptions
-    fit: Fit = kept(Fit)
-    rounds: Sequence[Round] = grown(Round)
+    fit: Fit = field(kw_only=True)
+    rounds: tuple[Round, ...] = ()
     done: bool = False
+
+    def to_arrays(self, previous: Self) -> StateArrays:
+        """Return the last round, the fit and the table of levels."""
+        last = self.rounds[-1]
+        arrays = {
+            "round_images": last.images,
+            "round_noise": last.noise,
+            "left": self.fit.left,
+            "strengths": self.fit.strengths,
+            "diagonal": self.fit.diagonal,
+        }
+        return StateArrays(arrays, {"rows": list(self.rows), "done": self.done})
+
+    @classmethod
+    def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
+        """Restore the state after the last of the levels."""
+        if not levels:
+            return start
+        last = levels[-1]
+        return replace(
+            start,
+            rows=tuple(last.attributes["rows"]),
+            done=last.attributes["done"],
+            rounds=tuple(
+                Round(level.arrays["round_images"], level.arrays["round_noise"]) for level in levels
+            ),
+            fit=Fit(*(last.arrays[name] for name in ("diagonal", "left", "strengths"))),
+        )
 
     @property
     def shown(self) -> int:
@@ -207,7 +245,7 @@ class LowRankState(MethodState):
         return sum(each.images.shape[1] for each in self.rounds)
 
 
-class LowRank(PackingMethod[LowRankState]):
+class LowRank(Method[LowRankState]):
     """A randomised range finder that computes in light, as a `Method`.
 
     The images of each round of random signs first test the fit to those before it, which has not
@@ -229,32 +267,31 @@ class LowRank(PackingMethod[LowRankState]):
     trades = "patterns"
     trials = (50, 100, 200, 500)
 
-    def expected_patterns(
-        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
-    ) -> int:
-        """Return the number that is asked for, or the most that it shows of itself."""
-        return min(projector.size, options.patterns or OWN_MOST)
-
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the rounds that make as many patterns as rays, and the floodlit level."""
-        self.check(camera, projector)
-        rays = min(max(projector.size, _FIRST_ROUND), _MOST)
-        return 2 + ceil(log2(rays / _FIRST_ROUND))
+    def forecast(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
+    ) -> Forecast:
+        """Forecast the number of the options, or the largest number without one."""
+        check_rays(self, camera, projector)
+        patterns = min(projector.size, options.patterns or OWN_MOST)
+        return self.forecast_of(camera, channels, patterns, patterns)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
     ) -> LowRankState:
         """Return the state before the floodlit image."""
+        check_rays(self, camera, projector)
         fit = start_fit(channels, camera.size)
         return LowRankState(camera, projector, channels, options, fit=fit)
 
-    def schedule(self, state: LowRankState) -> Schedule:
+    def next_schedule(self, state: LowRankState) -> Schedule | None:
         """Show the floodlit pattern, then in each round as many random signs as before it."""
         shape = state.projector.shape
         if state.level == 0:
             return Schedule.floodlit(shape)
         limit = min(state.options.patterns or OWN_MOST, _MOST)
-        count = 0 if state.done else min(_probes(state.level), max(limit - state.shown, 0))
+        count = min(_probes(state.level), limit - state.shown)
+        if state.done or count <= 0 or state.level >= _level_count(state.projector.size):
+            return None
         weights = as_light(_signs(state.projector, state.level, count), shape)
         return Schedule(state.level, shape, count, weights=weights)
 
@@ -265,17 +302,19 @@ class LowRank(PackingMethod[LowRankState]):
         count = images.schedule.count
         signed, noise = _read(state, images)
         level = state.level
-        done, found = state.done or not count, {}
-        if level and count:
+        done, found = False, {}
+        if level:
             signs = _signs(state.projector, level, count)
             estimate, within_noise = _held_out(state.fit, signs, signed, noise)
             found = {"estimated_error": estimate}
             done = within_noise or estimate <= state.options.target_error
         new = Round(signed, noise)
-        fitted = _fit_all(state, [*state.rounds, new]) if count else state.fit
+        fitted = _fit_all(state, [*state.rounds, new])
         rank = fitted.strengths.shape[1]
         row = level_row(level, count, nodes=1, rank1=rank, scalar=state.projector.size, **found)
-        return state.after(row, rounds=[new], fit=fitted, done=done)
+        return replace(
+            state, rows=(*state.rows, row), rounds=(*state.rounds, new), fit=fitted, done=done
+        )
 
     def transport(self, state: LowRankState) -> LowRankTransport:
         """Return the diagonal and the terms, the strongest first."""
@@ -286,6 +325,12 @@ class LowRank(PackingMethod[LowRankState]):
         }
         shape = state.projector.shape
         return LowRankTransport(shape, shape, state.channels, list(state.rows), arrays)
+
+
+def _level_count(rays: int) -> int:
+    """Number of rounds that make as many patterns as rays, and the floodlit level."""
+    rays = min(max(rays, _FIRST_ROUND), _MOST)
+    return 2 + ceil(log2(rays / _FIRST_ROUND))
 
 
 def _probes(level: int) -> int:
