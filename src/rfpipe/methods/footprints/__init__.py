@@ -19,7 +19,8 @@ Modules, in reading order:
 - `indirect`: the fit of S;
 - `model`, `fit`: the whole model, and the loop that fits D and S in turn;
 - `patterns`: the random patterns;
-- `direct_light`: uses of D in the error estimate and in the residual model.
+- `direct_light`: uses of D in the error estimate and in the residual model;
+- `method`: the acquisition in rounds, and its decisions.
 
 `kernels` has the compiled loops.
 

@@ -51,7 +51,7 @@ from rfpipe.methods.footprints.indirect import (
     misfit,
 )
 from rfpipe.methods.footprints.matching import BoxTemplates, box_templates
-from rfpipe.methods.footprints.model import ChannelModel, FootprintModel
+from rfpipe.methods.footprints.model import ChannelModel, FittedChannels
 from rfpipe.methods.footprints.pictures import ViewPictures, floodlit_by_all
 from rfpipe.methods.footprints.reciprocity import (
     fit_reciprocal_weights,
@@ -129,7 +129,7 @@ def fit_model(
     channels: Iterable[Views],
     previous: Candidates | None = None,
     limits: FitLimits | None = None,
-) -> FootprintModel:
+) -> FittedChannels:
     """Fit the model to pictures.
 
     Parameters
@@ -140,7 +140,7 @@ def fit_model(
     channels : iterable of tuple of ViewPictures
         Each channel; empty if there is one. Each is fitted before the next is read.
     previous : Candidates, optional
-        `FootprintModel.grey` of an earlier fit.
+        `FittedChannels.grey` of an earlier fit.
     limits : FitLimits, optional
         By default all camera rays take part, but 4,096 with several projector views.
     """
@@ -152,7 +152,7 @@ def fit_model(
     footprints = _prepare_last_fit(grey, footprints)
     combined = _fit_parts(grey, footprints, light, problem.camera_rays, BEST)
     fitted = tuple(_fit_channel(problem, pictures, combined) for pictures in channels)
-    return FootprintModel(combined.footprints, fitted or (combined,))
+    return FittedChannels(combined.footprints, fitted or (combined,))
 
 
 def solution_count(projector: RayDomain, channels: int, *, is_first: bool) -> int:

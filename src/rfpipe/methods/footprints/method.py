@@ -57,7 +57,7 @@ WRONG_MODEL = 0.07
 """First estimated error from which on dual photography takes over. The first round leaves 3 to 5 %
 on diffuse scenes, 8 to 11 % on caustics."""
 
-# Mean errors are 2 to 6 tolerances of dual photography; the residual halves them.
+# Mean errors are 2 to 6 tolerances of dual photography; its residual model halves them.
 HIERARCHY = HierarchyCost(patterns=45.0, power=0.75, tolerance=0.2)
 
 
@@ -108,17 +108,17 @@ def fit_pictures(
     """
     unit, views, channels = radiance_unit(pictures), projector.views, pictures.channels
     grey = split_pictures(pictures.grey() if channels > 1 else pictures, unit, views)
-    single = (
+    single_channels = (
         split_pictures(pictures.channel(index), unit, views)
         for index in range(channels if channels > 1 else 0)
     )
     with steps("footprints", solution_count(projector, channels, is_first=previous is None)):
-        model = fit_model(camera, projector, grey, single, previous)
-    return transport_arrays(model, unit), model.grey
+        fitted = fit_model(camera, projector, grey, single_channels, previous)
+    return transport_arrays(fitted, unit), fitted.grey
 
 
 @dataclass(frozen=True)
-class FootprintEstimate:
+class FootprintModel:
     """The footprint model in the adaptive loop.
 
     Attributes
@@ -150,7 +150,7 @@ class FootprintEstimate:
         return {"nodes": len(nodes), "scalar": len(scalar)}
 
     def next_patterns(self, key: int, count: int) -> Bools:
-        """Draw noise of three kinds of detail."""
+        """Draw random patterns of three kinds of detail."""
         return view_patterns(self.projector.shape, key, count)
 
     def fit(self, pictures: Pictures) -> Self:
@@ -191,7 +191,7 @@ class FootprintState(AdaptiveState):
 
     hierarchy_method = "dual"
 
-    model: FootprintEstimate | None = None
+    model: FootprintModel | None = None
 
     def to_arrays(self, previous: Self) -> StateArrays:
         """Return the parts that the last level changed, the model among them."""
@@ -224,11 +224,11 @@ class FootprintState(AdaptiveState):
         return replace(state, model=model)
 
 
-def first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintEstimate:
+def first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
     """Make the model of the floodlit picture alone."""
     suits = suits_random_patterns(state.projector, state.options.patterns)
     is_suitable = suits and floodlit.some(slice(0, 1)).shine()
-    return FootprintEstimate(state.camera, state.projector, floodlit.floodlit, is_suitable)
+    return FootprintModel(state.camera, state.projector, floodlit.floodlit, is_suitable)
 
 
 class Footprints(AdaptiveMethod):
@@ -253,7 +253,7 @@ class Footprints(AdaptiveMethod):
         counts = tuple(patterns_in_round(k, projector.views) for k in range(len(ROUNDS)))
         return {Phase.MODEL: counts, **hierarchy_rounds(projector)}
 
-    def first_model(self, state: AdaptiveState, floodlit: Pictures) -> FootprintEstimate:
+    def first_model(self, state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
         """Make the model of the floodlit picture alone."""
         return first_model(state, floodlit)
 

@@ -40,13 +40,13 @@ class ChannelModel:
 
 
 @dataclass(frozen=True)
-class FootprintModel:
-    """Model of all channels.
+class FittedChannels:
+    """Result of a fit: the footprints of the channels' sum, and the model of each channel.
 
     Attributes
     ----------
     grey : Candidates
-        Footprints of the channels' sum, the starting point of the next search.
+        Footprints of the channels' sum, the start of the next search.
     channels : tuple of ChannelModel
     """
 
@@ -54,11 +54,11 @@ class FootprintModel:
     channels: tuple[ChannelModel, ...]
 
 
-def transport_arrays(model: FootprintModel, unit: float) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a `FootprintTransport`; `unit` is the radiance of 1 in the model."""
-    lights = [channel.indirect for channel in model.channels]
+def transport_arrays(fitted: FittedChannels, unit: float) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a `FootprintTransport`; `unit` is the radiance of 1 in the fit."""
+    lights = [channel.indirect for channel in fitted.channels]
     basis = lights[0].basis
-    direct = [channel.footprints.matrix() for channel in model.channels]
+    direct = [channel.footprints.matrix() for channel in fitted.channels]
     cores = [basis.core_matrix(light.cores) for light in lights]
     return {
         **sparse_arrays("footprints", direct[0], [D.data * np.float32(unit) for D in direct]),
