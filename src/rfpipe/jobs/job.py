@@ -40,7 +40,7 @@ def start(log_file: str) -> None:
     to_file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     to_terminal = logging.StreamHandler()
     to_terminal.setFormatter(_Brief(path))
-    logging.raiseExceptions = False  # a full disk ends the stage with a message of its own
+    logging.raiseExceptions = False  # a full disk ends the stage with a message
     _log.setLevel(logging.INFO)
     _log.handlers = [to_file, to_terminal]
     _log.propagate = False

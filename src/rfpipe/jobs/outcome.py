@@ -101,7 +101,7 @@ def read_failures(results: Path) -> list[Failure]:
 def failure_line(failures: list[Failure], folder: Path) -> str:
     """Describe failures in a line, each with the path of its log.
 
-    `folder` is that of the run, relative to the current folder.
+    `folder` is the run's folder, relative to the current one.
     """
     descriptions = [
         f"{failure} ({folder / failure.log})" if failure.log else str(failure)

@@ -18,7 +18,7 @@ _PATIENCE_SECONDS = 60
 def check_no_braces(name: str, path: str | Path) -> None:
     """Raise InputError for a path with braces, in which Snakemake would see wildcards.
 
-    In such a run's folder, Snakemake doesn't find its locks, or finds those of another folder.
+    In such a run's folder, Snakemake doesn't find its locks, or finds locks of another folder.
 
     Parameters
     ----------

@@ -39,14 +39,14 @@ def misses(
     estimated: Mapping[str, Any],
     margin: float = 1.0,
 ) -> Iterator[Miss]:
-    """Yield the mean error, and that of indirect light, where they are above their targets.
+    """Yield the mean errors, in total and of indirect light, that are above their targets.
 
     Parameters
     ----------
     options : mapping
         Options of the method, of which ``target_error`` and ``target_indirect`` are compared.
     measured : (float or None, float or None)
-        Measured mean error, and that of indirect light; None to compare the estimate.
+        Measured mean errors, in total and of indirect light; None to compare the estimate.
     estimated : mapping
         ``estimated_error`` and ``estimated_indirect`` of the last level that has them.
     margin : float

@@ -150,7 +150,7 @@ class Workers:
 def connected(address: str, folder: Path) -> Iterator[tuple[HandOut, int]]:
     """Connect to a dask scheduler.
 
-    The certificates are those of dask's settings.
+    Certificates come from dask's settings.
 
     Yields
     ------

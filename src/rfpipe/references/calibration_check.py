@@ -50,7 +50,7 @@ def check_calibration(
     Raises
     ------
     CaptureError
-        If the rig is no longer coaxial and `refuse` is set.
+        If the rig isn't coaxial any more and `refuse` is set.
     """
     if not was_coaxial(rig):
         return

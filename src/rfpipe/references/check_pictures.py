@@ -6,6 +6,8 @@ are compared by `rfpipe.references.comparison`.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,12 +40,9 @@ def check_pattern(projector_shape: tuple[int, ...]) -> NDArray[np.float32]:
 def first_check_picture(storage: Storage, references: ReferenceImages) -> Merged | None:
     """Merge the acquisition's first check picture; None where there is none."""
     for level in storage.levels():
-        try:
-            with storage.partial_frames(level, CHECK_PICTURES) as frames:
-                if frames.done[0]:
-                    return references.merge(frames.read(0, 1))
-        except StoreError:  # not captured yet, or damaged
-            continue
+        with suppress(StoreError), storage.partial_frames(level, CHECK_PICTURES) as frames:
+            if frames.done[0]:
+                return references.merge(frames.read(0, 1))
     return None
 
 

@@ -253,7 +253,7 @@ def write_references(storage: Storage, references: ReferenceImages) -> dict[str,
 
 
 def read_references(sensor: Sensor, storage: Storage) -> ReferenceImages:
-    """Read the reference images of an acquisition; errors as of `Storage.read`."""
+    """Read the reference images of an acquisition; raises the errors of `Storage.read`."""
     arrays, attributes = storage.read(0, "merge", REFERENCE_IMAGES)
     counts = attributes["counts"]
     defects = None

@@ -244,7 +244,7 @@ def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[Point]
 
 
 def frontier(points: Iterable[Point]) -> list[Point]:
-    """Return the points whose error is smaller than that of all points with fewer patterns."""
+    """Return the points with a smaller error than all points with fewer patterns."""
     best: list[Point] = []
     for point in sorted(points, key=lambda point: (point.patterns, point.error)):
         if not best or point.error < best[-1].error:

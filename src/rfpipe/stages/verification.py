@@ -1,7 +1,7 @@
 """Stage: verify a transport by pictures that no method uses.
 
-The pictures are captured and merged like those of a level, so that an interrupted capture resumes,
-and a transport that is assembled again is compared with the same pictures.
+The pictures are captured and merged like a level's, so that an interrupted capture resumes, and a
+transport that is assembled again is compared with the same pictures.
 """
 
 from __future__ import annotations
@@ -279,7 +279,7 @@ def _errors(
         Squared norm of the floodlit image times the mean squared pattern.
     """
     noise = float(variance.sum())
-    light = float(reference_light(energy, typical))
+    light = float(reference_light(np.asarray(energy), typical))
     error = np.sqrt(max(float(squares.sum()) - noise, 0.0))
     terms = 2 * np.square(variance) + 4 * variance * np.maximum(squares - variance, 0)
     spread = float(np.sqrt(terms.sum()))
