@@ -1,4 +1,4 @@
-"""Dtypes, units and limits of counts; keys of brackets other than those of a level's patterns."""
+"""Dtypes, units and limits of counts; keys of brackets that don't belong to a level."""
 
 from collections.abc import Sequence
 from typing import Literal

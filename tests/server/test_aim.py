@@ -52,7 +52,7 @@ def test_nothing_is_shown_without_the_token(get: Callable[..., Response]) -> Non
     assert get("/state.json", headers={"Host": "elsewhere.example"}).status_code == 400
 
 
-def test_it_tells_what_the_camera_sees(get: Callable[..., Response], watch: Watch) -> None:
+def test_the_page_shows_the_view_of_the_camera(get: Callable[..., Response], watch: Watch) -> None:
     get(f"/?token={TOKEN}")
     wait_for(watch, 1)
     state = get("/state.json").json()
@@ -68,7 +68,7 @@ def test_it_tells_what_the_camera_sees(get: Callable[..., Response], watch: Watc
     assert (np.abs(picture - [1.0, 0.82, 0.12]).max(axis=-1) < 0.02).any()  # the outline
 
 
-def test_a_device_that_fails_is_told_of_and_tried_again(
+def test_a_failed_device_is_reported_and_retried(
     get: Callable[..., Response], watch: Watch, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     get(f"/?token={TOKEN}")
@@ -87,7 +87,7 @@ def test_a_device_that_fails_is_told_of_and_tried_again(
     assert get("/state.json").json()["error"] is None
 
 
-def test_devices_that_can_t_be_opened_end_it() -> None:
+def test_devices_that_cannot_be_opened_raise_an_error() -> None:
     def missing() -> None:
         raise CaptureError("no camera answers")
 

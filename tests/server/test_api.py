@@ -53,13 +53,13 @@ def headers_of(lease: str, key: str = "a-key-of-the-test") -> dict[str, str]:
     return {"Rig-Lease": lease, "Idempotency-Key": key, "Content-Type": MEDIA_TYPE}
 
 
-def test_health_needs_no_token_and_tells_nothing_of_the_rig(server: Running) -> None:
+def test_health_needs_no_token_and_reveals_nothing_about_the_rig(server: Running) -> None:
     answer = httpx.get(f"{server.url}/v1/health", trust_env=False)
     assert answer.json() == {"status": "ok", "version": rfpipe.__version__, "api": 1}
     assert answer.headers["cache-control"] == "no-store"
 
 
-def test_a_request_sent_again_is_not_exposed_again(http: httpx.Client, rig: SlowRig) -> None:
+def test_a_repeated_request_is_not_exposed_again(http: httpx.Client, rig: SlowRig) -> None:
     headers, body = headers_of(lease_of(http)), encode_patterns(ON, [(1, 5)])
     first, again = (http.post("/v1/captures", content=body, headers=headers) for _ in range(2))
     assert first.status_code == again.status_code == 200
@@ -82,7 +82,7 @@ def test_a_heart_beats_between_captures(rig: SlowRig) -> None:
     assert rig.closed == 1
 
 
-def test_a_second_client_waits_for_the_first_and_says_so(
+def test_a_second_client_waits_for_the_first_and_logs_it(
     server: Running, rig: SlowRig, caplog: pytest.LogCaptureFixture
 ) -> None:
     first, second = server.client(), server.client()
@@ -162,7 +162,7 @@ def test_a_rig_with_sequences_shows_them() -> None:
     assert rig.shown == [(1, 4)]
 
 
-def test_a_failed_request_goes_on_where_it_was(server: Running, rig: SlowRig) -> None:
+def test_a_failed_request_continues(server: Running, rig: SlowRig) -> None:
     patterns, keys = np.repeat(ON, 3, axis=0), [(1, index) for index in range(3)]
     rig.faults = {(1, 1): [CaptureError("once")]}
     with server.client() as client:
@@ -209,7 +209,7 @@ def test_another_rig_after_a_restart_is_refused() -> None:
         client.capture(ON, [(1, 0)])
 
 
-def test_a_server_that_is_not_there_is_given_up() -> None:
+def test_a_client_gives_up_without_a_server() -> None:
     with pytest.raises(CaptureError, match=r"no answer .*check that 'rfpipe serve' is running"):
         RemoteRig(f"http://127.0.0.1:{free_port()}", TOKEN, patience_seconds=0.3)
 
@@ -219,7 +219,7 @@ def test_a_wrong_token_is_named_at_once(server: Running) -> None:
         RemoteRig(server.url, "another-token-entirely", patience_seconds=60)
 
 
-def test_a_damaged_answer_is_asked_for_again(
+def test_a_damaged_answer_is_requested_again(
     server: Running, rig: SlowRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     send = httpx.Client.request
@@ -243,7 +243,7 @@ def test_a_damaged_answer_is_asked_for_again(
     np.testing.assert_array_equal(frames, OperatorRig.capture(rig, ON, [(1, 0)]))
 
 
-def test_the_exposure_in_hand_ends_before_the_server_does(rig: SlowRig) -> None:
+def test_the_server_finishes_the_current_exposure(rig: SlowRig) -> None:
     rig.seconds = 0.3
     with running(rig) as server, server.http() as http:
         headers = headers_of(lease_of(http))

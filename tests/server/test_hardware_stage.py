@@ -71,7 +71,7 @@ def server() -> Any:
         yield server
 
 
-def test_a_rig_that_is_not_the_plans(tmp_path: Path, server: Running) -> None:
+def test_a_rig_that_differs_from_the_plan_is_refused(tmp_path: Path, server: Running) -> None:
     acquisition = RemoteAcquisition(tmp_path, server.url, camera_shape=(8, 5))
     acquisition.schedule(0)
     with pytest.raises(CaptureError, match=r"has .*\(4, 5\).* say .*\(8, 5\)"):

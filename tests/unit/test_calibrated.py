@@ -21,7 +21,7 @@ WHOLE = Calibration(
 )
 
 
-def test_comes_back_as_written(tmp_path: Path) -> None:
+def test_a_calibration_is_read_as_written(tmp_path: Path) -> None:
     write_calibration(tmp_path / "calibration", WHOLE)
     read = load_calibration(tmp_path / "calibration")
     assert np.array_equal(read.layout.ray_of_pixel, WHOLE.layout.ray_of_pixel)
@@ -31,7 +31,7 @@ def test_comes_back_as_written(tmp_path: Path) -> None:
     assert (read.camera, read.facts) == (WHOLE.camera, WHOLE.facts)
 
 
-def test_none_and_damaged_ones_are_refused(tmp_path: Path) -> None:
+def test_missing_and_damaged_calibrations_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="no complete calibration"):
         load_calibration(tmp_path)
     write_calibration(tmp_path, WHOLE)

@@ -71,9 +71,7 @@ def test_a_calibration_finds_the_bench(calibrated: Any) -> None:
     assert "projector.options.settle_seconds" in recorded
 
 
-def test_steps_that_are_done_are_not_repeated(
-    calibrated: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_complete_steps_are_not_repeated(calibrated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     bench, folder, run = calibrated
     before = {name: folder.manifest(name).read_bytes() for name in STEPS}
 
@@ -85,7 +83,7 @@ def test_steps_that_are_done_are_not_repeated(
     assert before == {name: folder.manifest(name).read_bytes() for name in STEPS}
 
 
-def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
+def test_an_interrupted_calibration_continues(tmp_path: Path) -> None:
     bench, folder, run = begun(tmp_path)
     expose, left = bench.camera.expose, [70]
 
@@ -110,7 +108,7 @@ def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
     assert not (folder.path / "calibration.json").exists()
 
 
-def test_what_a_change_concerns_is_done_anew_and_damage_is_found(tmp_path: Path) -> None:
+def test_steps_affected_by_a_change_are_repeated_and_damage_is_found(tmp_path: Path) -> None:
     _, folder, run = begun(tmp_path)
     only = ["steadiness", "scene", "dark", "linearity"]
     run(only)
@@ -126,7 +124,7 @@ def test_what_a_change_concerns_is_done_anew_and_damage_is_found(tmp_path: Path)
         folder.read("dark")
 
 
-def test_a_step_begins_with_those_that_it_needs(tmp_path: Path) -> None:
+def test_needed_steps_are_measured_before_a_step(tmp_path: Path) -> None:
     _, folder, run = begun(tmp_path, (12, 12), (96, 96), (40, 42))
     run(["dark"])
     assert [name for name in STEPS if folder.is_done(name)] == ["steadiness", "dark"]
@@ -144,7 +142,7 @@ def test_a_rig_that_is_not_coaxial_has_no_rays(tmp_path: Path) -> None:
         run(["symmetry"], coaxial=False)
 
 
-def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) -> None:
+def test_a_complete_calibration_that_is_not_good_is_repeated(tmp_path: Path) -> None:
     # a light so strong that the shortest exposure is saturated nearly everywhere
     _, folder, run = begun(tmp_path, sensor=brighter(CAMERA, 200.0))
     run()
@@ -156,7 +154,7 @@ def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) ->
     assert folder.manifest("dark").stat().st_mtime_ns > before
 
 
-def test_what_builds_on_a_step_that_is_not_good_says_so(tmp_path: Path) -> None:
+def test_the_verdict_names_a_needed_step_that_is_not_good(tmp_path: Path) -> None:
     bench, folder, run = begun(tmp_path)
     expose, full = bench.camera.expose, CAMERA.white_level
     bench.camera.expose = lambda: (expose() * (0.3 + expose() / full) / 1.3).astype(np.uint16)  # type: ignore[method-assign]
@@ -170,7 +168,7 @@ def test_what_builds_on_a_step_that_is_not_good_says_so(tmp_path: Path) -> None:
     [(1e-3, 0.0, 0.05, "good. .*less noise"), (1e-3, 0.3, 0.004, "good. .*darken the room"),
      (2e-5, 0.0, 0.05, "NOT GOOD. Too dark.* times as long")],
 )  # fmt: skip
-def test_a_bracket_is_proposed_that_suits_a_dim_projector_and_the_room(
+def test_proposed_exposures_suit_a_dim_projector_and_the_room_light(
     tmp_path: Path, first: float, ambient: float, longest: float, said: str
 ) -> None:
     bench, folder, run = begun(tmp_path, sensor=replace(CAMERA, exposures=(first, 4 * first)))
@@ -185,7 +183,7 @@ def test_a_bracket_is_proposed_that_suits_a_dim_projector_and_the_room(
     ("lamp", "room", "said"),
     [(0.0, 0.0, "sees no stripes of the projector"), (1.0, 5.0, "The all-off picture saturates")],
 )
-def test_without_a_signal_there_is_a_report_all_the_same(
+def test_a_rig_without_signal_gets_a_report(
     tmp_path: Path, lamp: float, room: float, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.2)  # light that never comes isn't waited for

@@ -72,7 +72,7 @@ def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) ->
     assert found["valid"][~outside].mean() > 0.97
 
 
-def test_darkness_and_noise_are_said() -> None:
+def test_the_verdict_names_darkness_and_noise() -> None:
     bench = wedge_bench(rays=(8, 8), display=(32, 32), camera=(24, 24))
     bench.path.radiance = lambda light: np.zeros((24, 24, 1), np.float32)  # type: ignore[method-assign]
     found = correspondence_of(bench, period_pixels=8)
@@ -82,7 +82,7 @@ def test_darkness_and_noise_are_said() -> None:
     assert correspondence_of(bench).verdict.standing == "poor"
 
 
-def test_a_map_is_robust_knows_its_error_and_bends_with_the_lens() -> None:
+def test_a_map_is_robust_estimates_its_error_and_fits_distortion() -> None:
     random = np.random.default_rng(0)
     points = random.uniform(0, 60, (2000, 2))
     true = apply_homography(HOMOGRAPHY, points)
@@ -146,7 +146,7 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
         fit_rays([beside], layout, (48, 54))
 
 
-def test_too_coarse_a_camera_leaks_and_says_so() -> None:
+def test_a_camera_with_too_few_pixels_leaks() -> None:
     context = context_of(wedge_bench(camera=(20, 22)), period_pixels=32)
     seen = {"correspondence": measure_correspondence(context)}
     found = measure_rays(replace(context, rays=(16, 16), findings=seen))
@@ -178,7 +178,7 @@ def test_views_of_an_array_are_found_and_rectified() -> None:
     assert fit.leak.max() < 0.01
 
 
-def test_views_that_are_not_there_are_said() -> None:
+def test_missing_views_raise_an_error() -> None:
     bench = surface_bench((4, 8, 8), (128, 128), (96, 96), (2, 2))
     context = context_of(bench, views=(2, 2))
     found = measure_correspondence(context)

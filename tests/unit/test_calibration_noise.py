@@ -90,7 +90,7 @@ def hot(counts: int, *where: Any) -> Callable[[np.ndarray], np.ndarray]:
     return bend
 
 
-def test_dark_frames_tell_black_level_current_and_hot_pixels() -> None:
+def test_dark_frames_give_black_level_current_and_hot_pixels() -> None:
     camera = replace(CAMERA, dark_current_electrons=40.0)
     dark = dark_of(camera, dark_frames=8, bend=hot(300, 5, 7))
     gain = camera.electrons_per_count
@@ -104,7 +104,7 @@ def test_dark_frames_tell_black_level_current_and_hot_pixels() -> None:
     assert dark.verdict.standing == "good"
 
 
-def test_dark_frames_that_are_cut_off_hot_or_lit_are_said_to_be() -> None:
+def test_verdicts_on_clipped_hot_and_lit_dark_frames() -> None:
     assert "Raise the camera's black" in dark_of(replace(CAMERA, black_level_counts=1)).verdict.text
     assert "isn't dark" in dark_of(CAMERA, 0.02).verdict.text
     every_third = slice(None, None, 3)
@@ -112,7 +112,7 @@ def test_dark_frames_that_are_cut_off_hot_or_lit_are_said_to_be() -> None:
     assert dark_of(replace(CAMERA, exposures=(0.25,)))["current_counts_per_s"] == 0
 
 
-def test_room_light_that_changes_is_named_and_is_no_noise() -> None:
+def test_changing_room_light_is_named_and_not_counted_as_noise() -> None:
     def seen(index: int, _: float) -> np.ndarray:
         return np.full((64, 64), 0.0005 * (index % 4))
 
@@ -139,7 +139,7 @@ def test_no_number_has_an_error_larger_than_itself(value: float, error: float, t
     assert with_error(value, error, "{:.3g}") + " electrons" == text
 
 
-def test_a_gain_that_is_not_known_is_not_printed() -> None:
+def test_an_unknown_gain_is_not_printed() -> None:
     random = np.random.default_rng(0)
 
     def seen(_: int, weight: float) -> np.ndarray:
@@ -187,7 +187,7 @@ def test_eight_bits_hide_the_read_noise_but_not_the_noise_of_darkness() -> None:
         assert darkness == pytest.approx(true, rel=0.25)
 
 
-def test_few_pictures_are_said_to_be_few() -> None:
+def test_the_verdict_on_few_pictures_is_unknown() -> None:
     verdict = transfer_of(CAMERA, uneven((12, 12)), levels=2).verdict
     assert verdict.standing == "unknown"
     assert "Take more levels" in verdict.text
@@ -245,7 +245,7 @@ def test_a_power_law_is_found_and_its_noise_still_measured(gamma: float) -> None
     assert transfer_of(camera)["full_well_electrons"] == pytest.approx(20_000, rel=0.1)
 
 
-def test_a_response_that_is_no_power_law_is_said() -> None:
+def test_a_response_other_than_a_power_law_is_not_linear() -> None:
     def bend(frames: np.ndarray) -> np.ndarray:
         level = np.clip((frames - 64.0) / 4031, 0, 1)
         return np.rint(64 + 4031 * level * (1 + 0.8 * level**3) / 1.8).astype(np.uint16)
@@ -256,7 +256,7 @@ def test_a_response_that_is_no_power_law_is_said() -> None:
     assert found["response_gamma"] == 1
 
 
-def test_one_exposure_tells_nothing_of_linearity() -> None:
+def test_linearity_is_unknown_for_one_exposure() -> None:
     found = linearity_of(replace(CAMERA, exposures=(0.1,)))
     assert found.verdict.standing == "unknown"
     assert "worst_deviation" not in found.facts
@@ -282,7 +282,7 @@ def test_the_projectors_response_is_found(gamma: float) -> None:
     assert found.verdict.standing == "good"
 
 
-def test_a_projector_that_drifts_falls_or_hardly_rises_is_said_to() -> None:
+def test_verdicts_on_projectors_whose_light_drifts_falls_or_hardly_rises() -> None:
     every, true = np.arange(256), np.linspace(0, 1, 256) ** 2.2
     assert "warm up" in light_of(true, drift=0.05).verdict.text
     assert "light falls at code 128" in light_of(np.where(every == 128, 0, true)).verdict.text

@@ -78,7 +78,7 @@ def test_a_symmetric_rig_is_good_and_half_a_pixel_is_not() -> None:
     assert "dual photography" in poor.verdict.text
 
 
-def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
+def test_noise_proves_neither_asymmetry_nor_symmetry() -> None:
     dim = replace(CameraModel(), electrons_per_radiance=300.0)
     findings = symmetry_findings(*taken(wedge(), dim), tolerance=0.005)
     assert findings.verdict.standing == "unknown"
@@ -87,7 +87,7 @@ def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
 
 @pytest.mark.parametrize("drift", [0.06, -0.06, 0.3])
 @pytest.mark.parametrize("camera", [None, CameraModel()])
-def test_a_lamp_that_drifts_is_no_asymmetry(drift: float, camera: CameraModel | None) -> None:
+def test_drift_of_the_lamp_causes_no_asymmetry(drift: float, camera: CameraModel | None) -> None:
     steady, change = taken(wedge(), camera, 16, drift=drift)
     findings = symmetry_findings(steady, change, tolerance=0.02)
     assert findings.verdict.standing == "good"

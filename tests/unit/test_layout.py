@@ -31,12 +31,14 @@ def test_a_pattern_becomes_a_picture() -> None:
         ((6,), np.array([[0]]), r"expected height and width, \(H, W\)"),
     ],
 )
-def test_what_is_no_layout(shape: tuple[int, ...], rays: np.ndarray, expected: str) -> None:
+def test_invalid_layouts_are_refused(
+    shape: tuple[int, ...], rays: np.ndarray, expected: str
+) -> None:
     with pytest.raises(InputError, match=expected):
         ProjectorLayout(shape, rays)
 
 
-def test_what_cannot_be_a_grid() -> None:
+def test_impossible_grids_are_refused() -> None:
     with pytest.raises(InputError, match=r"\(8, 8\) rays don't fit into a picture of \(7, 12\)"):
         ProjectorLayout.grid((7, 12), (8, 8))
     with pytest.raises(InputError, match="Calibrate the rig to measure"):

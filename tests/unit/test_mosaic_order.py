@@ -48,7 +48,7 @@ def test_greens_leave_two_orders(order: str) -> None:
     assert {one[0] in "RB" for one in found} == {order[0] in "RB"}
 
 
-def test_what_light_does_not_show_is_not_judged() -> None:
+def test_an_order_that_light_does_not_show_is_unknown() -> None:
     grey = np.ones(3)
     assert mosaic_of(pictures("RGGB", grey)[0], None).orders == ORDERS
     white, _ = pictures("RGGB")
@@ -84,7 +84,7 @@ def test_a_wrong_order_is_not_good_and_the_right_one_is_named(said: str) -> None
 
 
 @pytest.mark.slow
-def test_without_colours_the_greens_say_what_they_can() -> None:
+def test_without_colours_the_greens_leave_two_orders() -> None:
     assert (
         "Set sensor.bayer to RGGB or BGGR"
         in scene_of("GRBG", "RGGB", has_colours=False).verdict.text

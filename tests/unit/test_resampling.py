@@ -75,7 +75,7 @@ def test_a_mosaic_is_filled_in_before_the_resampling_and_its_noise_counted_once(
     assert ratio.mean() == pytest.approx(1, abs=0.03)
 
 
-def test_an_unseen_ray_is_no_light_and_stops_nothing() -> None:
+def test_an_invisible_ray_has_no_light_and_causes_no_error() -> None:
     whole = random_resampling()
     rows = whole.matrix.toarray()
     rows[5] = 0
@@ -127,7 +127,7 @@ def test_a_ray_without_a_good_pixel_is_unknown() -> None:
         ResampledSensor(replace(CAMERA, bayer="RGGB"), random_resampling()),
     ],
 )
-def test_sensors_come_back_from_their_description(sensor) -> None:
+def test_sensors_are_restored_from_their_description(sensor) -> None:
     description = json.loads(json.dumps(sensor.describe()))
     arrays = sensor.arrays() if isinstance(sensor, ResampledSensor) else None
     again = sensor_from_description(description, arrays)

@@ -223,7 +223,7 @@ def test_the_code_of_a_driver_of_ones_own_is_a_setting(
         check_settings(changed, "mine.yaml")
 
 
-def test_a_step_alone_is_not_built_on_steps_of_other_settings(calibrated: Calibrated) -> None:
+def test_a_step_does_not_use_steps_of_other_settings(calibrated: Calibrated) -> None:
     calibrated.measure(of_file("rig"))
     now = of_file("rig", "sensor.bits", 10)
     stale = r"linearity needs steadiness.*sensor\.bits was 12, is now 10"

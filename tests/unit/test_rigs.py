@@ -108,12 +108,12 @@ def test_impossible_entries_are_named(wrap: Any, value: float) -> None:
         (np.moveaxis(MATRICES, 0, -1), r"shape \(21, 3\).*channels first"),
     ],
 )
-def test_what_is_no_transport(matrix: Any, message: str) -> None:
+def test_invalid_matrices_are_refused(matrix: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         rig_of(matrix)
 
 
-def test_an_operator_that_returns_the_wrong_thing() -> None:
+def test_an_operator_with_a_wrong_result_raises_an_error() -> None:
     with pytest.raises(CaptureError, match=r"shape \(5, 19, 3\) for patterns \(1, 0\) to \(1, 4\)"):
         rig_of(Callable(np.ones((5, 19, 3)))).capture(PATTERNS, KEYS)
     images = np.ones((5, 20, 3))
@@ -125,7 +125,7 @@ def test_an_operator_that_returns_the_wrong_thing() -> None:
         rig_of(negative).capture(PATTERNS, KEYS)
 
 
-def test_descriptions_tell_rigs_apart() -> None:
+def test_descriptions_of_different_rigs_differ() -> None:
     changed = MATRICES.copy()
     changed[2, 3, 4] *= 1.001
     rigs = [rig_of(matrix) for matrix in (MATRICES, changed)]
@@ -171,6 +171,6 @@ def test_frames_do_not_depend_on_the_number_of_threads() -> None:
     assert len(digests) == 1
 
 
-def test_a_matrix_in_place_of_a_rig_says_how_to_make_one() -> None:
+def test_the_error_for_a_matrix_explains_how_to_make_a_rig() -> None:
     with pytest.raises(InputError, match=r"ndarray can't capture; .*OperatorRig\(matrix"):
         rfpipe.acquire(np.eye(4))  # type: ignore[arg-type]

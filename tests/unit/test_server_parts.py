@@ -71,7 +71,9 @@ def test_a_token_from_a_file_or_the_environment(
 @pytest.mark.parametrize(
     "token", ["short", "", "x" * 513, "0123456789abcde\xe9", "0123456789 abcdef"]
 )
-def test_a_token_that_is_none(file: Path, token: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_tokens_are_refused(
+    file: Path, token: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file.write_text(token)
     with pytest.raises(ConfigError, match=r"rig\.token: has a token of \d+ char") as error:
         read_token(file)
@@ -81,7 +83,7 @@ def test_a_token_that_is_none(file: Path, token: str, monkeypatch: pytest.Monkey
         read_token()
 
 
-def test_a_token_file_that_others_may_read_or_that_is_not_there(file: Path) -> None:
+def test_readable_and_missing_token_files_are_refused(file: Path) -> None:
     file.chmod(0o640)
     with pytest.raises(ConfigError, match=r"has the mode 640.*chmod 600"):
         read_token(file)

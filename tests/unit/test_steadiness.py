@@ -216,7 +216,7 @@ def frames(image: Any, *gains: float, seed: int = 0) -> Any:
          {"doubted": 1, "unsteady": 1}, "whole periods"),
     ],
 )  # fmt: skip
-def test_frames_of_the_picture_before_are_told_from_flicker(
+def test_stale_frames_are_distinguished_from_flicker(
     second: Any,
     again: Any,
     counted: dict[str, int],

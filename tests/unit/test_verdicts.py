@@ -55,7 +55,7 @@ def test_a_run_warns_of_a_rig_that_is_not_good(caplog: pytest.LogCaptureFixture)
     assert len(caplog.records) == 1
 
 
-def test_what_is_not_good_is_refused_unless_forced(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_poor_calibration_is_refused_unless_forced(caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(ConfigError, match=r"(?s)mine: the calibration is not good.*Rays.*--force"):
         check_verdicts(VERDICTS, "mine", force=False)
     check_verdicts(VERDICTS, "mine", force=True)

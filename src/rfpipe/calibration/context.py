@@ -121,14 +121,18 @@ class StepContext:
         with self.progress(count) as bar:
             for index, picture in enumerate(pictures):
                 displayed = picture if codes is None else _looked_up(picture, codes)
-                with device_errors():
-                    if wait:
-                        self.projector.show(displayed)
-                        time.sleep(wait)
-                    frames = bracket_of(self.projector, self.camera, displayed, f"picture {index}")
+                frames = self._bracket(displayed, f"picture {index}", wait)
                 if bar is not None:
                     bar.advance(1)
                 yield frames
+
+    def _bracket(self, picture: Float, name: str, wait: float) -> NDArray[Any]:
+        """Show a picture, wait, and capture its bracket."""
+        with device_errors():
+            if wait:
+                self.projector.show(picture)
+                time.sleep(wait)
+            return bracket_of(self.projector, self.camera, picture, name)
 
     def primary_brackets(self) -> NDArray[Any] | None:
         """Show red, green and blue everywhere, and return the brackets, shape (3, E, Hc, Wc).

@@ -40,12 +40,7 @@ def measure_dark(context: StepContext) -> Findings:
     enter it.
     """
     model = context.model
-    frames, levels, seconds = DarkFrames(), [], []
-    count = context.settings.dark_frames
-    for bracket in context.brackets([context.flat_picture(0)] * count, count):
-        frames.add(bracket[None])
-        levels.append(bracket.reshape(len(bracket), -1).mean(axis=1))
-        seconds.append(time.time())
+    frames, levels, seconds = _capture_dark(context)
     black, times = frames.mean, np.asarray(model.exposures, float)
     # variation that all photosites share is light, not noise
     common = np.var(levels, axis=0, ddof=1).reshape(-1, *(1,) * (black.ndim - 1))
@@ -83,6 +78,17 @@ def measure_dark(context: StepContext) -> Findings:
         **_filling(span, line["current_counts_per_s"], float(times[-1])),
     }
     return Findings.of("dark", facts, {"black": black.astype(np.float32), "hot": hot})
+
+
+def _capture_dark(context: StepContext) -> tuple[DarkFrames, list[Double], list[float]]:
+    """Capture all-off brackets; return their statistics, mean levels (E,), and times."""
+    frames, levels, seconds = DarkFrames(), [], []
+    count = context.settings.dark_frames
+    for bracket in context.brackets([context.flat_picture(0)] * count, count):
+        frames.add(bracket[None])
+        levels.append(bracket.reshape(len(bracket), -1).mean(axis=1))
+        seconds.append(time.time())
+    return frames, levels, seconds
 
 
 def _fit_line(times: Double, level: Double, error: Double, white_level: int) -> dict[str, float]:

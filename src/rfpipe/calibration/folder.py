@@ -90,8 +90,12 @@ class CalibrationFolder:
         """Title, standing and verdict of each complete step."""
         done = {name: read_manifest(self.manifest(name)) for name in STEPS if self.is_done(name)}
         return {
-            name: {"title": STEPS[name].title, **{k: str(one[k]) for k in ("standing", "verdict")}}
-            for name, one in done.items()
+            name: {
+                "title": STEPS[name].title,
+                "standing": str(manifest["standing"]),
+                "verdict": str(manifest["verdict"]),
+            }
+            for name, manifest in done.items()
         }
 
     def conditions(self, step: str) -> StepConditions | None:

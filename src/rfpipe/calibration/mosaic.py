@@ -107,7 +107,7 @@ def _log_ratio(first: Double, second: Double) -> tuple[float, float]:
     bright = lit & (total > np.median(total[lit]))
     ratio = np.log(first[bright] / second[bright])
     spread = MAD_TO_DEVIATION * float(np.median(np.abs(ratio - np.median(ratio))))
-    # the standard error of a median is 1.2533 times that of a mean
+    # the standard error of a median is 1.2533 times the one of a mean
     return float(np.median(ratio)), 1.2533 * spread / np.sqrt(ratio.size)
 
 

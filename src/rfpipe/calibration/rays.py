@@ -117,7 +117,7 @@ def _quality(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
     """Count visible rays, and rate their mixing: ``mixed`` is acceptable up to 1."""
     visible, leak = fit.resampling.visible, float(np.percentile(fit.leak, 99))
     pixels = float(np.median(fit.pixels[visible.ravel()]))
-    # a ray with few pixels of its own has up to twice a pixel's noise; four times is too much
+    # a ray with few unshared pixels has up to twice a pixel's noise; four times is too much
     mixed = max(leak / (tolerance / 2), float(fit.noise.max()) / 4)
     return {
         "count": visible.size,
@@ -259,7 +259,7 @@ def fit_rays(
     a few percent exceeds the indirect light. Therefore, the weights R invert the coverage A,
     ``R A = 1``; among all inverses, the weighted least-squares solution is
     ``R = (A^T W A)^-1 A^T W``. W is small for pixels across several rays, whose shares depend on
-    errors of the map. Where each ray has pixels of its own, R is close to their mean. Each ray is
+    errors of the map. Where no pixel covers several rays, R is close to a mean. Each ray is
     solved together with its neighbours only.
     """
     from scipy.sparse import csr_array, diags_array

@@ -158,7 +158,7 @@ def measure_light(context: StepContext) -> Findings:
     lit &= full > 0.5 * np.percentile(full[lit], 90)  # darker pixels would add noise only
     ratios = np.array([image[lit] / full[lit] for image, _ in images])
     measured = np.median(ratios, axis=1)
-    # the standard error of a median is 1.2533 times that of a mean
+    # the standard error of a median is 1.2533 times the one of a mean
     error = 1.2533 * ratios.std(axis=1) / np.sqrt(ratios.shape[1])
     drift = float(measured[-1] - 1)
     measured /= measured[-1]  # relative to full light at the end, after the other codes

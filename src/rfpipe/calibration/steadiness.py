@@ -1,7 +1,7 @@
 """Steadiness of a rig, measured by check pictures.
 
-A calibration step of its own takes a series of check pictures. All later steps are enclosed by
-shorter series, which are compared with it.
+The step "steadiness" takes a series of check pictures. All later steps are enclosed by shorter
+series, which are compared with it.
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ class ResampledSensor(Sensor):
 
         Photosites are merged as grey pixels; then one matrix both demosaics and resamples, so that
         noise which demosaicing spreads over neighbours is counted once. Neighbouring rays with a
-        common pixel have correlated noise; the variance is that of each single ray.
+        common pixel have correlated noise; the variance is for single rays.
         """
         has_mosaic = self.sensor.bayer is not None
         black = np.asarray(black)

@@ -152,8 +152,8 @@ def read_exr(stored: Stored) -> Reading:
     if rows.start >= rows.stop or columns.start >= columns.stop:
         raise InputError(
             f"{stored.path}: has no pixel within its display window, {size[0]} x {size[1]}: its "
-            f"data begin {row_offset} pixels below and {column_offset} pixels right of that window's "
-            "corner. Save it again"
+            f"data begin {row_offset} pixels below and {column_offset} right of its corner. Save "
+            "it again"
         )
 
     def place(pixels: NDArray[Any]) -> NDArray[Any]:

@@ -62,7 +62,7 @@ def write_image(
     path: Path,
     image: NDArray[np.floating],
     white: float | None = None,
-    about: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Write radiance as a picture, complete or not at all.
 
@@ -74,8 +74,8 @@ def write_image(
         Radiance, shape (H, W, 1) or (H, W, 3).
     white
         Radiance shown as white in a PNG; the image's maximum when None.
-    about
-        What the file says of itself, as attributes of its header.
+    attributes
+        Attributes of the file's header.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def write_image(
         top = float(image.max()) if white is None else white
         pixels, kind = srgb(image, top or 1.0)[..., : image.shape[-1]], "uint8"
     picture = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
-    for name, text in (about or {}).items():
+    for name, text in (attributes or {}).items():
         picture.specmod().attribute(name, text)
     _write(path, picture, kind)
 

@@ -65,7 +65,7 @@ class Stored:
 
     @property
     def is_light(self) -> bool:
-        """Whether the samples are floats."""
+        """True if the samples are floats."""
         return str(self.spec.format) in LIGHT
 
     @property
@@ -192,8 +192,8 @@ def _check_size(stored: Stored) -> None:
 def light_channels(stored: Stored) -> list[int]:
     """Return the indices of R, G and B, in this order, or of the single channel.
 
-    Alpha is left out. Channels next to R, G and B are left out where the format names them (EXR);
-    elsewhere one is taken for alpha, and more raise InputError, as do channels without R, G and B.
+    Alpha is ignored. In EXR, which names channels, other channels are ignored, too; in other
+    formats, one is read as alpha. More channels, or none of R, G and B, raise InputError.
     """
     names = list(stored.spec.channelnames)
     if stored.format_name != "openexr" and len(names) > 4:

@@ -49,9 +49,9 @@ def are_late(patterns: Float, light: Float, *, coaxial: bool) -> bool:
     """
     if not coaxial:
         weights, brightness = patterns.mean(axis=(1, 2)), light.mean(axis=(1, 2))
-        previous_fit = correlation(weights[:-1], brightness[1:])
+        late_correlation = correlation(weights[:-1], brightness[1:])
         fit = correlation(weights[1:], brightness[1:])
-        return previous_fit > max(_LATE_BRIGHTNESS, fit + _ABOVE)
+        return late_correlation > max(_LATE_BRIGHTNESS, fit + _ABOVE)
     mean = light.mean(axis=0)
     lit = mean > mean.mean() / 4
     shapes, images = patterns[:, lit], light[:, lit] / mean[lit]

@@ -151,7 +151,7 @@ def encoded(image: NDArray[Any], suffix: str) -> bytes:
     picture = image.reshape(*RayDomain(image.shape[:-1]).picture_shape, image.shape[-1])
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"picture.{suffix}"
-        write_image(path, picture, about=_TIMELESS)
+        write_image(path, picture, attributes=_TIMELESS)
         return path.read_bytes()
 
 

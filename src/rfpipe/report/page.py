@@ -215,7 +215,7 @@ def _written(folder: Path, block: Block) -> dict[str, Any]:
     files = {name: name, vectors: "PDF"}
     for picture, radiance in block.light.items():
         name = f"figures/{block.slug}_{picture}.exr"
-        write_image(folder / name, radiance, about={"DateTime": ""})  # reproducible bytes
+        write_image(folder / name, radiance, attributes={"DateTime": ""})  # reproducible bytes
         files[name] = f"{picture}.exr"
     box = block.figure.bbox
     size = {"width": int(box.width), "height": int(box.height)}

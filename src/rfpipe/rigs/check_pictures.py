@@ -133,7 +133,7 @@ class References:
 
     @property
     def has_light(self) -> bool:
-        """Whether the pattern is seen above the noise in any exposure."""
+        """True if the pattern exceeds the noise in any exposure."""
         return bool(np.isfinite(self.noise).any()) and self.white_rate > 0
 
 

@@ -129,7 +129,7 @@ class SequenceCamera(Camera, Protocol):
 
     @property
     def can_be_triggered(self) -> bool:
-        """Whether its settings enable triggers."""
+        """True if its settings enable triggers."""
 
     def seconds_between(self, exposure: float) -> float:
         """Shortest time between two triggers at an exposure time, in seconds."""

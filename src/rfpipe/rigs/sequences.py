@@ -164,12 +164,13 @@ class Sequencer:
                     )
                 ]
             certain = {index: raw[places[index]] for index in indices}
-        if lost := len(displayed) - len(certain):
-            self.statistics["lost"] += lost
+        if uncertain := len(displayed) - len(certain):
+            self.statistics["lost"] += uncertain
             _log.warning(
                 "a sequence of %d frames at %g s gave %d: %d of its %d patterns are uncertain; "
                 "playing them again%s",
-                len(playlist.order), self._sensor.exposures[number], len(raw), lost, len(displayed),
+                len(playlist.order), self._sensor.exposures[number], len(raw), uncertain,
+                len(displayed),
                 "" if lag is not None else " (the white and black pictures are missing: check that "
                 "each picture triggers the camera, and that white is bright)",
             )  # fmt: skip

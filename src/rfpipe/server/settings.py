@@ -56,7 +56,7 @@ class ServerSettings:
 
     @property
     def is_loopback(self) -> bool:
-        """Whether the address is for connections from this machine only."""
+        """True if only this machine can connect to the address."""
         with suppress(ValueError):
             return ipaddress.ip_address(self.host).is_loopback
         return self.host == "localhost"

@@ -199,7 +199,7 @@ class RigWorker:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether the worker exposes no further patterns."""
+        """True if the worker exposes no further patterns."""
         return self._stopping.is_set()
 
     def close(self) -> None:
