@@ -28,14 +28,14 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return home
 
 
-def test_a_home_that_can_be_written_is_left_as_it_is(home: Path) -> None:
+def test_nothing_changes_for_a_writable_home(home: Path) -> None:
     ensure_cache_folders()
     assert not any(name in os.environ for name in VARIABLES)
     assert not list(home.iterdir())
 
 
 @pytest.mark.parametrize("below", [".", "a/b"])
-def test_a_home_that_can_t_be_written(home: Path, below: str, monkeypatch) -> None:
+def test_an_unwritable_home_gets_other_cache_folders(home: Path, below: str, monkeypatch) -> None:
     home.rmdir()
     home.write_text("a file, below which even root makes no folder")
     monkeypatch.setenv("HOME", str(home / below))
@@ -63,7 +63,7 @@ def test_a_cache_that_others_can_write_is_not_used(home: Path, kind: str, monkey
     assert used.stat().st_mode & 0o777 == 0o700
 
 
-def test_variables_that_name_other_folders_stay(home: Path, monkeypatch) -> None:
+def test_existing_variables_are_kept(home: Path, monkeypatch) -> None:
     cache, plots = home / "cache", home / "plots"
     monkeypatch.setenv("HOME", "/dev/null/home")
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))

@@ -73,7 +73,7 @@ def test_validate_names_the_acquisitions() -> None:
     assert room[:6] == ["room", "auto", "10,368", "31", "30", "2,527"]
 
 
-def test_schema_is_the_model_s() -> None:
+def test_schema_is_that_of_the_model() -> None:
     assert json.loads(run("settings", "schema")) == schema_of(Config)
 
 
@@ -109,13 +109,15 @@ def test_relight_writes_the_radiance(
     np.testing.assert_allclose(read_image(output), expected, rtol=1e-5)
 
 
-def test_unknown_pattern(transport: Path, tmp_path: Path, failure: Callable[..., str]) -> None:
+def test_an_unknown_pattern_is_refused(
+    transport: Path, tmp_path: Path, failure: Callable[..., str]
+) -> None:
     output = tmp_path / "image.exr"
     text = failure("relight", transport, "--pattern", "barr", "--output", output)
     assert "there is no pattern or file barr" in text
 
 
-def test_relight_with_white_light_into_a_picture_for_the_eye(
+def test_relight_with_white_light_as_png(
     transport: Path, factors: NDArray[np.float32], tmp_path: Path
 ) -> None:
     pattern = picture(tmp_path / "pattern.png", np.ones((*SHAPE, 1), np.float32))
@@ -128,7 +130,7 @@ def test_relight_with_white_light_into_a_picture_for_the_eye(
     np.testing.assert_allclose(read_image(output), shown, atol=1 / 255)
 
 
-def test_pattern_of_another_size(
+def test_a_pattern_of_another_size_is_refused(
     transport: Path, tmp_path: Path, failure: Callable[..., str]
 ) -> None:
     pattern = picture(tmp_path / "pattern.exr", np.ones((6, 4, 1), np.float32))
@@ -187,7 +189,7 @@ def test_a_transport_of_another_run_is_not_relit(
     assert f"remove {transport.with_suffix('.json')} and run again" in text
 
 
-def test_run_checks_settings_in_the_folder_that_it_is_given_and_names_its_report(
+def test_run_checks_settings_in_its_folder_and_prints_the_report(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -214,7 +216,9 @@ def test_run_checks_settings_in_the_folder_that_it_is_given_and_names_its_report
     assert capsys.readouterr().out.endswith(f"report: {report}\n")
 
 
-def test_make_unlock_frees_the_folder_that_the_run_was_given() -> None:
-    asked = ["make", "-n", "unlock", "ARGS=--directory mine --configfile mine.yaml"]
-    told = subprocess.run(asked, cwd=CONFIG.parents[1], check=True, capture_output=True, text=True)
-    assert "snakemake --unlock --directory mine --configfile mine.yaml" in told.stdout
+def test_make_unlock_passes_the_folder_of_the_run() -> None:
+    command = ["make", "-n", "unlock", "ARGS=--directory mine --configfile mine.yaml"]
+    result = subprocess.run(
+        command, cwd=CONFIG.parents[1], check=True, capture_output=True, text=True
+    )
+    assert "snakemake --unlock --directory mine --configfile mine.yaml" in result.stdout

@@ -24,7 +24,7 @@ def opencv(shape: tuple[int, int]) -> np.ndarray:
     if shape == (3, 5):
         lines = [np.tile(line, (3, 1)) for line in COLUMNS]
         lines += [np.tile(line, (5, 1)).T for line in ROWS]
-        return np.stack([each for line in lines for each in (line, 1 - np.array(line))])
+        return np.stack([row for line in lines for row in (line, 1 - np.array(line))])
     pictures = []
     for axis in (1, 0):
         count = int(np.ceil(np.log2(shape[axis])))
@@ -50,12 +50,12 @@ def array(name: str, pictures: int, means: np.ndarray | None = None) -> np.ndarr
     return stack
 
 
-def light(places: list[str], seen: slice = slice(None)) -> np.ndarray:
+def light(places: list[str], selection: slice = slice(None)) -> np.ndarray:
     """Mean light of 5 x 3 Gray code in an order: numbers of the code, W and B.
 
     The camera sees some columns of the projector.
     """
-    code = opencv((3, 5))[:, :, seen].mean(axis=(1, 2))
+    code = opencv((3, 5))[:, :, selection].mean(axis=(1, 2))
     white_black = {"W": 1.0, "B": 0.0}
     values = [white_black[at] if at in white_black else code[int(at)] for at in places]
     return 0.1 + 0.5 * np.array(values)
@@ -65,7 +65,7 @@ TEN = [str(index) for index in range(10)]
 
 
 @pytest.mark.parametrize("shape", [(3, 5), (1, 9), (64, 64), (54, 96), (108, 192)])
-def test_gray_code_is_opencvs(shape: tuple[int, int]) -> None:
+def test_gray_code_equals_opencv_s(shape: tuple[int, int]) -> None:
     expected = opencv(shape)
     name = f"gray:{shape[1]}x{shape[0]}"
     np.testing.assert_array_equal(array(name, len(expected)), expected)
@@ -98,12 +98,12 @@ def test_gray_numbers_invert_the_code(count: int) -> None:
         ["W", *TEN[::2]],
     ],
 )
-@pytest.mark.parametrize("seen", [slice(None), slice(0, 4)], ids=["all", "dark half"])
-def test_white_and_black_are_identified_by_their_light(order: list[str], seen: slice) -> None:
+@pytest.mark.parametrize("selection", [slice(None), slice(0, 4)], ids=["all", "dark half"])
+def test_white_and_black_are_identified_by_their_light(order: list[str], selection: slice) -> None:
     code = opencv((3, 5))
     shown = {"W": np.ones((3, 5)), "B": np.zeros((3, 5))}
     expected = np.stack([shown[at] if at in shown else code[int(at)] for at in order])
-    given = array("gray:5x3", len(order), light(order, seen))
+    given = array("gray:5x3", len(order), light(order, selection))
     np.testing.assert_array_equal(given, expected)
     stated = "".join(
         f",{name}={order.index(at) + 1}"
@@ -162,7 +162,9 @@ def test_patterns_of_a_large_projector_take_no_memory() -> None:
         ("phase:5x3,period=3,plain", 10, "phase has no option 'complements'"),
     ],
 )  # fmt: skip
-def test_mistakes_teach_the_syntax(name: str, pictures: int, message: str | None) -> None:
+def test_mistakes_are_answered_with_the_syntax(
+    name: str, pictures: int, message: str | None
+) -> None:
     if message is None:
         assert len(code_patterns(name, pictures)) == pictures
         return
@@ -186,7 +188,7 @@ def test_white_at_an_unusual_place_must_be_stated(means: np.ndarray, message: st
 
 
 @pytest.mark.parametrize(("place", "end"), [(0, 10), (0, 11), (6, 10)])
-def test_a_picture_exchanged_endwhite_or_black_is_named(place: int, end: int) -> None:
+def test_a_picture_exchanged_with_white_or_black_is_named(place: int, end: int) -> None:
     order = [*TEN, "W", "B"]
     order[place], order[end] = order[end], order[place]
     means = light(order)

@@ -25,12 +25,12 @@ def settings(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: 
 
 def refusal(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: Any) -> list[str]:
     """What is said of a collection, without the folder's name."""
-    with pytest.raises(ConfigError) as message:
+    with pytest.raises(ConfigError) as caught:
         load_config(settings(folder, rows, name, **more))
-    return str(message.value).replace(f"{folder}/", "").splitlines()
+    return str(caught.value).replace(f"{folder}/", "").splitlines()
 
 
-def test_rows_are_scenes_with_settings_of_their_own(tmp_path: Path) -> None:
+def test_rows_are_scenes_with_overrides(tmp_path: Path) -> None:
     rows = (
         "name,kind,surfaces,shape,channels,camera.exposures,camera.bits,settings.seed,"
         "methods,methods.near_far.target_error,about.number\n"
@@ -55,7 +55,7 @@ def test_rows_are_scenes_with_settings_of_their_own(tmp_path: Path) -> None:
     assert list(bowl.scenes) == ["bowl"]
 
 
-def test_rigs_are_shared_and_a_scene_s_own_settings_win(tmp_path: Path) -> None:
+def test_rigs_are_shared_and_a_scene_s_settings_win(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,rig,camera.bits\na,plane,white,studio,\nb,plane,white,studio,10\n"
     rigs = {"studio": {"camera": {"bits": 14, "black_level_counts": 32}}}
     run = load_config(settings(tmp_path, rows, rigs=rigs))
@@ -80,7 +80,7 @@ def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, content: byt
     assert run.of_scene("a").capture.asymmetry == 0.5
 
 
-def test_lists_have_decimal_commas_where_semicolons_part_cells(tmp_path: Path) -> None:
+def test_lists_may_have_decimal_commas_if_semicolons_separate_cells(tmp_path: Path) -> None:
     rows = (
         "name;kind;surfaces;shape;camera.exposures;projector.position\n"
         "a;wedge_120;white white;8 x 10;0,25 0,5 1;1,72 0 0,54\n"
@@ -148,20 +148,20 @@ MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
 def test_every_mistake_is_reported_with_its_line(
     tmp_path: Path, case: tuple[str | bytes, *tuple[str, ...]]
 ) -> None:
-    message = refusal(tmp_path, case[0])
-    assert len(message) == len(case) - 1
-    for line, start in zip(message, case[1:], strict=True):
+    lines = refusal(tmp_path, case[0])
+    assert len(lines) == len(case) - 1
+    for line, start in zip(lines, case[1:], strict=True):
         assert line.startswith(f"scenes.csv: {start}")
 
 
-def test_of_a_thousand_mistakes_some_are_told(tmp_path: Path) -> None:
+def test_of_a_thousand_mistakes_the_first_are_reported(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,shapee\n" + "".join(f"a{n},plane,white,3\n" for n in range(1000))
-    message = refusal(tmp_path, rows)
-    assert len(message) < 50
-    assert "and 970 more" in message[-1]
+    lines = refusal(tmp_path, rows)
+    assert len(lines) < 50
+    assert "and 970 more" in lines[-1]
 
 
-def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
+def test_facts_for_the_catalogue_are_stored_unchanged(tmp_path: Path) -> None:
     rows = (
         "name,kind,surfaces,about.title,about.from,about.Inv.-Nr. (alt)\n"
         "a,plane,white,[Untitled],~,1992.3\nb,plane,white,[Jug] with {handle,null,\n"
@@ -177,8 +177,8 @@ def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
 
 def test_a_wrong_rig_and_a_missing_file_are_reported(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,rig\na,plane,white,studio\n"
-    (message,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
-    assert message.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be at most 16")
+    (line,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
+    assert line.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be at most 16")
     (tmp_path / "run.yaml").write_text("collection: gone.csv\n")
     with pytest.raises(ConfigError, match=f"no file gone.csv nor {tmp_path}/gone.csv"):
         load_config(tmp_path / "run.yaml")

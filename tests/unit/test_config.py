@@ -35,7 +35,7 @@ def message(data: object) -> str:
 
 
 @pytest.mark.parametrize("name", generated())
-def test_generated_files_are_in_step_with_the_model(name: str) -> None:
+def test_generated_files_match_the_models(name: str) -> None:
     assert (FOLDER / name).read_text(encoding="utf-8") == generated()[name]
 
 
@@ -59,7 +59,7 @@ def test_the_default_file_shows_what_a_person_decides() -> None:
 
 
 @pytest.mark.parametrize("path", [*FOLDER.glob("*.yaml")], ids=lambda path: path.stem)
-def test_files_keep_to_the_schema(path: Path) -> None:
+def test_files_conform_to_the_schema(path: Path) -> None:
     data = yaml.safe_load(path.read_text(encoding="utf-8"))
     jsonschema.validate(data, schema_of(RigConfig if is_rig(data) else Config))
 
@@ -122,7 +122,7 @@ scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is
 
 
 @pytest.mark.parametrize("case", MISTAKES.strip().splitlines())
-def test_a_mistake_names_key_value_and_what_was_expected(case: str) -> None:
+def test_a_mistake_names_key_value_and_expectation(case: str) -> None:
     text, _, expected = case.partition(" -> ")
     (line,) = message({**BARE, **yaml.safe_load(text)}).splitlines()
     assert line.startswith("mine.yaml: ")
@@ -163,10 +163,10 @@ def test_a_camera_with_mistakes_is_refused(tmp_path: Path, case: str) -> None:
 
 
 def test_a_scene_overrides_options_of_the_run() -> None:
-    own = {"symmetric": {"tolerance": 0.02}}
+    overrides = {"symmetric": {"tolerance": 0.02}}
     settings = parse_config(
         {
-            "scenes": {"one": ROOM, "other": {**ROOM, "methods": own}},
+            "scenes": {"one": ROOM, "other": {**ROOM, "methods": overrides}},
             "methods": {"symmetric": {"noise_significance": 2}, "dual": {}},
         },
         "mine.yaml",
@@ -176,13 +176,13 @@ def test_a_scene_overrides_options_of_the_run() -> None:
         ("one", "dual"),
         ("other", "symmetric"),
     ]
-    found = settings.methods_of("other")["symmetric"].options()
-    assert found == {"noise_significance": 2, "tolerance": 0.02}
+    options = settings.methods_of("other")["symmetric"].options()
+    assert options == {"noise_significance": 2, "tolerance": 0.02}
     assert settings.methods_of("one")["symmetric"].options()["tolerance"] == 1e-3
     assert parse_config(settings.model_dump(mode="json"), "again") == settings
 
 
-def test_a_method_stands_twice_under_names_of_its_own() -> None:
+def test_a_method_can_be_used_twice_under_different_names() -> None:
     fine = {"method": "symmetric", "tolerance": 1e-4}
     settings = parse_config({**BARE, "methods": {"symmetric": {}, "fine": fine}}, "mine.yaml")
     assert list(settings.methods) == ["symmetric", "fine"]
@@ -203,7 +203,7 @@ def test_a_method_stands_twice_under_names_of_its_own() -> None:
         ({"scenes": {"a": {"kind": "wegde", "surfaces": ["white"]}}}, False),
     ],
 )
-def test_the_schema_knows_the_options_of_every_name(settings: Any, is_right: bool) -> None:
+def test_the_schema_contains_the_options_of_every_name(settings: Any, is_right: bool) -> None:
     errors = list(
         jsonschema.Draft202012Validator(schema_of(Config)).iter_errors({**BARE, **settings})
     )
@@ -244,7 +244,7 @@ def test_every_mistake_is_reported_once() -> None:
         ("capture: {warm_up_minutes: 1:30}\n", "1:30 is ambiguous"),
     ],
 )
-def test_broken_file(tmp_path: Path, text: str, expected: str) -> None:
+def test_a_broken_file_is_refused(tmp_path: Path, text: str, expected: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(ConfigError, match=expected) as caught:
         load_config(path)
@@ -258,6 +258,6 @@ def test_a_file_that_is_not_utf_8_is_named(tmp_path: Path) -> None:
         load_config(path)
 
 
-def test_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"^there is no file .*absent\.yaml"):
         load_config(tmp_path / "absent.yaml")

@@ -39,18 +39,18 @@ def texts() -> list[Path]:
     return [path for path in files if path.is_file() and path.suffix in kinds]
 
 
-def test_no_text_installs_by_name_what_is_not_published() -> None:
+def test_no_text_installs_rfpipe_from_the_package_index() -> None:
     """On the package index, rfpipe is another program."""
     by_name = re.compile(
         r"""\brfpipe\[[a-z]|\binstall(\s+-\S+)*\s+["'`]?(rfpipe|reflectance-fields)\b"""
     )
-    found = [
+    violations = [
         f"{path.relative_to(ROOT)}: {match[0]}"
         for path in texts()
         for match in by_name.finditer(path.read_text("utf-8", errors="ignore"))
         if path != Path(__file__)
     ]
-    assert found == []
+    assert violations == []
 
 
 def test_there_is_one_way_to_make_a_token() -> None:
@@ -60,9 +60,9 @@ def test_there_is_one_way_to_make_a_token() -> None:
     pages = [ROOT / document for document in (*DOCUMENTS, "README.md")]
     pages.append(ROOT / "src" / "rfpipe" / "rigs" / "messages.py")
     lines = [line for page in pages for line in page.read_text("utf-8").splitlines()]
-    found = [line for line in lines if makes.search(line)]
-    assert len(found) == 3
-    assert [line for line in found if way not in line] == []
+    recipes = [line for line in lines if makes.search(line)]
+    assert len(recipes) == 3
+    assert [line for line in recipes if way not in line] == []
 
 
 @pytest.mark.parametrize("block", BLOCKS)
@@ -97,13 +97,13 @@ def test_tables_are_made_of_the_measured_files(page: Path) -> None:
     assert written(text, ROOT / FOLDER) == text
 
 
-def test_the_room_of_the_opening_page_is_the_measured_one() -> None:
+def test_the_opening_page_shows_measured_figures() -> None:
     room = pd.read_csv(ROOT / FOLDER / "default_run.csv").set_index("scene").loc["room"]
     caption = f"{room.patterns} patterns to {100 * room.mean_error:.2f} %"
     assert caption in (ROOT / "README.md").read_text("utf-8")
 
 
-def test_all_that_is_registered_stands_beside_its_tests() -> None:
+def test_everything_that_is_registered_has_tests() -> None:
     page = (ROOT / "docs" / "tests.md").read_text("utf-8")
     files = re.findall(r"`(\w+/test_\w+)`", page)
     assert [name for name in files if not (ROOT / "tests" / f"{name}.py").is_file()] == []

@@ -66,7 +66,7 @@ def frames_of(path: Path) -> NDArray[np.uint8]:
         ("1,0,5", VIEWS, [29]),
     ],
 )
-def test_rays_are_written_as_numpy_s_indices(text: str, shape, expected) -> None:
+def test_rays_are_selected_by_numpy_like_indices(text: str, shape, expected) -> None:
     assert rays_at(text, shape).tolist() == list(expected)
 
 
@@ -79,7 +79,7 @@ def test_rays_are_written_as_numpy_s_indices(text: str, shape, expected) -> None
         ("4:4,0", CAMERA, "no ray of"),
     ],
 )
-def test_rays_that_can_t_be_told(text: str, shape, message: str) -> None:
+def test_other_texts_for_rays_are_refused(text: str, shape, message: str) -> None:
     with pytest.raises(InputError, match=message):
         rays_at(text, shape)
 
@@ -121,11 +121,11 @@ def swept(transport: DenseTransport, count: int):
     return list(relit_pictures(transport, patterns))
 
 
-def test_relit_pictures_are_relight_s() -> None:
+def test_relit_pictures_equal_relight() -> None:
     transport = transport_of(VIEWS)
     pattern = RANDOM.random((*PROJECTOR, 3), dtype=np.float32)
-    (found,) = relit_pictures(transport, [pattern])
-    np.testing.assert_array_equal(found, transport.relight(pattern).reshape(8, 6, 3))
+    (picture,) = relit_pictures(transport, [pattern])
+    np.testing.assert_array_equal(picture, transport.relight(pattern).reshape(8, 6, 3))
 
 
 def test_a_movie_shows_the_relit_pictures(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_a_movie_shows_the_relit_pictures(tmp_path: Path) -> None:
         assert container.streams.video[0].average_rate == 12.5
 
 
-def test_one_white_holds_for_all_pictures(tmp_path: Path) -> None:
+def test_all_pictures_share_a_white_level(tmp_path: Path) -> None:
     transport, path = transport_of(), tmp_path / "movie.mp4"
     brightest = max(picture.max() for picture in swept(transport, 5))
     assert 0.9 * brightest < relit_movie(transport, path, "across", 5) <= brightest
@@ -152,7 +152,7 @@ def test_one_white_holds_for_all_pictures(tmp_path: Path) -> None:
         relit_movie(transport, path, "across", 5, white=0)
 
 
-def test_a_movie_is_whole_or_absent(tmp_path: Path) -> None:
+def test_a_movie_is_complete_or_absent(tmp_path: Path) -> None:
     def pictures():
         yield np.zeros((32, 32, 3), np.uint8)
         raise KeyboardInterrupt
@@ -162,7 +162,7 @@ def test_a_movie_is_whole_or_absent(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_movies_that_can_t_be_written(tmp_path: Path, monkeypatch) -> None:
+def test_movies_that_can_t_be_written_are_refused(tmp_path: Path, monkeypatch) -> None:
     picture = np.zeros((32, 32, 3), np.uint8)
     with pytest.raises(InputError, match=r"expected \.mp4"):
         write_movie(tmp_path / "movie.gif", [picture], 25)
@@ -178,9 +178,9 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
     path = tmp_path / "part.npz"
     text = run("export", stored, "-o", path, "--rows", "2,:", "--rows", "2,3", "--columns", "0,0")
     assert "part.npz: T" in text
-    found = np.load(path)
-    assert found["rows"].tolist() == list(range(16, 24))  # each once
-    np.testing.assert_allclose(found["T"], transport_of().toarray(range(16, 24), [0]), rtol=1e-6)
+    exported = np.load(path)
+    assert exported["rows"].tolist() == list(range(16, 24))  # each once
+    np.testing.assert_allclose(exported["T"], transport_of().toarray(range(16, 24), [0]), rtol=1e-6)
     run("export", stored, "-o", path, "--coarser", "2", "--dual")
     np.testing.assert_allclose(
         np.load(path)["T"], coarser(transport_of(), 2).T.toarray(), rtol=1e-6
@@ -200,7 +200,7 @@ def test_export_refuses(stored: Path, tmp_path: Path, name: str, options, messag
     assert not (tmp_path / name).exists()
 
 
-def test_export_relit_takes_names_pictures_and_stacks(stored: Path, tmp_path: Path) -> None:
+def test_relight_accepts_names_pictures_and_stacks(stored: Path, tmp_path: Path) -> None:
     weights = np.linspace(0, 1, 35, dtype=np.float32).reshape(*PROJECTOR, 1)
     write_image(tmp_path / "ramp.exr", weights)
     np.save(tmp_path / "stack.npy", RANDOM.random((2, *PROJECTOR, 3)))
@@ -217,13 +217,13 @@ def test_export_relit_takes_names_pictures_and_stacks(stored: Path, tmp_path: Pa
         "noise": relighting_patterns(PROJECTOR)["noise"],
         "stack_0001": np.load(tmp_path / "stack.npy")[1],
     }.items():
-        found = read_image(folder / f"{name}.exr")
-        np.testing.assert_allclose(found, transport.relight(pattern), rtol=1e-5)
+        picture = read_image(folder / f"{name}.exr")
+        np.testing.assert_allclose(picture, transport.relight(pattern), rtol=1e-5)
     relit(stored, tmp_path / "all.npy", *lights)
     assert (np.load(tmp_path / "all.npy")[4] == read_image(folder / "one.exr")).all()
 
 
-def test_export_relit_as_png_has_one_white(stored: Path, tmp_path: Path) -> None:
+def test_relight_to_png_has_one_white_level(stored: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "stack.npy", np.array([np.ones(PROJECTOR), 0.1 * np.ones(PROJECTOR)]))
     relit(stored, tmp_path / "relit", tmp_path / "stack.npy", options=("--format", "png"))
     bright, dim = (read_image(tmp_path / "relit" / f"stack_000{n}.png") for n in (0, 1))
@@ -231,7 +231,7 @@ def test_export_relit_as_png_has_one_white(stored: Path, tmp_path: Path) -> None
     assert dim.max() < 0.4
 
 
-def test_export_relit_refuses(stored: Path, tmp_path: Path) -> None:
+def test_relight_refuses_wrong_input(stored: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "counts.npy", np.full((1, *PROJECTOR), 255, np.uint8))
     np.save(tmp_path / "flat.npy", np.ones(3))
     folder = tmp_path / "relit"

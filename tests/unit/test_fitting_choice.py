@@ -66,7 +66,7 @@ def test_pictures_of_noise_under_random_patterns_are_refused() -> None:
     patterns = (random.random((30, 1, 400)) < 0.5).astype(np.float32)
     noise = random.random((30, 1, 300)).astype(np.float32)
     series = Series((15, 20), (20, 20), patterns, noise, np.zeros_like(noise))
-    with pytest.raises(InputError, match="each is taken for the mean picture times its pattern"):
+    with pytest.raises(InputError, match="by the mean picture, scaled by each pattern's light"):
         fit_transport(series)
 
 
@@ -106,7 +106,7 @@ def test_footprints_give_no_negative_light() -> None:
     assert light.min() > -1e-4 * light.max()
 
 
-def test_pictures_and_complements_leave_together() -> None:
+def test_pictures_and_complements_are_held_out_together() -> None:
     series = series_of(gray_code())
     groups = dependent_groups(series.patterns)
     pairs = groups[:-1].reshape(-1, 2)
@@ -120,7 +120,7 @@ def test_pictures_and_complements_leave_together() -> None:
     assert not np.isin(held_out, [0, 1, 12, 13]).any()
 
 
-def test_a_repeated_picture_leaves_with_its_twin() -> None:
+def test_repeated_pictures_are_held_out_together() -> None:
     random = np.random.default_rng(4).random((6, 1, 30)).astype(np.float32)
     groups = dependent_groups(np.concatenate([random, random[2:3]]))
     assert groups[6] == groups[2]
@@ -162,7 +162,7 @@ def test_least_squares_has_no_negative_light() -> None:
 
 
 @pytest.mark.slow
-def test_unknown_pixels_have_no_transport_and_no_say() -> None:
+def test_unknown_pixels_have_no_transport_and_no_influence() -> None:
     series = series_of(gray_code())
     unknown = np.zeros(series.radiance.shape[2], np.bool_)
     unknown[100:140] = True
@@ -183,10 +183,10 @@ def test_surfaces_follow_an_affine_map_among_misplaced_pixels() -> None:
     row, column = np.indices(camera.shape)
     truth = np.stack([5.2 + 0.9 * row + 0.2 * column, 8.4 - 0.1 * row + 1.1 * column])
     random = np.random.default_rng(8)
-    seen = truth + 0.3 * random.standard_normal(truth.shape)
+    noisy = truth + 0.3 * random.standard_normal(truth.shape)
     wrong = random.random(camera.shape) < 0.1
-    seen[:, wrong] = random.random((2, wrong.sum())) * [[50], [60]]
-    ray = np.clip(np.floor(seen), 0, [[[49]], [[59]]]).astype(np.int64)
+    noisy[:, wrong] = random.random((2, wrong.sum())) * [[50], [60]]
+    ray = np.clip(np.floor(noisy), 0, [[[49]], [[59]]]).astype(np.int64)
     keys = (np.arange(camera.size) * projector.size + (ray[0] * 60 + ray[1]).ravel()).astype(
         np.int64
     )

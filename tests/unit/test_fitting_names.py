@@ -50,13 +50,13 @@ def test_names_have_roles(name: str, role: str) -> None:
         (["mask.png", "ambient.png"], r"no pictures of patterns or lights, only mask\.png"),
     ],
 )
-def test_names_that_are_refused(names: list[str], message: str) -> None:
+def test_ambiguous_names_are_refused(names: list[str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         sort_pictures([*map(Path, names)])
 
 
 @pytest.mark.parametrize("has_names", [True, False])
-def test_other_files_lie_beside_the_pictures_of_a_dome(tmp_path: Path, has_names: bool) -> None:
+def test_other_files_may_be_beside_the_pictures_of_a_dome(tmp_path: Path, has_names: bool) -> None:
     lights = LIGHTS if has_names else "3\n0 0 1\n0 1 1\n1 0 1\n"
     folder = folder_of(
         tmp_path, "a.png", "b.png", "c.png", "ambient.png", "cat.mask.png", "normals.png",
@@ -75,7 +75,7 @@ def test_other_files_lie_beside_the_pictures_of_a_dome(tmp_path: Path, has_names
     ]  # fmt: skip
 
 
-def test_the_black_picture_may_lie_beside_the_others(tmp_path: Path) -> None:
+def test_the_black_picture_may_be_beside_the_others(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "a.png", "b.png", "c.png", "dark.png")
     listing = list_pictures(folder, black=folder / "dark.png")
     assert len(listing.brackets) == 3
@@ -133,7 +133,7 @@ ONES = np.array([[[1, 0], [0, 1]], [[1, 1], [0, 0]], [[0, 1], [0, 1]]])
         (np.full((3, 2, 2), "1"), "<U1"),
     ],
 )
-def test_patterns_that_are_no_weights_are_refused(tmp_path: Path, weights, message: str) -> None:
+def test_invalid_weights_are_refused(tmp_path: Path, weights, message: str) -> None:
     folder = folder_of(tmp_path, "a.png", "b.png", "c.png", lights=None)
     np.save(folder / "patterns.npy", weights)
     with pytest.raises(InputError, match=r"patterns\.npy.*(?:" + message + ")"):
@@ -144,7 +144,7 @@ def test_patterns_that_are_no_weights_are_refused(tmp_path: Path, weights, messa
     ("weights", "note"),
     [(ONES, None), (ONES > 0, None), (ONES / 2, None), (3.5 * ONES, "weights up to 3.5")],
 )
-def test_patterns_that_are_weights(tmp_path: Path, weights, note: str | None) -> None:
+def test_valid_weights_are_accepted(tmp_path: Path, weights, note: str | None) -> None:
     folder = folder_of(tmp_path, "a.png", "b.png", "c.png", lights=None)
     np.save(folder / "patterns.npy", weights)
     listing = list_pictures(folder)
@@ -153,7 +153,7 @@ def test_patterns_that_are_weights(tmp_path: Path, weights, note: str | None) ->
     assert note in " ".join(listing.notes) if note else not listing.notes
 
 
-def test_patterns_that_are_no_array(tmp_path: Path) -> None:
+def test_a_file_without_an_array_is_refused(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "a.png", lights=None)
     (folder / "patterns.npy").write_bytes(b"cut")
     with pytest.raises(InputError, match=r"patterns\.npy: can't be read"):

@@ -47,7 +47,7 @@ def test_squares_are_averaged_over_known_pixels(side: int) -> None:
         np.testing.assert_allclose(binned[row, column], expected, rtol=1e-5)
 
 
-def test_pictures_are_averaged_after_saturated_pixels_are_left_out(tmp_path: Path) -> None:
+def test_saturated_pixels_are_excluded_from_averages(tmp_path: Path) -> None:
     counts = write_gray_code(tmp_path)
     counts[3, 0, 0] = 255  # saturates in one picture
     counts[:, 2:4, 0:2] = 255  # a whole square
@@ -64,7 +64,7 @@ def test_pictures_are_averaged_after_saturated_pixels_are_left_out(tmp_path: Pat
     assert not any("saturated" in note for note in series.notes)
 
 
-def test_more_than_a_hundredth_of_saturated_pixels_is_noted(tmp_path: Path) -> None:
+def test_more_than_1_percent_of_saturated_pixels_is_noted(tmp_path: Path) -> None:
     counts = write_gray_code(tmp_path)
     counts[-2, :, :14] = 255
     for index, picture in enumerate(counts):
@@ -77,7 +77,7 @@ def test_more_than_a_hundredth_of_saturated_pixels_is_noted(tmp_path: Path) -> N
         read_series(tmp_path, patterns="gray:20x16")
 
 
-def test_a_mask_beside_the_pictures_leaves_pixels_out(tmp_path: Path) -> None:
+def test_a_mask_beside_the_pictures_excludes_pixels(tmp_path: Path) -> None:
     write_gray_code(tmp_path)
     mask = np.zeros((40, 48, 1), np.uint8)
     mask[10:30] = 255
@@ -90,7 +90,7 @@ def test_a_mask_beside_the_pictures_leaves_pixels_out(tmp_path: Path) -> None:
         read_series(tmp_path, patterns="gray:20x16")
 
 
-def test_bins_keep_the_fit_of_large_pictures_within_memory() -> None:
+def test_bins_limit_the_memory_of_a_fit() -> None:
     camera, projector, samples = (1500, 2048), (1080, 1920), 46 * 4
     bins = [proposed_bins(camera, projector, samples, gib * 2**30) for gib in (0.25, 2, 64)]
     assert bins[0].camera > bins[1].camera > 1
@@ -99,7 +99,7 @@ def test_bins_keep_the_fit_of_large_pictures_within_memory() -> None:
     assert proposed_bins((48, 64), (32, 32), 40, 2 * 2**30) == Bins(1, 1)
 
 
-def test_chosen_bins_are_noted_and_wishes_are_kept(tmp_path: Path) -> None:
+def test_automatic_bins_are_noted_and_given_bins_are_used(tmp_path: Path) -> None:
     write_gray_code(tmp_path)
     series = read_series(tmp_path, patterns="gray:20x16", memory_gib=0.005)
     (note,) = (n for n in series.notes if "averaged" in n)
@@ -196,7 +196,7 @@ def test_bins_larger_than_the_picture_are_refused(tmp_path: Path, options, messa
 @pytest.mark.parametrize(
     ("pictures", "message"),
     [
-        (np.full((8, 1, 30), 0.3), "equal up to"),
+        (np.full((8, 1, 30), 0.3), "pictures differ by only"),
         (np.random.default_rng(1).random((8, 1, 30)), "mean of the other pictures"),
     ],
     ids=["equal", "noise"],

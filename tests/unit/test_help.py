@@ -43,13 +43,13 @@ def test_no_line_is_broken_twice(command: tuple[str, ...]) -> None:
         lines = paragraph.splitlines()
         if any(line.startswith("   ") for line in lines):
             continue  # a table
-        for line, following in pairwise(lines):
-            first = following.split()[0]
+        for line, next_line in pairwise(lines):
+            first = next_line.split()[0]
             # the next word would not have fitted
-            assert len(line.rstrip()) + 1 + len(first) > WIDTH - 2, (line, following)
+            assert len(line.rstrip()) + 1 + len(first) > WIDTH - 2, (line, next_line)
 
 
-def test_the_help_of_run_is_ours_and_short() -> None:
+def test_the_help_of_run_is_short() -> None:
     shown = CliRunner().invoke(app, ["run", "--help"], env={"COLUMNS": str(WIDTH)}).output
     assert len(shown) < 4000
     for option in ("--configfile", "--directory", "--retake", "--keep-going", "--help-all"):
@@ -73,7 +73,7 @@ def test_unknown_options_are_passed_on_to_snakemake(
     assert (options.passed_on, options.retake, options.inspects) == (passed_on, retake, inspects)
 
 
-def test_all_options_are_snakemake_s(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_all_shows_snakemake_s_options(monkeypatch: pytest.MonkeyPatch) -> None:
     called: list[list[str]] = []
     monkeypatch.setattr(subprocess, "call", lambda command: called.append(command) or 0)
     assert CliRunner().invoke(app, ["run", "--help-all"]).exit_code == 0
@@ -93,7 +93,7 @@ def test_all_options_are_snakemake_s(monkeypatch: pytest.MonkeyPatch) -> None:
         (["--configfile", "stages.yaml", "-R", "acquire"], "the run has no stage acquire"),
     ],
 )
-def test_a_wrong_target_says_what_was_expected(
+def test_a_wrong_target_is_refused_with_suggestions(
     arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -31,13 +31,13 @@ def test_import_is_light(modules: str, unused: list[str]) -> None:
     assert loaded_after(f"import {modules}").isdisjoint({*unused, "matplotlib"})
 
 
-def test_every_public_name_is_found() -> None:
+def test_every_public_name_can_be_imported() -> None:
     assert rfpipe.__version__
     for name in rfpipe.__all__:
         assert getattr(rfpipe, name) is not None
         assert name in dir(rfpipe)
 
 
-def test_unknown_name() -> None:
+def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="'rfpipe' has no attribute 'aquire'"):
         rfpipe.aquire  # noqa: B018

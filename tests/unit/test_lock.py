@@ -16,12 +16,12 @@ def name_of(requirement: str) -> str:
     return re.split(r"[^A-Za-z0-9._-]", requirement.strip(), maxsplit=1)[0].lower()
 
 
-def test_lock_holds_every_direct_dependency() -> None:
+def test_lock_contains_every_direct_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     direct = {name_of(requirement) for requirement in sum(extras.values(), project["dependencies"])}
-    others = ",".join(sorted(set(extras) - {"dev"}))
-    assert f"{project['name']}[{others}]" in extras["dev"]
+    all_extras = ",".join(sorted(set(extras) - {"dev"}))
+    assert f"{project['name']}[{all_extras}]" in extras["dev"]
     locked = {name_of(line) for line in LOCK.splitlines() if "==" in line}
     assert direct - {project["name"]} <= locked
 

@@ -85,7 +85,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(inputs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def run_folder(inputs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(inputs)
     return inputs
 
@@ -125,46 +125,50 @@ def test_every_command_with_an_output_is_in_the_table() -> None:
 
 
 @pytest.mark.slow
-def test_on_a_full_disk_no_command_succeeds_or_leaves_a_part_of_a_file(here: Path) -> None:
+def test_on_a_full_disk_no_command_succeeds_or_leaves_a_partial_file(run_folder: Path) -> None:
     calls = [
         (command, suffix, [*arguments, "--output"])
         for command, arguments in INPUTS.items()
         for suffix in OUTPUTS[command]
         if command != "calibrate"  # its writers are those of stores and of reports
     ]
-    whole = [(LARGEST, [*call, name_of(*of, "whole")]) for *of, call in calls]
-    for (_, arguments), (status, output) in zip(whole, on_full_disk(here, whole), strict=True):
+    complete_calls = [(LARGEST, [*call, name_of(*of, "whole")]) for *of, call in calls]
+    for (_, arguments), (status, output) in zip(
+        complete_calls, on_full_disk(run_folder, complete_calls), strict=True
+    ):
         assert status == 0, (arguments, output)
-    complete = [contents(here / name_of(*of, "whole")) for *of, _ in calls]
-    before = contents(here)
+    complete = [contents(run_folder / name_of(*of, "whole")) for *of, _ in calls]
+    before = contents(run_folder)
     for share in (0, 0.5, 0.98):
         cases = [
             (int(share * max(map(len, files.values()))), [*call, name_of(*of, "cut")])
             for (*of, call), files in zip(calls, complete, strict=True)
         ]
-        ends = on_full_disk(here, cases)
+        ends = on_full_disk(run_folder, cases)
         for (_, arguments), (status, output), files in zip(cases, ends, complete, strict=True):
             assert (status, "Traceback" in output) == (1, False), (arguments, output)
             assert "rfpipe: " in output
             assert "failed: " in output
             assert "make room" in output or "check the folder" in output, output
-            made = here / arguments[-1]
+            made = run_folder / arguments[-1]
             assert contents(made).items() <= files.items() if made.exists() else True
-    left = {name for name in contents(here).keys() - before.keys() if "cut_" not in name}
-    assert {name for name in left if not name.endswith(".lock")} == set()
+    remaining = {name for name in contents(run_folder).keys() - before.keys() if "cut_" not in name}
+    assert {name for name in remaining if not name.endswith(".lock")} == set()
 
 
 @pytest.mark.parametrize("command", INPUTS)
 @pytest.mark.parametrize("suffix", [".jpg", ".tiff", ".csv", ".PDF", ".png", ".zip", ""])
-def test_other_suffixes_are_refused_and_make_nothing(here: Path, command: str, suffix: str) -> None:
+def test_other_suffixes_are_refused_without_output(
+    run_folder: Path, command: str, suffix: str
+) -> None:
     if suffix.lower() in OUTPUTS[command]:
         return
-    before = contents(here)
+    before = contents(run_folder)
     with pytest.raises(InputError, match="expected ") as refused:
         run(*INPUTS[command], "-o", f"s{suffix}")
     for allowed in OUTPUTS[command]:
         assert (allowed or "folder's name") in str(refused.value)
-    assert contents(here) == before
+    assert contents(run_folder) == before
     assert not Path(f"s{suffix}").exists()
 
 
@@ -182,7 +186,7 @@ def test_suffixes(name: str, allowed: tuple[str, ...], suffix: str, tmp_path: Pa
     assert suffix_of(tmp_path / name, allowed) == suffix
 
 
-def test_a_folder_is_no_file(tmp_path: Path) -> None:
+def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.png").mkdir()
     with pytest.raises(InputError, match="is a folder; name a file"):
         suffix_of(tmp_path / "a.png", (".png",))
@@ -190,19 +194,23 @@ def test_a_folder_is_no_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", INPUTS)
 @pytest.mark.parametrize("place", ["afile", "afile/sub", "/dev/full", "/dev/full/sub"])
-def test_a_file_or_device_is_no_folder(here: Path, command: str, place: str) -> None:
-    (here / "afile").write_text("mine")
+def test_a_file_or_device_in_place_of_a_folder_is_refused(
+    run_folder: Path, command: str, place: str
+) -> None:
+    (run_folder / "afile").write_text("mine")
     for suffix in OUTPUTS[command]:
         output = f"{place}/a{suffix}" if suffix else place
         with pytest.raises(InputError, match=r"is a (file|device); name a folder"):
             run(*INPUTS[command], "-o", output)
-    assert (here / "afile").read_text() == "mine"
+    assert (run_folder / "afile").read_text() == "mine"
 
 
-def test_a_calibration_s_folder_in_the_settings_is_no_file(here: Path) -> None:
-    (here / "afile").write_text("mine")
-    (here / "filed.yaml").write_text(
-        (here / "rig.yaml").read_text().replace("calibration: calibration", "calibration: afile")
+def test_a_file_in_place_of_the_calibration_s_folder_is_refused(run_folder: Path) -> None:
+    (run_folder / "afile").write_text("mine")
+    (run_folder / "filed.yaml").write_text(
+        (run_folder / "rig.yaml")
+        .read_text()
+        .replace("calibration: calibration", "calibration: afile")
     )
     with pytest.raises(InputError, match="afile: is a file; name a folder"):
         run("calibrate", "filed.yaml")
@@ -212,14 +220,16 @@ def test_a_calibration_s_folder_in_the_settings_is_no_file(here: Path) -> None:
 @pytest.mark.parametrize(
     "command", [name for name, allowed in OUTPUTS.items() if FOLDER in allowed]
 )
-def test_a_place_where_no_folder_can_be_made_is_said(here: Path, command: str) -> None:
+def test_a_path_where_no_folder_can_be_created_is_named(run_folder: Path, command: str) -> None:
     with pytest.raises(StoreError, match=r"made in /proc|permissions"):
         run(*INPUTS[command], "-o", "/proc/absent")
 
 
 @pytest.mark.parametrize("command", ["calibrate", "collection pack"])
 @pytest.mark.parametrize("place", ["other", "other/results"])
-def test_a_run_s_folder_is_no_output(here: Path, command: str, place: str, tmp_path: Path) -> None:
+def test_a_run_s_folder_is_refused_as_output(
+    run_folder: Path, command: str, place: str, tmp_path: Path
+) -> None:
     (tmp_path / "other/results/desk/dual/L00").mkdir(parents=True)
     with pytest.raises(InputError, match="is the folder of a run, with results; name another"):
         run(*INPUTS[command], "-o", tmp_path / place)
@@ -227,7 +237,7 @@ def test_a_run_s_folder_is_no_output(here: Path, command: str, place: str, tmp_p
 
 
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_link_stays_and_its_target_is_written(is_there: bool, tmp_path: Path) -> None:
+def test_a_link_is_kept_and_its_target_is_written(is_there: bool, tmp_path: Path) -> None:
     target, link = tmp_path / "far/target.png", tmp_path / "link.png"
     target.parent.mkdir()
     if is_there:
@@ -263,7 +273,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_file_that_was_cut_silently_is_noticed(
+def test_a_silently_truncated_file_is_detected(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     WRITERS[name](tmp_path / name)
@@ -278,8 +288,8 @@ RESUMED = ("patterns", "calibrate", "collection pack", "collection unpack")
 
 
 @pytest.mark.parametrize("command", [name for name in INPUTS if name not in RESUMED])
-def test_a_full_disk_promises_no_resumption_of_commands_that_begin_again(
-    here: Path, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_full_disk_promises_no_resumption_to_commands_that_start_over(
+    run_folder: Path, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import os
 
@@ -308,11 +318,11 @@ def test_errors_name_the_disk(tmp_path: Path) -> None:
     assert caught.value.place == tmp_path / "a.bin"
 
 
-def test_standard_output_on_a_full_disk_is_an_error_without_a_traceback(here: Path) -> None:
+def test_standard_output_on_a_full_disk_is_an_error_without_a_traceback(run_folder: Path) -> None:
     program = [sys.executable, "-c", "from rfpipe.cli import main; main()", "info", "dome.zarr"]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            program, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=here
+            program, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=run_folder
         )
     assert done.returncode == 1
     assert done.stderr.startswith("rfpipe: a file can't be written: [Errno 28] No space left")

@@ -11,7 +11,7 @@ from rfpipe.fitting import Series
 from rfpipe.fitting.codes import code_patterns
 
 
-def test_without_a_folder_it_prints_what_to_give(
+def test_without_a_folder_the_usage_is_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -27,7 +27,7 @@ def no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         (4, 0, [5], ["5 patterns"]),
     ],
 )
-def test_a_line_has_a_time_to_go_where_the_total_is_known(
+def test_a_line_has_the_remaining_time_if_the_total_is_known(
     total: int,
     done: int,
     counts: list[int],
@@ -43,7 +43,7 @@ def test_a_line_has_a_time_to_go_where_the_total_is_known(
     assert caplog.messages == [f"level 3: {line}" for line in lines]
 
 
-def test_bars_within_bars_leave_no_codes_of_a_terminal(caplog: pytest.LogCaptureFixture) -> None:
+def test_nested_bars_leave_no_terminal_codes(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, "rfpipe"), Progress("level 0", 3) as outer:
         with Progress("light", 2, unit="step") as inner:
             inner.advance(1)

@@ -31,18 +31,18 @@ def test_fingerprint_is_the_same_in_every_process() -> None:
         (np.zeros(3), np.array([0.0, 0.0, 1e-9])),
     ],
 )
-def test_fingerprint_tells_values_apart(first: object, second: object) -> None:
+def test_fingerprints_of_different_values_differ(first: object, second: object) -> None:
     assert fingerprint({"value": first}) != fingerprint({"value": second})
 
 
-def test_fingerprint_of_an_array_is_that_of_its_values() -> None:
+def test_fingerprint_of_an_array_depends_on_its_values() -> None:
     image = np.arange(12.0).reshape(3, 4)
     assert fingerprint(image[:, ::2]) == fingerprint(image[:, ::2].copy())
     assert fingerprint(np.float64(2.5)) == fingerprint(2.5)
 
 
 @pytest.mark.parametrize("value", [float("nan"), np.array([None]), {"a": {1, 2}}])
-def test_fingerprint_refuses_what_has_no_stable_bytes(value: object) -> None:
+def test_values_without_stable_bytes_are_refused(value: object) -> None:
     with pytest.raises(InputError, match="fingerprint: "):
         fingerprint(value)
 
@@ -86,7 +86,7 @@ def digest_of(folder: Path, source: str, name: str = "mine.py") -> str:
     ],
     ids=["comment", "docstring of a class", "of a function", "lines", "layout"],
 )  # fmt: skip
-def test_what_does_nothing_changes_no_digest(tmp_path: Path, old: str, new: str) -> None:
+def test_changes_without_effect_keep_the_digest(tmp_path: Path, old: str, new: str) -> None:
     assert old in SOURCE
     assert digest_of(tmp_path, SOURCE.replace(old, new)) == digest_of(tmp_path, SOURCE)
 
@@ -100,20 +100,20 @@ def test_what_does_nothing_changes_no_digest(tmp_path: Path, old: str, new: str)
         ("each != name", "each == name"),
     ],
 )
-def test_what_does_something_else_changes_the_digest(tmp_path: Path, old: str, new: str) -> None:
+def test_changes_with_effect_change_the_digest(tmp_path: Path, old: str, new: str) -> None:
     assert old in SOURCE
     assert digest_of(tmp_path, SOURCE.replace(old, new)) != digest_of(tmp_path, SOURCE)
 
 
-def test_code_that_shows_results_counts_for_pages_alone(
+def test_code_that_displays_results_only_counts_for_pages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def digests(name: str) -> tuple[str, str]:
         """Digests, without and with pages, where one module differs."""
         package = tmp_path / name.replace("/", "_")
-        for each in ("methods/dual.py", "report/page.py", "jobs/job.py"):
-            (package / each).parent.mkdir(parents=True, exist_ok=True)
-            (package / each).write_text(f"x = {each == name}\n")
+        for file in ("methods/dual.py", "report/page.py", "jobs/job.py"):
+            (package / file).parent.mkdir(parents=True, exist_ok=True)
+            (package / file).write_text(f"x = {file == name}\n")
         monkeypatch.setattr(provenance, "_PACKAGE", package)
         code_digest.cache_clear()
         return code_digest(), code_digest(pages=True)
@@ -127,7 +127,7 @@ def test_code_that_shows_results_counts_for_pages_alone(
 
 
 @pytest.mark.parametrize("source", [None, "def\n"], ids=["absent", "no Python"])
-def test_a_file_that_is_no_code_is_refused(tmp_path: Path, source: str | None) -> None:
+def test_a_file_without_code_is_refused(tmp_path: Path, source: str | None) -> None:
     path = tmp_path / "mine.py"
     if source is not None:
         path.write_text(source)
@@ -135,14 +135,14 @@ def test_a_file_that_is_no_code_is_refused(tmp_path: Path, source: str | None) -
         code_digest(path)
 
 
-def test_versions_name_what_shapes_a_result() -> None:
-    found = versions()
-    assert found["numpy"] == np.__version__
-    assert {"python", "rfpipe", "zarr"} <= found.keys()
-    assert list(found) == sorted(found)
+def test_versions_contain_the_packages_that_influence_results() -> None:
+    recorded = versions()
+    assert recorded["numpy"] == np.__version__
+    assert {"python", "rfpipe", "zarr"} <= recorded.keys()
+    assert list(recorded) == sorted(recorded)
 
 
-def test_generator_depends_on_seed_and_key_alone() -> None:
+def test_generator_depends_only_on_seed_and_key() -> None:
     keys = [(), (0,), (0, 0), (1,), (0, 1), (1, 0)]
     draws = {(seed, *key): generator(seed, *key).random(4) for seed in (0, 7) for key in keys}
     assert len({tuple(values) for values in draws.values()}) == len(draws)

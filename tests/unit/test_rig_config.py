@@ -61,7 +61,7 @@ def settings_of_devices() -> set[str]:
     return names
 
 
-def test_messages_of_rigs_name_settings_that_there_are() -> None:
+def test_messages_of_rigs_name_existing_settings() -> None:
     known, wrong, count = settings_of_devices(), [], 0
     for folder in ("rfpipe/devices", "rfpipe/calibration", "rfpipe/server"):
         for file in sorted((SOURCES / folder).rglob("*.py")):
@@ -72,12 +72,12 @@ def test_messages_of_rigs_name_settings_that_there_are() -> None:
     assert count > 20
 
 
-def test_a_rig_s_file_is_not_a_run_s() -> None:
+def test_a_rig_s_file_is_distinguished_from_a_run_s() -> None:
     with pytest.raises(ConfigError, match=r"settings of a rig \(.*rays.*\), for rfpipe aim, cal"):
         load_config(FOLDER / "rig.yaml")
 
 
-def test_the_default_file_holds_the_defaults() -> None:
+def test_the_default_file_contains_the_defaults() -> None:
     assert load_rig_config(FOLDER / "rig.yaml") == RigConfig() == parse_rig_config({}, "rig.yaml")
 
 

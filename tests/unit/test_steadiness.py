@@ -33,7 +33,7 @@ Light = Callable[[int, int], Any]
 
 def brackets(light: Light, count: int, image: Any, camera: CameraModel = CAMERA) -> Any:
     """Return sampled brackets of an image, (count, E, n), whose light is changed."""
-    taken = []
+    pictures = []
     for bracket in range(count):
         frames = []
         for number, exposure in enumerate(camera.exposures):
@@ -41,8 +41,8 @@ def brackets(light: Light, count: int, image: Any, camera: CameraModel = CAMERA)
             radiance = (gain * image + room)[..., None].astype(np.float32)
             single = replace(camera, exposures=(exposure,))
             frames.append(single.expose(radiance, 1, (bracket, number))[0])
-        taken.append(sample_pixels(np.stack(frames)))
-    return np.stack(taken)
+        pictures.append(sample_pixels(np.stack(frames)))
+    return np.stack(pictures)
 
 
 def references(light: Light, camera: CameraModel = CAMERA) -> tuple[Any, Any]:
@@ -81,22 +81,22 @@ FAULTS: dict[str, tuple[Light, list[str]]] = {
 
 @pytest.mark.parametrize("name", FAULTS)
 @pytest.mark.parametrize("dimmer", [1, 16])
-def test_the_references_show_what_changes(name: str, dimmer: int) -> None:
+def test_reference_brackets_reveal_the_change(name: str, dimmer: int) -> None:
     light, expected = FAULTS[name]
     electrons = CAMERA.electrons_per_radiance / dimmer
     camera = replace(CAMERA, electrons_per_radiance=electrons)
-    found = faults_of_reference_brackets(*references(light, camera), camera)
-    assert [fault.kind for fault in found] == expected, found
+    faults = faults_of_reference_brackets(*references(light, camera), camera)
+    assert [fault.kind for fault in faults] == expected, faults
     if name == "gain":
-        assert found[0].size == pytest.approx(0.1, rel=0.4)
-        assert found[0].exceeds(CAPTURE)
+        assert faults[0].size == pytest.approx(0.1, rel=0.4)
+        assert faults[0].exceeds(CAPTURE)
     if name == "gain, worth a word":
-        assert not found[0].exceeds(CAPTURE)
+        assert not faults[0].exceeds(CAPTURE)
 
 
 @pytest.mark.parametrize("columns", [200, 202, 204])
 @pytest.mark.parametrize("rows", [200, 400, 1000])
-def test_samples_hold_every_colour_of_a_mosaic(rows: int, columns: int) -> None:
+def test_samples_contain_every_colour_of_a_mosaic(rows: int, columns: int) -> None:
     colours = np.tile([[0, 1], [2, 3]], (rows // 2, columns // 2))
     assert np.unique(sample_pixels(colours[None])).tolist() == [0, 1, 2, 3]
 
@@ -106,29 +106,29 @@ def test_a_queue_of_old_frames_is_named() -> None:
     late = np.concatenate([blacks[-1:], whites[:-1]])
     rotated = np.roll(whites, 1, axis=1)
     for wrong in (late, rotated):
-        (found,) = faults_of_reference_brackets(blacks, wrong, CAMERA)
-        assert found.kind == "late"
-        assert "queue" in found.text
+        (fault,) = faults_of_reference_brackets(blacks, wrong, CAMERA)
+        assert fault.kind == "late"
+        assert "queue" in fault.text
 
 
-def test_with_one_exposure_gain_and_flicker_are_not_told_apart() -> None:
+def test_one_exposure_cannot_distinguish_gain_from_flicker() -> None:
     camera = replace(CAMERA, exposures=(1 / 64,))
-    found = faults_of_reference_brackets(*references(jitter(0.1), camera), camera)
-    assert [fault.kind for fault in found] == ["unsteady"]
-    assert "automatic gain" in found[0].text
-    assert "whole periods" in found[0].text
+    faults = faults_of_reference_brackets(*references(jitter(0.1), camera), camera)
+    assert [fault.kind for fault in faults] == ["unsteady"]
+    assert "automatic gain" in faults[0].text
+    assert "whole periods" in faults[0].text
 
 
-def test_few_pictures_are_judged_as_they_are() -> None:
+def test_few_pictures_are_judged_without_smoothing() -> None:
     for count in (2, 4):
         steady = Samples(brackets(lambda *_: (1.0, 0.0), count, TEXTURE), np.full((4, 1), 64.0))
         assert unsteadiness_of(steady, CAMERA) is None
     unsteady = Samples(brackets(jitter(0.1), 4, TEXTURE), np.full((4, 1), 64.0))
-    found = unsteadiness_of(unsteady, CAMERA)
-    assert found is not None
-    assert found.exceeds(CAPTURE)
-    one = Samples(brackets(jitter(0.1), 1, TEXTURE), np.full((4, 1), 64.0))
-    assert unsteadiness_of(one, CAMERA) is None
+    unsteadiness = unsteadiness_of(unsteady, CAMERA)
+    assert unsteadiness is not None
+    assert unsteadiness.exceeds(CAPTURE)
+    single = Samples(brackets(jitter(0.1), 1, TEXTURE), np.full((4, 1), 64.0))
+    assert unsteadiness_of(single, CAMERA) is None
 
 
 def test_black_pictures_without_light_change_nothing() -> None:
@@ -171,7 +171,7 @@ PLACES: dict[str, tuple[Callable[[Any], Any], str]] = {
 @pytest.mark.parametrize("name", PLACES)
 @pytest.mark.parametrize("count", [1, 6])
 @pytest.mark.parametrize("indirect", [0.05, 0.3])
-def test_pictures_tell_where_they_lie(name: str, count: int, indirect: float) -> None:
+def test_pictures_reveal_their_placement(name: str, count: int, indirect: float) -> None:
     projected, expected = PLACES[name]
     signs = generator(7).integers(0, 2, (count, *SHAPE)) * 2.0 - 1
     albedo = generator(8).choice([0.02, 0.2, 0.9], SHAPE)  # black things are no missing light
@@ -181,8 +181,8 @@ def test_pictures_tell_where_they_lie(name: str, count: int, indirect: float) ->
         return albedo * (light + indirect * light.mean(axis=(-2, -1), keepdims=True))
 
     floodlit = seen(np.ones((1, *SHAPE)))[0]
-    found = placement_of(signs, seen((signs + 1) / 2), floodlit).text
-    assert (expected in found) if expected else found == ""
+    text = placement_of(signs, seen((signs + 1) / 2), floodlit).text
+    assert (expected in text) if expected else text == ""
 
 
 def test_a_cavity_full_of_light_misses_nothing() -> None:
@@ -198,13 +198,13 @@ def picture(number: int) -> Any:
 
 def frames(image: Any, *gains: float, seed: int = 0) -> Any:
     gains = gains or (1.0,) * 4
-    taken = [
+    pictures = [
         replace(CAMERA, exposures=(exposure,)).expose(
             (gain * image)[..., None].astype(np.float32), seed, (number,)
         )[0]
         for number, (gain, exposure) in enumerate(zip(gains, CAMERA.exposures, strict=True))
     ]
-    return np.stack(taken)
+    return np.stack(pictures)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def frames(image: Any, *gains: float, seed: int = 0) -> Any:
          {"doubted": 1, "unsteady": 1}, "whole periods"),
     ],
 )  # fmt: skip
-def test_stale_frames_are_distinguished_from_flicker(
+def test_frames_of_the_previous_picture_are_distinguished_from_flicker(
     second: Any,
     again: Any,
     counted: dict[str, int],

@@ -31,7 +31,7 @@ def example() -> dict[str, NDArray[Any]]:
     }
 
 
-def test_arrays_come_back_as_they_went_in(tmp_path: Path) -> None:
+def test_arrays_are_read_as_written(tmp_path: Path) -> None:
     arrays = example()
     path = tmp_path / "new folder" / "transport.zarr"
     digest = write_arrays(path, arrays, ATTRIBUTES)
@@ -43,10 +43,10 @@ def test_arrays_come_back_as_they_went_in(tmp_path: Path) -> None:
     for name, array in arrays.items():
         assert bundle.shape(name) == array.shape
         assert bundle.dtype(name) == array.dtype
-        found = bundle.read(name)
-        assert found.dtype == array.dtype
-        np.testing.assert_array_equal(found, array)
-    # of 6 MiB in chunks of 1 MiB one file; what is small is one chunk
+        stored = bundle.read(name)
+        assert stored.dtype == array.dtype
+        np.testing.assert_array_equal(stored, array)
+    # 6 MiB in chunks of 1 MiB are one file; a small array is one chunk
     assert [file.name for file in (path / "wide").glob("c*")] == ["c.0.0"]
     assert zarr.open_array(path / "wide").chunks == (3, 2**17 * 2 // 3)
     assert zarr.open_array(path / "zeros").shards is None
@@ -62,17 +62,19 @@ def test_bytes_and_digest_are_the_same_each_time_and_in_any_order(tmp_path: Path
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
-def test_digest_tells_names_values_dtypes_shapes_and_attributes_apart(tmp_path: Path) -> None:
+def test_digest_depends_on_names_values_dtypes_shapes_and_attributes(tmp_path: Path) -> None:
     zeros = np.zeros(4, np.int32)
     arrays = [{"b": zeros}, {}]
-    arrays += [{"a": found} for found in (zeros, zeros + 1, zeros.view("f4"), zeros.reshape(2, 2))]
-    digests = [write_arrays(tmp_path / "s", found, {}) for found in arrays]
+    arrays += [
+        {"a": values} for values in (zeros, zeros + 1, zeros.view("f4"), zeros.reshape(2, 2))
+    ]
+    digests = [write_arrays(tmp_path / "s", bundle, {}) for bundle in arrays]
     digests += [write_arrays(tmp_path / "s", {"a": zeros}, {"level": 1})]
     assert len(set(digests)) == len(digests)
     assert open_arrays(tmp_path / "s").attributes == {"level": 1}  # in place of the one before
 
 
-def test_what_a_kill_left_is_cleared(tmp_path: Path) -> None:
+def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
     write_arrays(tmp_path / "s", {"a": np.arange(3)}, {})
     intact = contents(tmp_path / "s")
     for leftover in (".s.new", ".s.removed"):
@@ -135,7 +137,7 @@ def test_other_bad_input_is_refused(tmp_path: Path) -> None:
             wrong("b")
 
 
-def test_what_is_no_bundle_is_left_alone(tmp_path: Path) -> None:
+def test_other_files_are_not_replaced(tmp_path: Path) -> None:
     FrameStore.create(tmp_path / "s", (2, 3), np.uint16, "abc", {}).close()
     (tmp_path / "photos").mkdir()
     for name in ("s", "photos"):

@@ -114,18 +114,18 @@ def test_an_orphan_writer_holds_its_lock_until_it_is_killed(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_lock_of_a_machine_that_died_is_waited_for(
+def test_acquire_waits_for_the_lock_of_a_crashed_machine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, waits = tmp_path / "s", []
-    with StoreLock(store) as held:
+    with StoreLock(store) as remote_lock:
         (tmp_path / ".s.lock").write_text("4711 node7\n")
         assert str(StoreLock.holder(store)) == "4711 on node7"
 
         def served(seconds: float) -> None:
             waits.append(seconds)
             if len(waits) == 3:  # the file server gives up the dead machine's lock
-                held.release()
+                remote_lock.release()
 
         monkeypatch.setattr(lock.time, "sleep", served)
         with StoreLock(store):
@@ -139,7 +139,7 @@ def test_a_lock_of_a_machine_that_died_is_waited_for(
             StoreLock(store).acquire()
 
 
-def test_a_lock_file_removed_by_its_last_holder_is_made_anew(
+def test_a_lock_file_removed_by_its_last_holder_is_created_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the last holder removes the file between the newcomer's open and its lock
@@ -179,17 +179,17 @@ def test_a_full_disk_loses_nothing_that_is_captured(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bundle", "s"]
 
 
-def test_a_journal_on_a_full_disk_keeps_whole_lines(
+def test_a_journal_on_a_full_disk_has_only_complete_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = JournalWriter(tmp_path / "journal")
     journal.append(0, ["aa", "bb"])
-    write, taken = os.write, [7]
+    write, accepted = os.write, [7]
 
     def nearly_full(descriptor: int, content: bytes) -> int:
-        if not taken:
+        if not accepted:
             raise OSError(28, "No space left on device")
-        return write(descriptor, content[: taken.pop()])
+        return write(descriptor, content[: accepted.pop()])
 
     monkeypatch.setattr(os, "write", nearly_full)
     with pytest.raises(StoreError, match="No space left on device"):

@@ -41,7 +41,7 @@ def filled(path: Path, frames: NDArray[Any], **options: Any) -> str:
 
 @pytest.mark.parametrize(("items_per_chunk", "chunks_per_file"), [(1, 1), (3, 1), (1, 3)])
 @pytest.mark.parametrize("dtype", [COUNTS, RADIANCE])
-def test_frames_come_back_as_they_went_in(
+def test_frames_are_read_as_written(
     tmp_path: Path, dtype: type, items_per_chunk: int, chunks_per_file: int
 ) -> None:
     frames: NDArray[Any] = counts().astype(dtype)
@@ -71,7 +71,7 @@ def test_frames_come_back_as_they_went_in(
     assert contents(path) == ours
 
 
-def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> None:
+def test_items_of_an_item_writer_count_after_they_are_entered(tmp_path: Path) -> None:
     frames, path = counts(), tmp_path / "s"
     with create(path, items_per_chunk=2) as store:
         writer = ItemWriter(path, "abc")
@@ -92,7 +92,7 @@ def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> 
         FrameStore.open(path).enter(0, ["0" * 32])
 
 
-def test_a_shard_is_added_to_chunk_by_chunk_and_there_once_it_is_whole(tmp_path: Path) -> None:
+def test_a_shard_is_written_by_chunk_and_appears_when_complete(tmp_path: Path) -> None:
     frames, path = counts(), tmp_path / "s"
     with create(path, items_per_chunk=2, chunks_per_file=2) as store:
         writer = ItemWriter(path, "abc")
@@ -118,7 +118,7 @@ def test_large_frames_compress_to_the_same_bytes_each_time(tmp_path: Path) -> No
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
-def test_black_frames_and_none_at_all_count_as_captured(tmp_path: Path) -> None:
+def test_black_frames_and_empty_stores_count_as_captured(tmp_path: Path) -> None:
     for items in (7, 0):
         black, path = np.zeros((items, *SHAPE[1:]), COUNTS), tmp_path / str(items)
         digest = filled(path, black)
@@ -142,7 +142,7 @@ def test_missing_runs_are_ordered_and_cut_to_whole_chunks(tmp_path: Path) -> Non
         np.testing.assert_array_equal(store.read(4, 6), frames[4:6])
 
 
-def test_resume_goes_on_where_it_stopped_and_keeps_its_layout(tmp_path: Path) -> None:
+def test_a_resumed_store_continues_and_keeps_its_layout(tmp_path: Path) -> None:
     frames, path = counts(), tmp_path / "s"
     filled(tmp_path / "whole", frames, items_per_chunk=2, attributes={"unit": "count"})
     first = {"items_per_chunk": 2, "attributes": {"unit": "count"}}
@@ -176,16 +176,16 @@ def flipped(content: bytes) -> bytes:
 
 @pytest.mark.parametrize("damage", ["flipped", "cut", "empty", "removed", "swapped"])
 @LAYOUTS
-def test_damage_is_named_and_healed_by_the_next_writer(
+def test_damage_is_named_and_repaired_by_the_next_writer(
     tmp_path: Path, damage: str, layout: dict[str, int], caplog: pytest.LogCaptureFixture
 ) -> None:
     frames, path = counts(), tmp_path / "s"
     digest = filled(path, frames, **layout)
     intact = contents(path)
     first, chunk = (4, path / "c.2.0.0.0.0") if layout else (5, path / "c.5.0.0.0.0")
-    whole = chunk.read_bytes()
+    content = chunk.read_bytes()
     chunk.write_bytes(
-        {"flipped": flipped(whole), "cut": whole[:-7], "swapped": intact["c.0.0.0.0.0"]}.get(
+        {"flipped": flipped(content), "cut": content[:-7], "swapped": intact["c.0.0.0.0.0"]}.get(
             damage, b""
         )
     )
@@ -204,16 +204,16 @@ def test_damage_is_named_and_healed_by_the_next_writer(
     assert contents(path) == intact
 
 
-@pytest.mark.parametrize(("cut", "lost"), [(1, 1), (20, 1), (90, 2)])
+@pytest.mark.parametrize(("cut", "lost_items"), [(1, 1), (20, 1), (90, 2)])
 @pytest.mark.parametrize("items_per_chunk", [1, 2])
-def test_a_torn_journal_line_does_not_count(
-    tmp_path: Path, cut: int, lost: int, items_per_chunk: int
+def test_a_truncated_journal_line_is_ignored(
+    tmp_path: Path, cut: int, lost_items: int, items_per_chunk: int
 ) -> None:
     frames, path = counts((8, 5)), tmp_path / "s"
     filled(path, frames, items_per_chunk=items_per_chunk)
     intact = contents(path)
     (path / "journal.jsonl").write_bytes(intact["journal.jsonl"][:-cut])
-    first = (8 - lost) // items_per_chunk * items_per_chunk
+    first = (8 - lost_items) // items_per_chunk * items_per_chunk
     np.testing.assert_array_equal(np.flatnonzero(~FrameStore.open(path).done), range(first, 8))
     with create(path, frames.shape) as store:
         assert store.missing() == [(first, 8)]
@@ -230,7 +230,7 @@ def test_a_torn_journal_line_does_not_count(
         b"\x00" * 60,
     ],
 )
-def test_an_altered_journal_line_does_not_count(tmp_path: Path, line: bytes) -> None:
+def test_an_altered_journal_line_is_ignored(tmp_path: Path, line: bytes) -> None:
     frames, path = counts((6, 5)), tmp_path / "s"
     filled(path, frames)
     intact = contents(path)
@@ -243,7 +243,7 @@ def test_an_altered_journal_line_does_not_count(tmp_path: Path, line: bytes) -> 
     assert contents(path) == intact
 
 
-def test_leftovers_of_a_kill_are_cleared(tmp_path: Path) -> None:
+def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
     path = tmp_path / "s"
     (tmp_path / ".s.new").mkdir()
     (tmp_path / ".s.new" / "zarr.json").write_text("half")
@@ -257,7 +257,7 @@ def test_leftovers_of_a_kill_are_cleared(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["s"]
 
 
-def test_a_second_writer_is_kept_out(tmp_path: Path) -> None:
+def test_a_second_writer_is_refused(tmp_path: Path) -> None:
     frames = counts()
     with create(tmp_path / "s") as store:
         store.write(0, frames[:2])
@@ -320,11 +320,11 @@ def test_threads_share_a_store(tmp_path: Path) -> None:
         list(pool.map(lambda start: store.write(start, frames[start : start + 5]), range(0, 60, 5)))
     reader = FrameStore.open(tmp_path / "s")
     with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda start: reader.read(start, start + 10), range(0, 60, 10)))
-    np.testing.assert_array_equal(np.concatenate(found), frames)
+        blocks = list(pool.map(lambda start: reader.read(start, start + 10), range(0, 60, 10)))
+    np.testing.assert_array_equal(np.concatenate(blocks), frames)
 
 
-def test_what_is_no_store_is_named_and_left_alone(tmp_path: Path) -> None:
+def test_other_files_are_named_and_not_replaced(tmp_path: Path) -> None:
     for opening in (FrameStore.open, lambda path: ItemWriter(path, "abc")):
         with pytest.raises(StoreError, match="no store of frames") as caught:
             opening(tmp_path / "absent")

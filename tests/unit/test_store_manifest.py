@@ -14,7 +14,7 @@ from rfpipe.store import read_manifest, write_manifest
 DATA: dict[str, Any] = {"digest": "00ff", "shape": [3, 4], "units": {"frames": "count"}, "ü": 0.1}
 
 
-def test_a_manifest_comes_back_and_has_the_same_bytes_each_time(tmp_path: Path) -> None:
+def test_a_manifest_is_read_as_written_and_has_reproducible_bytes(tmp_path: Path) -> None:
     write_manifest(tmp_path / "new" / "a.json", DATA)
     write_manifest(tmp_path / "b.json", dict(reversed(DATA.items())) | {"shape": (3, 4)})
     assert read_manifest(tmp_path / "new" / "a.json") == DATA
@@ -24,7 +24,7 @@ def test_a_manifest_comes_back_and_has_the_same_bytes_each_time(tmp_path: Path) 
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.json"]
 
 
-def test_manifests_and_locks_do_without_zarr(tmp_path: Path) -> None:
+def test_manifests_and_locks_do_not_import_zarr(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from rfpipe.store import *\n"
         "path = Path(sys.argv[1])\n"
@@ -39,24 +39,24 @@ def test_manifests_and_locks_do_without_zarr(tmp_path: Path) -> None:
 def test_damage_is_found(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     write_manifest(path, DATA)
-    whole = path.read_bytes()
+    original = path.read_bytes()
     for content in (
-        *(whole[:-4], b"", b"\xff\xfe", b"[1]\n", b"{}\n"),
-        *(whole.replace(b"00ff", b"01ff"), whole.replace(b"0.1", b"NaN")),
+        *(original[:-4], b"", b"\xff\xfe", b"[1]\n", b"{}\n"),
+        *(original.replace(b"00ff", b"01ff"), original.replace(b"0.1", b"NaN")),
     ):
         path.write_bytes(content)
         with pytest.raises(IntegrityError, match=r"damaged or altered.*remove it and run the"):
             read_manifest(path)
 
 
-def test_what_json_cannot_hold_is_refused(tmp_path: Path) -> None:
+def test_data_that_json_cannot_represent_are_refused(tmp_path: Path) -> None:
     for data in ({"a": float("nan")}, {"a": {1, 2}}, {"checksum": "mine"}):
         with pytest.raises(InputError, match=r"a\.json"):
             write_manifest(tmp_path / "a.json", data)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_write_leaves_the_older_manifest(
+def test_a_failed_write_keeps_the_previous_manifest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.json"

@@ -1,6 +1,6 @@
-"""What leaves rfpipe: relit pictures, photographs with patterns, movies of a light that moves.
+"""Export for other programs: relit pictures, photographs with patterns, and movies.
 
-The matrix itself is written by `rfpipe.transport.Transport.save`.
+`rfpipe.transport.Transport.save` writes the transport matrix.
 """
 
 from rfpipe.export.movies import PATHS, moving_light, relit_movie, relit_pictures, write_movie

@@ -1,4 +1,4 @@
-"""Relit pictures, and movies of them by PyAV: a light that moves over the projector's rays."""
+"""Relit pictures, and movies of a light that moves over the projector's rays, by PyAV."""
 
 from __future__ import annotations
 
@@ -21,22 +21,39 @@ Float = NDArray[np.float32]
 PATHS = {
     "across": "a vertical bar from left to right",
     "down": "a horizontal bar from top to bottom",
-    "circle": "a disc around the middle",
-    "views": "one view after the other, of a light field",
+    "circle": "a disc around the centre",
+    "views": "one view of a light field after the other",
 }
-"""How a light may move."""
+"""Descriptions of the paths of a moving light."""
 
-_SIZE = 1 / 8  # of the shorter side
-_CIRCLE = 0.3  # radius, of height and width
-_WHITE = 99.9  # per cent of a frame's samples that are not cut off
+_SIZE = 1 / 8  # size of the light, relative to the shorter side
+_CIRCLE = 0.3  # radius of the circle, relative to height and width
+_WHITE = 99.9  # percentile of a picture's samples that becomes white
 _NEAR_LOSSLESS = {"crf": "16", "preset": "medium"}
-_BT709, _LIMITED_RANGE, _SRGB_CURVE = 1, 1, 13  # as H.273 numbers them
+_BT709, _LIMITED_RANGE, _SRGB_CURVE = 1, 1, 13  # numbers of ITU-T H.273
 
 
 def moving_light(path: str, shape: tuple[int, ...], time: float) -> Float:
-    """Return the weights ``(*shape)`` of a light on one of `PATHS`, at a time from 0 to 1.
+    """Return the weights of a light that moves along a path.
 
-    Views are lit alike, but by ``views``. InputError if the path is none.
+    Parameters
+    ----------
+    path : str
+        One of `PATHS`. Except for ``views``, the light is the same in all views.
+    shape : tuple of int
+        Projector's ray domain, (H, W) or (V, H, W).
+    time : float
+        Fraction of the path, 0 to 1.
+
+    Returns
+    -------
+    ndarray
+        (*shape) float32, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        When there is no such path, or it needs several views.
     """
     domain = RayDomain(shape)
     if path == "views" and domain.is_stack:
@@ -47,23 +64,29 @@ def moving_light(path: str, shape: tuple[int, ...], time: float) -> Float:
     size = max(min(height, width) * _SIZE, 1.0)
     rows, columns = np.ogrid[0:height, 0:width]
     if path in ("across", "down"):
-        place = columns if path == "across" else rows
-        middle = -size / 2 + time * (place.size - 1 + size)  # from outside to outside
-        distance = np.abs(place - middle)
+        position = columns if path == "across" else rows
+        centre = -size / 2 + time * (position.size - 1 + size)  # from edge to edge
+        distance = np.abs(position - centre)
     elif path == "circle":
         row = (height - 1) / 2 - _CIRCLE * height * cos(2 * pi * time)
         column = (width - 1) / 2 + _CIRCLE * width * sin(2 * pi * time)
         distance = np.hypot(rows - row, columns - column)
     else:
-        raise InputError(f"path {path!r}: expected {', '.join(PATHS)} (for several views alone)")
-    weights = np.clip(size / 2 + 0.5 - distance, 0, 1).astype(np.float32)  # an edge a ray wide
+        raise InputError(
+            "unknown path of the light",
+            value=path,
+            remedy=f"expected {', '.join(PATHS)} (only for several views)",
+        )
+    weights = np.clip(size / 2 + 0.5 - distance, 0, 1).astype(
+        np.float32
+    )  # linear edges, one ray wide
     return np.broadcast_to(weights, shape)
 
 
 def relit_pictures(light: Relightable, patterns: Iterable[Float]) -> Iterator[Float]:
-    """Yield the pictures ``(H, W, C)`` under patterns, radiance; views one above the other.
+    """Yield the radiance (H, W, C) under each pattern, with views stacked vertically.
 
-    Patterns are as `Relightable.relight` takes them.
+    Patterns are those of `Relightable.relight`.
     """
     shape = RayDomain(light.camera_shape).picture_shape
     for pattern in patterns:
@@ -81,43 +104,45 @@ def relit_movie(
     white: float | None = None,
     progress: bool = False,
 ) -> float:
-    """Write the movie of a light that moves; return the radiance shown as white.
+    """Write the movie of a moving light; return the radiance that becomes white.
 
     Parameters
     ----------
+    light : Relightable
+        The transport.
     file : path
-        Ends in ``.mp4``.
+        A file with the suffix ``.mp4``.
     path : str
         One of `PATHS`.
     count : int
         Number of pictures.
     fps : float
-        Pictures a second.
+        Pictures per second.
     enlarge : int
-        Pixels of a ray, down and across.
+        Side of a ray in pixels.
     white : float, optional
-        Radiance shown as white; by default all but the brightest thousandth of the samples of the
-        brightest picture are shown as they are, for which all is relit twice.
+        Radiance that becomes white. By default, the 99.9th percentile of the brightest picture's
+        samples, for which the scene is relit twice.
     progress : bool
-        Whether to show on stderr how far it is, if that is a terminal.
+        Display the progress on stderr, if that is a terminal.
 
     Raises
     ------
     InputError
-        If a number is out of range, or the path or the name's end is another one.
+        When a number is out of range, or the path or suffix is unknown.
     StoreError
-        If the file can't be written, or PyAV isn't installed.
+        When the file can't be written, or PyAV isn't installed.
     """
     from tqdm import tqdm
 
     if count < 1 or fps <= 0:
-        raise InputError(f"{count} pictures, {fps} a second; expected more than 0")
+        raise InputError(f"{count} pictures at {fps} per second; expected more than 0 of both")
 
-    def relit(what: str) -> Iterator[Float]:
+    def relit(label: str) -> Iterator[Float]:
         times = np.linspace(0, 1, count).tolist()
         patterns = (moving_light(path, light.projector_shape, time) for time in times)
         pictures = relit_pictures(light, patterns)
-        bar = tqdm(pictures, what, count, unit="picture", disable=None if progress else True)
+        bar = tqdm(pictures, label, count, unit="picture", disable=None if progress else True)
         return iter(bar)
 
     return movie_of(relit, file, fps=fps, enlarge=enlarge, white=white)
@@ -131,34 +156,33 @@ def movie_of(
     enlarge: int = 1,
     white: float | None = None,
 ) -> float:
-    """Write a movie of radiance, which is made twice without `white`, see `relit_movie`."""
+    """Write a movie of pictures, which are rendered twice without `white`; see `relit_movie`."""
     if white is not None and not 0 < white < float("inf"):
         raise InputError(f"white is {white}; expected more than 0")
     if white is None:
         white = white_of(pictures("white"))
-    shown = (np.rint(255 * srgb(image, white)).astype(np.uint8) for image in pictures(str(file)))
-    write_movie(file, (each.repeat(enlarge, 0).repeat(enlarge, 1) for each in shown), fps)
+    frames = (np.rint(255 * srgb(image, white)).astype(np.uint8) for image in pictures(str(file)))
+    write_movie(file, (frame.repeat(enlarge, 0).repeat(enlarge, 1) for frame in frames), fps)
     return white
 
 
 def white_of(pictures: Iterable[Float]) -> float:
-    """Return the radiance that is white in all of some pictures: a glint may be cut off."""
+    """Return the largest 99.9th percentile of pictures, so that glints don't determine white."""
     return max(float(np.percentile(image, _WHITE)) for image in pictures) or 1.0
 
 
 def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Write sRGB pictures ``(H, W, 3)`` of one size as a movie (H.264), complete or not at all.
+    """Write sRGB pictures (H, W, 3) of equal size as a movie (H.264), completely or not at all.
 
-    An odd side is filled up by repeating its last pixels, since the encoder keeps colour for
-    squares of four. Errors as `relit_movie`.
+    The encoder needs even sides, since it stores colour at half the resolution; odd sides are
+    extended by repeating the last pixels. Raises as `relit_movie`.
     """
     suffix_of(path, OUTPUTS["movie"])
     try:
         import av
     except ImportError as error:
         raise StoreError(
-            f"movies are written by PyAV, which can't be loaded: {error}. To install it, "
-            f"{installing('export')}"
+            f"movies need PyAV, which can't be imported: {error}", remedy=installing("export")
         ) from error
     with whole_file(path) as partial:
         try:
@@ -166,7 +190,7 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -
         except av.error.FFmpegError as error:
             if isinstance(error, OSError):
                 raise
-            raise StoreError(f"{path}: the movie can't be encoded: {error}") from error
+            raise StoreError(f"the movie can't be encoded: {error}", place=path) from error
 
 
 def _encode(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
@@ -178,9 +202,9 @@ def _encode(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> No
         stream = container.add_stream("libx264", rate, _NEAR_LOSSLESS)
         assert isinstance(stream, av.VideoStream)
         stream.pix_fmt = "yuv420p"
-        about = stream.codec_context
-        about.colorspace = about.color_primaries = _BT709
-        about.color_range, about.color_trc = _LIMITED_RANGE, _SRGB_CURVE
+        codec = stream.codec_context
+        codec.colorspace = codec.color_primaries = _BT709
+        codec.color_range, codec.color_trc = _LIMITED_RANGE, _SRGB_CURVE
         for index, picture in enumerate(pictures):
             height, width = picture.shape[:2]
             even = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), "edge")

@@ -1,4 +1,4 @@
-"""Relit photographs with their patterns, for other programs: of single lights, of a paper."""
+"""Relit photographs for other programs: one light at a time, normals, patterns of papers."""
 
 from __future__ import annotations
 
@@ -34,39 +34,50 @@ def write_lights(
     side: int = 1,
     limit_bytes: int = LIMIT,
 ) -> int:
-    """Write the pictures under one light at a time (OLAT) as parts of an EXR file, return how many.
+    """Write the pictures under one light at a time (OLAT) as parts of an EXR file.
 
-    Where the transport has the directions of its lights, they are written beside the file, in one
-    of the same name that ends in ``.lp``: a line for each part, its name and x, y, z. Of joined
-    rays it is the mean direction. ``rfpipe fit`` reads both.
+    If the transport has the directions of its lights, they are written to a file with the suffix
+    ``.lp``: a line for each part, with its name and x, y, z. Joined rays have their mean
+    direction. ``rfpipe fit`` reads both files.
 
     Parameters
     ----------
+    light : Relightable
+        The transport.
     file : path
-        Written whole or not at all.
+        Written completely or not at all.
     rays
         Projector rays, or squares of `side` by `side` rays, see
-        `rfpipe.transport.algebra.RaySelection`; a part for each, in their order, named by row and
-        column as in ``light_31_35``. All by default.
+        `rfpipe.transport.algebra.RaySelection`. There is a part for each, in this order, named by
+        row and column as in ``light_31_35``. By default, all rays.
+    side : int
+        Side of the squares in rays.
     limit_bytes : int
-        That the pictures may take before compression.
+        Largest size of the pictures before compression.
+
+    Returns
+    -------
+    int
+        Number of pictures.
 
     Raises
     ------
     InputError
-        If there is no such ray, the pictures are larger, or the file can't be written.
+        When a ray doesn't exist, or the pictures are larger than the limit.
+    StoreError
+        When the file can't be written.
     """
     grid, members = squares(light.projector_shape, side)
     chosen = selected_rays(rays, grid, "lights")
     shape = (*RayDomain(light.camera_shape).picture_shape, light.channels)
-    advice = "choose columns, join rays (2 x 2: 4 times smaller), or raise the limit"
-    check_size(f"{file}: a file", (len(chosen), *shape), limit_bytes, advice)
-    places = np.transpose(np.unravel_index(chosen, grid))
-    names = ["_".join(map(str, ("light", *place))) for place in places]
+    remedy = "choose columns, join rays (2 x 2: 4 times smaller), or raise the limit"
+    check_size(f"{file}: a file", (len(chosen), *shape), limit_bytes, remedy)
+    positions = np.transpose(np.unravel_index(chosen, grid))
+    names = ["_".join(map(str, ("light", *position))) for position in positions]
     patterns = (members[[ray]].toarray().reshape(light.projector_shape) for ray in chosen)
     write_parts(file, names, shape, relit_pictures(light, patterns))
-    beside = file.with_suffix(".lp")
-    beside.unlink(missing_ok=True)
+    directions_file = file.with_suffix(".lp")
+    directions_file.unlink(missing_ok=True)
     if light.lights is not None:
         directions = np.asarray(members[chosen] @ unit(light.lights))
         lines = [
@@ -74,7 +85,7 @@ def write_lights(
             for name, (x, y, z) in zip(names, directions.tolist(), strict=True)
         ]
         content = f"{len(lines)}\n{''.join(lines)}".encode()
-        write_atomically(beside, content, resumes=False)
+        write_atomically(directions_file, content, resumes=False)
     return len(names)
 
 
@@ -84,16 +95,16 @@ def write_normals(light: Relightable, file: Path) -> Normals:
     Parameters
     ----------
     light : Relightable
-        One light at a time, with the lights' directions.
+        A transport of single lights with known directions.
     file : path
-        ``.exr`` has the parts ``normals`` (x, y, z, each -1 to 1), ``albedo`` and ``uncertainty``
-        (degrees), float32; ``.png`` is a normal map of 8 bits, ``(n + 1) / 2``, black outside the
-        mask.
+        An ``.exr`` file has the parts ``normals`` (x, y, z, each -1 to 1), ``albedo`` and
+        ``uncertainty`` (degrees), float32. A ``.png`` file is a normal map of 8 bits,
+        ``(n + 1) / 2``, black outside the mask.
 
     Raises
     ------
     InputError
-        As `rfpipe.transport.normals.normals_of`, or if the file has another suffix.
+        As `rfpipe.transport.normals.normals_of`, or when the file has another suffix.
     """
     suffix = suffix_of(file, OUTPUTS["export --normals"])
     result = light.normals()
@@ -120,28 +131,40 @@ def write_photographs(
 ) -> float:
     """Write patterns and relit photographs in the layout of papers on projector-camera systems.
 
-    Patterns lie in ``ref`` (black, white, grey), ``train`` and ``test`` (random shapes, others in
-    each channel), photographs in ``cam/raw``: `rfpipe.fitting.read_series` reads them.
+    The patterns are in ``ref`` (black, white, grey), ``train`` and ``test`` (random shapes,
+    different in each channel), the photographs in ``cam/raw``. `rfpipe.fitting.read_series` reads
+    this layout.
 
     Parameters
     ----------
+    light : Relightable
+        The transport.
     folder : path
-        A new one, or InputError; written whole or not at all.
+        A new folder, written completely or not at all.
     training, validation : int
         Numbers of patterns.
+    seed : int
+        Seed of the random patterns.
     form : str
         ``png``, sRGB of 8 bits, or ``exr``, weights and radiance.
 
     Returns
     -------
     float
-        The radiance shown as white in a PNG: a tenth more than the brightest under white light, so
+        Radiance that becomes white in a PNG: 10 % above the largest radiance under white light, so
         that no pixel counts as saturated.
+
+    Raises
+    ------
+    InputError
+        When the folder exists, or a number of patterns is too small.
     """
     if training < 1 or validation < 0:
-        raise InputError(f"{training} training and {validation} validation patterns; expected some")
+        raise InputError(
+            f"{training} training and {validation} validation patterns; expected at least 1 and 0"
+        )
     if folder.exists():
-        raise InputError(f"{folder}: is there already; remove it, or name another folder")
+        raise InputError(f"{folder}: exists already; remove it, or name another folder")
     white = 1.1 * float(light.relight(np.ones(light.projector_shape)).max())
     new = hidden_sibling(folder, "new")
     try:
@@ -160,12 +183,12 @@ def write_photographs(
 def _patterns(
     light: Relightable, training: int, validation: int, seed: int
 ) -> Iterator[tuple[str, Float]]:
-    """Yield names and patterns (H, W, C), views one above the other."""
+    """Yield names and patterns (H, W, C), with views stacked vertically."""
     size, channels = RayDomain(light.projector_shape).picture_shape, light.channels
     for index, level in enumerate(picture_weights(np.array([0, 255, 128], np.uint8), "srgb")):
         yield f"ref/img_{index + 1:04d}", np.full((*size, channels), level)
-    for place, first, count in (("train", 0, training), ("test", training, validation)):
+    for subset, first, count in (("train", 0, training), ("test", training, validation)):
         for index in range(count):
-            random = [generator(seed, first + index, channel) for channel in range(channels)]
-            planes = [shapes(size, each) for each in random]
-            yield f"{place}/img_{index + 1:04d}", np.stack(planes, axis=-1).astype(np.float32)
+            keys = [(first + index, channel) for channel in range(channels)]
+            planes = [shapes(size, generator(seed, *key)) for key in keys]
+            yield f"{subset}/img_{index + 1:04d}", np.stack(planes, axis=-1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Rays by their places: which rows and columns of the transport matrix are written."""
+"""Selection of rays, for rows and columns of the transport matrix, by NumPy-like indices."""
 
 from __future__ import annotations
 
@@ -14,20 +14,26 @@ Index = NDArray[np.int64]
 
 
 def rays_at(text: str, shape: tuple[int, ...]) -> Index:
-    """Return the numbers of the rays at a place of their domain, written as numpy's indices are.
+    """Return the numbers of the rays that NumPy-like indices select.
 
     Parameters
     ----------
     text : str
-        One index or slice an axis: ``"31,35"`` is a pixel (row, column), ``"31,:"`` a line,
-        ``"10:20,30:40"`` a rectangle, ``"::4,::4"`` every fourth pixel; of views, ``"2,31,35"``.
+        An index or slice for each axis: ``"31,35"`` is a pixel (row, column), ``"31,:"`` a row,
+        ``"10:20,30:40"`` a rectangle, ``"::4,::4"`` every fourth pixel in both directions, and
+        ``"2,31,35"`` a pixel of view 2.
     shape : tuple of int
         The ray domain.
 
     Returns
     -------
     ndarray of int64
-        At least one ray, in C order; InputError if there is none, or the text is something else.
+        Rays in C order, at least one.
+
+    Raises
+    ------
+    InputError
+        When the text has another form, or selects no ray.
     """
     parts = text.replace(" ", "").split(",")
     axes = ",".join(["view"] * (len(shape) - 2) + ["row", "column"])

@@ -1,4 +1,4 @@
-"""Choice of the model that predicts left-out pictures best."""
+"""Choice of the model that predicts held-out pictures best."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from rfpipe.transport.base import Transport
 
 Solve = Callable[[Series, list[dict[str, Any]]], Transport]
 
-# Camera rays that estimate the error of least squares, whose rows are independent: at most, and
-# at least where a dozen copies of their transport would exceed memory.
+# Numbers of camera rays for estimating the error of least squares, whose rows are independent: the
+# largest, and the smallest if twelve copies of their transport exceed the memory.
 _ENOUGH_RAYS, _LEAST_RAYS, _COPIES = 512, 64, 12
-# Share of the mean picture's error above which a note says that the transport is hardly better.
+# Error, relative to that of the mean picture, above which a note warns of a poor transport.
 _HARDLY_BETTER = 0.7
-# Contrast over the largest one above which a pattern is resolved after binning.
+# Contrast after binning, relative to the largest, above which a pattern counts as resolved.
 _RESOLVED = 0.5
-# Pictures of lights that differ by less from their mean are one picture.
+# Relative difference from their mean below which pictures of lights count as equal.
 _EQUAL_PICTURES = 0.01
-# Exchanges of pictures that are listed; more show that the order of all pictures is another one.
+# More exchanges of pictures than these indicate that the order of all pictures is wrong.
 _FEW_EXCHANGES = 3
 
 
@@ -47,9 +47,9 @@ class Model:
     ----------
     name : str
     solve : callable
-        Fits a Series; takes the transport's table of levels, too.
+        ``solve(series, rows)`` fits a transport with this table of levels.
     by_ray : bool
-        Whether the fits of camera rays are independent.
+        True if camera rays are fitted independently.
     """
 
     name: str
@@ -64,24 +64,24 @@ NEAR_FAR = Model("near/far", solve_near_far)
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A transport behind pictures.
+    """A transport fitted to pictures.
 
     Attributes
     ----------
     transport : Transport
-        From all pictures. Its ``history`` has the error, where there is one.
+        Fit to all pictures. Its ``history`` contains the error, if it is known.
     model : str
         Name of the model.
     complete : bool
-        Whether the patterns determine each projector ray by themselves.
+        True if the patterns determine each projector ray without a prior.
     error : float or None
-        Mean error of pictures that were left out of a first fit, or that the series has for
-        validation, relative to their norms, less the noise that they are known to have. None where
-        each pattern is needed.
+        Mean error of the pictures that were held out of a first fit, or of the validation
+        pictures, relative to their norms and without their known noise. None if the fit needs all
+        patterns.
     held_out : int
         Number of these pictures.
     errors : dict of str to float
-        The same error of each model that was tried, and of ``the mean picture``.
+        The same error for each model, and for ``the mean picture`` as prediction.
     notes : tuple of str
         Remarks for the user.
     """
@@ -103,9 +103,9 @@ class _Trial:
     ----------
     held_out : Series
     errors : dict of str to float
-        By the model's name.
+        Error by the name of the model.
     mean_picture : float
-        Error of the mean picture times the pattern's light.
+        Error of the mean picture, scaled by each pattern's light, as prediction.
     """
 
     held_out: Series
@@ -116,34 +116,34 @@ class _Trial:
 def fit_transport(
     series: Series, *, coaxial: bool = False, anyway: bool = False, memory_gib: float = 2.0
 ) -> Fit:
-    """Fit the light transport to pictures, by the model that predicts left-out ones best.
+    """Fit the light transport to pictures, by the model that predicts held-out pictures best.
 
-    Pictures of single lights with known directions are the transport's columns. Their error is
-    the mean error of left-out lights, interpolated between the other lights.
+    Pictures of single lights with known directions become the columns of the transport. Their
+    error is the mean error of interpolating each light from its neighbours.
 
     Parameters
     ----------
     series : Series
     coaxial : bool
-        Whether camera and projector share their rays: near/far's model is tried, too.
+        Camera and projector share their rays; the near/far model is then tried as well.
     anyway : bool
-        Whether to return a transport whose pictures contradict each other, or that predicts
-        left-out pictures no better than their mean.
+        Return the transport even if the pictures contradict each other, or if it predicts held-out
+        pictures no better than their mean.
     memory_gib : float
-        Memory that a transport by least squares may take, in GiB.
+        Largest size of a transport by least squares, in GiB.
 
     Raises
     ------
     InputError
-        When the pictures of a coaxial rig don't allow near/far's model, contradict each other, or
-        determine too little.
+        When the pictures of a coaxial rig don't allow the near/far model, or the pictures
+        contradict each other or determine too little.
     """
     series = with_estimated_noise(series)
     if series.lights is not None and series.are_single_lights:
         return _fit_lights(series, anyway)
     models, training = _models(series, coaxial), series.training
     doubts, unsteady = _faults(training)
-    _refuse(doubts, anyway)  # before fits that take long
+    _refuse(doubts, anyway)  # before the slow fits
     trial = _trial(series, models, memory_gib)
     if not doubts:
         doubts = _doubts(training, trial)
@@ -173,7 +173,7 @@ def fit_transport(
 
 
 def _fit_lights(series: Series, anyway: bool) -> Fit:
-    """Take pictures of single lights as a transport, with the error between lights."""
+    """Use pictures of single lights as a transport, with the error of interpolation."""
     assert series.lights is not None
     check = check_lights(series.radiance, series.lights, series.names, series.known)
     notes = list(series.notes)
@@ -181,7 +181,7 @@ def _fit_lights(series: Series, anyway: bool) -> Fit:
     _refuse(faults, anyway)
     notes += faults
     if (series.lights[:, 2] < 0).all():
-        notes.append("all lights lie behind the object (z < 0): is the sign of z another one?")
+        notes.append("all lights are behind the object (z < 0); check the sign of z")
     is_known = bool(np.isfinite(check.error))
     row = level_row(0, len(series.patterns))
     if is_known:
@@ -194,7 +194,7 @@ def _fit_lights(series: Series, anyway: bool) -> Fit:
 
 
 def _no_better_than_mean(series: Series, error: float) -> list[str]:
-    """Return a doubt where interpolated pictures of lights are no better than their mean."""
+    """Return a message if interpolated pictures of lights are no better than their mean."""
     pictures = series.radiance[..., series.known].reshape(len(series.patterns), -1)
     count = len(pictures)
     if count < 4 or not np.isfinite(error):
@@ -204,26 +204,29 @@ def _no_better_than_mean(series: Series, error: float) -> list[str]:
     differences = np.linalg.norm(pictures - means, axis=1)
     by_mean = float(np.mean(differences[norms > 0] / norms[norms > 0]))
     if by_mean < _EQUAL_PICTURES:
-        return [f"the pictures are equal up to {by_mean:.1%}: each should show another light."]
-    # of 12 simulated domes, 4 lights left 0.19 to 0.95 of the mean's error, 16 at most 0.61
+        return [f"the pictures differ by only {by_mean:.1%}: each should show a different light."]
+    # for 12 simulated domes, the ratio to the error of the mean was 0.19 to 0.95 with 4 lights, and
+    # at most 0.61 with 16
     if error < by_mean:
         return []
     doubt = (
-        f"left-out lights are off by {error:.0%}, by {by_mean:.0%} where each is taken for the "
-        "mean of the other pictures: see that the directions are those of the pictures."
+        f"held-out lights are predicted with an error of {error:.0%}, by the mean of the other "
+        f"pictures with {by_mean:.0%}: check that the directions belong to the pictures."
     )
     return [doubt]
 
 
 def _refuse(doubts: Sequence[str], anyway: bool) -> None:
-    """Raise InputError with all doubts, if any, unless the transport is wanted all the same."""
+    """Raise InputError with all doubts, if any, except with the option `anyway`."""
     if doubts and not anyway:
         sentences = [doubt if doubt.endswith((".", "?")) else f"{doubt}." for doubt in doubts]
-        raise InputError(f"{' '.join(sentences)} To write the transport all the same: --anyway")
+        raise InputError(
+            " ".join(sentences), remedy="To write the transport nevertheless: --anyway"
+        )
 
 
 def _deviation(series: Series) -> NDArray[np.float32]:
-    """Return the standard deviation of one picture, summed over channels, (M,)."""
+    """Return the noise of a picture, summed over channels, as a standard deviation (M,)."""
     noise = np.sqrt(series.variance.sum(axis=1).mean(axis=0))
     noise = np.where(series.known, noise, np.inf)
     return noise.reshape(series.camera_shape).astype(np.float32)
@@ -236,11 +239,11 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
         return [], []
     patterns = series.patterns[:, 0]
     names = series.names or [f"picture {index}" for index in range(len(patterns))]
-    # stripes that binning makes even are all alike
+    # stripes that binning makes uniform can't be distinguished
     contrast, mean = patterns.std(axis=1), patterns.mean(axis=1)
     is_resolved = (contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99)
     used = np.flatnonzero(is_resolved | (patterns == np.rint(patterns)).all(axis=1))
-    # unknown pixels take the nearest known one's light, so that they make no edges
+    # unknown pixels get the light of the nearest known pixel, which avoids edges
     light = series.radiance[used].sum(axis=1)[:, nearest(series.known.reshape(camera.image_shape))]
     shapes = camera.image_shape, projector.image_shape
     faults = faults_of(patterns[used], light, *shapes, [names[int(index)] for index in used])
@@ -249,16 +252,15 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     unsteady = [fault.message for fault in faults if fault.kind in ("motion", "flicker")]
     if len(exchanged) > _FEW_EXCHANGES:
         order = (
-            f"{len(exchanged)} exchanges of pictures would be needed for the patterns' order: see "
-            "that no picture is missing or of another set, and that the code is the one that was "
-            "shown. The first: "
+            f"{len(exchanged)} pairs of pictures seem exchanged: check that no picture is missing "
+            "or from another set, and that the code is the one that was displayed. The first: "
         )
         exchanged = [order + exchanged[0]]
     return [*exchanged, *unknown], unsteady
 
 
 def _models(series: Series, coaxial: bool) -> list[Model]:
-    """Return the models that fit a rig and its pictures, the simplest first."""
+    """Return the models for a rig and its pictures, the simplest first."""
     models = [LEAST_SQUARES]
     if not unfit_for_footprints(series.training):
         models.append(FOOTPRINTS)
@@ -270,7 +272,7 @@ def _models(series: Series, coaxial: bool) -> list[Model]:
 
 
 def _trial(series: Series, models: list[Model], memory_gib: float) -> _Trial | None:
-    """Fit the models without some pictures and predict these; None where each one is needed.
+    """Fit the models without held-out pictures and predict these; None if all are needed.
 
     Channels are summed, which saves time.
     """
@@ -281,7 +283,7 @@ def _trial(series: Series, models: list[Model], memory_gib: float) -> _Trial | N
     remaining = series.some(np.setdiff1d(np.arange(len(series.patterns)), unused))
     if not chosen.size or not len(remaining.patterns):
         return None
-    # of patterns that are just complete, the others don't determine one that is left out
+    # without redundancy, the remaining patterns don't determine a held-out picture
     if not validation.size and series.is_complete and not remaining.is_complete:
         return None
     held_out = series.some(chosen)
@@ -295,7 +297,7 @@ def _trial(series: Series, models: list[Model], memory_gib: float) -> _Trial | N
 
 
 def _error_of(model: Model, training: Series, held_out: Series, memory_gib: float) -> float:
-    """Return the error of pictures that a fit to others predicts."""
+    """Return the error of a model, fitted to training pictures, in the held-out pictures."""
     if model.by_ray:
         rays = np.flatnonzero(training.known)
         row_bytes = 4 * training.channels * training.patterns.shape[2]
@@ -304,8 +306,8 @@ def _error_of(model: Model, training: Series, held_out: Series, memory_gib: floa
         chosen = rays[np.unique(np.linspace(0, len(rays) - 1, count).astype(np.int64))]
         training, held_out = training.of_rays(chosen), held_out.of_rays(chosen)
     channels = range(held_out.channels)
-    shown = np.repeat(held_out.patterns, len(channels) // held_out.patterns.shape[1], axis=1)
-    predicted: NDArray[np.float32] = model.solve(training, []).forward(shown, channels)
+    patterns = np.repeat(held_out.patterns, len(channels) // held_out.patterns.shape[1], axis=1)
+    predicted: NDArray[np.float32] = model.solve(training, []).forward(patterns, channels)
     return mean_error(predicted, held_out)
 
 
@@ -314,35 +316,39 @@ def _doubts(series: Series, trial: _Trial | None) -> list[str]:
     if series.is_complete and (strange := strange_pictures(series)).size:
         names = series.names or [f"picture {index}" for index in range(len(series.patterns))]
         worst = ", ".join(names[index] for index in strange[:4])
-        return [f"pictures don't fit the others, the worst first: {worst}. Exchanged, or turned?"]
+        message = (
+            f"pictures contradict the others, the worst first: {worst}. Check whether they are "
+            "exchanged or turned"
+        )
+        return [message]
     if trial is None or min(trial.errors.values()) < trial.mean_picture:
         return []
     return [
         (
-            f"left-out pictures are off by {min(trial.errors.values()):.0%}, by "
-            f"{trial.mean_picture:.0%} where each is taken for the mean picture times its "
-            f"pattern's light. {_few_pictures(series)}."
+            f"held-out pictures are predicted with an error of {min(trial.errors.values()):.0%}, "
+            f"by the mean picture, scaled by each pattern's light, with {trial.mean_picture:.0%}. "
+            f"{_few_pictures(series)}."
         )
     ]
 
 
 def _hardly_better(series: Series, error: float, by_mean: float) -> str:
-    """Return a note on left-out pictures that are predicted little better than by their mean."""
+    """Return a note on held-out pictures whose prediction is hardly better than their mean."""
     note = (
-        f"left-out pictures are off by {error:.0%}, hardly better than the {by_mean:.0%} of the "
-        "mean picture times each pattern's light: don't rely on detail as fine as theirs. Places "
-        "may be right all the same (correspondence())"
+        f"held-out pictures are predicted with an error of {error:.0%}, hardly better than the "
+        f"{by_mean:.0%} of the mean picture, scaled by each pattern's light: don't rely on detail "
+        "as fine as theirs. correspondence() may be right nevertheless"
     )
     return note if _is_enough(series) else f"{note}. {_few_pictures(series)}"
 
 
 def _code_bits(series: Series) -> int:
-    """Return the bits of a Gray code of the projector's rows and columns."""
+    """Return the number of bits of a Gray code for the projector's rows and columns."""
     return sum(max(1, ceil(log2(length))) for length in series.projector_shape[-2:])
 
 
 def _is_enough(series: Series) -> bool:
-    """Return whether there are as many independent patterns as a Gray code has, or as rays."""
+    """Return True for at least as many independent patterns as a Gray code has, or as rays."""
     return bool(series.rank >= min(_code_bits(series) + 1, series.patterns.shape[2]))
 
 
@@ -353,14 +359,14 @@ def _few_pictures(series: Series) -> str:
     rays = series.patterns.shape[2]
     if not _is_enough(series):
         return (
-            f"{rank} independent patterns determine too little of {rays} rays: a Gray code of "
-            f"this projector has {code} pictures with complements, white and black; take at least "
+            f"{rank} independent patterns are too few for {rays} rays: a Gray code for this "
+            f"projector has {code} pictures with complements, white and black; take at least "
             f"{max(bits + 1 - rank, LEAST_PICTURES - rank, 1)} more"
         )
     advice = (
-        f"As many independent patterns, {rank}, make a Gray code of {rays} rays: so the pictures "
-        "are not in the patterns' order, or too noisy, blurred or saturated. Expose longer where "
-        "they are dark, average several of each pattern, or bin the projector's pixels"
+        f"{rank} independent patterns are enough for {rays} rays, so the pictures are in another "
+        "order than the patterns, or too noisy, blurred or saturated. Expose dark pictures longer, "
+        "average several pictures of each pattern, or bin the projector's pixels"
     )
     # a black picture is not in the series
     is_shorter = len(series.patterns) < code - 1
@@ -370,11 +376,11 @@ def _few_pictures(series: Series) -> str:
 
 
 def _check_memory(series: Series, memory_gib: float) -> None:
-    """Raise InputError where a transport by least squares takes more than a limit."""
+    """Raise InputError if a transport by least squares would be larger than the limit."""
     needed = series.channels * series.radiance.shape[2] * series.patterns.shape[2] * 4 / 2**30
     if needed > memory_gib:
         raise InputError(
-            f"least squares takes {needed:.1f} GiB for {series.radiance.shape[2]:,} camera and "
-            f"{series.patterns.shape[2]:,} projector rays, more than {memory_gib:g}: give larger "
-            "--camera-bin or --projector-bin, or --memory-gib"
+            f"least squares needs {needed:.1f} GiB for {series.radiance.shape[2]:,} camera and "
+            f"{series.patterns.shape[2]:,} projector rays, more than {memory_gib:g} GiB",
+            remedy="use a larger --camera-bin, --projector-bin or --memory-gib",
         )

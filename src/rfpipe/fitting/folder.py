@@ -32,28 +32,28 @@ _OTHERS = (".hdr", ".jpeg", ".jpg")
 
 @dataclass(frozen=True)
 class Listing:
-    """Pictures in a folder, and their patterns.
+    """Pictures in a folder with their patterns.
 
     Attributes
     ----------
     brackets : sequence of sequences of Part
-        The exposures of each pattern.
+        Exposures of each pattern.
     patterns : Patterns
-        One for each bracket.
+        Pattern of each bracket.
     validation : ndarray of bool, shape (K,)
-        Pictures that are kept from all fits.
+        True for pictures that no fit uses.
     dark : sequence of sequences of Part
-        Brackets without the projector's light, beside those of black patterns.
+        Brackets without the projector's light, in addition to those of black patterns.
     directions : ndarray of float32, shape (K, 3), or None
-        Directions of lights, one for each picture.
+        Direction of each picture's light.
     intensities : ndarray of float32, shape (K, 1) or (K, 3), or None
-        Intensities of lights, one for each picture, by which its linear light is to be divided.
+        Intensity of each picture's light, by which its linear light has to be divided.
     mask : Part or None
         Mask of the object.
     notes : sequence of str
-        Roles of files that are no pictures of patterns, for the user.
+        Roles of files that don't show a pattern, for the user.
     are_single_lights : bool
-        Whether each pattern is one light.
+        True if each pattern is a single light.
     """
 
     brackets: Sequence[Sequence[Part]]
@@ -69,23 +69,23 @@ class Listing:
 
 @dataclass(frozen=True)
 class _Brackets:
-    """Reader of pictures in brackets of some exposures; raw files are developed, or mosaics."""
+    """Reader of pictures in brackets; raw files are developed or read as mosaics."""
 
     exposures: int
     develop_raw: bool
 
     def of_place(self, place: Path) -> list[list[Part]]:
-        """List the pictures of a folder, or of a file, in brackets."""
+        """List the pictures of a folder or file in brackets."""
         files = [place] if place.is_file() else picture_files(place, _OTHERS)
         return self.of_files(place, files)
 
     def of_files(self, place: Path, files: Sequence[Path]) -> list[list[Part]]:
-        """List the pictures in files in brackets; InputError, by `place`, where one lacks some."""
+        """List the pictures of files in brackets; InputError if a bracket is incomplete."""
         parts = [part for file in files for part in read_parts(file, develop_raw=self.develop_raw)]
         if len(parts) % self.exposures:
             raise InputError(
-                f"{place}: holds {len(parts)} pictures, no multiple of the {self.exposures} "
-                "exposures of the settings' camera"
+                f"{place}: contains {len(parts)} pictures; expected a multiple of the "
+                f"{self.exposures} exposures of the settings' camera"
             )
         starts = range(0, len(parts), self.exposures)
         return [parts[first : first + self.exposures] for first in starts]
@@ -205,11 +205,7 @@ def _list_folder(
     elif light or directions is not None:
         patterns = patterns or Patterns.single_lights(*(light or (1, len(brackets))))
     if patterns is None:
-        raise InputError(
-            f"{folder}: has no patterns; expected a folder patterns of pictures, or patterns.npy, "
-            "or --patterns with the name of a code, or, for one light at a time, --lights or a "
-            "file of their directions"
-        )
+        raise _missing_patterns(folder)
     if directions is not None:
         as_directions(directions, f"{folder}: its file of lights", prod(patterns.shape))
     return Listing(
@@ -225,13 +221,21 @@ def _list_folder(
     )
 
 
+def _missing_patterns(folder: Path) -> InputError:
+    return InputError(
+        f"{folder}: has no patterns; expected a folder 'patterns' of pictures, or patterns.npy, "
+        "or --patterns with the name of a code, or, for one light at a time, --lights or a file "
+        "with the lights' directions"
+    )
+
+
 def _mean_light(bracket: Sequence[Part]) -> float:
     """Return the mean of a bracket's brightest exposure, in counts or light."""
     return max(float(part.read().pixels.mean()) for part in bracket)
 
 
 def _notes(files: SortedPictures) -> list[str]:
-    """Roles of files that show no pattern."""
+    """Return notes on the roles of files that show no pattern."""
     notes = [] if files.mask is None else [f"{files.mask}: taken as the mask, by its name"]
     notes += [f"{file}: subtracted as ambient light, by its name" for file in files.ambient]
     return notes + [f"{file}: left out, a result by its name" for file in files.ignored]
@@ -245,33 +249,35 @@ def default_curve(folder: Path) -> Curve:
 def _of_papers(
     folder: Path, photographs: Path, read: _Brackets, curve: Curve
 ) -> tuple[list[list[Part]], Patterns, NDArray[np.bool_]]:
-    """List reference, training and validation pictures, their patterns, and which validate."""
+    """List reference, training and validation pictures, with patterns and a validation mask."""
     above = (folder, *folder.absolute().parents[:3])
     brackets, files, validation = list[list[Part]](), list[Path](), list[bool]()
     for name in ("ref", "train", "test"):
-        places = (at / kind / name for at in above for kind in ("", "prj", "prj_share"))
-        shown = next((place for place in places if place.is_dir()), folder / name)
-        taken = photographs / name
-        if name != "train" and not (taken.is_dir() and shown.is_dir()):
+        candidates = (root / kind / name for root in above for kind in ("", "prj", "prj_share"))
+        existing = (candidate for candidate in candidates if candidate.is_dir())
+        pattern_folder = next(existing, folder / name)
+        subfolder = photographs / name
+        if name != "train" and not (subfolder.is_dir() and pattern_folder.is_dir()):
             continue
-        some, patterns = read.of_place(taken), picture_files(shown, _OTHERS)
-        if name == "ref" and len(some) != len(patterns):
-            continue  # those of a setup may be others
-        if not shown.is_relative_to(folder):
-            patterns = patterns[: len(some)]  # setups that share them may take the first alone
-        alone = {bracket[0].file.stem for bracket in some} ^ {file.stem for file in patterns}
-        if alone or len(some) != len(patterns):
+        pictures, patterns = read.of_place(subfolder), picture_files(pattern_folder, _OTHERS)
+        if name == "ref" and len(pictures) != len(patterns):
+            continue  # a setup may have reference pictures of other patterns
+        if not pattern_folder.is_relative_to(folder):
+            patterns = patterns[: len(pictures)]  # a setup may use only the first shared patterns
+        unpaired = {bracket[0].file.stem for bracket in pictures} ^ {file.stem for file in patterns}
+        if unpaired or len(pictures) != len(patterns):
             raise InputError(
-                f"{taken}: holds {len(some)} pictures of the {len(patterns)} patterns in "
-                f"{shown}; expected one of each name, alone are {', '.join(sorted(alone)[:4])}"
+                f"{subfolder}: contains {len(pictures)} pictures for the {len(patterns)} patterns "
+                f"in {pattern_folder}; expected a picture for each pattern, with the same name. "
+                f"Without a partner: {', '.join(sorted(unpaired)[:4])}"
             )
-        brackets, files = brackets + some, files + patterns
-        validation += [name == "test"] * len(some)
+        brackets, files = brackets + pictures, files + patterns
+        validation += [name == "test"] * len(pictures)
     return brackets, Patterns.of_files(files, curve), np.array(validation)
 
 
 def _patterns(folder: Path, curve: Curve) -> Patterns | None:
-    """Patterns in a folder, or None."""
+    """Read the patterns in a folder; None without patterns."""
     subfolder, file = folder / "patterns", folder / "patterns.npy"
     if file.is_file():
         try:

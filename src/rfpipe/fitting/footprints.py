@@ -58,19 +58,7 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
         The transport's table of levels.
     """
     camera, projector = RayDomain(series.camera_shape), RayDomain(series.projector_shape)
-    patterns = series.patterns[:, 0]
-    white = _white_weights(patterns)
-    assert white is not None
-    is_probe = patterns.min(axis=1) < patterns.max(axis=1)
-    floodlight = (white @ patterns)[None].astype(np.float32)
-    lit = np.ascontiguousarray(np.vstack([floodlight, patterns[is_probe]]).T)
-    radiance, variance = (
-        np.concatenate([np.einsum("k,kcm->cm", weights, images)[None], images[is_probe]])
-        for weights, images in (
-            (white, np.where(series.known, series.radiance, 0)),
-            (np.square(white), np.where(series.known, series.variance, 0)),
-        )
-    )
+    lit, radiance, variance = _floodlit_and_probes(series)
     light = float(np.abs(radiance[0].sum(axis=0)).mean())
     unit = float(2.0 ** np.round(np.log2(light))) if light > 0 else 1.0
 
@@ -106,13 +94,37 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
     return _without_negative_light(transport, projector)
 
 
+def _floodlit_and_probes(series: Series) -> tuple[Float, Float, Float]:
+    """Compute a floodlit picture, and put the pictures of non-constant patterns behind it.
+
+    Returns
+    -------
+    tuple of ndarray
+        Patterns (N, K), radiance and its variance (K, C, M).
+    """
+    patterns = series.patterns[:, 0]
+    white = _white_weights(patterns)
+    assert white is not None
+    is_probe = patterns.min(axis=1) < patterns.max(axis=1)
+    floodlight = (white @ patterns)[None].astype(np.float32)
+    lit = np.ascontiguousarray(np.vstack([floodlight, patterns[is_probe]]).T)
+    radiance, variance = (
+        np.concatenate([np.einsum("k,kcm->cm", weights, images)[None], images[is_probe]])
+        for weights, images in (
+            (white, np.where(series.known, series.radiance, 0)),
+            (np.square(white), np.where(series.known, series.variance, 0)),
+        )
+    )
+    return lit, radiance, variance
+
+
 def _without_negative_light(
     transport: FootprintTransport, projector: RayDomain
 ) -> FootprintTransport:
-    """Mix smooth light with even light, by the least share that leaves no square negative.
+    """Mix smooth light with even light, in the least proportion that leaves no square negative.
 
-    The squares are of the projector's rays, 16 along the longer side. Even light is as much light
-    in total, and comes from all rays alike.
+    The squares consist of projector rays, 16 squares along the longer side. Even light has the
+    same total and comes equally from all rays.
     """
     _, square = projector.squares(-(-max(projector.image_shape) // _SQUARES))
     squares = np.zeros((int(square.max()) + 1, 1, projector.size), np.float32)
@@ -145,9 +157,9 @@ def _by_pixel(pictures: NDArray[np.floating]) -> Float:
 
 
 def _white_weights(patterns: Float) -> NDArray[np.float64] | None:
-    """Return weights (K,) by which patterns (K, N) add up to white, or None where they don't.
+    """Return weights (K,) with which patterns (K, N) add up to white; None if they can't.
 
-    ``a = argmin |P^T a - 1|^2 / N + ridge |a|^2``: several ways to white are averaged.
+    ``a = argmin |P^T a - 1|^2 / N + ridge |a|^2``, which averages alternative combinations.
     """
     rows = patterns.astype(np.float64)
     rays = rows.shape[1]

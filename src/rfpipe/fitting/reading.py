@@ -123,27 +123,23 @@ def read_series(
     lit: Mask = np.asarray(weights.any(axis=(1, 2)))
     brackets = [listing.brackets[int(index)] for index in np.flatnonzero(lit)]
     unlit = [listing.brackets[int(index)] for index in np.flatnonzero(~lit)]
-    development: Development = (
-        MergedBrackets.of(listing, unlit, camera)
-        if camera
-        else SingleExposures.of(listing, unlit, curve)
-    )
+    development = _development(listing, unlit, camera, curve)
 
-    def shown(title: str) -> Iterator[Bracket]:
-        return iter(tqdm(brackets, title, unit="picture", disable=None if progress else True))
+    def with_progress(label: str) -> Iterator[Bracket]:
+        return iter(tqdm(brackets, label, unit="picture", disable=None if progress else True))
 
-    known = ~development.saturated(shown("saturated pixels"))
+    known = ~development.saturated(with_progress("saturated pixels"))
     if not known.any():
         raise InputError(f"{folder}: every pixel saturates in some picture; expose shorter")
     if (share := 1 - known.mean()) > MOST_SATURATED:
         notes.append(_saturation_note(share, known.size))
     if listing.mask is not None:
         known &= _mask(listing.mask, header)
-    radiance, variance = _binned_light(development, shown("light"), known, bins.camera)
+    radiance, variance = _binned_light(development, with_progress("light"), known, bins.camera)
     if known.any() and np.mean(radiance[..., np.isfinite(variance[0, 0])]) <= 0:
         raise InputError(
-            f"{folder}: pictures are darker than those without light, which are subtracted: is a "
-            "black or ambient picture of another exposure, or white in place of black?"
+            f"{folder}: the pictures are darker than those without light, which are subtracted; "
+            "check that no black or ambient picture has another exposure or shows white light"
         )
     return Series(
         binned_shape(header.size, bins.camera),
@@ -158,9 +154,18 @@ def read_series(
     )
 
 
+def _development(
+    listing: Listing, unlit: Sequence[Bracket], camera: CameraModel | None, curve: Curve
+) -> Development:
+    """Return the conversion of pictures to light: merged brackets with a camera's model."""
+    if camera is not None:
+        return MergedBrackets.of(listing, unlit, camera)
+    return SingleExposures.of(listing, unlit, curve)
+
+
 @dataclass(frozen=True)
 class SingleExposures:
-    """Pictures of one exposure a pattern.
+    """Pictures with one exposure per pattern.
 
     Attributes
     ----------
