@@ -108,7 +108,7 @@ def test_views_are_lit_in_turn_and_other_paths_light_all() -> None:
     assert np.array_equal(patterns.reshape(2, 2, -1).min(2), np.eye(2))
     assert moving_light("across", VIEWS, 0.5).shape == VIEWS
     for path in ("acros", "views"):
-        with pytest.raises(InputError, match=f"path '{path}': expected across, down, circle"):
+        with pytest.raises(InputError, match=f"path of the light: '{path}'; expected across, down"):
             moving_light(path, PROJECTOR, 0)
 
 
