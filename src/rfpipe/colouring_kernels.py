@@ -7,8 +7,8 @@ always one of the highest saturation and, of those, the one with the most neighb
 =====================  ============================  ==============================================
 name                   shape                         meaning
 =====================  ============================  ==============================================
-row_starts, blocks     (rows + 1,), (nnz,) int32     blocks of each row, as of a CSR matrix
-block_starts, rows     (n + 1,), (nnz,) int32        rows of each block, as of a CSC matrix
+row_starts, blocks     (rows + 1,), (nnz,) int32     blocks of each row of a CSR matrix
+block_starts, rows     (n + 1,), (nnz,) int32        rows of each block of a CSC matrix
 excluded               (n, words) uint64             colours of each block's neighbours, one bit for
                                                      each colour
 newest                 (n + 1,) int64                by saturation: the block that reached it last

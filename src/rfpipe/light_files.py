@@ -30,8 +30,13 @@ PICTURE_LIST = "filenames.txt"
 class _Lights:
     """Contents of a file of lights.
 
-    `directions` has the shape (lights, 3); `names` are those of the pictures, empty if the
-    file has none; `path` is the file with the names, else that with the directions.
+    Attributes
+    ----------
+    path : Path
+        File with the names, or with the directions if there are no names.
+    names : tuple of str
+        Names of the pictures; may be empty.
+    directions : ndarray of float32, shape (lights, 3)
     """
 
     path: Path

@@ -33,7 +33,7 @@ class Schedule:
         Index of the pattern that lights each ray, -1 for none.
     weights : ndarray of float32, shape (count, *shape), optional
         Patterns with weights in [0, 1], instead of `pattern_of_ray`. Booleans and the integers 0
-        and 1 become float32; larger integers, such as those of a picture file, are rejected.
+        and 1 become float32; larger integers, as in a picture file, are rejected.
     complete : bool
         True if the level lights each ray that sends light to the camera exactly once, so that its
         images add up to the floodlit image (thesis B.2).

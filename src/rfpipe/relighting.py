@@ -16,7 +16,7 @@ from rfpipe.provenance import generator
 KINDS = ("shapes", "bars", "spots")
 """Kinds of relit pictures, one third each."""
 
-_LEAST_REFERENCE = 0.5  # least norm that errors are relative to, over that of typical pictures
+_LEAST_REFERENCE = 0.5  # least norm that errors are relative to, over the typical norm
 
 
 def relighting_pictures(shape: tuple[int, ...], count: int, seed: int = 0) -> NDArray[np.float32]:
@@ -100,7 +100,7 @@ def bar(shape: tuple[int, int], random: np.random.Generator) -> Bools:
 
 
 def across(shape: tuple[int, int], angle: float) -> Double:
-    """Return the position of each pixel, in pixels, along a direction at `angle` radians to rows."""
+    """Return the position, in pixels, of each pixel along a direction at `angle` radians."""
     row, column = np.indices(shape)
     position: Double = row * np.sin(angle) + column * np.cos(angle)
     return position
@@ -165,7 +165,7 @@ class Squares:
 
     @property
     def plain_errors(self) -> Double:
-        """Norm of the difference relative to that of the picture; 0 for a black picture."""
+        """Norm of the difference relative to the norm of the picture; 0 for a black picture."""
         return relative_errors(self.wrong, self.light)
 
 

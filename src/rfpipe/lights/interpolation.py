@@ -34,10 +34,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double
 from rfpipe.lights.shading import fit_shading, shaded
-
-Double = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 REACH = 2.0
 """Angle, over the lights' spacing, up to which directions have light."""

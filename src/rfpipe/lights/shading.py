@@ -19,8 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
+from rfpipe.array_types import Double, Float
 
 _ROUNDS = 8
 """Rounds of reweighted least squares."""

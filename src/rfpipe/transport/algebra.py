@@ -70,7 +70,7 @@ class MatrixAlgebra(ABC):
         Raises
         ------
         InputError
-            For another shape, such as that of an image, which is for `relight`; for NaN,
+            For another shape, such as an image, which is for `relight`; for NaN,
             infinities, and integers other than 0, 1 and -1.
         """
         return self._product(x, -2, "T @ x", "(N,), (N, K) or (C, N, K), N projector rays")
@@ -140,24 +140,24 @@ class MatrixAlgebra(ABC):
         """
         if by_rows is None:
             by_rows = len(rows) <= len(columns)
-        lit, seen = (rows, columns) if by_rows else (columns, rows)
+        lit, received = (rows, columns) if by_rows else (columns, rows)
         chosen = range(self.channels) if channels is None else channels
         _, cameras, projectors = self.shape
-        n_lit, n_seen = (cameras, projectors) if by_rows else (projectors, cameras)
+        n_lit, n_received = (cameras, projectors) if by_rows else (projectors, cameras)
         apply = self.adjoint if by_rows else self.forward
-        bytes_per_pattern = _FLOAT_BYTES * (n_lit + 2 * len(chosen) * n_seen)
+        bytes_per_pattern = _FLOAT_BYTES * (n_lit + 2 * len(chosen) * n_received)
         batch = BATCH_MULTIPLE * max(1, _BLOCK_BYTES // (BATCH_MULTIPLE * bytes_per_pattern))
         for first in range(0, len(lit), batch):
             rays = lit[first : first + batch]
             single_rays = np.zeros((len(rays), 1, n_lit), np.float32)
             single_rays[np.arange(len(rays)), 0, rays] = 1
             light = np.broadcast_to(single_rays, (len(rays), len(chosen), n_lit))
-            entries = apply(light, chosen)[..., seen]
-            lit_range, seen_range = slice(first, first + len(rays)), slice(0, len(seen))
+            entries = apply(light, chosen)[..., received]
+            lit_range, received_range = slice(first, first + len(rays)), slice(0, len(received))
             if by_rows:
-                yield lit_range, seen_range, entries.swapaxes(0, 1)
+                yield lit_range, received_range, entries.swapaxes(0, 1)
             else:
-                yield seen_range, lit_range, np.moveaxis(entries, 0, -1)
+                yield received_range, lit_range, np.moveaxis(entries, 0, -1)
 
     def relight_per_ray(self, patterns: Any, channel: int) -> Float:
         """Relight each camera ray under its own pattern, float32 (camera rays,).

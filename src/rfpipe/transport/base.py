@@ -45,7 +45,7 @@ class Transport(Relightable):
     content
         Arrays, or objects that contain them, in memory or read when used.
     nbytes : int, optional
-        Bytes on disk; by default those of the arrays in memory.
+        Bytes on disk; by default the bytes of the arrays in memory.
     """
 
     kind: ClassVar[str]
@@ -104,13 +104,13 @@ class Transport(Relightable):
     @classmethod
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store, in memory if it has at most `memory_budget` bytes."""
-        about = bundle.attributes
+        attributes = bundle.attributes
         return cls(
-            channels=about["channels"],
-            level_rows=about["levels"],
+            channels=attributes["channels"],
+            level_rows=attributes["levels"],
             content=cls._open(bundle, bundle.nbytes <= memory_budget),
             nbytes=bundle.nbytes_stored,
-            **{name: about[name] for name in cls.stored_names if name in about},
+            **{name: attributes[name] for name in cls.stored_names if name in attributes},
         )
 
     def _to_arrays(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:

@@ -76,7 +76,7 @@ def open_collection(
     Raises
     ------
     StoreError
-        If there is no transport, none by this method, or `path` is the folder of one scene.
+        If there is no transport or no transport by this method, or `path` is the folder of a scene.
     """
     place = locate(path)
     stores: dict[str, dict[str, str]] = {}

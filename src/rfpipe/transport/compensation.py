@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.transport.algebra import MatrixAlgebra
-
-Float = NDArray[np.float32]
 
 _TINY = float(np.finfo(np.float32).tiny)
 _ITERATIONS = 200

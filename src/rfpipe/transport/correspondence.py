@@ -189,8 +189,9 @@ def _agreement(places: Double, lit: Bools) -> Double:
     # prediction = first weight * first neighbour + second weight * second neighbour
     interpolations = [((0.5, step), (0.5, (-step[0], -step[1]))) for step in _OPPOSITE]
     extrapolations = [((2.0, step), (-1.0, (2 * step[0], 2 * step[1]))) for step in _ADJACENT]
-    for (one, first), (two, second) in (*interpolations, *extrapolations):
-        residual = one * moved(padded, first) + two * moved(padded, second) - known
+    for (first_weight, first), (second_weight, second) in (*interpolations, *extrapolations):
+        prediction = first_weight * moved(padded, first) + second_weight * moved(padded, second)
+        residual = prediction - known
         agreeing += (residual**2).sum(axis=-1) <= 1
         available += moved(within, first) & moved(within, second)
     return (agreeing + 0.5) / (available + 1)

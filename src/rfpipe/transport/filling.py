@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.provenance import generator
-from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.responses import Responses, agree, by_level, fold

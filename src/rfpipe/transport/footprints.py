@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.transport.array_transport import ArrayTransport
-from rfpipe.transport.base import Float
 from rfpipe.transport.function_pairs import product_diagonal
 
 if TYPE_CHECKING:

@@ -50,14 +50,14 @@ class FunctionPairTransport(CoaxialTransport, ArrayTransport):
         return image
 
 
-def product_diagonal(left: Any, middle: Any, right: Any) -> Float:
-    """Return the diagonal of ``left middle right^T`` of sparse matrices, float32 (rays,)."""
-    diagonal = np.empty(left.shape[0], np.float32)
+def product_diagonal(outer: Any, middle: Any, inner: Any) -> Float:
+    """Return the diagonal of ``outer middle inner^T`` of sparse matrices, float32 (rays,)."""
+    diagonal = np.empty(outer.shape[0], np.float32)
     # neighbouring rays have few functions between them
     for first in range(0, len(diagonal), _RAYS_PER_BATCH):
         batch = slice(first, first + _RAYS_PER_BATCH)
-        rows, columns = (np.unique(matrix[batch].indices) for matrix in (left, right))
+        rows, columns = (np.unique(matrix[batch].indices) for matrix in (outer, inner))
         between = middle[rows][:, columns].toarray()
-        parts = left[batch][:, rows] @ between, right[batch][:, columns].toarray()
+        parts = outer[batch][:, rows] @ between, inner[batch][:, columns].toarray()
         diagonal[batch] = (parts[0] * parts[1]).sum(axis=1)
     return diagonal

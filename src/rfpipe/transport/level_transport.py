@@ -14,8 +14,8 @@ from rfpipe.transport.base import Transport
 class LevelTransport(Transport):
     """Transport made of sets of arrays, each for the blocks of one level.
 
-    The sets stay in memory where all of them fit, or are read at each use. The levels of the
-    acquisition are those of the block tree.
+    The sets stay in memory where all of them fit, or are read at each use. The acquisition
+    and the block tree have the same levels.
     """
 
     _content: Sequence[Any]

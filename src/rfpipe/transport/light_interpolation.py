@@ -9,15 +9,12 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float
 from rfpipe.environment import Sky
 from rfpipe.lights.interpolation import MOST_LIGHTS, Interpolation, between, interpolate
 from rfpipe.lights.shading import fit_shading, shaded
 from rfpipe.transport.algebra import MEMORY_BUDGET, MatrixAlgebra
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
 
 _SAMPLES = 1024
 """Values of each picture on which the models are compared."""

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rfpipe.array_types import Float
 from rfpipe.transport.array_transport import ArrayTransport
-from rfpipe.transport.base import Float
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -50,9 +50,9 @@ class LowRankTransport(ArrayTransport):
         from scipy.sparse import diags_array
 
         # terms cancel: sums over many rays are in float64
-        left = received.T @ self._content["left"][channel].T.astype(np.float64)
-        right = sent.T @ self._right[channel].T.astype(np.float64)
-        matrix = (left * self._content["strengths"][channel]) @ right.T
+        camera = received.T @ self._content["left"][channel].T.astype(np.float64)
+        projector = sent.T @ self._right[channel].T.astype(np.float64)
+        matrix = (camera * self._content["strengths"][channel]) @ projector.T
         if "diagonal" in self._content:
             matrix += (
                 received.T @ diags_array(self._content["diagonal"][channel]) @ sent
@@ -65,8 +65,8 @@ class LowRankTransport(ArrayTransport):
         terms = (
             it[channel] for it in (self._content["left"], self._content["strengths"], self._right)
         )
-        for left, strength, right in zip(*terms, strict=True):
-            image += left * (strength * (patterns @ right.astype(np.float64)))
+        for u, s, v in zip(*terms, strict=True):
+            image += u * (s * (patterns @ v.astype(np.float64)))
         if "diagonal" in self._content:
             image += self._content["diagonal"][channel] * patterns.diagonal()
         return image.astype(np.float32)

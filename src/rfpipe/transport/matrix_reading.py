@@ -159,7 +159,7 @@ def _read_group(path: Path, group: Any, name: str | None) -> Any:
 
 
 def _dataset_name(path: Path, names: Iterable[str], name: str | None) -> str:
-    """Return the name of the dataset to read: `name`, or that of the only dataset."""
+    """Return the name of the dataset to read: `name`, or the only one."""
     datasets = sorted(names)
     if name is None and {"T", "camera_shape"} <= {*datasets}:
         return "T"  # of a file by rfpipe

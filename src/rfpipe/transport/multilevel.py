@@ -46,7 +46,7 @@ class MultilevelTransport(LevelTransport):
     content : sequence of Responses
         By level, the coarsest first; in memory or read when used.
     symmetric : bool
-        Whether the transport is symmetric, as that of a coaxial rig: a response is then distributed
+        Whether the transport is symmetric, as on a coaxial rig: a response is then distributed
         over its block in proportion to the responses of the transpose, else evenly.
     """
 

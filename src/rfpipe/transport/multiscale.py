@@ -4,8 +4,8 @@ The functions B are quadratic B-splines on grids whose spacing halves from scale
 scales there are only the functions that a scene needs. S couples pairs of functions. Two functions
 are a pair if their distance is at most `REACH` spacings of the coarser one, since light between
 distant places varies slowly. A function of the coarsest scale is paired with all functions of its
-view, and with those of the coarsest scale in other views. See `rfpipe.transport.function_pairs` for
-the symbols.
+view, and with functions of the coarsest scale in other views. `rfpipe.transport.function_pairs` has
+the table of symbols.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.transport.base import Float
 from rfpipe.transport.function_pairs import FunctionPairTransport
 
 if TYPE_CHECKING:

@@ -12,12 +12,11 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.lights.interpolation import unit
 from rfpipe.lights.shading import fit_shading, shaded
 from rfpipe.transport.algebra import MatrixAlgebra
-
-Float = NDArray[np.float32]
 
 _FEWEST = 3
 """Lights that a normal needs: it has three unknowns with its albedo."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PatternOperator", "Transportish", "as_pattern_operator"]
 
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
 Transportish: TypeAlias = Any
 """ndarray (M, N) or (C, M, N), or an array of dask, zarr or xarray; scipy sparse; LinearOperator; a
 list of those, one per channel; or a `PatternOperator`."""
@@ -138,7 +137,7 @@ def _sparse(matrix: csr_array[Any]) -> _Matrix:
 
 
 def _linear(operator: LinearOperator) -> _Matrix:
-    """Wrap an operator, applied to one pattern at a time; its digest is that of a probe image."""
+    """Wrap an operator, applied to one pattern at a time; its digest is from a probe image."""
     rows, columns = operator.shape
 
     def images(patterns: Float) -> Double:

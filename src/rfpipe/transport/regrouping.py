@@ -106,7 +106,7 @@ def coarser(transport: Relightable, factor: int) -> RegroupedTransport:
         At least 1, or InputError.
     """
     if factor != int(factor) or factor < 1:
-        raise InputError(f"factor is {factor}; expected a whole number of at least 1")
+        raise InputError(f"factor is {factor}; expected an integer of at least 1")
     camera_shape, sums = squares(transport.camera_shape, int(factor))
     projector_shape, repeated = squares(transport.projector_shape, int(factor))
     sums.data /= np.repeat(np.diff(sums.indptr), np.diff(sums.indptr))
@@ -138,15 +138,15 @@ def crop(transport: Relightable, camera: Any = None, projector: Any = None) -> R
         ``4`` for view 4 of several, ``np.s_[4, 10:20, :]`` for some rows of it. All rays by
         default; InputError if the selection has no rays.
     """
-    seen = _select(camera, transport.camera_shape, "camera")
-    lit = _select(projector, transport.projector_shape, "projector")
-    rows = _selection_matrix(seen, prod(transport.camera_shape))
-    columns = _selection_matrix(lit, prod(transport.projector_shape))
-    part = transport.restricted(rows.sum(axis=0) > 0, columns.sum(axis=0) > 0)
-    name = f"{seen.shape} by {lit.shape} rays"
-    cropped = RegroupedTransport(part, seen.shape, lit.shape, rows, columns.T.tocsr(), name)
-    cropped.lights = None if transport.lights is None else transport.lights[lit.ravel()]
-    cropped.noise = None if transport.noise is None else transport.noise.ravel()[seen]
+    rows = _select(camera, transport.camera_shape, "camera")
+    columns = _select(projector, transport.projector_shape, "projector")
+    gather = _selection_matrix(rows, prod(transport.camera_shape))
+    spread = _selection_matrix(columns, prod(transport.projector_shape))
+    part = transport.restricted(gather.sum(axis=0) > 0, spread.sum(axis=0) > 0)
+    name = f"{rows.shape} by {columns.shape} rays"
+    cropped = RegroupedTransport(part, rows.shape, columns.shape, gather, spread.T.tocsr(), name)
+    cropped.lights = None if transport.lights is None else transport.lights[columns.ravel()]
+    cropped.noise = None if transport.noise is None else transport.noise.ravel()[rows]
     return cropped
 
 

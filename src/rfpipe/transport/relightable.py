@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.array_types import Bools, Float
 from rfpipe.errors import InputError, installing
-from rfpipe.transport.algebra import Float, MatrixAlgebra, RaySelection, selected_rays
+from rfpipe.transport.algebra import MatrixAlgebra, RaySelection, selected_rays
 from rfpipe.weights import as_weights
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ class Relightable(MatrixAlgebra):
         environment, turned, mirrored
             See `rfpipe.environment_weights`.
         lights : array, shape (lights, 3), optional
-            Directions, one for each ray; by default those of the transport.
+            Directions, one for each ray; by default `lights` of the transport.
 
         Returns
         -------
@@ -164,7 +165,7 @@ class Relightable(MatrixAlgebra):
         ------
         InputError
             As `rfpipe.environment_weights`, and if the directions of the lights are unknown or
-            their number differs from that of the projector's rays.
+            their number differs from the number of projector rays.
         """
         from rfpipe.environment import sky_of
 
@@ -251,10 +252,10 @@ class Relightable(MatrixAlgebra):
         light = planar_patterns(np.asarray(pattern)[None], self.projector_shape, self.channels)
         return separated(self, light[0], direct, near, self.noise)
 
-    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Relightable:  # noqa: ARG002
-        """Return a transport that is equal between camera rays `seen` and projector rays `lit`.
+    def restricted(self, camera_rays: Bools, projector_rays: Bools) -> Relightable:  # noqa: ARG002
+        """Return a transport that is equal between some camera rays and some projector rays.
 
-        Both are bool (rays,). Transport between other rays may be missing.
+        Both are bool (rays,). Transport between other rays may be 0.
         """
         return self
 
@@ -306,9 +307,9 @@ class Relightable(MatrixAlgebra):
             "camera": selected_rays(rows, self.camera_shape, "rows"),
             "projector": selected_rays(columns, self.projector_shape, "columns"),
         }
-        about = {"camera_shape": self.camera_shape, "projector_shape": self.projector_shape}
+        attributes = {"camera_shape": self.camera_shape, "projector_shape": self.projector_shape}
         matrix = self.toarray(*rays.values())
-        return DataArray(matrix, rays, ("channel", *rays), "radiance per weight", about)
+        return DataArray(matrix, rays, ("channel", *rays), "radiance per weight", attributes)
 
     def save(
         self,
@@ -367,9 +368,9 @@ class TransposedTransport(Relightable):
         """Return ``T p`` for planar images ``(P, K, projector rays)``."""
         return self._primal.forward(images, channels)
 
-    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Relightable:
+    def restricted(self, camera_rays: Bools, projector_rays: Bools) -> Relightable:
         """Return a dual that is equal between some rays, see `Relightable.restricted`."""
-        return self._primal.restricted(lit, seen).T
+        return self._primal.restricted(projector_rays, camera_rays).T
 
 
 def planar_patterns(

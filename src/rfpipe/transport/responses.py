@@ -129,7 +129,7 @@ def spread_evenly(tree: BlockTree, pairs: Responses) -> Spread:
 def spread_by_transpose(
     tree: BlockTree, level_responses: Sequence[Responses], index: int
 ) -> Spread:
-    """Distribute responses in proportion to those of the transpose, for a coaxial rig.
+    """Distribute responses in proportion to the transpose, for a coaxial rig.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def spread_by_transpose(
 def looks_symmetric(
     tree: BlockTree, camera: RayDomain, level_responses: Sequence[Responses]
 ) -> bool:
-    """Test whether responses to single rays agree with those of the transpose.
+    """Test whether responses to single rays agree with the transpose.
 
     The diagonal, direct light of a coaxial rig, is left out, since it is its own transpose.
     """

@@ -38,7 +38,7 @@ def separated(
 ) -> Separation:
     """Separate the picture under planar light (channels, projector rays).
 
-    See `Relightable.separate`; `noise` is that of `correspondence_of`.
+    See `Relightable.separate`, and `correspondence_of` for `noise`.
     """
     shape = transport.projector_shape
     if not (direct >= 0 and direct == int(direct) and 0 < near <= 1):

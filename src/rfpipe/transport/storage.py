@@ -39,7 +39,7 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
     ----------
     path : path or address
         The ``transport.zarr`` that an acquisition wrote; or a folder or zip file that holds one,
-        such as those of ``rfpipe publish``. If it holds several, name one:
+        as ``rfpipe publish`` writes them. If it holds several, name one:
         ``crate.zip/results/desk/symmetric/transport.zarr``, or, in a folder of ``rfpipe collection
         pack``, ``packed/jug/near_far/transport.zarr``. On a server, only the ranges that are used
         are read: ``https://host/crate.zip``,

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Float
 from rfpipe.store.arrays import ArrayBundle
-from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.base import Transport
 from rfpipe.transport.storage import unpack_transport
 from rfpipe.units import NumberFormat
 
@@ -63,35 +64,35 @@ class SumTransport(Transport):
         """Return each ray under its own pattern, see `MatrixAlgebra.relight_per_ray`."""
         return reduce(np.add, (part.relight_per_ray(patterns, channel) for part in self.parts))
 
-    def restricted(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
+    def restricted(self, camera_rays: Bools, projector_rays: Bools) -> Transport:
         """Return a sum that is equal between some rays, see `Relightable.restricted`."""
-        parts: Any = [part.restricted(seen, lit) for part in self.parts]
+        parts: Any = [part.restricted(camera_rays, projector_rays) for part in self.parts]
         return SumTransport(parts, self.level_rows)
 
     def pack(
         self, number_format: NumberFormat = "float32"
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the arrays and attributes of a store: those of the parts, by number."""
+        """Return the arrays and attributes of a store, by the number of the part."""
         arrays: dict[str, NDArray[Any]] = {}
-        about = []
+        part_attributes = []
         for index, part in enumerate(self.parts):
-            packed, attributes = part.pack(number_format)
+            packed, packed_attributes = part.pack(number_format)
             arrays |= {f"{_prefix(index)}{name}": array for name, array in packed.items()}
-            about.append(attributes)
+            part_attributes.append(packed_attributes)
         attributes = {"kind": self.kind, "number_format": number_format, "levels": self.level_rows}
-        return arrays, {**attributes, "parts": about}
+        return arrays, {**attributes, "parts": part_attributes}
 
     @classmethod
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> SumTransport:
         """Build a transport from a store; parts stay in memory, the first first, while they fit."""
-        about = bundle.attributes
+        attributes = bundle.attributes
         parts = []
-        for index, attributes in enumerate(about["parts"]):
-            part = bundle.part(_prefix(index), attributes)
+        for index, part_attributes in enumerate(attributes["parts"]):
+            part = bundle.part(_prefix(index), part_attributes)
             parts.append(unpack_transport(part, memory_budget))
             if part.nbytes <= memory_budget:
                 memory_budget -= part.nbytes
-        return cls(parts, about["levels"], bundle.nbytes_stored)
+        return cls(parts, attributes["levels"], bundle.nbytes_stored)
 
 
 def _prefix(index: int) -> str:

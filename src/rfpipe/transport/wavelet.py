@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.transport.base import Float
 from rfpipe.transport.function_pairs import FunctionPairTransport
 from rfpipe.transport.regrouping import squares
 
@@ -59,7 +59,7 @@ class Group:
         return slice(self.start, self.start + self.orientations * self.places)
 
     def by_place(self) -> list[NDArray[np.int64]]:
-        """Return the wavelets of each place; at the finest scale, those of two by two places."""
+        """Return the wavelets of each place, at the finest scale of two by two places."""
         _, height, width = self.grid
         step = 2 if self.side == 2 and height % 2 == 0 and width % 2 == 0 else 1
         number = np.arange(self.rows.start, self.rows.stop)
@@ -144,14 +144,14 @@ class Haar:
         return np.ascontiguousarray(means[:, :height, :width]).reshape(-1, count)
 
 
-def cell_side(shape: tuple[int, ...], most: int) -> int:
-    """Return the smallest side of cells, in pixels, with at most `most` cells in all views.
+def cell_side(shape: tuple[int, ...], limit: int) -> int:
+    """Return the smallest side of cells, in pixels, with at most `limit` cells in all views.
 
     Each view has at least one cell.
     """
     views, height, width = RayDomain(shape).stack_shape
     side = 1
-    while views * -(-height // side) * -(-width // side) > most and side < max(height, width):
+    while views * -(-height // side) * -(-width // side) > limit and side < max(height, width):
         side += 1
     return side
 

@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rfpipe.array_types import Bools, Double, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.symmetric.nodes import (
-    Bools,
-    Double,
     Frontier,
-    Index,
     LevelBlocks,
     Nodes,
     Pairs,

@@ -391,8 +391,8 @@ def fill_factors(blocks, nodes, measured, profiles, significance):  # type: igno
 
     The factors are denoised towards the pieces of the nodes above (`_denoise`), not negative, and
     scaled to the energy m; 0 where m is. A non-negative transport with these factors splits each of
-    them among the children of the other block in some way. The largest ssd that `rank_test` may
-    find is that of all light from the child of the smallest share::
+    them among the children of the other block in some way. The ssd of `rank_test` is largest if all
+    light comes from the child with the smallest share::
 
         bound = |c_ab|^2 (1 - 2 min_j w_j + sum_j w_j^2) + |c_ba|^2 (1 - 2 min_i w_i + sum_i w_i^2)
 
@@ -445,8 +445,9 @@ def _denoise(measured, profiles, c, side, n, significance, target):  # type: ign
         g = p sum(c) / sum(p),    d = c - g
         result = max(g + k d, 0),    k = max(1 - sum(var(c)) / |d|^2, 1 - (t^2 var(c)) / d^2, 0)
 
-    The first term of k is that of the whole piece, the second that of the pixel, with the threshold
-    t of `significance` standard deviations. Without a piece above the result is ``max(c, 0)``.
+    The first term of k is a property of the whole piece, the second of a single pixel, with the
+    threshold t of `significance` standard deviations. Without a node above the result is
+    ``max(c, 0)``.
     """
     start, size = measured.offsets[side, n], len(target)
     piece, variance = measured.values[c, start : start + size], measured.variances[c]

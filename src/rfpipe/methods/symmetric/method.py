@@ -1,4 +1,7 @@
-"""Symmetric photography: local rank-1 factors from both sides of a coaxial rig (thesis ch. 5)."""
+"""The method of symmetric photography, and its state (thesis ch. 5, C.2).
+
+See `rfpipe.methods.symmetric` for the equation and the steps of a level.
+"""
 
 from __future__ import annotations
 
@@ -57,19 +60,19 @@ class SymmetricOptions(Options):
 
 @dataclass(frozen=True)
 class SymmetricState(MethodState):
-    """The state of symmetric photography before a level, beside what all states have.
+    """State of symmetric photography before a level; see `MethodState` for common fields.
 
     Attributes
     ----------
     tree : BlockTree
     known : sequence of LeafSet
-        Leaves found so far.
+        Leaves of all levels so far, which `residual_pieces` subtracts from images.
     frontier : Frontier
         Unknown nodes of level ``level - 1``.
     floodlit_maximum, floodlit_rms : float
-        Maximum and root mean square of the floodlit image, the units of the tolerance.
+        Maximum and root mean square of the floodlit image; the tolerance is relative to them.
     dark : ndarray of bool, shape (N,)
-        Rays (in tree order) from which no light comes back under floodlight.
+        Rays, in tree order, without significant light in the floodlit image.
     """
 
     options: SymmetricOptions
@@ -83,8 +86,8 @@ class SymmetricState(MethodState):
     def to_arrays(self, previous: Self) -> StateArrays:
         """Return the leaves that the last level added, and the frontier.
 
-        Level 0 adds one set of leaves, each other level two: one of its parents' level, one of its
-        own.
+        Level 0 adds one set of leaves. Each further level adds two: nodes of the previous level
+        that passed the rank test clearly, and leaves of its own level.
         """
         arrays = {
             "dark": self.dark,
@@ -156,10 +159,10 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
     ) -> SymmetricState:
         """Return the state before the floodlit image."""
         check_rays(self, camera, projector)
-        tree, nothing = BlockTree(projector), no_nodes(channels)
+        tree, frontier = BlockTree(projector), no_nodes(channels)
         dark = np.zeros(projector.size, np.bool_)
         return SymmetricState(
-            camera, projector, channels, options, tree=tree, frontier=nothing, dark=dark
+            camera, projector, channels, options, tree=tree, frontier=frontier, dark=dark
         )
 
     def next_schedule(self, state: SymmetricState) -> Schedule | None:
@@ -200,10 +203,10 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
         )
 
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
-        """Make the root node from the floodlit image."""
+        """Estimate the root node from the floodlit image."""
         root, first = np.zeros(1, np.int32), np.zeros(1, np.int64)
         pieces = residual_pieces(
-            state.tree, 0, root, root, (), state.channels, images, MEMORY_BYTES
+            state.tree, 0, (root, root), (), state.channels, images, MEMORY_BYTES
         )
         significant = pieces.values > state.options.noise_significance * np.sqrt(pieces.variances)
         maximum = float(pieces.values.max(initial=0.0))
@@ -220,7 +223,7 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
         )
 
     def transport(self, state: SymmetricState) -> HierarchicalTransport:
-        """Return the hierarchical tensor; nodes still unknown at their rank-1 estimate."""
+        """Return the hierarchical tensor, with the rank-1 estimates of nodes that are unknown."""
         estimate = as_leaves(state.tree, state.level - 1, state.frontier)
         return HierarchicalTransport.from_leaf_sets(
             state.tree, state.channels, list(state.rows), [*state.known, estimate]
@@ -232,8 +235,8 @@ def _limits(state: SymmetricState, tests: int) -> Limits:
 
     A pattern that lights half of a block adds up the errors of two of its four children, so that a
     node's mean squared error may be half of the squared tolerance. Errors of many nodes add up like
-    noise: with half of all children lit, their squares sum to half of those of all. If all nodes
-    are at the limit, the error is `_MOST_ERROR` tolerances of the norm of such a picture.
+    noise: with half of all children lit, half of all squared errors add up. If all nodes are at the
+    limit, the error is `_MOST_ERROR` tolerances of the norm of such a picture.
     """
     options, tree, level = state.options, state.tree, state.level
     node_limit = (options.tolerance * state.floodlit_maximum) ** 2 / 2
@@ -277,12 +280,12 @@ def _refine_nodes(
     limits: Limits,
     memory_bytes: int,
 ) -> _Refined:
-    """Test nodes of the level above the images', and classify the children of failed ones."""
+    """Test nodes of the previous level, and classify the children of those without a leaf."""
     from rfpipe.methods.symmetric import kernels
 
     tree, level = state.tree, state.level
     parent, a, b = child_pairs(tree, level - 1, nodes)
-    pieces = residual_pieces(tree, level, a, b, state.known, state.channels, images, memory_bytes)
+    pieces = residual_pieces(tree, level, (a, b), state.known, state.channels, images, memory_bytes)
     subdivision = Subdivision.of(tree, level - 1, nodes, parent, pieces)
     outcome = rank_test(tree, level - 1, nodes, subdivision, limits)
     is_leaf = outcome == Outcome.PASSED_CLEARLY

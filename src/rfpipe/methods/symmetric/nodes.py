@@ -8,14 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double, Float, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
 
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Blocks = NDArray[np.int32]
-Index = NDArray[np.int64]
 
 # Nodes that are subdivided at a time: a node takes a kilobyte, its children some dozens of bytes.
 _NODES_PER_BATCH = 2**15
@@ -72,7 +69,8 @@ class Pairs(NamedTuple):
 class Nodes(NamedTuple):
     """Nodes with their rank-1 estimates, for kernels.
 
-    The layout is that of `Pairs`, `factors` are the pieces of `Frontier`, other arrays as there.
+    Blocks and offsets are as in `Pairs`, `factors` are the pieces of `Frontier`, and `energy` and
+    `variance` are as there.
     """
 
     block_a: Blocks

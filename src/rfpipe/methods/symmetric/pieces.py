@@ -11,14 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rfpipe.array_types import Double, Float, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.symmetric.nodes import (
     Blocks,
-    Double,
-    Float,
     Frontier,
-    Index,
     LevelBlocks,
     Nodes,
     Pairs,
@@ -45,7 +43,7 @@ class Pieces(NamedTuple):
     noise_variance : ndarray of float64, shape (C, 2, n)
         Variances of the sums by the noise of their known pixels.
     variance : ndarray of float64, shape (C, 2, n)
-        Variances of the sums, those of the estimates of unknown pixels included.
+        Variances of the sums, including the estimates of unknown pixels.
     unknown : ndarray of int64, shape (k,)
         Ascending tree positions of pixels that no image shows, such as defects of the camera. Their
         values are estimates from the pair's other piece and from the neighbours, with a variance of
@@ -81,7 +79,7 @@ class ImageBatch(NamedTuple):
 
 
 class MeasuredPieces(NamedTuple):
-    """Where the two pieces of nodes lie among the values of `Pieces`, for kernels.
+    """The pieces of nodes among the values of `Pieces`, for kernels.
 
     Attributes
     ----------
@@ -158,8 +156,7 @@ def node_batches(
 def residual_pieces(
     tree: BlockTree,
     level: int,
-    block_a: Blocks,
-    block_b: Blocks,
+    blocks: tuple[Blocks, Blocks],
     known: Sequence[LeafSet],
     channels: int,
     images: LevelImages,
@@ -172,7 +169,7 @@ def residual_pieces(
     tree : BlockTree
     level : int
         Level of the images.
-    block_a, block_b : ndarray of int32, shape (n,)
+    blocks : two ndarrays of int32, shape (n,)
         Pairs of blocks of that level.
     known : sequence of LeafSet
     channels : int
@@ -184,7 +181,7 @@ def residual_pieces(
     from rfpipe.methods.symmetric import kernels
 
     starts = tree.starts[level]
-    pairs, n_values = Pairs.of(starts, block_a, block_b)
+    pairs, n_values = Pairs.of(starts, *blocks)
     pattern_of_block = images.schedule.pattern_of_block(tree, level)
     unknown = np.zeros(tree.domain.size, np.bool_)
     values = np.zeros((channels, n_values), np.float32)

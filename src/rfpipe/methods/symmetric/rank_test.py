@@ -9,8 +9,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.blocks import BlockTree
-from rfpipe.methods.symmetric.nodes import Double, Frontier, compared_pixels
+from rfpipe.methods.symmetric.nodes import Frontier, compared_pixels
 from rfpipe.methods.symmetric.pieces import Subdivision
 
 # The mean of n squared normal deviates is within 1 +- 3 sqrt(2 / n), at three standard deviations.
@@ -58,8 +59,8 @@ class Limits:
     def level_significance(self) -> float:
         """Squared standard deviations above which light is worth more patterns.
 
-        The tail of n normal deviates beyond t is about ``n exp(-t^2 / 2)``. With this t, the
-        probability that noise passes for light anywhere in the level is that of one measurement at
+        The tail of n normal deviates beyond t is about ``n exp(-t^2 / 2)``. With this t, noise
+        passes for light anywhere in the level with the probability of a single measurement at
         `significance`.
         """
         return self.significance**2 + 2.0 * math.log(max(self.tests, 1))
@@ -117,9 +118,9 @@ def _has_evidence(
 ) -> NDArray[np.bool_]:
     """Test whether the energy of nodes is distributed over several children, bool (n,).
 
-    The limit of the squared shares, ``3 / (children + 2)``, is that of two of four children with
-    half the energy each, or of three quarters and one quarter in two children. `squares` are those
-    of `kernels.rank_test`.
+    The limit of the squared shares is ``3 / (children + 2)``: half the energy in each of two out of
+    four children, or three quarters and one quarter in two children. `squares` are a result of
+    `kernels.rank_test`.
     """
     children = np.diff(tree.child_starts[level])
     limit = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)

@@ -1,4 +1,4 @@
-"""Patterns of a level: blocks whose unknown light can be told apart, by colour (thesis §5.1).
+"""Patterns of a level by colouring the square of the graph of unknown transport (thesis §5.1).
 
 Blocks i and j can be lit together if and only if for every block k the light between i and k or
 that between j and k is known (Lemma 1, Block Scheduling Lemma), so not if there is a k for which
@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from rfpipe.array_types import Bools
 from rfpipe.blocks import BlockTree
 from rfpipe.conflicts import colour_square, conflict_graph
-from rfpipe.methods.symmetric.nodes import Bools, Frontier, child_blocks
+from rfpipe.methods.symmetric.nodes import Frontier, child_blocks
 from rfpipe.patterns import Schedule
 
 

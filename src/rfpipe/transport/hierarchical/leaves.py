@@ -32,7 +32,7 @@ CODED_PARTS = ("block_a", "block_b", "codes", "scales")
 class LeafSet:
     """Rank-1 leaves of one level: ``T_ab = u v^T`` and, by symmetry, ``T_ba = v u^T``.
 
-    Factors and scalars are light, so that none is negative. On the diagonal u and v are the same.
+    Factors and scalars are light, never negative. On the diagonal u and v are the same.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafS
     """Merge sets of leaves in any order into sets by level, the coarsest first.
 
     A level has several sets where one would have more than `_SET_VALUES` values. Leaves are in the
-    order of their pairs of views, then of their blocks, so that those of a view are in few runs.
+    order of their pairs of views, then of their blocks, so that a view has few runs of leaves.
     """
     merged: list[LeafSet] = []
     for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):

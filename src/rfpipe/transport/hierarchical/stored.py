@@ -30,21 +30,24 @@ _REQUESTS = 16  # to a server at the same time, each of which waits for its answ
 
 @dataclass(frozen=True)
 class RayMasks:
-    """Camera rays `seen` and projector rays `lit`, bool (N,) in tree order."""
+    """Selected camera rays and projector rays, bool (N,) in tree order."""
 
     tree: BlockTree
-    seen: Bools
-    lit: Bools
+    camera: Bools
+    projector: Bools
 
     def connected(self, level: int, block_a: NDArray[Any], block_b: NDArray[Any]) -> Bools:
-        """Test which pairs of blocks have a seen ray in one and a lit ray in the other, (n,)."""
+        """Test which pairs of blocks have a camera ray in one and a projector ray in the other."""
         starts = self.tree.starts[level][:-1]
-        seen, lit = (np.logical_or.reduceat(rays, starts) for rays in (self.seen, self.lit))
-        pairs: Bools = (seen[block_a] & lit[block_b]) | (seen[block_b] & lit[block_a])
+        camera = np.logical_or.reduceat(self.camera, starts)
+        projector = np.logical_or.reduceat(self.projector, starts)
+        pairs: Bools = (camera[block_a] & projector[block_b]) | (
+            camera[block_b] & projector[block_a]
+        )
         return pairs
 
     def select(self, leaves: LeafSet) -> LeafSet:
-        """Return the leaves that connect lit and seen rays."""
+        """Return the leaves that connect selected rays."""
         connected = self.connected(leaves.level, leaves.block_a, leaves.block_b)
         return leaves.subset(self.tree, connected)
 
@@ -65,7 +68,7 @@ class StoredLeaves(LazySequence[str, LeafSet]):
         super().__init__(list(self._sets), self._read_set, keep=keep)
 
     def connecting(self, rays: RayMasks) -> Sequence[LeafSet]:
-        """Return the leaves that connect lit and seen rays, read when they are used."""
+        """Return the leaves that connect selected rays, read when they are used."""
 
         def read(index: int) -> LeafSet:
             if index in self.kept:

@@ -82,9 +82,9 @@ class HierarchicalTransport(CoaxialTransport, LevelTransport):
     def _open(cls, bundle: ArrayBundle, keep: bool) -> Sequence[LeafSet]:
         return StoredLeaves(bundle, keep=keep)
 
-    def restricted(self, seen: Bools, lit: Bools) -> Transport:
-        """Return the leaves that connect lit and seen rays, see `Relightable.restricted`."""
-        rays = RayMasks(self.tree, seen[self.tree.order], lit[self.tree.order])
+    def restricted(self, camera_rays: Bools, projector_rays: Bools) -> Transport:
+        """Return the leaves that connect selected rays, see `Relightable.restricted`."""
+        rays = RayMasks(self.tree, camera_rays[self.tree.order], projector_rays[self.tree.order])
         leaf_sets = self._content
         if isinstance(leaf_sets, StoredLeaves):
             return self.with_content(self.level_rows, leaf_sets.connecting(rays))

@@ -93,7 +93,7 @@ def _add_marginals(
     node_offsets: tuple[Index, Index],
     marginals: NDArray[np.float64],
 ) -> None:
-    """Add the row and column sums of leaves to those of their nodes, in place.
+    """Add the row and column sums of leaves to the sums of their nodes, in place.
 
     The sum of a node's tree position k is at ``node_offsets[side][node] + k``.
     """
