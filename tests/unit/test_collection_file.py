@@ -115,7 +115,7 @@ MISTAKES: list[tuple[str | bytes, *tuple[str, ...]]] = [
         "name,kind,file,camera.exposure\nA,matrix,no\na,plane,,3\na,plane,,,7\nb,pla,[2\n",
         "line 2: the name 'A' is unsuitable for a folder",
         "line 2: file is 'no'; there is no such file",
-        "line 4: the name a stands in line 3",
+        "line 4: the name a is also in line 3",
         "line 4: '7' is in a column without",
         "line 5: file: while parsing a flow sequence",
         "line 5: scenes.b: 'pla' is unknown",

@@ -56,7 +56,7 @@ def calibrate(
             help="Do only this step; the steps on which it depends must be done. May be repeated."
         ),
     ] = None,
-    again: Annotated[
+    repeat: Annotated[
         bool,
         typer.Option("--again", help="Repeat steps that are done, such as after moving the rig."),
     ] = False,
@@ -89,7 +89,7 @@ def calibrate(
     folder = CalibrationFolder(path)
     before, is_complete = folder.written_at(), False
     try:
-        calibrate_rig(config, path, step, Progress, repeat=again)
+        calibrate_rig(config, path, step, Progress, repeat=repeat)
         is_complete = True
     finally:
         if is_complete or folder.written_at() != before:
