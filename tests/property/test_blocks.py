@@ -36,20 +36,22 @@ def subdivided(shape: tuple[int, ...]) -> Iterator[list[Box]]:
     """The boxes of each level, in order, as the words of `BlockTree` have it."""
     boxes: list[Box] = [tuple(map(range, shape))]
     yield boxes
-    whole = len(shape) - 2  # axes that do not split
-    if whole:
+    view_axes = len(shape) - 2  # axes that do not split
+    if view_axes:
         views = product(*([extent[i : i + 1] for i in extent] for extent in boxes[0][:-2]))
         boxes = [(*view, *boxes[0][-2:]) for view in views]
         yield boxes
     while any(prod(map(len, box)) > 1 for box in boxes):
         boxes = [
-            (*box[:whole], *child) for box in boxes for child in product(*map(halves, box[whole:]))
+            (*box[:view_axes], *child)
+            for box in boxes
+            for child in product(*map(halves, box[view_axes:]))
         ]
         yield boxes
 
 
 @given(trees)
-def test_a_tree_is_what_halving_makes(tree: BlockTree) -> None:
+def test_a_tree_is_repeated_halving(tree: BlockTree) -> None:
     shape = tree.domain.shape
     levels = list(subdivided(shape))
     assert tree.n_levels == len(levels)
@@ -81,7 +83,7 @@ def test_children_make_up_their_block(tree: BlockTree) -> None:
 
 
 @given(shapes)
-def test_rays_know_their_view_and_stack_up_as_images(shape: tuple[int, ...]) -> None:
+def test_rays_have_a_view_and_stack_as_images(shape: tuple[int, ...]) -> None:
     domain = RayDomain(shape)
     rays = np.arange(domain.size)
     of_view = domain.view_of(rays).reshape(domain.stack_shape)

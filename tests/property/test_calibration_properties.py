@@ -27,10 +27,10 @@ def test_every_pixel_is_found_exactly(
     assert np.abs(np.diff(bits, axis=1)).sum(axis=0).max() <= 1
     assert lines.min() >= 0
     assert lines.max() <= 1
-    found = code.decode(albedo * lines + ambient, np.full(lines.shape, 1e-12))
-    assert found["valid"].all()
-    assert np.abs(found["coordinate"] - np.arange(extent) - 0.5).max() < 1e-3
-    assert np.abs(found["contrast"] - 1).max() < 1e-3
+    result = code.decode(albedo * lines + ambient, np.full(lines.shape, 1e-12))
+    assert result["valid"].all()
+    assert np.abs(result["coordinate"] - np.arange(extent) - 0.5).max() < 1e-3
+    assert np.abs(result["contrast"] - 1).max() < 1e-3
     # one bit of the finest two misread beside a cell's edge does no harm
     flipped = lines.copy()
     pixel = np.random.default_rng(seed).integers(0, extent)
@@ -38,8 +38,8 @@ def test_every_pixel_is_found_exactly(
     near_edge = pixel % (period // 4) in (0, period // 4 - 1)
     if near_edge:
         flipped[pair : pair + 2, pixel] = 0.5
-    again = code.decode(albedo * flipped + ambient, np.full(lines.shape, 1e-12))
-    assert abs(again["coordinate"][pixel] - pixel - 0.5) < 1e-3
+    repeated = code.decode(albedo * flipped + ambient, np.full(lines.shape, 1e-12))
+    assert abs(repeated["coordinate"][pixel] - pixel - 0.5) < 1e-3
 
 
 @given(
@@ -47,31 +47,31 @@ def test_every_pixel_is_found_exactly(
     st.floats(-2, 8), st.floats(-2, 8),
 )  # fmt: skip
 def test_overlaps_have_the_area_of_the_outline(
-    rows: int, columns: int, scale: float, angle: float, left: float, top: float
+    rows: int, columns: int, scale: float, angle: float, x0: float, y0: float
 ) -> None:
     y, x = np.mgrid[: rows + 1, : columns + 1].astype(float)
     turn = scale * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    corners = np.stack([x, y], -1) @ turn + (left + 40, top + 40)
+    corners = np.stack([x, y], -1) @ turn + (x0 + 40, y0 + 40)
     around = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
     outlines = np.stack(around, axis=2).reshape(-1, 4, 2)
     camera, projector, share, areas = overlaps(outlines, (120, 120))
     total = np.bincount(camera, share, rows * columns)
     assert np.abs(total - 1).max() < 1e-6
     # what all camera pixels take of a projector pixel inside them is its whole area
-    taken = np.bincount(projector, share * scale**2, 120 * 120)
-    assert taken.max() < 1 + 1e-6
-    assert np.isclose(taken.sum(), rows * columns * scale**2)
+    chosen = np.bincount(projector, share * scale**2, 120 * 120)
+    assert chosen.max() < 1 + 1e-6
+    assert np.isclose(chosen.sum(), rows * columns * scale**2)
     np.testing.assert_allclose(areas, share * scale**2, rtol=1e-9)
 
 
 @given(st.floats(2.0, 4.5), st.floats(-0.2, 0.2), st.floats(0, 1), st.floats(0, 1))
 def test_resampling_inverts_what_the_camera_mixes(
-    pixels: float, angle: float, left: float, top: float
+    pixels: float, angle: float, x0: float, y0: float
 ) -> None:
     side = 8  # projector pixels a ray
     step = side / pixels
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * step
-    centre = np.array([32, 32]) - turn @ np.array([20, 20]) + np.array([left, top])
+    centre = np.array([32, 32]) - turn @ np.array([20, 20]) + np.array([x0, y0])
     homography = np.block([[turn, centre[:, None]], [np.zeros((1, 2)), np.ones((1, 1))]])
     maps = [exact_map(homography)]
     layout = ProjectorLayout.grid((64, 64), (8, 8))
@@ -81,8 +81,8 @@ def test_resampling_inverts_what_the_camera_mixes(
     assert (area <= layout.pixels_of_ray * (1 + 1e-9)).all()
     camera = shares @ light
     rays = fit.resampling.matrix @ camera
-    seen = fit.resampling.visible.ravel()
-    assert seen.any()
-    bound = fit.leak[seen] * light.max() + 1e-4
-    assert (np.abs(rays - light)[seen] <= bound).all()
-    assert np.median(fit.leak[seen]) < 0.01
+    received = fit.resampling.visible.ravel()
+    assert received.any()
+    bound = fit.leak[received] * light.max() + 1e-4
+    assert (np.abs(rays - light)[received] <= bound).all()
+    assert np.median(fit.leak[received]) < 0.01

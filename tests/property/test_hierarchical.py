@@ -79,21 +79,21 @@ def test_it_is_the_linear_operator_of_its_dense_matrix(shape, channels, seed):
 
 
 def collapsed(tree, matrix, level):
-    """Return what one channel's rank-1 nodes of `level` are, of row and column sums of `matrix`."""
+    """Return one channel's rank-1 nodes of `level`, from row and column sums of `matrix`."""
     starts, within = tree.starts[level], matrix[np.ix_(tree.order, tree.order)]
-    found = np.zeros_like(within)
+    result = np.zeros_like(within)
     for a in range(tree.n_blocks(level)):
         for b in range(tree.n_blocks(level)):
             node = slice(starts[a], starts[a + 1]), slice(starts[b], starts[b + 1])
             by_row, by_column = within[node].sum(axis=1), within[node].sum(axis=0)
             if total := by_row.sum():
-                found[node] = np.outer(by_row, by_column) / total
-    return found[np.ix_(tree.inverse, tree.inverse)]
+                result[node] = np.outer(by_row, by_column) / total
+    return result[np.ix_(tree.inverse, tree.inverse)]
 
 
 @settings(max_examples=40, deadline=None)
 @given(shape=shapes, seed=st.integers(0, 2**32 - 1))
-def test_truncation_makes_rank_1_leaves_of_what_is_below(shape, seed):
+def test_truncation_makes_rank_1_leaves_of_subdivided_nodes(shape, seed):
     transport, _ = random_transport(shape, 3, seed)
     tree, rays = transport.tree, transport.tree.domain.size
     for level in range(tree.n_levels - 1):
@@ -102,5 +102,5 @@ def test_truncation_makes_rank_1_leaves_of_what_is_below(shape, seed):
             add_dense(tree, leaves, below if leaves.level > level else expected)
         expected += [collapsed(tree, matrix, level) for matrix in below]
         truncated = transport.truncate(level)
-        found = [truncated.channel(c) @ np.eye(rays) for c in range(3)]
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+        result = [truncated.channel(c) @ np.eye(rays) for c in range(3)]
+        np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-5)

@@ -48,13 +48,13 @@ def by_definition(transport: MultilevelTransport) -> np.ndarray:
     tree = transport.tree
     matrix = np.zeros_like(even)
     for pairs in transport.level_responses:
-        starts, own = tree.starts[pairs.level], tree.labels(pairs.level).ravel()
+        starts, block_of_ray = tree.starts[pairs.level], tree.labels(pairs.level).ravel()
         for n, (block, pixel) in enumerate(zip(pairs.block, pairs.pixel, strict=True)):
             rays = tree.order[starts[block] : starts[block + 1]]
-            around = tree.order[starts[own[pixel]] : starts[own[pixel] + 1]]
-            seen = even[:, rays][:, :, around].sum(axis=2)
-            total = seen.sum(axis=1, keepdims=True)
-            share = np.where(total > 0, seen / np.where(total > 0, total, 1), 1 / len(rays))
+            around = tree.order[starts[block_of_ray[pixel]] : starts[block_of_ray[pixel] + 1]]
+            received = even[:, rays][:, :, around].sum(axis=2)
+            total = received.sum(axis=1, keepdims=True)
+            share = np.where(total > 0, received / np.where(total > 0, total, 1), 1 / len(rays))
             matrix[:, pixel, rays] += pairs.values[:, n, None].astype(np.float64) * share
     return matrix
 

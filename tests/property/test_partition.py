@@ -1,4 +1,4 @@
-"""What leaves make of patterns that share out the blocks of a level."""
+"""Products of leaves with patterns that are a partition of a level's blocks."""
 
 import numba
 import numpy as np
@@ -52,7 +52,7 @@ def test_it_does_not_depend_on_the_number_of_threads_nor_of_patterns():
     try:
         numba.set_num_threads(1)
         for first, last in ((0, 11), (0, 1), (3, 9), (10, 11)):
-            alone = predict(tree, leaf_sets, 4, pattern_of_block, first, last, 3)
-            np.testing.assert_array_equal(alone, images[first:last])
+            single = predict(tree, leaf_sets, 4, pattern_of_block, first, last, 3)
+            np.testing.assert_array_equal(single, images[first:last])
     finally:
         numba.set_num_threads(threads)

@@ -66,8 +66,8 @@ def test_a_mosaic_merges_each_view_for_itself(images: np.ndarray, pattern: str) 
     frames = camera.expose(images, 0, (0, 0))
     together = camera.merge(frames[None], black).radiance[0]
     for view in range(2):
-        alone = camera.merge(frames[None, :, view], black[:, view]).radiance[0]
-        np.testing.assert_array_equal(together[view], alone)
+        single = camera.merge(frames[None, :, view], black[:, view]).radiance[0]
+        np.testing.assert_array_equal(together[view], single)
 
 
 values = st.floats(-10, 10, width=32)

@@ -64,9 +64,9 @@ def test_a_factor_moves_by_half_a_step_of_its_root_at_most(number_format, leaves
     if "codes" not in packed:  # it would not have been smaller
         assert packed["values"] is leaves.values
         return
-    found = decoded(TREE, unpack_leaves(leaves.level, packed))
+    result = decoded(TREE, unpack_leaves(leaves.level, packed))
     half_a_step = 0.5 / FORMATS[number_format] + 1e-6
-    for before, after in zip(factors_of(leaves), factors_of(found), strict=True):
+    for before, after in zip(factors_of(leaves), factors_of(result), strict=True):
         top = [side.max(axis=1, keepdims=True) for side in before]
         is_zero = (top[0] == 0) | (top[1] == 0)
         scale = np.sqrt(top[0]) * np.sqrt(top[1])
@@ -80,30 +80,30 @@ def test_a_factor_moves_by_half_a_step_of_its_root_at_most(number_format, leaves
             assert (stored[side == 0] == 0).all()
             brightest = stored.max(axis=1, keepdims=True)[scale > NEGLIGIBLE]
             np.testing.assert_allclose(brightest, scale[scale > NEGLIGIBLE], rtol=3e-7)
-    assert np.isfinite(found.values).all()
+    assert np.isfinite(result.values).all()
 
 
 @pytest.mark.parametrize("number_format", FORMATS)
 @settings(max_examples=50, deadline=None)
 @given(leaves=leaf_sets())
-def test_what_was_rounded_once_stays(number_format, leaves):
+def test_rounding_is_idempotent(number_format, leaves):
     packed = pack_leaves(TREE, leaves, number_format)
     opened = unpack_leaves(leaves.level, packed)
-    again = pack_leaves(TREE, opened, number_format)
-    assert set(again) == set(packed)
+    repeated = pack_leaves(TREE, opened, number_format)
+    assert set(repeated) == set(packed)
     for part, array in packed.items():
-        np.testing.assert_array_equal(again[part], array)
+        np.testing.assert_array_equal(repeated[part], array)
     exact = pack_leaves(TREE, opened, "float32")
     np.testing.assert_array_equal(exact["values"], decoded(TREE, opened).values)
 
 
 @pytest.mark.parametrize("number_format", FORMATS)
 @pytest.mark.parametrize("other", [-1e-3, np.nan, np.inf])
-def test_factors_that_are_not_light_stay_as_they_are(number_format, other):
+def test_factors_that_are_not_light_are_not_rounded(number_format, second):
     values = np.random.default_rng(0).random((3, 30), dtype=np.float32)
     leaves = LeafSet(0, np.zeros(1, np.int32), np.zeros(1, np.int32), values)
     assert "codes" in pack_leaves(TREE, leaves, number_format)
-    values[1, 7] = other
+    values[1, 7] = second
     assert pack_leaves(TREE, leaves, number_format)["values"] is values
 
 
@@ -112,9 +112,9 @@ def test_factors_that_are_not_light_stay_as_they_are(number_format, other):
 @given(value=numbers, sign=st.sampled_from([1, -1]))
 def test_single_values_keep_their_leading_bits(number_format, bits, value, sign):
     values = np.array([sign * value], np.float32)
-    found = rounded(values, number_format)
-    error = abs(float(found[0]) - float(values[0]))
+    result = rounded(values, number_format)
+    error = abs(float(result[0]) - float(values[0]))
     # the numbers next to zero have fewer bits
     least = float(np.finfo(np.float32).smallest_normal)
     assert error <= 2.0**-bits * max(abs(float(values[0])), least)
-    np.testing.assert_array_equal(rounded(found, number_format), found)
+    np.testing.assert_array_equal(rounded(result, number_format), result)

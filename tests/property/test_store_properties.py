@@ -31,5 +31,5 @@ def test_frames_written_in_any_order_and_any_sessions(
                     break
                 for start, stop in data.draw(st.permutations(runs))[: len(runs) // 2 + 1]:
                     store.write(start, frames[start:stop])
-        found = FrameStore.open(path).read(0, shape[0])
-    assert found.tobytes() == frames.tobytes()  # NaN included
+        result = FrameStore.open(path).read(0, shape[0])
+    assert result.tobytes() == frames.tobytes()  # NaN included

@@ -34,9 +34,9 @@ def test_patterns_come_back_exactly(shown: np.ndarray) -> None:
     keys = [(1, index) for index in range(len(shown))]
     message = encode_patterns(shown, keys)
     sent = decode_patterns(message, shown.shape[1:], len(shown), shown.nbytes)
-    found = sent.expanded(0, len(shown))
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, shown)
+    result = sent.expanded(0, len(shown))
+    assert result.dtype == np.float32
+    np.testing.assert_array_equal(result, shown)
     for index in range(len(shown)):
         np.testing.assert_array_equal(sent.expanded(index, index + 1)[0], shown[index])
     assert sent.keys == keys

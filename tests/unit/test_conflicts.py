@@ -14,12 +14,12 @@ def graph_of(n_blocks: int, *edges: tuple[int, int]):
 
 
 def seen_in_pairs(n_blocks: int, *edges: tuple[int, int]):
-    """Return who sees which blocks: each edge's two ends are seen by one row."""
+    """Return a matrix with one row for each edge, which has its two blocks."""
     first, second = np.array(edges, np.int64).reshape(-1, 2).T
     rows = np.tile(np.arange(len(first)), 2)
     ones = np.ones(2 * len(first), np.bool_)
-    both = (rows, np.concatenate([first, second]))
-    return coo_array((ones, both), shape=(len(first), n_blocks)).tocsr()
+    pair_graph = (rows, np.concatenate([first, second]))
+    return coo_array((ones, pair_graph), shape=(len(first), n_blocks)).tocsr()
 
 
 @pytest.fixture(params=[2**22, 0], ids=["edges", "no edges"])
@@ -29,7 +29,7 @@ def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.usefixtures("either_way")
-def test_a_complete_graph_takes_as_many_colours_as_blocks() -> None:
+def test_a_complete_graph_needs_a_colour_for_each_block() -> None:
     edges = [(i, j) for i in range(7) for j in range(i)]
     assert sorted(colour_columns(seen_in_pairs(7, *edges)).tolist()) == list(range(7))
     assert sorted(colour_square(graph_of(7, *edges)).tolist()) == list(range(7))
@@ -43,7 +43,7 @@ def test_blocks_without_conflicts_share_one_colour(n_blocks: int, colours: list[
 
 
 @pytest.mark.usefixtures("either_way")
-def test_a_star_takes_a_colour_for_each_of_its_blocks() -> None:
+def test_a_star_needs_a_colour_for_each_of_its_blocks() -> None:
     """Its middle sees them all."""
     star = [(0, block) for block in range(1, 6)]
     assert sorted(colour_square(graph_of(6, *star)).tolist()) == list(range(6))
@@ -68,7 +68,7 @@ def test_colours_of_large_graphs_are_near_those_of_small_ones(
     graph = conflict_graph(len(near), *np.nonzero(near))
     by_library = colour_square(graph)
     monkeypatch.setattr(conflicts, "_MOST_EDGES", 0)
-    found = colour_square(graph)
+    result = colour_square(graph)
     row, column = square(graph).nonzero()
-    assert (found[row] != found[column]).all()
-    assert found.max() <= 1.02 * by_library.max()
+    assert (result[row] != result[column]).all()
+    assert result.max() <= 1.02 * by_library.max()

@@ -70,24 +70,24 @@ def test_patterns_of_the_textured_wedge() -> None:
     assert run.patterns[:4] == [1, 4, 16, 64]
 
 
-def test_subtracting_what_is_stored_keeps_energy_from_counting_again(wedge: np.ndarray) -> None:
+def test_stored_responses_are_not_counted_twice(wedge: np.ndarray) -> None:
     subtracted = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
     assert picture_error(subtracted.transport, wedge, FLOODLIT) < 1e-3
 
 
-def test_a_coaxial_rig_s_responses_are_spread_as_its_transpose(
+def test_responses_of_a_coaxial_rig_are_distributed_as_the_transpose(
     wedge: np.ndarray, tmp_path: Path
 ) -> None:
     """Half the error of the matrix at no pattern; stored, truncated and transposed alike."""
     run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
     assert run.transport.symmetric
     even = MultilevelTransport((32, 32), (32, 32), 1, [], run.transport.level_responses)
-    found, before = dense(run.transport)[0], dense(even)[0]
-    assert np.linalg.norm(found - wedge) < 0.6 * np.linalg.norm(before - wedge)
-    assert found.min() >= 0
+    result, before = dense(run.transport)[0], dense(even)[0]
+    assert np.linalg.norm(result - wedge) < 0.6 * np.linalg.norm(before - wedge)
+    assert result.min() >= 0
     save_transport(run.transport, tmp_path / "transport.zarr", scene="wedge")
     stored = open_transport(tmp_path / "transport.zarr")
-    np.testing.assert_array_equal(dense(stored)[0], found)
+    np.testing.assert_array_equal(dense(stored)[0], result)
     assert all(stored.truncate(level).symmetric for level in range(6))
 
 
@@ -124,7 +124,7 @@ def test_culled_blocks_leave_a_level_complete_and_stored_ones_do_not() -> None:
     assert [schedule.complete for schedule in stored.schedules] == [True, True, False]
 
 
-def test_truncated_is_as_if_stopped() -> None:
+def test_truncation_equals_stopping_at_that_level() -> None:
     matrix = np.random.default_rng(0).random((30, 64)) ** 20
     method = Dual()
     run = acquire_matrix(method, matrix, (5, 6), (8, 8), tolerance=1e-7)

@@ -19,7 +19,7 @@ PICTURES = RANDOM.random((COUNT, *SHAPE, 3), np.float32)
 
 
 def fitted(folder: Path, name: str = "dome.lp", lights=LIGHTS, *options: object):
-    """What `fit` makes of pictures, and lights that an .lp names in another order than theirs."""
+    """Transport fitted to pictures and lights, which an .lp file lists in another order."""
     for index, picture in enumerate(PICTURES):
         write_image(folder / f"light_{index}.exr", picture)
     (np.save if name.endswith("npy") else np.savetxt)(folder / name, lights)
@@ -36,8 +36,8 @@ def fitted(folder: Path, name: str = "dome.lp", lights=LIGHTS, *options: object)
 def test_a_folder_s_file_of_lights_stays_with_the_transport(tmp_path: Path, name: str) -> None:
     transport = fitted(tmp_path, name)
     np.testing.assert_array_equal(transport.lights, LIGHTS)
-    some = rfpipe.crop(transport, np.s_[2:4, :], np.s_[:, 3::2])
-    np.testing.assert_array_equal(some.lights, LIGHTS[3::2])
+    subset = rfpipe.crop(transport, np.s_[2:4, :], np.s_[:, 3::2])
+    np.testing.assert_array_equal(subset.lights, LIGHTS[3::2])
     assert transport.T.lights is rfpipe.coarser(transport, 2).lights is None
 
 
@@ -87,12 +87,12 @@ def test_mirror_and_the_share_of_light_that_lights_reach(tmp_path: Path) -> None
     sky[10:14, 36:40], sky[16, :4] = 1, 0.5  # before the object, and behind it
     write_image(tmp_path / "sky.exr", sky)
     command = ["relight", tmp_path / "dome.zarr", "--environment", tmp_path / "sky.exr"]
-    said = run(*command, "--mirror", "-o", tmp_path / "a.exr")
+    output = run(*command, "--mirror", "-o", tmp_path / "a.exr")
     missing = 1 - rfpipe.environment_coverage(sky, lights, mirrored=True)
     area = np.cos(np.pi * ((np.arange(32) + 0.5) / 32 - 0.5))
-    behind = 0.5 * 4 * area[16]
-    assert missing == pytest.approx(behind / (behind + 4 * area[10:14].sum()), rel=1e-3)
-    assert f"{missing:.1%} of its light comes from farther" in said
+    light_behind = 0.5 * 4 * area[16]
+    assert missing == pytest.approx(light_behind / (light_behind + 4 * area[10:14].sum()), rel=1e-3)
+    assert f"{missing:.1%} of its light is omitted" in output
     expected = transport.relight_environment(sky, mirrored=True)
     np.testing.assert_allclose(read_image(tmp_path / "a.exr"), expected, rtol=1e-5)
     assert not np.allclose(transport.relight_environment(sky), expected, rtol=1e-2)
@@ -103,10 +103,10 @@ def test_exported_lights_keep_their_directions(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     run("export", tmp_path / "dome.zarr", "-o", tmp_path / "out/olat.exr")
     run("fit", tmp_path / "out", "-o", tmp_path / "again.zarr", "--anyway")
-    again = rfpipe.open_transport(tmp_path / "again.zarr")
+    repeated = rfpipe.open_transport(tmp_path / "again.zarr")
     unit = LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
-    np.testing.assert_allclose(again.lights, unit, atol=1e-6)
-    np.testing.assert_allclose(again.toarray(), transport.toarray(), atol=1e-6)
+    np.testing.assert_allclose(repeated.lights, unit, atol=1e-6)
+    np.testing.assert_allclose(repeated.toarray(), transport.toarray(), atol=1e-6)
     transport.lights = None
     transport.save(tmp_path / "dome.zarr")
     run("export", tmp_path / "dome.zarr", "-o", tmp_path / "out/olat.exr")
@@ -118,8 +118,8 @@ def test_a_map_that_shines_alike_keeps_its_energy_as_it_turns() -> None:
     transport = rfpipe.acquire(rig, "dual", progress=False).transport
     transport.lights, rgb = LIGHTS, np.array([3, 2, 1])
     for turned in (0, 77):
-        found = transport.truncate(1).relight_environment(rgb + np.zeros((8, 16, 1)), None, turned)
-        np.testing.assert_allclose(found / rgb, np.full((*SHAPE, 3), 4 * np.pi), rtol=1e-5)
+        result = transport.truncate(1).relight_environment(rgb + np.zeros((8, 16, 1)), None, turned)
+        np.testing.assert_allclose(result / rgb, np.full((*SHAPE, 3), 4 * np.pi), rtol=1e-5)
 
 
 def test_a_panorama_that_turns_as_a_movie_and_as_pictures(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_a_panorama_that_turns_as_a_movie_and_as_pictures(tmp_path: Path) -> Non
     with av.open(str(tmp_path / "sky.mp4")) as container:
         assert len(list(container.decode(video=0))) == 4
     run(*command, 4, "-o", tmp_path / "sky")
-    with pytest.raises(InputError, match="for 4 pictures"):
+    with pytest.raises(InputError, match="can't contain 4 pictures"):
         run(*command, 4, "-o", tmp_path / "sky.png")
     expected = transport.relight_environment(sky, turned=90)
     np.testing.assert_allclose(read_image(tmp_path / "sky/sky_0001.exr"), expected, rtol=1e-5)

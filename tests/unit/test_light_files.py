@@ -159,9 +159,9 @@ def test_a_list_of_pictures_orders_lights_without_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["complex128", "<U3", "bool"])
-def test_arrays_of_something_else_are_refused(tmp_path: Path, kind: str) -> None:
+def test_arrays_of_other_types_are_rejected(tmp_path: Path, kind: str) -> None:
     np.save(tmp_path / "lights.npy", np.ones((3, 3)).astype(kind))
-    with pytest.raises(InputError, match=r"lights\.npy: no lights"):
+    with pytest.raises(InputError, match=r"lights\.npy: expected an array"):
         lights_in(tmp_path, PICTURES)
 
 

@@ -46,13 +46,13 @@ def relative(image: np.ndarray, truth: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("count", "most"), [(12, 0.25), (24, 0.16), (48, 0.12)])
-def test_a_light_between_lights_is_nearer_than_the_nearest(count: int, most: float) -> None:
-    lights, others = sphere_of_lights(count, 0), sphere_of_lights(31, 0.2)
-    truth, transport = ball(others)[0], transport_of(ball(lights)[0], lights)
-    errors = [relative(transport.light_from(d), y) for d, y in zip(others, truth, strict=True)]
-    nearest = ball(lights)[0][(others @ lights.T).argmax(axis=1)]
+def test_a_light_between_lights_is_nearer_than_the_nearest(count: int, limit: float) -> None:
+    lights, remaining = sphere_of_lights(count, 0), sphere_of_lights(31, 0.2)
+    truth, transport = ball(remaining)[0], transport_of(ball(lights)[0], lights)
+    errors = [relative(transport.light_from(d), y) for d, y in zip(remaining, truth, strict=True)]
+    nearest = ball(lights)[0][(remaining @ lights.T).argmax(axis=1)]
     by_nearest = [relative(a, b) for a, b in zip(nearest, truth, strict=True)]
-    assert np.mean(errors) < min(most, 0.6 * np.mean(by_nearest))
+    assert np.mean(errors) < min(limit, 0.6 * np.mean(by_nearest))
 
 
 def test_the_light_of_a_measured_direction_is_its_picture() -> None:
@@ -89,17 +89,17 @@ def test_lights_of_one_side_leave_the_other_dark() -> None:
     transport = transport_of(ball(lights)[0], lights)
     assert transport.light_from([0, 0, 1]).mean() > 0.1
     assert not transport.light_from([0, 0, -1]).any()
-    behind = np.zeros((16, 32))
-    behind[8, 0] = 1
-    assert not transport.relight_environment(behind).any()
-    assert rfpipe.environment_coverage(behind, lights) == 0
+    light_behind = np.zeros((16, 32))
+    light_behind[8, 0] = 1
+    assert not transport.relight_environment(light_behind).any()
+    assert rfpipe.environment_coverage(light_behind, lights) == 0
     share = rfpipe.environment_coverage(np.ones((64, 128)), lights)
     assert 0.7 < share < 0.85  # the half of the sphere, and twice the spacing beyond its rim
     assert rfpipe.environment_coverage(np.ones((64, 128)), sphere_of_lights(40)) == 1
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 0), (np.nan, 0, 1), (1, 0)])
-def test_directions_that_are_none_are_refused(direction: tuple[float, ...]) -> None:
+def test_invalid_directions_are_rejected(direction: tuple[float, ...]) -> None:
     lights = sphere_of_lights(9)
     transport = transport_of(ball(lights)[0], lights)
     with pytest.raises(InputError, match="direction"):
@@ -153,10 +153,10 @@ def test_lights_in_one_direction_are_named() -> None:
 def test_the_error_between_lights_is_estimated(count: int) -> None:
     every = sphere_of_lights(80, 0.1)
     pictures = ball(every)[0] * np.exp(0.1 * RANDOM.standard_normal((80, 1))).astype(np.float32)
-    some = np.sort(RANDOM.permutation(80)[:count])
-    check = check_lights(pictures[some, None], every[some])
-    transport = transport_of(pictures[some], every[some])
-    others = np.setdiff1d(np.arange(80), some)
-    true = np.mean([relative(transport.light_from(every[i]), pictures[i]) for i in others])
+    subset = np.sort(RANDOM.permutation(80)[:count])
+    check = check_lights(pictures[subset, None], every[subset])
+    transport = transport_of(pictures[subset], every[subset])
+    remaining = np.setdiff1d(np.arange(80), subset)
+    true = np.mean([relative(transport.light_from(every[i]), pictures[i]) for i in remaining])
     assert 1 / 1.3 < check.error / true < 1.3
     assert np.isfinite(check.errors).all()

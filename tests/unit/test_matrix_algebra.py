@@ -1,4 +1,4 @@
-"""A transport as a matrix: products, entries, coarser rays, and what is refused."""
+"""A transport as a matrix: products, entries, coarser rays, and rejected arguments."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_products_are_numpy_s(make, dual: bool, shape: tuple[int, ...]) -> None:
     assert (lit @ x).dtype == (y @ lit).dtype == np.float32
 
 
-def test_products_refuse_what_isn_t_finite_or_no_number() -> None:
+def test_products_reject_values_that_are_not_finite_numbers() -> None:
     transport, _ = scan()
     with pytest.raises(InputError, match="NaN"):
         transport @ np.full(N, np.nan)
@@ -56,7 +56,7 @@ def test_rays_that_aren_t_there(rows) -> None:
         scan()[0].toarray(rows=rows)
 
 
-def test_a_huge_matrix_is_refused_before_it_is_made() -> None:
+def test_a_huge_matrix_is_rejected_before_it_is_computed() -> None:
     shape = (310, 350)
     transport = SumTransport([_Nothing(shape)], [])
     with pytest.raises(InputError, match=r"3 x 108,500 x 108,500 entries takes 131\.6 GiB"):
@@ -78,18 +78,18 @@ class _Nothing(DenseTransport):
     adjoint = forward
 
 
-def test_squares_of_rays_are_those_of_each_view() -> None:
+def test_squares_of_rays_do_not_cross_views() -> None:
     grid, sums = squares((2, 3, 5), 2)
     assert grid == (2, 2, 3)
     image = np.arange(30.0).reshape(2, 3, 5)
-    found = (sums @ image.ravel()).reshape(grid)
-    assert found[1, 0, 1] == image[1, :2, 2:4].sum()
-    assert found[0, 1, 2] == image[0, 2, 4]
+    result = (sums @ image.ravel()).reshape(grid)
+    assert result[1, 0, 1] == image[1, :2, 2:4].sum()
+    assert result[0, 1, 2] == image[0, 2, 4]
 
 
 @BOTH
 @pytest.mark.parametrize("factor", [1, 2, 3, 100])
-def test_coarser_rays_average_what_is_seen_and_share_what_is_lit(make, factor: int) -> None:
+def test_coarser_rays_average_the_image_and_repeat_the_pattern(make, factor: int) -> None:
     transport, matrix = make()
     coarse = rfpipe.coarser(transport, factor)
     mean, repeat = (

@@ -74,13 +74,13 @@ def test_hdf5_and_zarr_with_channels_of_their_own(tmp_path: Path) -> None:
 
 
 def test_a_transport_of_rfpipe(tmp_path: Path) -> None:
-    found = acquire(OperatorRig(T, CAMERA, PROJECTOR), "brute_force", progress=False).transport
-    save_transport(found, tmp_path / "t.zarr")
+    result = acquire(OperatorRig(T, CAMERA, PROJECTOR), "brute_force", progress=False).transport
+    save_transport(result, tmp_path / "t.zarr")
     settings = {"file": str(tmp_path / "t.zarr"), "shape": PROJECTOR, "camera_shape": CAMERA}
     scene = scene_from_config(SceneSettings.of("matrix", **settings))
     np.testing.assert_allclose(scene.dense(1), T[1], rtol=1e-6)
     for name in ("t.npz", "t.h5", "t.mat", "t.zarr"):
-        found.save(tmp_path / name)
+        result.save(tmp_path / name)
         rig = OperatorRig(read_matrix(tmp_path / name), CAMERA, PROJECTOR)
         image = rig.capture(np.ones((1, *PROJECTOR), np.float32), [(0, 0)])[0, 0]
         np.testing.assert_allclose(image.reshape(20, 3).T, T.sum(axis=2), rtol=1e-6)
@@ -94,10 +94,10 @@ def test_arrays_of_other_libraries_are_matrices_and_pictures(kind) -> None:
     matrices = (kind(T), [kind(channel) for channel in T])
     light = np.random.default_rng(1).random(PROJECTOR)
     for rig in (OperatorRig(matrix, CAMERA, PROJECTOR) for matrix in matrices):
-        found = acquire(rig, "brute_force", progress=False).transport
-        np.testing.assert_allclose(found.toarray(), T, rtol=1e-6)
-        assert (found.relight(kind(light)) == found.relight(light)).all()
-        assert (found @ kind(light.ravel()) == found @ light.ravel()).all()
+        result = acquire(rig, "brute_force", progress=False).transport
+        np.testing.assert_allclose(result.toarray(), T, rtol=1e-6)
+        assert (result.relight(kind(light)) == result.relight(light)).all()
+        assert (result @ kind(light.ravel()) == result @ light.ravel()).all()
 
 
 def test_a_labelled_matrix_for_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,10 +107,10 @@ def test_a_labelled_matrix_for_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
         transport.to_xarray()
     made = lambda *given: SimpleNamespace(values=given[0], coords=given[1], dims=given[2])  # noqa: E731
     monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(DataArray=made))
-    found = transport.to_xarray(rows=[3, 5])
-    assert found.dims == ("channel", "camera", "projector")
-    assert found.coords["camera"].tolist() == [3, 5]
-    assert (found.values == transport.toarray(rows=[3, 5])).all()
+    result = transport.to_xarray(rows=[3, 5])
+    assert result.dims == ("channel", "camera", "projector")
+    assert result.coords["camera"].tolist() == [3, 5]
+    assert (result.values == transport.toarray(rows=[3, 5])).all()
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_a_labelled_matrix_for_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
         ("broken.mat", "can't be read as .mat"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path: Path, name: str, message: str) -> None:
+def test_invalid_files_are_rejected_with_a_reason(tmp_path: Path, name: str, message: str) -> None:
     np.save(tmp_path / "turned.npy", T[0].T)
     np.save(tmp_path / "text.npy", np.full((20, 18), "a"))
     (tmp_path / "broken.mat").write_bytes(b"MATLAB 5.0" * 40)
@@ -171,7 +171,7 @@ NOT_REAL = {
 
 @pytest.mark.parametrize("name", NOT_REAL)
 @pytest.mark.filterwarnings("error")
-def test_matrices_that_are_not_real_are_refused(tmp_path: Path, name: str) -> None:
+def test_matrices_that_are_not_real_are_rejected(tmp_path: Path, name: str) -> None:
     NOT_REAL[name](tmp_path / name)
     expected = "real numbers|Object arrays cannot be loaded"
     with pytest.raises(InputError, match=rf"{re.escape(name)}: .*(?:{expected})"):

@@ -19,9 +19,9 @@ def some_functions(shape: tuple[int, ...]) -> np.ndarray:
     """All of scale 4, and of 2 and 1 those of the first cells."""
     parts = [functions_over(4, np.ones(cells(shape, 4), np.bool_))]
     for scale in (2, 1):
-        wanted = np.zeros(cells(shape, scale), np.bool_)
-        wanted[0, :2, :2] = True
-        parts.append(functions_over(scale, wanted))
+        covered = np.zeros(cells(shape, scale), np.bool_)
+        covered[0, :2, :2] = True
+        parts.append(functions_over(scale, covered))
     return np.concatenate(parts)
 
 
@@ -54,10 +54,10 @@ def test_weights_are_b_splines_about_the_centres(shape: tuple[int, ...]) -> None
 
 
 def test_functions_of_a_scale_come_where_they_are_wanted() -> None:
-    wanted = np.zeros(cells((12, 16), 4), np.bool_)
-    assert wanted.shape == (1, 3, 4)
-    wanted[0, 1, 2] = True
-    fine = functions_over(4, wanted)
+    covered = np.zeros(cells((12, 16), 4), np.bool_)
+    assert covered.shape == (1, 3, 4)
+    covered[0, 1, 2] = True
+    fine = functions_over(4, covered)
     assert fine.dtype == np.int32
     basis = MultiscaleBasis((12, 16), fine)
     assert len(basis) == 9
@@ -70,7 +70,7 @@ def test_functions_of_a_scale_come_where_they_are_wanted() -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_pairs_are_those_within_reach_each_once(shape: tuple[int, ...]) -> None:
+def test_pairs_are_all_functions_within_reach_once(shape: tuple[int, ...]) -> None:
     basis = MultiscaleBasis(shape, some_functions(shape))
     scale, view = basis.functions[:, :2].T
     expected = set()

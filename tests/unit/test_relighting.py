@@ -9,7 +9,7 @@ from rfpipe.relighting import KINDS, picture_errors, relighting_pictures
 SIDE = 48
 
 
-def test_a_third_of_the_pictures_is_of_each_kind():
+def test_each_kind_has_a_third_of_the_pictures():
     drawn = relighting_pictures((SIDE, 2 * SIDE), 60)
     assert drawn.dtype == np.float32
     assert set(np.unique(drawn)) == {0, 1}
@@ -40,8 +40,8 @@ def test_fewer_pictures_are_the_first_of_more_and_a_seed_draws_others():
 def test_views_get_the_same_picture_all_of_them_or_one():
     views = relighting_pictures((3, 9, 13), 6, 1)
     assert views.shape == (6, 3, 9, 13)
-    alone = relighting_pictures((9, 13), 6, 1)
-    for index, (stack, picture) in enumerate(zip(views, alone, strict=True)):
+    single = relighting_pictures((9, 13), 6, 1)
+    for index, (stack, picture) in enumerate(zip(views, single, strict=True)):
         lit = stack.any(axis=(1, 2))
         assert lit.sum() == (3 if index < 3 else 1)
         for view in stack[lit]:
@@ -80,7 +80,7 @@ def test_the_truth_has_no_error_and_a_brighter_one_that_of_its_gain():
     assert np.isnan(unknown).all()
 
 
-def test_a_spot_next_to_black_is_relative_to_what_spots_send_back():
+def test_the_error_of_a_dark_spot_is_relative_to_typical_spots():
     spot = np.zeros((1, 6, 8))
     spot[0, 5, 2:4] = 1  # both rays are black
     truth = relit(scene(), spot)
@@ -105,9 +105,9 @@ def test_the_indirect_error_is_of_the_dark_pixels_and_relative_to_the_light_ther
 
 def test_several_transports_are_compared_with_one_truth():
     truth = relit(scene(), PATTERNS)
-    both = np.stack([1.1 * truth, truth + 0.01], axis=1)
-    total, indirect = picture_errors(iter(both), iter(truth), PATTERNS, WHITE, PATTERNS == 0)
+    estimates = np.stack([1.1 * truth, truth + 0.01], axis=1)
+    total, indirect = picture_errors(iter(estimates), iter(truth), PATTERNS, WHITE, PATTERNS == 0)
     for index in range(2):
-        alone = picture_errors(both[:, index], truth, PATTERNS, WHITE, PATTERNS == 0)
-        np.testing.assert_allclose((total[index], indirect[index]), alone, rtol=1e-12)
+        single = picture_errors(estimates[:, index], truth, PATTERNS, WHITE, PATTERNS == 0)
+        np.testing.assert_allclose((total[index], indirect[index]), single, rtol=1e-12)
     assert picture_errors(truth[:0], truth[:0], PATTERNS[:0], WHITE)[0].shape == (0,)

@@ -64,7 +64,7 @@ def test_a_diffuse_cavity_is_known_after_the_first_subdivision():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_what_is_not_smooth_is_not_multiplied(seed):
+def test_grainy_transport_is_not_amplified(seed):
     """Its sums nearly cancel, and would be divided by."""
     grain = 0.01 * np.random.default_rng(seed).standard_normal((256, 256))
     place = np.indices((16, 16)).reshape(2, -1) / 16
@@ -93,7 +93,7 @@ def test_direct_light_100000_times_the_indirect_does_not_spoil_it():
     assert np.linalg.norm(error) < 0.05 * np.linalg.norm(indirect)
 
 
-def test_camera_noise_does_not_make_it_subdivide_noise():
+def test_camera_noise_is_not_subdivided():
     albedo = np.random.default_rng(6).uniform(0.1, 1, 32 * 32)
     result = acquire(np.diag(albedo), (32, 32), 1e-6, CameraModel())
     assert result.patterns < 60
@@ -103,9 +103,10 @@ def test_camera_noise_does_not_make_it_subdivide_noise():
 def test_a_dim_rig_loses_little_indirect_light():
     matrix, camera = reference_scene("III", (24, 24), channels=1).dense(0), CameraModel()
     dim = replace(camera, electrons_per_radiance=camera.electrons_per_radiance / 64)
-    left = np.broadcast_to(np.arange(24) < 12, (24, 24)).astype(np.float32)
-    relit = acquire(matrix, (24, 24), 1e-4, dim).transport.relight(left)[left == 0].sum()
-    assert relit == pytest.approx((matrix @ left.ravel())[left.ravel() == 0].sum(), rel=0.01)
+    left_half = np.broadcast_to(np.arange(24) < 12, (24, 24)).astype(np.float32)
+    dark = left_half == 0
+    relit = acquire(matrix, (24, 24), 1e-4, dim).transport.relight(left_half)[dark].sum()
+    assert relit == pytest.approx((matrix @ left_half.ravel())[dark.ravel()].sum(), rel=0.01)
 
 
 def test_a_glint_that_saturates_the_camera_spoils_its_own_pixel_alone():
@@ -113,17 +114,17 @@ def test_a_glint_that_saturates_the_camera_spoils_its_own_pixel_alone():
     albedo[500] = 50  # full scale is at 2
     result = acquire(np.diag(albedo), (32, 32), noise=CameraModel())
     assert result.saturated > 0
-    found = np.diag(dense(result.transport)[0])
-    assert 1.9 < found[500] < 2.1
-    np.testing.assert_allclose(np.delete(found, 500), np.delete(albedo, 500), rtol=0.03)
+    estimate = np.diag(dense(result.transport)[0])
+    assert 1.9 < estimate[500] < 2.1
+    np.testing.assert_allclose(np.delete(estimate, 500), np.delete(albedo, 500), rtol=0.03)
 
 
-def test_a_floodlit_image_that_is_saturated_is_refused_before_the_night_begins():
+def test_a_saturated_floodlit_image_stops_the_acquisition():
     with pytest.raises(CaptureError, match="saturated"):
         acquire(np.diag(np.full(64, 5.0)), (8, 8), noise=CameraModel())
 
 
-def test_truncation_is_what_stopping_there_would_have_given():
+def test_truncation_equals_the_transport_after_that_level():
     x = np.linspace(0, 1, 144)
     matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
     run = acquire_matrix(Symmetric(), matrix, (12, 12), (12, 12), tolerance=1e-6)

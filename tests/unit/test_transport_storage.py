@@ -73,7 +73,7 @@ def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_p
         assert sizes[2] < 0.65 * sizes[0]
 
 
-def test_an_unknown_format_is_refused(transport: Transport, tmp_path: Path) -> None:
+def test_an_unknown_number_format_is_rejected(transport: Transport, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="number format 'uint4'; expected one of float32, uint16"):
         save_transport(transport, tmp_path / "transport.zarr", "uint4")  # type: ignore[arg-type]
     arrays, attributes = transport.pack()
@@ -139,7 +139,7 @@ def test_results_and_bytes_are_the_same_on_any_number_of_threads(
 
 @pytest.mark.parametrize("shape", [(16, 16), (1, 40), (2, 7, 9)])
 @pytest.mark.parametrize("count", [1, 2, 20])
-def test_dark_blocks_are_left_out_and_change_nothing(shape: tuple[int, ...], count: int) -> None:
+def test_skipping_dark_blocks_does_not_change_images(shape: tuple[int, ...], count: int) -> None:
     transport, matrices = random_transport(shape, 3, seed=count)
     random = np.random.default_rng(0)
     rays = matrices.shape[1]

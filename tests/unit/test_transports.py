@@ -50,8 +50,8 @@ def pairs() -> Made:
         block, pixel = (index.ravel() for index in np.indices((tree.n_blocks(level), M)))
         values = draw(3, len(block), seed=level)
         sets.append(Responses(level, block.astype(np.int32), pixel.astype(np.int32), values))
-        own, sizes = tree.labels(level).ravel(), np.diff(tree.starts[level])
-        matrix += (values.reshape(3, -1, M) / sizes[:, None])[:, own].swapaxes(1, 2)
+        block_of_ray, sizes = tree.labels(level).ravel(), np.diff(tree.starts[level])
+        matrix += (values.reshape(3, -1, M) / sizes[:, None])[:, block_of_ray].swapaxes(1, 2)
     return MultilevelTransport(CAMERA, PROJECTOR, 3, ROWS, sets), matrix
 
 
@@ -70,7 +70,7 @@ def diagonal() -> Made:
 
 def footprints() -> Made:
     held: dict[str, NDArray] = {"camera_factor": draw(3, M), "projector_factor": draw(3, N)}
-    whole = {}
+    matrices = {}
     for name, shape in {
         "footprints": (M, N), "left": (M, 4), "cores": (4, 6), "right": (N, 6),
     }.items():  # fmt: skip
@@ -83,18 +83,18 @@ def footprints() -> Made:
             csr_array((data, matrix.indices, matrix.indptr), shape=shape).toarray()
             for data in np.atleast_2d(held[name])
         ]
-        whole[name] = np.stack(planes)
-    smooth = whole["left"] @ whole["cores"] @ whole["right"].swapaxes(1, 2)
+        matrices[name] = np.stack(planes)
+    smooth = matrices["left"] @ matrices["cores"] @ matrices["right"].swapaxes(1, 2)
     smooth *= held["camera_factor"][:, :, None] * held["projector_factor"][:, None]
     transport = FootprintTransport(CAMERA, PROJECTOR, 3, ROWS, held)
-    np.testing.assert_allclose(dense(transport.direct()), whole["footprints"], atol=1e-5)
-    return transport, whole["footprints"] + smooth
+    np.testing.assert_allclose(dense(transport.direct()), matrices["footprints"], atol=1e-5)
+    return transport, matrices["footprints"] + smooth
 
 
 def multiscale(shape: tuple[int, ...] = COAXIAL) -> Made:
-    wanted = np.ones((1, 2, 2), np.bool_)
+    covered = np.ones((1, 2, 2), np.bool_)
     basis = MultiscaleBasis(
-        shape, np.concatenate([functions_over(4, wanted), functions_over(2, wanted)])
+        shape, np.concatenate([functions_over(4, covered), functions_over(2, covered)])
     )
     first, second = pairs = np.stack(basis.pairs)[:, ::2]
     held = {"factor": draw(3, 42), "functions": basis.functions, "pairs": pairs}
@@ -114,8 +114,8 @@ def wavelets() -> Made:
     held["cores"] = draw(3, pairs.shape[1])
     cores = np.zeros((3, cells.haar.size, cells.haar.size))
     cores[:, pairs[0], pairs[1]] = cores[:, pairs[1], pairs[0]] = held["cores"]
-    back = cells.haar.inverse(np.eye(cells.haar.size, dtype=np.float32))
-    weighted = held["factor"][:, :, None] * back[cells.of_ray]
+    wavelets = cells.haar.inverse(np.eye(cells.haar.size, dtype=np.float32))
+    weighted = held["factor"][:, :, None] * wavelets[cells.of_ray]
     return WaveletTransport(COAXIAL, COAXIAL, 3, ROWS, held), weighted @ cores @ weighted.swapaxes(
         1, 2
     )
@@ -154,9 +154,9 @@ def test_light_between_few_patterns_is_that_of_the_matrix(make: Callable[[], Mad
         csr_array(draw(rays, n)) for rays, n in zip(matrix.shape[1:], (3, 70), strict=True)
     )
     expected = received.toarray().T @ matrix[1] @ sent.toarray()
-    found = transport.between(received, sent, 1)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    result = transport.between(received, sent, 1)
+    assert result.dtype == np.float32
+    np.testing.assert_allclose(result, expected, atol=1e-4 * np.abs(expected).max())
 
 
 @EACH

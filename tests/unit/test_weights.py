@@ -1,4 +1,4 @@
-"""Pictures' numbers, 0 to 255, are never taken for weights in silence, wherever patterns enter."""
+"""Weights are never taken from the integers of a picture, 0 to 255, wherever patterns enter."""
 
 import numpy as np
 import pytest
@@ -32,14 +32,14 @@ ENTRIES = {
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32, np.int64])
 @pytest.mark.parametrize("entry", ENTRIES)
-def test_pictures_are_refused(entry: str, dtype: type) -> None:
+def test_pictures_are_rejected_as_weights(entry: str, dtype: type) -> None:
     with pytest.raises(InputError, match=r"from 0 to 253.*rfpipe\.picture_weights\(picture\)"):
         ENTRIES[entry](PICTURE.astype(dtype))
 
 
 @pytest.mark.parametrize("dtype", [np.bool_, np.uint8, np.int64, np.float16, np.float64])
 @pytest.mark.parametrize("entry", ENTRIES)
-def test_masks_and_fractions_are_taken(entry: str, dtype: type) -> None:
+def test_masks_and_fractions_are_accepted(entry: str, dtype: type) -> None:
     mask = (PICTURE > 100).astype(np.float32)
     np.testing.assert_allclose(ENTRIES[entry](mask.astype(dtype)), ENTRIES[entry](mask), rtol=1e-6)
 
@@ -69,6 +69,6 @@ def test_pictures_for_screens_are_coded() -> None:
     "picture",
     [np.array([0, 255]), np.array([0, 2.0]), np.array([-0.1]), np.array([np.nan]), np.array(["x"])],
 )
-def test_pictures_whose_white_nobody_can_tell(picture) -> None:
+def test_pictures_without_a_known_white_are_rejected(picture) -> None:
     with pytest.raises(InputError, match="a picture of"):
         picture_weights(picture)
