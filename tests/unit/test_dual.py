@@ -71,19 +71,19 @@ def test_patterns_of_the_textured_wedge() -> None:
 
 
 def test_stored_responses_are_not_counted_twice(wedge: np.ndarray) -> None:
-    subtracted = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
-    assert picture_error(subtracted.transport, wedge, FLOODLIT) < 1e-3
+    run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
+    assert picture_error(run.transport, wedge, FLOODLIT) < 1e-3
 
 
 def test_responses_of_a_coaxial_rig_are_distributed_as_the_transpose(
     wedge: np.ndarray, tmp_path: Path
 ) -> None:
-    """Half the error of the matrix at no pattern; stored, truncated and transposed alike."""
+    """The error of the matrix is halved without patterns; the store and truncation keep this."""
     run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
     assert run.transport.symmetric
     even = MultilevelTransport((32, 32), (32, 32), 1, [], run.transport.level_responses)
-    result, before = dense(run.transport)[0], dense(even)[0]
-    assert np.linalg.norm(result - wedge) < 0.6 * np.linalg.norm(before - wedge)
+    result, evenly = dense(run.transport)[0], dense(even)[0]
+    assert np.linalg.norm(result - wedge) < 0.6 * np.linalg.norm(evenly - wedge)
     assert result.min() >= 0
     save_transport(run.transport, tmp_path / "transport.zarr", scene="wedge")
     stored = open_transport(tmp_path / "transport.zarr")
@@ -100,7 +100,7 @@ def test_rigs_that_are_not_coaxial_spread_evenly(wedge: np.ndarray) -> None:
 
 
 def test_noise_is_not_subdivided(wedge: np.ndarray) -> None:
-    """A tolerance far below the noise changes nothing: what noise allows is the threshold."""
+    """A tolerance far below the noise changes nothing: the noise sets the threshold."""
     sigma = 1e-3 * float(wedge.sum(axis=1).max())
     counts = []
     for tolerance in (1e-3, 1e-7):
@@ -112,7 +112,7 @@ def test_noise_is_not_subdivided(wedge: np.ndarray) -> None:
     assert picture_error(run.transport, wedge, FLOODLIT) < 0.1
 
 
-def test_culled_blocks_leave_a_level_complete_and_stored_ones_do_not() -> None:
+def test_culled_blocks_leave_a_level_complete_and_stored_blocks_do_not() -> None:
     matrix = np.eye(16)
     matrix[:, [10, 11, 14, 15]] = 0  # the lower right block sends no light to any pixel
     dark = acquire_matrix(Dual(), matrix, (4, 4), (4, 4))

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float, Index
 from rfpipe.errors import StoreError, installing
 from rfpipe.output import Sink, suffix_of, whole_file
 from rfpipe.transport.algebra import (
     BATCH_MULTIPLE,
-    Float,
-    Index,
     MatrixAlgebra,
     RaySelection,
     check_size,
