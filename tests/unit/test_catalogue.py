@@ -45,9 +45,9 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         lock.write("78 node4\n")
         lock.flush()
-        told = run("catalogue", folder / "run.yaml", "--folder", results)
+        output = run("catalogue", folder / "run.yaml", "--folder", results)
     for name in STATES:
-        assert f"1 {name}" in told
+        assert f"1 {name}" in output
     return results / CATALOGUE
 
 
@@ -57,12 +57,12 @@ def cells(page: Any, column: int) -> list[str]:
     return list(page.evaluate(f"{shown}.map(row => row.cells[{column}].innerText)"))
 
 
-def test_the_page_tells_states_sorts_and_filters(chromium: Any, listed: Path) -> None:
+def test_the_page_shows_states_sorts_and_filters(chromium: Any, listed: Path) -> None:
     page = chromium.new_context(viewport={"width": 1280, "height": 700}).new_page()
     said: list[str] = []
-    asked: list[str] = []
+    requests: list[str] = []
     page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: asked.append(request.url))
+    page.on("request", lambda request: requests.append(request.url))
     page.goto(f"file://{listed}")
     assert [it.splitlines()[0] for it in cells(page, 1)] == list(STATES)
     assert cells(page, 4)[0] == "<done> & co"
@@ -90,17 +90,17 @@ def test_the_page_tells_states_sorts_and_filters(chromium: Any, listed: Path) ->
     right = "document.querySelector('tr:not([hidden]) .state').getBoundingClientRect().right"
     assert 0 < page.evaluate(right) < 400
     assert not said
-    assert all(url.startswith("file:") for url in asked)
+    assert all(url.startswith("file:") for url in requests)
 
 
-def test_what_is_left_of_a_scene_that_was_taken_out_is_named(listed: Path) -> None:
+def test_folders_of_removed_scenes_are_named(listed: Path) -> None:
     settings = listed.parents[2] / "run.yaml"
     (listed.parents[1] / "taken_out/dual/L00").mkdir(parents=True)
     write_catalogue(load_config(settings), listed.parents[1])
     assert "no longer in the settings: taken_out." in listed.read_text()
 
 
-def test_a_small_picture_is_made_again_only_when_its_scene_is(listed: Path) -> None:
+def test_a_thumbnail_is_updated_with_its_floodlit_image(listed: Path) -> None:
     settings, results = load_config(listed.parents[2] / "run.yaml"), listed.parents[1]
     picture = listed.with_name("done_hadamard.png")
     picture.write_bytes(b"kept")
@@ -111,10 +111,10 @@ def test_a_small_picture_is_made_again_only_when_its_scene_is(listed: Path) -> N
     assert picture.read_bytes() != b"kept"
 
 
-def test_a_missed_target_stands_beside_the_state(listed: Path) -> None:
+def test_a_missed_target_is_shown_with_the_state(listed: Path) -> None:
     settings, results = load_config(listed.parents[2] / "run.yaml"), listed.parents[1]
     manifest = results / "done/hadamard/transport.json"
-    kept = manifest.read_bytes()
+    manifest_bytes = manifest.read_bytes()
     levels = [{"level": 1, "patterns": 59, "estimated_error": 0.02, "ended": "it is <dark>"}]
     facts = {**read_manifest(manifest), "options": {"target_error": 0.01}, "levels": levels}
     try:
@@ -125,6 +125,6 @@ def test_a_missed_target_stands_beside_the_state(listed: Path) -> None:
         assert "TARGET MISSED: the mean error is 2.00 %" in page
         assert "it is &lt;dark&gt;" in page
     finally:
-        manifest.write_bytes(kept)
+        manifest.write_bytes(manifest_bytes)
     write_catalogue(settings, results)
     assert '<div class="reason missed">' not in listed.read_text("utf-8")

@@ -67,8 +67,10 @@ def test_missing_parts_of_a_run_are_named(case: str, inside: str, tmp_path: Path
 
 
 def costs(table: pd.DataFrame, scene: str, method: str, error: float) -> Any:
-    own = table[(table["scene"] == scene) & (table["method"] == method) & (table["error"] == error)]
-    (row,) = own.to_dict("records")
+    rows = table[
+        (table["scene"] == scene) & (table["method"] == method) & (table["error"] == error)
+    ]
+    (row,) = rows.to_dict("records")
     return row
 
 
@@ -102,10 +104,10 @@ def test_seconds_are_those_of_the_report_and_of_the_catalogue(tmp_path: Path) ->
 
 
 def test_acquisitions_of_several_runs_by_one_method_make_one_curve(tmp_path: Path) -> None:
-    one, two = tmp_path / "one" / "results", tmp_path / "two" / "results"
-    relit(one, "room", "near_far", [(1, None), (12, 0.04)], target_error=0.05)
-    relit(two, "room", "near_far", [(1, None), (51, 0.01)], target_error=0.02)
-    table = compare([tmp_path / "one", two], [0.04, 0.02, 0.005], 2.0)
+    first, second = tmp_path / "one" / "results", tmp_path / "two" / "results"
+    relit(first, "room", "near_far", [(1, None), (12, 0.04)], target_error=0.05)
+    relit(second, "room", "near_far", [(1, None), (51, 0.01)], target_error=0.02)
+    table = compare([tmp_path / "one", second], [0.04, 0.02, 0.005], 2.0)
     assert set(table["method"]) == {"Near/far acquisition"}
     first, between, beyond = table.to_dict("records")
     assert first["patterns"] == 13
@@ -114,20 +116,20 @@ def test_acquisitions_of_several_runs_by_one_method_make_one_curve(tmp_path: Pat
     assert "not reached: 1.00 % after 52" in beyond["note"]
 
 
-def test_other_scenes_and_other_options_are_curves_of_their_own(tmp_path: Path) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-    relit(one, "room", "near_far", [(13, 0.04)], target_error=0.05, noise_significance=3)
-    relit(one, "room", "fine", [(52, 0.01)], target_error=0.02, noise_significance=1)
-    relit(two, "room", "near_far", [(13, 0.03)], truth=2.0, target_error=0.05)
-    (one / "report").mkdir()
+def test_scenes_and_options_that_differ_have_separate_curves(tmp_path: Path) -> None:
+    first, second = tmp_path / "one", tmp_path / "two"
+    relit(first, "room", "near_far", [(13, 0.04)], target_error=0.05, noise_significance=3)
+    relit(first, "room", "fine", [(52, 0.01)], target_error=0.02, noise_significance=1)
+    relit(second, "room", "near_far", [(13, 0.03)], truth=2.0, target_error=0.05)
+    (first / "report").mkdir()
     settings = {"methods": {"fine": {"method": "near_far"}}, "capture": {"seconds_per_pattern": 7}}
-    about = {"provenance": {"configuration": settings}}
-    (one / "report/results.json").write_text(json.dumps(about), "utf-8")
-    table = compare([one, two], [0.04])
-    assert {*table["scene"]} == {f"room ({one})", f"room ({two})"}
-    own = table[table["scene"] == f"room ({one})"]
-    assert {*own["method"]} == {"Near/far acquisition (1)", "Near/far acquisition (2)"}
-    assert 7 * (13 + 10) + 5 in own["seconds"].tolist()
+    report = {"provenance": {"configuration": settings}}
+    (first / "report/results.json").write_text(json.dumps(report), "utf-8")
+    table = compare([first, second], [0.04])
+    assert {*table["scene"]} == {f"room ({first})", f"room ({second})"}
+    rows = table[table["scene"] == f"room ({first})"]
+    assert {*rows["method"]} == {"Near/far acquisition (1)", "Near/far acquisition (2)"}
+    assert 7 * (13 + 10) + 5 in rows["seconds"].tolist()
 
 
 def test_a_captured_scene_counts_by_its_verification(tmp_path: Path) -> None:
@@ -145,14 +147,14 @@ def test_a_curve_has_the_least_error_for_its_patterns() -> None:
     assert [(it.patterns, it.error) for it in frontier(points)] == [(1, 0.4), (20, 0.1), (40, 0.05)]
 
 
-def test_an_exact_method_ends_a_curve(tmp_path: Path) -> None:
+def test_an_exact_method_is_the_end_of_a_curve(tmp_path: Path) -> None:
     relit(tmp_path, "room", "brute_force", [(1, 0.5), (99, 0.0)])
     (row,) = compare([tmp_path], [0.01]).to_dict("records")
     assert row["patterns"] == 100
 
 
 @pytest.mark.parametrize("error", [0.0, -0.1, float("nan")])
-def test_errors_are_above_nothing(tmp_path: Path, error: float) -> None:
+def test_errors_must_be_positive(tmp_path: Path, error: float) -> None:
     with pytest.raises(InputError, match="above 0"):
         compare([tmp_path], [error])
 

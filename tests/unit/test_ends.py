@@ -1,4 +1,4 @@
-"""What is told of a run's end."""
+"""Notification, listed changes and reruns in Snakemake; the record of a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rfpipe.storage.run_record import rerun_command, write_run_record
         "an open 'quote",
     ],
 )
-def test_a_command_that_fails_changes_nothing(
+def test_a_failing_notification_is_only_reported(
     command: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(snakemake_jobs, "_PATIENCE_SECONDS", 0.5)
@@ -34,10 +34,10 @@ def test_a_command_that_fails_changes_nothing(
     assert f"notify: {command!r} failed" in capfd.readouterr().err
 
 
-def test_the_command_knows_how_the_run_ended(tmp_path: Path) -> None:
+def test_the_notification_has_the_status_of_the_run(tmp_path: Path) -> None:
     code = "import os, sys; open(sys.argv[1], 'w').write(os.environ['RFPIPE_STATUS'])"
-    notify(shlex.join([sys.executable, "-c", code, str(tmp_path / "told")]), "failed", "log")
-    assert (tmp_path / "told").read_text() == "failed"
+    notify(shlex.join([sys.executable, "-c", code, str(tmp_path / "status")]), "failed", "log")
+    assert (tmp_path / "status").read_text() == "failed"
     notify(None, "done", "log")
 
 

@@ -1,4 +1,4 @@
-"""What a run will take, told before it."""
+"""Forecasts of runs: patterns, time, memory and disk space."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_smaller_error_takes_more_patterns(method: str) -> None:
 @pytest.mark.slow  # kernels of all methods are compiled
 @pytest.mark.parametrize("is_symmetric", [True, False])
 @pytest.mark.parametrize("method", ["auto", "near_far", "footprints"])
-def test_no_acquisition_of_a_small_scene_takes_more_than_the_most(
+def test_no_acquisition_of_a_small_scene_exceeds_the_upper_limit(
     method: str, is_symmetric: bool
 ) -> None:
     if method == "near_far" and not is_symmetric:
@@ -78,18 +78,22 @@ def test_no_acquisition_of_a_small_scene_takes_more_than_the_most(
     result = rfpipe.acquire(rig, method, target_error=1e-5, progress=False)
     rays = RayDomain(shape)
     options = options_of(get_method(method), target_error=1e-5)
-    most = get_method(method).forecast(rays, rays, 3, options).max_patterns
-    assert 72 < result.patterns <= most
+    limit = get_method(method).forecast(rays, rays, 3, options).max_patterns
+    assert 72 < result.patterns <= limit
 
 
 def test_expected_patterns_are_those_of_the_open_benchmark() -> None:
-    taken = pd.read_csv(ACQUISITIONS)
-    taken = taken[(taken["option"] == "target_error") & (taken["status"] == "done")]
-    taken = taken[taken["camera_rays"] >= 48 * 48]
-    is_open = ~taken["held_out_scene"].astype(bool) & ~taken["held_out_seed"].astype(bool)
-    views = np.where(taken["scene"].str.startswith("views"), 9, 1)
-    expected = views * EXPECTED_PATTERNS * (0.01 / taken["value"]) ** EXPECTED_POWER
-    times = taken["patterns"] / expected
+    acquisitions = pd.read_csv(ACQUISITIONS)
+    acquisitions = acquisitions[
+        (acquisitions["option"] == "target_error") & (acquisitions["status"] == "done")
+    ]
+    acquisitions = acquisitions[acquisitions["camera_rays"] >= 48 * 48]
+    is_open = ~acquisitions["held_out_scene"].astype(bool) & ~acquisitions["held_out_seed"].astype(
+        bool
+    )
+    views = np.where(acquisitions["scene"].str.startswith("views"), 9, 1)
+    expected = views * EXPECTED_PATTERNS * (0.01 / acquisitions["value"]) ** EXPECTED_POWER
+    times = acquisitions["patterns"] / expected
     assert np.quantile(times[is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.75, 1.1, 1.75], 0.1)
     assert np.quantile(times[~is_open], [0.25, 0.5, 0.75]) == pytest.approx([0.77, 3.6, 6.8], 0.1)
 
@@ -127,26 +131,26 @@ def test_the_command_counts_acquisitions(count: int, said: str, tmp_path: Path) 
     config = tmp_path / "config.yaml"
     scenes = {f"s{index}": {**PLANE, "shape": [5, 7]} for index in range(count)}
     config.write_text(yaml.safe_dump({"scenes": scenes, "methods": {"dual": {}}}))
-    told = run("plan", config)
-    assert f"valid. {said} One job per acquisition, since no scene" in told
-    assert ("One after the other" in told) == (count > 1)
+    output = run("plan", config)
+    assert f"valid. {said} One job per acquisition, since no scene" in output
+    assert ("One after the other" in output) == (count > 1)
 
 
-def test_the_command_says_what_does_not_fit(
+def test_the_command_warns_of_too_little_disk_and_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = tmp_path / "config.yaml"
     scene = "{kind: wedge, surfaces: [white, white]}"
     config.write_text(f"scenes: {{one: {scene}, other: {scene}}}\nmethods: {{dual: {{}}}}")
-    told = run("plan", config, "--folder", tmp_path / "results")
-    assert told.count("dual") == 2
-    assert "One after the other: 4:54:08" in told
-    assert "may be too small" not in told
-    assert "of memory, and this machine" not in told
+    output = run("plan", config, "--folder", tmp_path / "results")
+    assert output.count("dual") == 2
+    assert "One after the other: 4:54:08" in output
+    assert "may be too small" not in output
+    assert "of memory, and this machine" not in output
 
     monkeypatch.setattr(workers, "machine_memory_mb", lambda: 128)
     monkeypatch.setattr(files, "free_bytes", lambda _folder: 10)
-    told = run("plan", config)
-    assert "may be too small" in told
-    assert "by dual probably needs" in told
-    assert "of memory, and this machine has 128 MB" in told
+    output = run("plan", config)
+    assert "may be too small" in output
+    assert "by dual probably needs" in output
+    assert "of memory, and this machine has 128 MB" in output

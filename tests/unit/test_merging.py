@@ -1,4 +1,4 @@
-"""The merge of many brackets: compiled or not, in whatever threads and memory, the same bits."""
+"""The merge of brackets gives the same bits for any batches, threads and memory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def captured(camera: CameraModel, count: int = 3) -> tuple[np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, bayer="GRBG"), ExactSensor()])
-def test_references_tell_the_same_however_their_brackets_come(camera: Any) -> None:
+def test_reference_images_do_not_depend_on_batches(camera: Any) -> None:
     image = generator(2).uniform(0.2, 1, IMAGE).astype(np.float32)
     off = np.stack([camera.expose(np.zeros_like(image), 1, (9, index)) for index in range(5)])
     on = np.stack([camera.expose(image, 1, (8, index)) for index in range(6)])
@@ -56,7 +56,7 @@ def test_references_tell_the_same_however_their_brackets_come(camera: Any) -> No
         assert unknown.sum() == 3
 
 
-def test_defects_are_unknown_in_one_image_and_in_many() -> None:
+def test_defects_are_masked_in_single_images_and_in_batches() -> None:
     frames, off = captured(CAMERA, 4)
     mask = np.zeros(IMAGE[:2], bool)
     mask[0, 0] = mask[2, 3] = mask[5:8, 6:9] = True
@@ -68,9 +68,9 @@ def test_defects_are_unknown_in_one_image_and_in_many() -> None:
     assert (together.radiance[:, mask] == 0).all()
     assert np.isposinf(together.variance[:, mask]).all()
     for index in range(4):
-        alone = merger.merge(frames[index : index + 1], index)
-        np.testing.assert_array_equal(alone.radiance[0], together.radiance[index])
-        np.testing.assert_array_equal(alone.variance[0], together.variance[index])
+        single = merger.merge(frames[index : index + 1], index)
+        np.testing.assert_array_equal(single.radiance[0], together.radiance[index])
+        np.testing.assert_array_equal(single.variance[0], together.variance[index])
     assert together.radiance.dtype == together.variance.dtype == np.float32
 
 
@@ -83,7 +83,7 @@ def test_a_camera_with_no_good_pixel_is_refused() -> None:
         estimate_references(camera, [off], [on])
 
 
-def test_workers_keep_the_order_and_hold_few_results(tmp_path: Path) -> None:
+def test_workers_keep_the_order_and_limit_results_in_memory(tmp_path: Path) -> None:
     lock = threading.Lock()
     begun: list[int] = []
 
@@ -132,12 +132,14 @@ def test_resources_use_fewer_threads_where_memory_is_short(tmp_path: Path) -> No
             assert pieces == [(1, 2), (2, 3)]
 
 
-def test_the_floodlit_image_is_as_uncertain_as_its_variance_says() -> None:
+def test_the_variance_of_the_floodlit_image_is_that_of_the_mean() -> None:
     image = generator(5).uniform(0.2, 1, IMAGE).astype(np.float32)
     off = np.stack([CAMERA.expose(np.zeros_like(image), 1, (9, index)) for index in range(64)])
     on = np.stack([CAMERA.expose(image, 1, (8, index)) for index in range(6)])
-    learnt = estimate_references(CAMERA, [off], [on])
-    one = CAMERA.merge(on, learnt.black, 64).variance
-    np.testing.assert_allclose(learnt.floodlit_variance, one.mean(axis=0) / 6, rtol=1e-5)
-    deviation = np.square(learnt.floodlit - image) / learnt.floodlit_variance
+    references = estimate_references(CAMERA, [off], [on])
+    single_variance = CAMERA.merge(on, references.black, 64).variance
+    np.testing.assert_allclose(
+        references.floodlit_variance, single_variance.mean(axis=0) / 6, rtol=1e-5
+    )
+    deviation = np.square(references.floodlit - image) / references.floodlit_variance
     assert deviation.mean() == pytest.approx(1, abs=5 * np.sqrt(2 / image.size))

@@ -31,10 +31,12 @@ def test_exchanged_and_copied_pictures_are_named(takes: list[int], message: list
 
 @pytest.mark.parametrize("turn", list(TURNS)[1:])
 def test_turned_pictures_say_how_they_fit(turn: str) -> None:
-    (back,) = (
-        each for each, how in TURNS.items() if (how(TURNS[turn](LIGHT[3])) == LIGHT[3]).all()
+    (inverse,) = (
+        name
+        for name, transform in TURNS.items()
+        if (transform(TURNS[turn](LIGHT[3])) == LIGHT[3]).all()
     )
     turned = np.stack([TURNS[turn](light) for light in LIGHT])
     assert misplaced(SHOWN, "0123456789", turned) == [
-        f"all pictures fit when they are {back}: turn them"
+        f"all pictures fit when they are {inverse}: turn them"
     ]

@@ -43,7 +43,7 @@ def test_a_failure_names_scene_stage_and_log(
     assert read_failures(tmp_path) == []
 
 
-def test_jobs_that_succeed_when_tried_again_did_not_fail(tmp_path: Path) -> None:
+def test_jobs_that_succeed_when_retried_are_no_failures(tmp_path: Path) -> None:
     from snakemake_interface_logger_plugins.common import LogEvent
 
     jobs = FailedJobs()
@@ -103,5 +103,5 @@ def test_a_missed_target_is_named_with_its_error(
     estimate: float | None, measured: float | None, missed: str, tmp_path: Path
 ) -> None:
     acquisition(tmp_path, estimate, measured)
-    found = missed_targets(tmp_path, [("vase", "auto"), ("jug", "auto")], margin=1.5)
-    assert [str(each) for each in found] == ([missed] if missed else [])
+    misses = missed_targets(tmp_path, [("vase", "auto"), ("jug", "auto")], margin=1.5)
+    assert [str(miss) for miss in misses] == ([missed] if missed else [])

@@ -46,7 +46,7 @@ def test_all_images_agree_with_the_scenes_matrix(transports, method):
 
 @pytest.mark.parametrize("method", ["symmetric", "dual"])
 @pytest.mark.parametrize("row", [0, 4, 8])
-def test_the_level_map_says_where_entries_are_held(transports, method, row):
+def test_the_level_map_has_the_level_of_each_entry(transports, method, row):
     transport = transports[method]
     levels = leaf_levels(transport, row, row)
     rays = slice(row * 12, (row + 1) * 12)
@@ -54,9 +54,9 @@ def test_the_level_map_says_where_entries_are_held(transports, method, row):
     entries = transport.relight_batch(impulses)[:, row].swapaxes(0, 1).max(axis=-1)
     assert (entries[levels == NO_LEAF] == 0).all()
     assert (levels >= 0).sum() >= (entries > 0).sum()
-    held = {int(name.split("_")[1]) for name in transport.pack()[0]}
-    assert set(np.unique(levels)) - {NO_LEAF} <= held
-    # What is held at a level stays there when the acquisition stops later, or else moves up.
+    stored = {int(name.split("_")[1]) for name in transport.pack()[0]}
+    assert set(np.unique(levels)) - {NO_LEAF} <= stored
+    # An entry stays at its level when the transport is truncated later, or moves up.
     stopped = leaf_levels(transport.truncate(2), row, row)
     assert (stopped[(levels >= 0) & (levels < 2)] == levels[(levels >= 0) & (levels < 2)]).all()
     assert (stopped[levels >= 2] == 2).all()

@@ -1,4 +1,4 @@
-"""The report of small results folders: everything that exists is shown, and nothing else."""
+"""Reports of small results folders show everything that exists, and nothing else."""
 
 import json
 import re
@@ -63,7 +63,7 @@ def inputs(results):
     return load_inputs(BOTH, results, *tables_of(results))
 
 
-def test_every_figure_is_embedded_and_lies_beside_the_page_and_so_do_tables(results, page):
+def test_figures_are_embedded_and_written_as_files_like_tables(results, page):
     assert stems(results) == {
         "scene_flat", "scene_corner", "leaves", "speed_error",
     }  # fmt: skip
@@ -74,7 +74,7 @@ def test_every_figure_is_embedded_and_lies_beside_the_page_and_so_do_tables(resu
     assert check_page(results / "report" / "index.html") == []
 
 
-def test_the_page_needs_nothing_from_elsewhere_and_names_rows_and_columns(page):
+def test_the_page_is_self_contained_and_names_rows_and_columns(page):
     markup = re.sub(r"base64,[^\"]*", "", page.source)
     assert not re.search(r"https?:|//[a-z]|@import|<script|<link", markup)
     assert all(link[1:] in page.anchors for link in page.links if link.startswith("#"))
@@ -89,7 +89,7 @@ def test_the_page_needs_nothing_from_elsewhere_and_names_rows_and_columns(page):
 
 
 @pytest.mark.parametrize("width", [1280, 1920])
-def test_it_fits_a_screen_and_begins_with_what_came_out(chromium, results, width):
+def test_it_fits_a_screen_and_begins_with_the_results(chromium, results, width):
     screen = chromium.new_page(viewport={"width": width, "height": 1000})
     screen.goto(f"file://{results}/report/index.html")
     assert screen.evaluate("document.documentElement.scrollWidth") <= width
@@ -102,29 +102,29 @@ def test_it_fits_a_screen_and_begins_with_what_came_out(chromium, results, width
     screen.close()
 
 
-def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
+def test_verification_pictures_and_the_rig_are_shown(tmp_path):
     verification = VerificationConfig(pictures=3, fail_above=1e-6)
     config = GREY.model_copy(update={"verification": verification})
     acquired(tmp_path, config)
     folder = tmp_path / "grey/brute_force"
     image = np.ones((3, 5, 6, 1), np.float32)
     light = image, 0.01 * image
-    found = compare(image[..., 0], light, 1.1 * image, np.ones(1), (image[0], image[0]))
+    result = compare(image[..., 0], light, 1.1 * image, np.ones(1), (image[0], image[0]))
     rig = {
         "drift": 0.004, "moved": 0.3,
         "alarms": ["level 2: the rig or the scene moved"], "saturated": 7, "samples": 700,
     }  # fmt: skip
-    arrays = {"captured": found.captured, "relit": found.relit}
-    write_result(folder / "verification.json", "it", arrays, {**found.facts(), **rig})
+    arrays = {"captured": result.captured, "relit": result.relit}
+    write_result(folder / "verification.json", "it", arrays, {**result.facts(), **rig})
     page = built(tmp_path, config)
     assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in page.words
     assert "3 relit pictures" in page.words
-    assert f"ABOVE THE ACCEPTED ERROR: verified {percent(found.mean_error)} %" in page.words
+    assert f"ABOVE THE ACCEPTED ERROR: verified {percent(result.mean_error)} %" in page.words
     assert page.source.count('<p class="alarm">') == 2
     assert page.source.count('<tr class="alarm">') == 1
-    about = json.loads((tmp_path / "report/results.json").read_text())
-    (entry,) = about["provenance"]["acquisitions"]
-    assert entry["verification"]["mean_error"] == pytest.approx(found.mean_error)
+    report = json.loads((tmp_path / "report/results.json").read_text())
+    (entry,) = report["provenance"]["acquisitions"]
+    assert entry["verification"]["mean_error"] == pytest.approx(result.mean_error)
     assert "verified_grey_brute_force_spots_1_relit" in stems(tmp_path, "figures/*.exr")
     (row,) = pd.read_csv(tmp_path / "report/tables/verification.csv").to_dict("records")
     assert (row["drift"], row["moved"]) == (0.004, 0.3)
@@ -134,14 +134,14 @@ def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
 
 @pytest.mark.slow
 def test_the_same_results_give_the_same_bytes(results, tmp_path):
-    again = tmp_path / "results"
-    shutil.copytree(results, again)
-    built(again, BOTH)
+    copy = tmp_path / "results"
+    shutil.copytree(results, copy)
+    built(copy, BOTH)
     written = [path for path in (results / "report").rglob("*") if path.is_file()]
     kinds = {".html", ".json", ".png", ".pdf", ".exr", ".csv", ".tex"}
     assert {path.suffix for path in written} == kinds
     for path in written:
-        assert path.read_bytes() == (again / path.relative_to(results)).read_bytes(), path.name
+        assert path.read_bytes() == (copy / path.relative_to(results)).read_bytes(), path.name
 
 
 def test_costs_count_patterns_bytes_and_seconds(results, inputs):
@@ -149,7 +149,7 @@ def test_costs_count_patterns_bytes_and_seconds(results, inputs):
     assert [(row["scene"], row["method"]) for row in rows] == BOTH.acquisitions
     assert all(row["rays"] == 80 for row in rows)
     assert all(row["pictures"] == 40 for row in rows)
-    assert all(row["capture_s"] == 2 * 40 for row in rows)  # not those of the patterns alone
+    assert all(row["capture_s"] == 2 * 40 for row in rows)  # of all pictures, including references
     # eight processing jobs in two levels, and the assembly; captures are not processing
     assert all(row["processing_s"] == 9 for row in rows)
     stored = (results / "corner" / "dual" / "transport.zarr").rglob("*")
@@ -157,19 +157,19 @@ def test_costs_count_patterns_bytes_and_seconds(results, inputs):
     assert rows[3]["megabytes"] == pytest.approx(nbytes / 1e6)
 
 
-def test_a_summary_names_what_the_report_was_made_from(results):
-    found = json.loads((results / "report" / "results.json").read_text("utf-8"))["provenance"]
-    assert (found["seed"], found["versions"]) == (BOTH.seed, versions())
-    assert found["configuration"] == BOTH.result_settings()
-    assert found["configuration_fingerprint"] == fingerprint(BOTH.result_settings())
-    for it in found["acquisitions"]:
+def test_a_summary_has_the_origin_of_the_report(results):
+    result = json.loads((results / "report" / "results.json").read_text("utf-8"))["provenance"]
+    assert (result["seed"], result["versions"]) == (BOTH.seed, versions())
+    assert result["configuration"] == BOTH.result_settings()
+    assert result["configuration_fingerprint"] == fingerprint(BOTH.result_settings())
+    for it in result["acquisitions"]:
         folder = results / it["scene"] / it["method"]
         assert it["transport_digest"] == read_manifest(folder / "transport.json")["digest"]
         assert it["relit_digest"] == open_arrays(folder / "relight.zarr").digest
         assert it["patterns"] == read_manifest(folder / "transport.json")["patterns"]
 
 
-def test_pictures_of_light_lie_beside_the_page_as_they_are(results, page):
+def test_pictures_are_written_as_linear_radiance(results, page):
     assert stems(results, "figures/*.exr") == {
         f"scene_{scene}_{name}"
         for scene in ("flat", "corner")
@@ -178,9 +178,9 @@ def test_pictures_of_light_lie_beside_the_page_as_they_are(results, page):
     images = open_arrays(results / "corner" / "symmetric" / "relight.zarr")
     for name, kept_as in (("relit", "relit_symmetric"), ("truth", "truth")):
         # linear, and not brightened
-        kept = read_image(results / f"report/figures/scene_corner_{kept_as}.exr")
+        written_image = read_image(results / f"report/figures/scene_corner_{kept_as}.exr")
         index = list(RELIGHTING_PATTERNS).index("horizontal_bar")
-        np.testing.assert_array_equal(kept, images.read(name)[index])
+        np.testing.assert_array_equal(written_image, images.read(name)[index])
     assert "White is radiance" in page.words
 
 
@@ -196,7 +196,7 @@ def image_of_one_colour(path: Path) -> None:
         ("index.html", lambda it: it.write_text(""), "has no picture"),
     ],
 )
-def test_a_page_s_faults_are_told(results, tmp_path, name, damage, said):
+def test_faults_of_a_page_are_listed(results, tmp_path, name, damage, said):
     shutil.copytree(results / "report", tmp_path / "report")
     damage(tmp_path / "report" / name)
     assert any(said in fault for fault in check_page(tmp_path / "report/index.html"))
@@ -233,7 +233,7 @@ def test_a_light_field_shows_its_middle_view(tmp_path):
     assert field.middle(np.arange(6).reshape(6, 1, 1, 1)).item() == 4
 
 
-def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
+def test_it_begins_with_a_table_and_each_scene_with_its_truth(results, inputs):
     first, second = make_sections(inputs)[:2]
     assert (first.anchor, second.anchor) == ("glance", "speed")
     table, gallery = first.blocks
@@ -247,8 +247,8 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, inputs):
         methods = ["Symmetric photography", "Dual photography"]
         assert rows == ["truth", methods[0], "difference", methods[1], "difference"]
         for first, method in ((6, "symmetric"), (18, "dual")):
-            own = inputs.errors.set_index(["scene", "method", "pattern"])["error"]
-            expected = [own.loc[figure.name, method, name] for name in RELIGHTING_PATTERNS]
+            table_errors = inputs.errors.set_index(["scene", "method", "pattern"])["error"]
+            expected = [table_errors.loc[figure.name, method, name] for name in RELIGHTING_PATTERNS]
             shown = [axis.get_xlabel().partition("\n")[0] for axis in panels[first + 1 : first + 6]]
             assert shown == [f"error {percent(error)} %" for error in expected]
     errors = inputs.errors.set_index(["pattern", "scene", "method"])["error"]
@@ -280,7 +280,7 @@ class Aside:
         return (patterns.reshape(len(patterns), 32) @ self.matrix.T)[..., None]
 
 
-def captured(folder, arrays, found=None):
+def captured(folder, arrays, result=None):
     """Leave what the relight stage does of a scene before a rig that is not coaxial."""
     (folder / "desk/dual").mkdir(parents=True)
     write_arrays(folder / "desk/dual/relight.zarr", arrays, {})
@@ -289,7 +289,7 @@ def captured(folder, arrays, found=None):
     facts = {"scene": "desk", "method": "dual", "names": list(RELIGHTING_PATTERNS), "row": 2,
              "coaxial": False, "options": {}, "patterns": 12, "bytes": 4000,
              "levels": [level, {**level, "level": 1, "patterns": 0, "nodes": 0}],
-             **(found or {})}  # fmt: skip
+             **(result or {})}  # fmt: skip
     write_manifest(folder / "desk/dual/relight.json", facts)
     evaluate.run([folder / "desk/dual/relight.json"], *tables_of(folder), 2.0)
 
@@ -312,18 +312,18 @@ def aside_transport():
     return DenseTransport((5, 6), (4, 8), 1, [], {"matrix": Aside.matrix[None] * 1.01})
 
 
-def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_path):
+def test_a_rig_that_is_not_coaxial_has_pictures_and_no_unlit_pixels(tmp_path):
     arrays = relight.relit_arrays(aside_transport(), Aside())
     assert arrays["relit"].shape == (5, 5, 6, 1)
     assert arrays["patterns"].shape == (5, 4, 8)
     assert arrays["line_truth"].shape == (6, 8, 1)
     np.testing.assert_allclose(arrays["line_truth"][..., 0], Aside.matrix[12:18, 16:24])
     truth = arrays["floodlit_truth"]
-    found = relight.mean_errors(aside_transport(), Aside(), truth, is_coaxial=False)
-    assert "mean_indirect" not in found
+    result = relight.mean_errors(aside_transport(), Aside(), truth, is_coaxial=False)
+    assert "mean_indirect" not in result
     grain = {"whole": 0.003, "unlit": 0.052}
-    found["recorded"] = {"grain": grain, "versions": {"drjit": "1.5.0"}}
-    captured(tmp_path, arrays, found)
+    result["recorded"] = {"grain": grain, "versions": {"drjit": "1.5.0"}}
+    captured(tmp_path, arrays, result)
     errors = pd.read_csv(tables_of(tmp_path)[0])
     # of a picture that sends back little for the pixels that it lights, less
     assert errors["error"].between(0.005, 0.01001).all()
@@ -353,7 +353,7 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
 
 
-def test_it_says_what_scenes_chose_and_what_light_is_left_out(tmp_path):
+def test_it_lists_choices_of_scenes_and_omitted_light(tmp_path):
     choice = {"setting": "caustics", "value": True, "reason": "by ball (SmoothDielectric)"}
     light = {"choices": [choice], "omissions": ["light that ball throws is missing"]}
     arrays = relight.relit_arrays(aside_transport(), Aside())

@@ -76,7 +76,7 @@ def inputs_of(
 # ---- Speed against error
 
 
-def test_each_setting_of_a_method_has_a_colour_and_a_marker_of_its_own(tmp_path: Path) -> None:
+def test_settings_of_a_method_have_different_colours_and_markers(tmp_path: Path) -> None:
     inputs = inputs_of(tmp_path)
     styles = [inputs.style(method) for method in inputs.methods]
     assert len(styles) == 5
@@ -86,7 +86,7 @@ def test_each_setting_of_a_method_has_a_colour_and_a_marker_of_its_own(tmp_path:
     assert (styles[0]["color"], styles[0]["marker"]) == (subject.colour, subject.marker)
 
 
-def test_an_estimate_is_drawn_where_it_was_made_and_not_as_the_truth_is(tmp_path: Path) -> None:
+def test_estimates_are_drawn_at_their_levels_and_unlike_true_errors(tmp_path: Path) -> None:
     values = [None, 0.05, 0.05, 0.05, 0.02, 0.02, 0.03]
     rows = [
         row(level, 4, **({} if value is None else {"estimated_error": value}))
@@ -96,23 +96,23 @@ def test_an_estimate_is_drawn_where_it_was_made_and_not_as_the_truth_is(tmp_path
     assert errors.made_estimates(rows[:1]) == []
     inputs = inputs_of(tmp_path, rows=rows)
     steps = errors.histories(inputs.runs)
-    (other,) = (group for group in inputs.seed_groups if group.name == "other")
-    figure = errors.speed_figure(inputs, [other], inputs.speed_error, steps)
+    (other_group,) = (group for group in inputs.seed_groups if group.name == "other")
+    figure = errors.speed_figure(inputs, [other_group], inputs.speed_error, steps)
     lines = [line for line in figure.axes[0].lines if len(line.get_xdata())]
     crosses = [line for line in lines if line.get_marker() == "x"]
     truths = [line for line in lines if line.get_marker() not in ("x", "None", "", "|", "_")]
     assert {tuple(line.get_xdata()) for line in crosses} == {(8, 20, 28)}
     assert {line.get_linestyle() for line in crosses} == {":"}
     assert len(truths) == len(inputs.methods)
-    alone = [line for line in truths if len(line.get_xdata()) == 1]
-    assert len(alone) == 3
-    assert all(line.get_markersize() > 6 for line in alone)
+    single_marks = [line for line in truths if len(line.get_xdata()) == 1]
+    assert len(single_marks) == 3
+    assert all(line.get_markersize() > 6 for line in single_marks)
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert {*map(inputs.title, inputs.methods), "as the method estimated it"} < {*names}
     assert len(names) == len({*names})
 
 
-def test_scenes_that_differ_by_their_seeds_alone_are_one_panel_with_error_bars(
+def test_scenes_that_differ_only_in_seeds_are_one_panel_with_error_bars(
     tmp_path: Path,
 ) -> None:
     inputs = inputs_of(tmp_path)
@@ -148,7 +148,9 @@ def test_scenes_that_differ_by_their_seeds_alone_are_one_panel_with_error_bars(
         ({"methods": {"dual": {}}}, False),
     ],
 )
-def test_seeds_alone_make_scenes_one_group(change: dict, together: bool, tmp_path: Path) -> None:
+def test_scenes_are_grouped_if_only_their_seeds_differ(
+    change: dict, together: bool, tmp_path: Path
+) -> None:
     scenes = {"corner_1": GREY, "corner_2": {**GREY, **change}}
     config = Config.model_validate({"scenes": scenes, "methods": {"symmetric": {}, "dual": {}}})
     assert len(inputs_of(tmp_path, config).seed_groups) == (1 if together else 2)
@@ -215,14 +217,16 @@ def test_errors_of_dark_pictures_are_also_relative_to_their_own_norm() -> None:
         ({"mean_error": None}, "", None),
     ],
 )  # fmt: skip
-def test_a_missed_target_is_told_with_the_reason(
+def test_a_missed_target_is_reported_with_the_reason(
     facts: dict, reason: str, expected: list[str] | None
 ) -> None:
-    told = [*missed_targets({"target_error": 0.01, "verified": "exact truth", **facts}, reason)]
+    sentences = [
+        *missed_targets({"target_error": 0.01, "verified": "exact truth", **facts}, reason)
+    ]
     if expected is None:
-        assert told == []
+        assert sentences == []
     else:
-        (sentence,) = told
+        (sentence,) = sentences
         assert all(part in sentence for part in ["TARGET MISSED", *expected])
 
 
@@ -384,7 +388,7 @@ def test_figures_are_also_vectors_of_the_same_bytes(tmp_path: Path) -> None:
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_a_table_is_latex_whatever_its_signs() -> None:
+def test_special_characters_of_a_table_are_escaped_in_latex() -> None:
     table = Table("T", "", ["scene", "error, %"], [["planes_iv", "1 ± 2"], ["a&b#{}", DASH]])
     lines = latex_table(table).splitlines()
     assert lines[1] == r"\begin{tabular}{lr}"
@@ -397,6 +401,6 @@ def test_a_table_is_latex_whatever_its_signs() -> None:
 def test_a_method_states_why_it_ended_above_its_target() -> None:
     rig = SimulatedRig(planes_scene("wedge", ("texture", "texture"), (8, 10), channels=1))
     stopped = acquire(rig, "near_far", progress=False, target_error=1e-4, patterns=13)
-    assert "all patterns" in ending_of(stopped.transport.level_rows)
+    assert "number of patterns" in ending_of(stopped.transport.level_rows)
     reached = acquire(rig, "near_far", progress=False, target_error=0.5)
     assert ending_of(reached.transport.level_rows) == ""

@@ -1,4 +1,4 @@
-"""Pictures that are to be taken again, by their names, and what makes way for them."""
+"""Retakes: levels by their names, and the results that are set aside or removed."""
 
 from __future__ import annotations
 
@@ -68,7 +68,9 @@ def test_names_of_levels(results: Path, name: str, expected: list[str]) -> None:
         ("../vase/dual", "nothing is captured by this name"),
     ],
 )
-def test_a_wrong_name_says_the_nearest_ones(results: Path, name: str, message: str) -> None:
+def test_an_unknown_name_is_answered_with_similar_ones(
+    results: Path, name: str, message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         find_retakes(results, [name])
     with pytest.raises(InputError, match="nothing is captured in"):
@@ -81,7 +83,7 @@ def test_an_acquisition_that_the_settings_do_not_have_stays(results: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("level", "gone", "kept"),
+    ("level", "removed_names", "present_names"),
     [
         (
             "L01",
@@ -100,16 +102,16 @@ def test_an_acquisition_that_the_settings_do_not_have_stays(results: Path) -> No
         ),
     ],
 )
-def test_manifests_that_follow_make_way_and_all_pictures_stay(
-    results: Path, level: str, gone: set[str], kept: set[str]
+def test_manifests_of_later_results_are_removed_and_all_pictures_stay(
+    results: Path, level: str, removed_names: set[str], present_names: set[str]
 ) -> None:
     before = present(results)
     (retake,) = find_retakes(results, [f"vase/dual/{level}"])
     aside = retake.set_aside()
     after = present(results)
     manifests = {path.removesuffix(".json") for path in after if path.endswith(".json")}
-    assert not {f"vase/dual/{name}" for name in gone} & manifests
-    assert {f"vase/dual/{name}" for name in kept} <= manifests
+    assert not {f"vase/dual/{name}" for name in removed_names} & manifests
+    assert {f"vase/dual/{name}" for name in present_names} <= manifests
     assert {path.name for path in aside} == {
         f"{store}.before_1.zarr" for store in STORES.get(level, ("capture",))
     }
@@ -125,7 +127,7 @@ def test_pictures_that_are_set_aside_twice_are_both_kept(results: Path) -> None:
     assert [path.name for path in retake.set_aside()] == ["capture.before_2.zarr"]
 
 
-def test_where_raw_exposures_were_dropped_the_merged_images_are_kept(results: Path) -> None:
+def test_merged_images_are_set_aside_if_raw_exposures_were_dropped(results: Path) -> None:
     level = results / "vase/dual/L02"
     write_manifest(level / "capture.zarr/dropped.json", {})
     for name in ("merge", "sums"):
@@ -176,8 +178,8 @@ def test_pictures_are_put_back_and_those_taken_since_set_aside(results: Path) ->
     retake.put_back()
     assert (store / "c.0").read_text() == "light"
     assert (store.with_name("capture.before_2.zarr") / "c.0").read_text() == "new light"
-    gone = (store.with_name("capture.json"), results / "vase/dual/transport.json")
-    assert not any(path.exists() for path in gone)
+    removed_names = (store.with_name("capture.json"), results / "vase/dual/transport.json")
+    assert not any(path.exists() for path in removed_names)
     (retake,) = find_retakes(results, ["vase/dual/1"])
     with pytest.raises(InputError, match="no pictures are set aside in"):
         retake.put_back()

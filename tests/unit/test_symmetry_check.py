@@ -1,4 +1,4 @@
-"""Rigs that aren't the coaxial ones that a method takes them for are refused, right ones aren't."""
+"""A method for coaxial rigs refuses misaligned rigs and accepts aligned ones."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FEW = {"floodlit_frames": 8, "progress": False}
 
 
 def vignetted(matrix: np.ndarray) -> np.ndarray:
-    """What a camera sees that loses a tenth of the light from one side to the other."""
+    """Matrix of a camera that loses 10 % of the light from one side to the other."""
     share = np.broadcast_to(np.linspace(0.9, 1, SHAPE[1]), SHAPE)
     return np.asarray(share.reshape(-1, 1) * matrix)
 
@@ -43,15 +43,15 @@ def test_a_misaligned_rig_is_refused(
 
 @pytest.mark.parametrize("camera", [None, CameraModel(), DIM])
 @pytest.mark.parametrize("change", [lambda matrix: matrix, vignetted])
-def test_a_right_rig_is_not(change, camera: CameraModel | None, caplog) -> None:
+def test_an_aligned_rig_is_accepted(change, camera: CameraModel | None, caplog) -> None:
     matrix = change(wedge()[0])
     with caplog.at_level(logging.WARNING):
-        found = rfpipe.acquire(rig(matrix, camera), "symmetric", tolerance=1e-2, **FEW)
+        result = rfpipe.acquire(rig(matrix, camera), "symmetric", tolerance=1e-2, **FEW)
     assert "not symmetric" not in caplog.text
-    assert picture_error(found.transport, matrix, generator(1).random((3, *SHAPE)) < 0.5) < 0.03
+    assert picture_error(result.transport, matrix, generator(1).random((3, *SHAPE)) < 0.5) < 0.03
 
 
-def test_what_is_accepted_may_be_said(caplog) -> None:
+def test_the_accepted_asymmetry_is_a_setting(caplog) -> None:
     wrong = rig(beside(wedge(), 0.25)[0], CameraModel())
     with caplog.at_level(logging.WARNING):
         rfpipe.acquire(wrong, "symmetric", asymmetry=0.5, tolerance=1e-2, **FEW)
@@ -67,8 +67,8 @@ def test_what_is_accepted_may_be_said(caplog) -> None:
 
 
 def test_a_black_scene_has_no_asymmetry() -> None:
-    found = rfpipe.acquire(rig(np.zeros((RAYS, RAYS)), None), "symmetric", **FEW)
-    assert found.patterns == 1
+    result = rfpipe.acquire(rig(np.zeros((RAYS, RAYS)), None), "symmetric", **FEW)
+    assert result.patterns == 1
 
 
 def spreading() -> np.ndarray:
@@ -86,8 +86,8 @@ def test_dead_pixels_are_no_asymmetry(matrix: np.ndarray, share: float) -> None:
         rig(matrix, CameraModel()),
         lambda _, frames: np.where(dead[..., None], np.uint16(5), frames),
     )
-    found = rfpipe.acquire(spoilt, "symmetric", tolerance=0.1, **FEW)
-    assert np.array_equal(found.masked, dead)
+    result = rfpipe.acquire(spoilt, "symmetric", tolerance=0.1, **FEW)
+    assert np.array_equal(result.masked, dead)
 
 
 class Lit(FaultyRig):
@@ -108,7 +108,7 @@ class Lit(FaultyRig):
 
 @pytest.mark.parametrize("room", [Lit(room=0.1), Lit(boost=0.9)])
 @pytest.mark.parametrize("method", ["near_far", "symmetric"])
-def test_light_that_changes_is_no_asymmetry(room: Lit, method: str) -> None:
+def test_a_change_of_light_is_not_reported_as_asymmetry(room: Lit, method: str) -> None:
     with pytest.raises(CaptureError, match=r"room's light changed .*dynamic contrast") as caught:
         rfpipe.acquire(room, method, **FEW)
     assert "Align" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Pictures that no method saw tell what a transport is wrong by."""
+"""Errors of transports in verification pictures, and their comparison with targets."""
 
 from __future__ import annotations
 
@@ -24,79 +24,79 @@ FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0}
 @pytest.mark.parametrize("camera", [None, CameraModel(), DIM])
 @pytest.mark.parametrize("method", ["symmetric", "dual"])
 @pytest.mark.parametrize("pixels", [0.0, 0.5])
-def test_the_error_is_the_true_one_within_noise(
+def test_the_error_is_the_true_error_within_noise(
     method: str, pixels: float, camera: CameraModel | None
 ) -> None:
     matrices = beside(wedge(), pixels)
     rig = rfpipe.OperatorRig(list(matrices), SHAPE, SHAPE, camera)
     result = rfpipe.acquire(rig, method, tolerance=1e-2, verification=9, **FEW)
-    found = result.verification
-    assert found is not None
-    assert list(found.table["name"])[:4] == ["shapes 1", "bars 1", "spots 1", "shapes 2"]
-    truth = np.einsum("cmn,pn->pmc", matrices, found.patterns.reshape(9, -1))
+    verification = result.verification
+    assert verification is not None
+    assert list(verification.table["name"])[:4] == ["shapes 1", "bars 1", "spots 1", "shapes 2"]
+    truth = np.einsum("cmn,pn->pmc", matrices, verification.patterns.reshape(9, -1))
     floodlit = np.einsum("cmn->mc", matrices)
-    relit = found.relit.reshape(truth.shape)
-    true, _ = rfpipe.picture_errors(relit, truth, found.patterns, floodlit)
-    for one, expected in zip(found.table.itertuples(), true, strict=True):
+    relit = verification.relit.reshape(truth.shape)
+    true, _ = rfpipe.picture_errors(relit, truth, verification.patterns, floodlit)
+    for row, expected in zip(verification.table.itertuples(), true, strict=True):
         # the black level and the lamp's gain, which all pictures share, have noise of their own
-        assert abs(one.error - expected) < 4 * one.standard_error + 2e-3, one.name
-    assert found.mean_error == pytest.approx(true.mean(), abs=2e-3)
+        assert abs(row.error - expected) < 4 * row.standard_error + 2e-3, row.name
+    assert verification.mean_error == pytest.approx(true.mean(), abs=2e-3)
     if method == "symmetric" and pixels:
-        assert found.mean_error > 0.3  # and it had no other way to know
+        assert verification.mean_error > 0.3  # and it had no other way to know
 
 
 def test_noise_alone_is_no_error() -> None:
     random = generator(1)
     truth = random.random((200, 6, 7, 1)).astype(np.float32)
     variance = (0.001 + 0.01 * truth).astype(np.float32)
-    seen = (truth + np.sqrt(variance) * random.standard_normal(truth.shape)).astype(np.float32)
+    captured = (truth + np.sqrt(variance) * random.standard_normal(truth.shape)).astype(np.float32)
     variance[:, 0, :3] = np.inf
-    seen[:, 0, :3], seen[:, 0, 3:] = 1e6, np.nan  # what isn't known doesn't count
+    captured[:, 0, :3], captured[:, 0, 3:] = 1e6, np.nan  # what isn't known doesn't count
     floodlit = np.zeros((2, 6, 7, 1), np.float32)
     floodlit[0, 0, 3:] = np.nan
-    found = compare(truth[..., 0], (seen, variance), truth, np.ones(1), floodlit)
-    errors, spread = found.table["error"], found.table["standard_error"]
+    verification = compare(truth[..., 0], (captured, variance), truth, np.ones(1), floodlit)
+    errors, spread = verification.table["error"], verification.table["standard_error"]
     assert (errors == 0).mean() == pytest.approx(0.5, abs=0.15)
     assert (errors > 3 * spread).mean() < 0.02
     relit = truth * np.float32(1.2)
-    off = compare(truth[..., 0], (seen, variance), relit, np.ones(1), floodlit)
+    off = compare(truth[..., 0], (captured, variance), relit, np.ones(1), floodlit)
     errors, spread = off.table["error"], off.table["standard_error"]
     assert errors.mean() == pytest.approx(0.2, rel=0.02)
     assert np.std((errors - 0.2) / spread) == pytest.approx(1, abs=0.2)
 
 
 def test_a_glint_hides_no_error() -> None:
-    """Saturated samples are taken for more uncertain than any error of the others."""
+    """Saturated samples have a larger uncertainty than any error of the other samples."""
     truth = generator(1).random((3, 6, 7, 1)).astype(np.float32)
     variance = np.full_like(truth, 1e-6)
     truth[:2, 2, 3] = 2
     variance[:2, 2, 3] = (UNKNOWN_DEVIATION * 2) ** 2
     floodlit = np.zeros((2, 6, 7, 1), np.float32)
     relit = truth * np.float32(1.02)
-    found = compare(truth[..., 0], (truth, variance), relit, np.ones(1), floodlit)
-    assert found.mean_error == pytest.approx(0.02, rel=0.2)
+    verification = compare(truth[..., 0], (truth, variance), relit, np.ones(1), floodlit)
+    assert verification.mean_error == pytest.approx(0.02, rel=0.2)
 
 
-def test_a_spot_next_to_black_is_not_off_by_all_its_light() -> None:
+def test_the_error_of_a_dark_picture_is_relative_to_a_typical_one() -> None:
     pattern, dark = np.zeros((1, 4, 4), np.float32), np.zeros((1, 4, 4, 1), np.float32)
     pattern[0, 0, 0] = 1  # and shines on nothing
     white = np.ones((4, 4, 1), np.float32), np.full((4, 4, 1), 0.25, np.float32)
     relit = dark.copy()
     relit[0, 0, 0] = 0.1
-    found = compare(pattern, (dark, dark), relit, np.ones(1), white)
+    verification = compare(pattern, (dark, dark), relit, np.ones(1), white)
     # half of sqrt(16 (1 - 0.25) / 16): without the floodlit image's own noise
-    assert found.mean_error == pytest.approx(0.1 / (0.5 * np.sqrt(0.75)))
+    assert verification.mean_error == pytest.approx(0.1 / (0.5 * np.sqrt(0.75)))
 
 
 def test_without_light_there_is_no_error() -> None:
     nothing = np.zeros((1, 3, 4, 1), np.float32)
     dark = nothing, nothing
-    found = compare(nothing[..., 0], dark, nothing, np.ones(1), (nothing[0], nothing[0]))
-    assert np.isnan(found.mean_error)
-    assert json.loads(json.dumps(found.facts()))["mean_error"] is None
+    verification = compare(nothing[..., 0], dark, nothing, np.ones(1), (nothing[0], nothing[0]))
+    assert np.isnan(verification.mean_error)
+    assert json.loads(json.dumps(verification.facts()))["mean_error"] is None
 
 
-def test_a_bound_names_what_is_above_it() -> None:
+def test_acquisitions_above_their_bound_are_named() -> None:
     facts = {"mean_error": 0.03, "worst_error": 0.06, "worst_picture": "spots", "noise": 0.004}
     dark = {"mean_error": None, "worst_error": None, "worst_picture": "spots", "noise": None}
     rows = [{"level": level, "patterns": 9, "estimated_error": 0.04 / level} for level in (1, 2)]
@@ -143,10 +143,12 @@ def test_a_target_is_met_or_missed(error: float, target: float | None, verdict: 
     columns = ["name", "difference", "noise", "error", "standard_error"]
     nothing = np.zeros((3, 2, 2, 1), np.float32)
     table = pd.DataFrame(rows, columns=columns)
-    found = Verification(table, nothing[..., 0], nothing, nothing, np.ones(1)).against(target)
-    assert found.verdict == verdict
+    verification = Verification(table, nothing[..., 0], nothing, nothing, np.ones(1)).against(
+        target
+    )
+    assert verification.verdict == verdict
     if target is not None and np.isfinite(error):
-        assert f"{target:.2%}" in found.reason
+        assert f"{target:.2%}" in verification.reason
 
 
 def test_a_bound_and_pictures() -> None:
@@ -160,7 +162,7 @@ def test_real_rigs_are_verified_by_default() -> None:
     assert parse_config({**captured, "capture": {"rig": "remote"}}, "c").verification_pictures == 9
     offline = {**captured, "capture": {"rig": "offline"}}
     assert parse_config(offline, "c").verification_pictures == 3
-    asked = {**offline, "verification": {"pictures": 5}}
-    assert parse_config(asked, "c").verification_pictures == 5
+    settings = {**offline, "verification": {"pictures": 5}}
+    assert parse_config(settings, "c").verification_pictures == 5
     with pytest.raises(ConfigError, match=r"verification.pictures should be 1 to 96"):
         settings_of_a_plane(verification={"fail_above": 0.1})

@@ -109,13 +109,13 @@ def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> No
     for mine in (steady, dimming):
         mine.capture(1, **WATCHING)
         mine.merge(1)
-    expected, left = images(steady), images(dimming)
+    expected, uncorrected = images(steady), images(dimming)
     dimming.merge(1, divide_out_drift=True)
-    found = images(dimming)
+    corrected = images(dimming)
     late = slice(RAYS // 2, None)
-    assert left[late].sum() < 0.9 * expected[late].sum()
-    assert found[late].sum() == pytest.approx(expected[late].sum(), rel=0.01)
-    assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
+    assert uncorrected[late].sum() < 0.9 * expected[late].sum()
+    assert corrected[late].sum() == pytest.approx(expected[late].sum(), rel=0.01)
+    assert corrected.sum() == pytest.approx(expected.sum(), rel=0.01)
 
 
 @pytest.mark.parametrize("stops_at", [(1, 4), (CHECK_PICTURE_KEY, 1, 2), (CHECK_PICTURE_KEY, 1, 7)])
@@ -123,16 +123,16 @@ def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     tmp_path: Path, stops_at: tuple[int, ...]
 ) -> None:
     # a lamp that drifts slowly: looks aren't repeated
-    whole, stopped = begun(tmp_path / "whole", 0.05), begun(tmp_path / "stopped", 0.05)
+    uninterrupted, stopped = begun(tmp_path / "whole", 0.05), begun(tmp_path / "stopped", 0.05)
     stopped.rig.stops_at = stops_at
     with pytest.raises(CaptureError, match="broken"):
         stopped.capture(1, **WATCHING, batch_patterns=2)
     stopped.rig.stops_at = None
-    for mine in (whole, stopped):
+    for mine in (uninterrupted, stopped):
         mine.capture(1, **WATCHING)
         mine.merge(1, divide_out_drift=True)
     assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # nothing is taken twice
-    manifests = [mine.folder.read_manifest(1, "merge") for mine in (whole, stopped)]
+    manifests = [mine.folder.read_manifest(1, "merge") for mine in (uninterrupted, stopped)]
     assert manifests[0]["digest"] == manifests[1]["digest"]
     assert manifests[0]["check_pictures"] == manifests[1]["check_pictures"]
 
@@ -154,11 +154,11 @@ def test_a_level_begun_without_a_watch_goes_on_without(
 def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Path) -> None:
     mine = begun(tmp_path)
     mine.capture(1, **WATCHING)
-    taken = len(mine.rig.keys)
+    n_pictures = len(mine.rig.keys)
     for every in (0, 10 * EVERY):
         mine.capture(1, watch=WATCHING["watch"], check_interval=every)
         assert mine.folder.read_manifest(1, "capture")["check_pictures"]["interval"] == EVERY
-    assert len(mine.rig.keys) == taken
+    assert len(mine.rig.keys) == n_pictures
 
 
 def test_the_lamp_warms_up_when_it_may_have_been_off(
@@ -176,6 +176,6 @@ def test_the_lamp_warms_up_when_it_may_have_been_off(
         assert frames.shape[0] == 1
     for stage in (mine.merge, mine.normalize, mine.refine, mine.schedule):
         stage(1 if stage == mine.schedule else 0)
-    taken = len(mine.rig.keys)
+    n_pictures = len(mine.rig.keys)
     mine.capture(1, warm_up_minutes=60)  # it was on a moment ago
-    assert not [key for key in mine.rig.keys[taken:] if key[0] == WARM_UP_KEY]
+    assert not [key for key in mine.rig.keys[n_pictures:] if key[0] == WARM_UP_KEY]

@@ -39,9 +39,9 @@ FRAMES = 6
 
 
 def judge(acquisition: StagewiseAcquisition, accepted: float = 0.05) -> dict[str, Any]:
-    found = symmetry.read_asymmetry(acquisition.folder)
-    assert found is not None
-    assert symmetry.is_coaxial(found, Symmetric(), SymmetricOptions(), accepted)
+    asymmetry = symmetry.read_asymmetry(acquisition.folder)
+    assert asymmetry is not None
+    assert symmetry.is_coaxial(asymmetry, Symmetric(), SymmetricOptions(), accepted)
     facts: dict[str, Any] = acquisition.folder.read_manifest(0, "merge")["symmetry"]
     return facts
 
@@ -67,13 +67,13 @@ def crooked() -> np.ndarray:
 
 def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
     acquisition = begun(tmp_path, symmetric_matrix())
-    told = judge(acquisition)
+    facts = judge(acquisition)
     acquisition.settings = replace(SETTINGS, keep_raw=False)
     acquisition.merge(0)
     assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
     acquisition.folder.manifest(0, "merge").unlink()
     acquisition.merge(0)
-    assert judge(acquisition) == told
+    assert judge(acquisition) == facts
     acquisition.capture(0, symmetry_frames=FRAMES)  # none is missing
     assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
 
@@ -119,10 +119,10 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
 
 
 def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
-    found = Asymmetry(0.03, 0.001)
+    asymmetry = Asymmetry(0.03, 0.001)
     for target, coaxial in ((None, True), (0.05, True), (0.01, False)):
         options = SimpleNamespace(target_error=target)
-        assert symmetry.is_coaxial(found, Choice(), options, 0.05) is coaxial
+        assert symmetry.is_coaxial(asymmetry, Choice(), options, 0.05) is coaxial
 
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:

@@ -31,21 +31,26 @@ from rfpipe.store import read_manifest
 from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
 
 PICTURES = 4
-LOOKS = 8
+INTERVAL = 8
 
 
-def settings(mode: str = "warn", looks: int = LOOKS, code: str = CODE) -> Any:
+def settings(mode: str = "warn", interval: int = INTERVAL, code: str = CODE) -> Any:
     return replace(
-        SETTINGS, code=code, floodlit_frames=8, batch_patterns=1, watch=mode, check_interval=looks
+        SETTINGS,
+        code=code,
+        floodlit_frames=8,
+        batch_patterns=1,
+        watch=mode,
+        check_interval=interval,
     )
 
 
 def acquire(
-    path: Path, rig: Any, method: str = "dual", mode: str = "warn", looks: int = LOOKS
+    path: Path, rig: Any, method: str = "dual", mode: str = "warn", interval: int = INTERVAL
 ) -> AcquisitionFolder:
     options = {"tolerance": 1e-2} if method == "dual" else {}
     plan = Plan.of(method, method, SHAPE, SHAPE, 1, options)
-    return acquire_matrix(path, rig, plan, settings(mode, looks))
+    return acquire_matrix(path, rig, plan, settings(mode, interval))
 
 
 def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str, Any]:
@@ -71,14 +76,14 @@ class Stopping(FaultyRig):
 def intact(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("intact") / "results/matrix/dual"
     rig = Stopping()
-    return verified(acquire(folder, rig, looks=0), rig)
+    return verified(acquire(folder, rig, interval=0), rig)
 
 
 def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
     tmp_path: Path, intact: dict[str, Any]
 ) -> None:
     rig = Stopping()
-    folder = acquire(tmp_path / "results/matrix/dual", rig, looks=0)
+    folder = acquire(tmp_path / "results/matrix/dual", rig, interval=0)
     rig.shown.clear()
     rig.stops_at = (VERIFICATION_KEY, 2)
     with pytest.raises(KeyboardInterrupt):
@@ -97,7 +102,7 @@ def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
 
 def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
     rig = Stopping()
-    folder = acquire(tmp_path / "results/matrix/dual", rig, looks=0)
+    folder = acquire(tmp_path / "results/matrix/dual", rig, interval=0)
     verified(folder, rig)
     store = folder.store(VERIFICATION, "capture")
     chunk = next(path for path in store.rglob("c*") if path.is_file())
@@ -134,10 +139,10 @@ def test_a_knock_ends_the_capture_within_ten_patterns(
 
 
 def test_what_passes_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    looks = count()  # the first that is compared is the third
+    numbers = count()  # the first that is compared is the third
 
     def passing(key: tuple[int, ...], frames: np.ndarray) -> np.ndarray:
-        return frames[:, ::-1] if key[0] == CHECK_PICTURE_KEY and next(looks) == 2 else frames
+        return frames[:, ::-1] if key[0] == CHECK_PICTURE_KEY and next(numbers) == 2 else frames
 
     rig = FaultyRig(OperatorRig(list(wedge()), SHAPE, SHAPE, CameraModel()), passing)
     with caplog.at_level(logging.WARNING):
@@ -150,10 +155,10 @@ def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
     facts = verified(acquire(tmp_path, rig, mode="refuse"), rig)
     assert facts["moved"] < 0.02
     assert facts["alarms"] == []
-    looks = [key for key in rig.shown if key[0] == CHECK_PICTURE_KEY]
+    check_keys = [key for key in rig.shown if key[0] == CHECK_PICTURE_KEY]
     patterns = [key for key in rig.shown if key[0] < 1000]
     n_levels = len({key[0] for key in patterns})
-    assert len(looks) <= len(patterns) / LOOKS + 2 * n_levels + 2
+    assert len(check_keys) <= len(patterns) / INTERVAL + 2 * n_levels + 2
 
 
 @pytest.mark.slow
@@ -163,13 +168,13 @@ def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
     verification = {"pictures": 5, "fail_above": 1e-5}
     settings = {"scenes": {"tiny": scene}, "methods": {"symmetric": {}}}
     run.configure(**settings, verification=verification)
-    wanted = "results/tiny/symmetric/verification.json"
-    assert "verified by 5 pictures: the mean error is" in run.run(wanted)
-    facts = read_manifest(tmp_path / wanted)
+    target = "results/tiny/symmetric/verification.json"
+    assert "verified by 5 pictures: the mean error is" in run.run(target)
+    facts = read_manifest(tmp_path / target)
     assert np.isfinite([picture["error"] for picture in facts["pictures"]]).all()
     planned = run.run("--dry-run")
     # after the report it is said what is above
     assert re.search(r"^bound +1$", planned, re.MULTILINE)
     assert "verification " not in planned
     run.configure(**settings, verification={**verification, "fail_above": 0.5})
-    assert "Nothing to be done" in run.run(wanted)  # another bound takes no pictures
+    assert "Nothing to be done" in run.run(target)  # another bound takes no pictures

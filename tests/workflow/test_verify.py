@@ -61,9 +61,9 @@ def other_digit(path: Path, after: str) -> None:
 
 def misplace(run: Path, name: str) -> None:
     """Lay dual photography's into symmetric photography's folder."""
-    other = run.parent / "dual" / name
+    source = run.parent / "dual" / name
     shutil.rmtree(run / name, ignore_errors=True)
-    (shutil.copytree if other.is_dir() else shutil.copy)(other, run / name)
+    (shutil.copytree if source.is_dir() else shutil.copy)(source, run / name)
 
 
 def a_line_less(run: Path) -> None:
@@ -118,8 +118,8 @@ def test_damage_is_found_and_mended_to_the_same_bytes(
     assert findings
     assert all(finding.path.is_relative_to(run) for finding in findings)
     for finding in findings:
-        remove, _, again = command_for(finding).partition(" && ")
-        assert Path(again.split()[0]).name == "rfpipe"
+        remove, _, command = command_for(finding).partition(" && ")
+        assert Path(command.split()[0]).name == "rfpipe"
         assert str(run / "transport.json") in remove
         subprocess.run(remove, shell=True, check=True)
     shown = acquire(run)
@@ -160,12 +160,12 @@ def test_what_is_read_follows_from_manifests_whatever_a_folder_is_called(
     damage(run / "L01/capture.zarr")
     shutil.rmtree(run / "transport.zarr")
     for place in (above, above / "results", run.parent, run):
-        found = {finding.path: finding for finding in check(place).findings}
-        assert set(found) == {run / "L01/capture.zarr", run / "transport.zarr"}
+        findings = {finding.path: finding for finding in check(place).findings}
+        assert set(findings) == {run / "L01/capture.zarr", run / "transport.zarr"}
         levels = [run / f"L01/{stage}.json" for stage in STAGES[1:]]
-        assert found[run / "L01/capture.zarr"].repair.remove == (*levels, run / "transport.json")
-        assert found[run / "transport.zarr"].repair.remove == (run / "transport.json",)
-        for finding in found.values():
+        assert findings[run / "L01/capture.zarr"].repair.remove == (*levels, run / "transport.json")
+        assert findings[run / "transport.zarr"].repair.remove == (run / "transport.json",)
+        for finding in findings.values():
             assert f"run --directory {above.resolve()} " in command_for(finding)
 
 
@@ -335,8 +335,8 @@ def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path)
     checked = check(archive)
     assert (checked.findings, checked.files) == ([], len(files))
     content = bytearray(archive.read_bytes())
-    with zipfile.ZipFile(archive) as held:
-        largest = max(held.infolist(), key=lambda info: info.compress_size)
+    with zipfile.ZipFile(archive) as zip_file:
+        largest = max(zip_file.infolist(), key=lambda info: info.compress_size)
     content[largest.header_offset + 30 + len(largest.filename) + largest.compress_size // 2] ^= 1
     archive.write_bytes(content)
     (finding,) = check(archive).findings
@@ -345,9 +345,9 @@ def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path)
     files[1].unlink()
     (crate / "more.txt").write_text("?")
     checked = check(crate)
-    found = {finding.path: finding.what for finding in checked.findings}
-    assert set(found) == set(files[:2])
-    assert found[files[1]] == "is missing"
+    findings = {finding.path: finding.what for finding in checked.findings}
+    assert set(findings) == set(files[:2])
+    assert findings[files[1]] == "is missing"
     assert checked.notes == [f"{crate / 'more.txt'}: isn't in the list of files"]
 
 
@@ -380,8 +380,8 @@ def test_a_run_damaged_in_many_ways_at_once_is_mended_by_the_commands_named(
     commands = [command_for(finding).partition(" && ") for finding in findings]
     for removal, _, _ in commands:
         subprocess.run(removal, shell=True, check=True)
-    (again,) = {again for _, _, again in commands}
-    again = again.replace(" run ", f" run {TINY} ", 1)  # and not the whole report
-    subprocess.run(again, shell=True, check=True, capture_output=True)
+    (command,) = {command for _, _, command in commands}
+    command = command.replace(" run ", f" run {TINY} ", 1)  # and not the whole report
+    subprocess.run(command, shell=True, check=True, capture_output=True)
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
     assert check(run).findings == []
