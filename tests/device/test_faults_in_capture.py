@@ -125,7 +125,7 @@ def test_a_projector_that_loses_half_its_light_is_no_gain(after: int) -> None:
     with pytest.raises(CaptureError) as caught:
         acquired(rig)
     said = str(caught.value)
-    assert re.search(r"moved.*dark in a part", said)
+    assert re.search(r"moved.*partly dark", said)
     assert not [name for name in set(NAMED) - {"geometry"} if re.search(NAMED[name], said, re.S)]
 
 

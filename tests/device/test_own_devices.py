@@ -86,7 +86,7 @@ def test_a_user_rig_is_one_object() -> None:
     rig = rig_from_config(parse_rig_config(WHOLE, "rig.yaml"))
     assert isinstance(rig, DeviceRig)
     assert rig.projector.describe()["brightness"] == 0.5
-    with pytest.raises(ConfigError, match="expected one of devices"):
+    with pytest.raises(ConfigError, match="expected a rig of devices"):
         devices_from_config(parse_rig_config(WHOLE, "rig.yaml"))
 
 
@@ -102,7 +102,7 @@ def test_calibration_uses_user_devices(tmp_path: Path, monkeypatch: pytest.Monke
     assert not Path("calibration").exists()
     done = CliRunner().invoke(app, ["calibrate", str(path), "--step", "scene", "-o", "other"])
     assert "report: other/report.html" in done.output
-    assert "rig.yaml has calibration: found; to use this one, set it to calibration: oth" in (
+    assert "rig.yaml has calibration: found; to use the new one, set calibration: oth" in (
         " ".join(done.output.split())
     )
 
@@ -126,11 +126,11 @@ def test_devices_that_do_not_open_leave_no_report_of_another_rig(
     ("settings", "expected"),
     [
         ({"projector": {"driver": f"{EXAMPLE}:DeskProjector", "options": {"brightness": 2}}},
-         "projector.options.brightness is 2; it should be less than or equal to 1"),
+         "projector.options.brightness is 2; it should be at most 1"),
         ({"projector": {"driver": "beamer"}},
          "'beamer' is unknown; expected one of dlpc900, window"),
         ({"bench": {}, "camera": PAIR["camera"]}, "camera.driver should be window and pylon"),
-        ({**WHOLE, "calibration": "found"}, "calibration should be null with a rig as a whole"),
+        ({**WHOLE, "calibration": "found"}, "calibration should be null with a complete rig"),
     ],
 )  # fmt: skip
 def test_mistakes_are_explained(settings: dict[str, Any], expected: str) -> None:

@@ -163,5 +163,5 @@ def test_the_window_closes_when_its_owner_ends(projector: WindowProjector) -> No
      np.r_[np.linspace(0, 1, 255), np.nan]],
 )  # fmt: skip
 def test_an_invalid_response_is_refused(light: np.ndarray) -> None:
-    with pytest.raises(InputError, match="never fall"):
+    with pytest.raises(InputError, match="non-decreasing"):
         code_table(light)

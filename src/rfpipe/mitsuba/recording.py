@@ -177,10 +177,12 @@ def record(
         except LockedError:
             time.sleep(_WAIT_SECONDS)
             continue
-        with lock:
+        try:
             if not manifest.exists():
                 facts = _record(scene(), camera, projector, light, folder, coaxial)
                 write_manifest(manifest, facts)
+        finally:
+            lock.release()
     facts = read_manifest(manifest)
     pieces = tuple((kind, first, last) for kind, first, last in facts["pieces"])
     properties = (facts[name] for name in ("coaxial", "noise", "scale", "versions"))
