@@ -200,7 +200,7 @@ class FootprintState(AdaptiveState):
             return parts
         footprints = model.footprints
         assert footprints is not None
-        arrays = {
+        arrays: dict[str, NDArray[Any]] = {
             "keys": footprints.keys,
             "variance": footprints.variance,
             "weights": footprints.weights,
@@ -217,8 +217,14 @@ class FootprintState(AdaptiveState):
         model = first_model(state, state.pictures)
         level = latest("has_model", levels)
         if level is not None:
-            sizes = state.camera.size, state.projector.size
-            footprints = Candidates(*sizes, **without_prefix("footprints_", level.arrays))
+            stored = without_prefix("footprints_", level.arrays)
+            footprints = Candidates(
+                state.camera.size,
+                state.projector.size,
+                stored["keys"],
+                stored["variance"],
+                stored["weights"],
+            )
             arrays = dict(without_prefix("model_", level.arrays))
             model = replace(model, arrays=arrays, footprints=footprints)
         return replace(state, model=model)
