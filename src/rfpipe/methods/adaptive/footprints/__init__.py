@@ -1,0 +1,1 @@
+"""Former place of footprint acquisition, until the environment is installed again."""
