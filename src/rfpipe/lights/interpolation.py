@@ -318,9 +318,8 @@ def _linear_models(directions: Double) -> Iterator[Model]:
     for name in ("linear", "harmonics2", "harmonics3"):
         if 1.5 * trend(name, directions).shape[1] < len(directions):
             yield Model(name, 0, 0, 1, "exponential")
-            for scale in np.radians([10, 25, 60]):
-                for nugget in (0.05, 0.5):
-                    yield Model(name, 0, float(scale), nugget, "exponential")
+            for scale, nugget in product(np.radians([10, 25, 60]).tolist(), (0.05, 0.5)):
+                yield Model(name, 0, scale, nugget, "exponential")
 
 
 def _shading_models() -> Iterator[Model]:

@@ -356,11 +356,17 @@ def _add_to_tile(leaves, tile, partition, light, images):  # type: ignore[no-unt
         begin = (leaves.offset_b[n] if is_b else leaves.offset_a[n]) + ray - leaves.starts[block]
         for c in range(images.shape[1]):
             factor = leaves.values[c, begin : begin + end - ray]
-            for pattern in range(images.shape[0]):
-                scale = np.float32(light[c, pattern])
-                if scale != 0:
-                    _add_in_order(images[pattern, c, ray:end], factor, scale)
+            _add_factor(factor, light[c], images[:, c, ray:end])
         light[:] = 0.0
+
+
+@numba.njit(cache=True)
+def _add_factor(factor, light, images):  # type: ignore[no-untyped-def]
+    """Add a factor, times the light of each pattern, to images (P, rays)."""
+    for pattern in range(images.shape[0]):
+        scale = np.float32(light[pattern])
+        if scale != 0:
+            _add_in_order(images[pattern], factor, scale)
 
 
 @numba.njit(cache=True)
