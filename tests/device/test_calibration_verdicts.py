@@ -59,7 +59,7 @@ UNSEEN = [[[22, 3], [62, 4], [61, 37], [21, 36]]]
 
 def test_a_healthy_bench_is_good(tmp_path: Path) -> None:
     verdicts, facts, page = calibrated(tmp_path)
-    assert {one["standing"] for one in verdicts.values()} == {"good"}, verdicts
+    assert {verdict["standing"] for verdict in verdicts.values()} == {"good"}, verdicts
     assert facts["scene"]["saturated_share"] == 0
     assert "#2f7d36" in page  # a green dot
     assert (tmp_path / "figures" / "scene.png").stat().st_size > 5000
@@ -112,11 +112,11 @@ def test_a_device_that_fails_leaves_a_report(
     rig.write_text(json.dumps(settings()))
     from rfpipe.devices.bench import PylonBenchCamera
 
-    expose, left = PylonBenchCamera.expose, [20]
+    expose, remaining = PylonBenchCamera.expose, [20]
 
     def failing(camera: PylonBenchCamera) -> Any:
-        left[0] -= 1
-        if left[0] < 0:
+        remaining[0] -= 1
+        if remaining[0] < 0:
             raise CaptureError("the camera is lost")
         return expose(camera)
 

@@ -38,7 +38,7 @@ class TestDlpc900(ProjectorContract):
 
 
 def test_messages_match_the_programmers_guide() -> None:
-    # its tables 1-7 (a write, here with a reply asked for) and 5.3 (two patterns)
+    # tables 1-7 (a write that requests a reply) and 5.3 (two patterns) of the guide
     (packet,) = message(0x1100, bytes.fromhex("ff01ff01ff01"), 0x12)
     assert packet[:12] == bytes.fromhex("40 12 0800 0011 ff01ff01ff01")
     assert (len(packet), set(packet[12:])) == (64, {0})
@@ -53,8 +53,8 @@ def test_sequences_are_displayed_in_any_order(count: int) -> None:
     random = np.random.default_rng(count)
     pictures = (random.random((count, *SHAPE)) < 0.5).astype(np.float32)
     pictures[0] = np.kron(random.random((3, 4)) < 0.5, np.ones((10, 11)))  # runs and equal rows
-    seen: list[np.ndarray] = []
-    emulator = Emulator(SHAPE, lambda microseconds: seen.append(emulator.lit * microseconds))
+    exposures: list[np.ndarray] = []
+    emulator = Emulator(SHAPE, lambda microseconds: exposures.append(emulator.lit * microseconds))
     with projector(emulator) as shown:
         shown.load(pictures)
         loads = emulator.commands.count(0x1A2A)
@@ -62,8 +62,8 @@ def test_sequences_are_displayed_in_any_order(count: int) -> None:
         shown.play(order, 150e-6)
         shown.play(order[:2], 200e-6)
         assert emulator.commands.count(0x1A2A) == loads == -(-count // 24)  # loaded once
-    np.testing.assert_array_equal(np.stack(seen[:9]), 150 * pictures[order])
-    np.testing.assert_array_equal(np.stack(seen[9:]), 200 * pictures[order[:2]])
+    np.testing.assert_array_equal(np.stack(exposures[:9]), 150 * pictures[order])
+    np.testing.assert_array_equal(np.stack(exposures[9:]), 200 * pictures[order[:2]])
 
 
 def test_invalid_pictures_and_device_errors_are_explained() -> None:

@@ -1,4 +1,4 @@
-"""Six faults by three steps: what calibration, capture and offline import must say of each.
+"""Messages about six faults, in calibration, capture and offline import.
 
 The column of captures is in `tests.device.test_faults_in_capture`.
 """
@@ -117,7 +117,7 @@ MORE = {
         inject=lambda projector, camera, after: (faults.half_dark(projector, after), camera)
     ),
 }
-"""Variants that calibration tells as well."""
+"""Variants that calibration detects as well."""
 
 
 @pytest.mark.slow
@@ -129,19 +129,19 @@ def test_calibration_names_the_fault(name: str, after: int, tmp_path: Path) -> N
         pytest.skip("what lies so from the beginning is no motion")
     verdicts = verdicts_of(tmp_path, case, after)
     texts = {
-        step: one["verdict"]
-        for step, one in verdicts.items()
-        if re.search(case.said, one["verdict"])
+        step: verdict["verdict"]
+        for step, verdict in verdicts.items()
+        if re.search(case.said, verdict["verdict"])
     }
     assert texts, verdicts
     first = next(iter(texts))
-    others = list(verdicts.values())[: list(verdicts).index(first)]
-    assert all(one["standing"] in ("good", "unknown") for one in others), verdicts
+    earlier = list(verdicts.values())[: list(verdicts).index(first)]
+    assert all(verdict["standing"] in ("good", "unknown") for verdict in earlier), verdicts
     if name != "drift":
         assert verdicts[first]["standing"] in ("poor", "failed")
-        for step, one in verdicts.items():
+        for step, verdict in verdicts.items():
             if step != "rays":  # takes no pictures
-                assert not WRONG_REMEDIES.search(one["verdict"]), (step, one)
+                assert not WRONG_REMEDIES.search(verdict["verdict"]), (step, verdict)
 
 
 OFFLINE = {
@@ -158,7 +158,7 @@ OFFLINE = {
         )
     ),
 }
-"""Faults at the pace of a sheet of some 20 pictures."""
+"""Faults that develop within a sheet of 20 pictures."""
 
 
 class Desk:
@@ -238,8 +238,9 @@ def test_a_clean_calibration_raises_no_alarm(seed: int, tmp_path: Path) -> None:
     ]
     gamma = 2.2 if seed % 2 else 1.0
     verdicts = verdicts_of(tmp_path, None, seed=seed, sensor=sensors[seed % 4], gamma=gamma)
-    assert {one["standing"] for one in verdicts.values()} <= {"good", "unknown"}, verdicts
-    assert not [one["verdict"] for one in verdicts.values() if ALARMS.search(one["verdict"])]
+    assert {verdict["standing"] for verdict in verdicts.values()} <= {"good", "unknown"}, verdicts
+    texts = [verdict["verdict"] for verdict in verdicts.values()]
+    assert not [text for text in texts if ALARMS.search(text)]
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Six faults that arise in a capture, after a clean calibration: each is named rightly, in time."""
+"""Six faults that begin during a capture: each is named correctly and stops the capture early."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from rfpipe.store import read_manifest
 from rfpipe.testing import faults
 
 BEGINNING, LATER = 0, 82
-"""Pictures before a fault: none; and those of level 0, its looks, and the next level's first."""
+"""Number of pictures before a fault: 0, or all of level 0 with its check pictures and some more."""
 
 HARMLESS = {"drift", "late"}
-"""Faults that are mended while they are captured: divided out, and taken again."""
+"""Faults that the capture corrects: drift is divided out, late pictures are repeated."""
 
 NAMED = {name: case.said for name, case in FAULTS.items()}
 
@@ -52,11 +52,11 @@ def test_a_fault_is_named_and_ends_the_capture_early(
     rig = coaxial_rig(FAULTS[name].inject, after)
     if name in HARMLESS:
         with caplog.at_level(logging.WARNING):
-            found = acquired(rig)
+            result = acquired(rig)
         said = caplog.text
         steady = acquired(coaxial_rig())
-        assert found.patterns == steady.patterns  # nothing is taken for asymmetry
-        assert found.verification.mean_error < 1.1 * steady.verification.mean_error
+        assert result.patterns == steady.patterns  # no asymmetry is suspected
+        assert result.verification.mean_error < 1.1 * steady.verification.mean_error
     else:
         with pytest.raises(CaptureError) as caught:
             acquired(rig)
@@ -64,12 +64,12 @@ def test_a_fault_is_named_and_ends_the_capture_early(
         assert "warn" in said  # how to go on all the same
         assert rig.camera.count <= after + 100  # type: ignore[attr-defined]
     assert re.search(NAMED[name], said, re.S), said
-    others = set(NAMED) - {name, "geometry"}
-    assert [other for other in others if re.search(NAMED[other], said, re.S)] == []
+    unrelated = set(NAMED) - {name, "geometry"}
+    assert [fault for fault in unrelated if re.search(NAMED[fault], said, re.S)] == []
 
 
 @pytest.mark.parametrize("name", sorted(set(FAULTS) - HARMLESS))
-def test_what_is_warned_of_goes_on(name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_only_warns_with_watch_warn(name: str, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         acquired(coaxial_rig(FAULTS[name].inject, LATER), watch="warn", method="near_far")
     assert re.search(NAMED[name], caplog.text, re.S), caplog.text
@@ -80,10 +80,10 @@ def test_gain_that_changes_from_picture_to_picture_is_not_divided_out(
 ) -> None:
     rig = coaxial_rig(FAULTS["gain"].inject, camera=darker(2))
     with caplog.at_level(logging.WARNING):
-        found = acquired(rig, watch="warn", method="near_far", asymmetry=0.5)
+        result = acquired(rig, watch="warn", method="near_far", asymmetry=0.5)
     assert "it is divided out" not in caplog.text
     assert "it can't be divided out: switch automatic gain" in caplog.text
-    assert found.verification.against(0.03).verdict == "missed"
+    assert result.verification.against(0.03).verdict == "missed"
     assert "the target is missed" in caplog.text
 
 
@@ -112,13 +112,16 @@ def test_the_files_state_target_error_and_reason(
     assert stated["verdict"] == verdict
     assert f"{stated['mean_error']:.2%}" in stated["reason"]
     assert f"{target:.2%}" in stated["reason"]
-    assert any(one.startswith(alarm) for one in stated["alarms"]) if alarm else not stated["alarms"]
+    if alarm:
+        assert any(text.startswith(alarm) for text in stated["alarms"])
+    else:
+        assert not stated["alarms"]
     if verdict == "missed":
         assert stated["reason"].endswith("gain changes from picture to picture")
 
 
 @pytest.mark.parametrize("after", [20, 50, LATER])
-def test_a_projector_that_loses_half_its_light_is_no_gain(after: int) -> None:
+def test_half_the_light_lost_is_not_reported_as_gain(after: int) -> None:
     rig = coaxial_rig(
         lambda projector, camera, at: (faults.half_dark(projector, at), camera), after
     )
@@ -145,7 +148,7 @@ def test_a_rig_that_is_no_longer_as_calibrated_is_refused(inject, place, method)
     said = rf"was coaxial when it was calibrated; it no longer is: .*{place}.*calibrate again"
     with pytest.raises(CaptureError, match=said):
         rfpipe.acquire(coaxial_rig(projecting), method, **options)
-    if method == "dual":  # whoever wants it all the same
+    if method == "dual":  # users can allow it
         rfpipe.acquire(
             coaxial_rig(projecting), method, watch="warn", tolerance=0.05, verification=0, **options
         )

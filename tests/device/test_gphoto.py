@@ -116,10 +116,10 @@ def test_a_picture_of_another_exposure_is_taken_again(
 
 
 def test_a_lost_camera_is_reconnected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    release, left = Photo.release, iter([True])
+    release, failures = Photo.release, iter([True])
 
     def gone(photo: Photo) -> None:
-        if next(left, False):
+        if next(failures, False):
             raise gphoto_library.load_gphoto2().GPhoto2Error(-7)
         release(photo)
 

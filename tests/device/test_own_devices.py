@@ -1,4 +1,4 @@
-"""Devices of the user's own, in one file outside the package, used by settings alone."""
+"""User-defined devices: one file outside the package, selected in the settings."""
 
 from __future__ import annotations
 
@@ -114,8 +114,8 @@ def test_devices_that_do_not_open_leave_no_report_of_another_rig(
     path = settings_file(tmp_path, {**PAIR, "calibration": "found"})
     done = CliRunner().invoke(app, ["calibrate", str(path), "--step", "scene"])
     assert "report: " in done.output
-    lost = (tmp_path / "desk.py").read_text().replace("self.seed = seed", "raise CaptureError('x')")
-    (tmp_path / "lost.py").write_text(f"from rfpipe.errors import CaptureError\n{lost}")
+    text = (tmp_path / "desk.py").read_text().replace("self.seed = seed", "raise CaptureError('x')")
+    (tmp_path / "lost.py").write_text(f"from rfpipe.errors import CaptureError\n{text}")
     path.write_text(path.read_text().replace("desk.py", "lost.py"))
     done = CliRunner().invoke(app, ["calibrate", str(path), "--step", "scene"])
     assert isinstance(done.exception, CaptureError)

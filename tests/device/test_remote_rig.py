@@ -17,7 +17,7 @@ def noisy_rig() -> Rig:
 
 
 class TestRemoteRig(RigContract):
-    """Every rig is a client of its own; one at a time holds the served rig."""
+    """Each rig is a separate client; one client at a time holds the served rig."""
 
     server: Running
 

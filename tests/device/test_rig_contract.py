@@ -1,4 +1,4 @@
-"""The public contract suite, run on the rigs that need no device, and on rigs that break it."""
+"""The public contract suite on rigs without devices, and on rigs that violate it."""
 
 from dataclasses import replace
 from itertools import count

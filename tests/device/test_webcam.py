@@ -21,7 +21,7 @@ QUICK: dict[str, Any] = {"skip_frames": 1}
 
 
 def sequence(folder: Path, frames: int = 40, picture: np.ndarray = PICTURE) -> str:
-    """Write a device that gives so many frames, red first."""
+    """Write an image sequence that OpenCV opens as a device with this number of frames."""
     for number in range(frames):
         assert cv2.imwrite(str(folder / f"{number:04d}.png"), picture[..., ::-1])
     return str(folder / "%04d.png")
@@ -32,7 +32,7 @@ def webcam(folder: Path, sensor: CameraModel = SENSOR, **options: Any) -> Webcam
 
 
 class VirtualUvc:
-    """A V4L2 camera in software: controls that hold what they are told, frames that come late.
+    """A V4L2 camera in software, with controls and a delay.
 
     `late` frames that are on their way when the picture changes still show the old one, as a
     driver's buffers do. Exposure times are multiples of `step` ticks.

@@ -62,7 +62,7 @@ def running(rig: Rig | Callable[[], Rig], **settings: Any) -> Iterator[Running]:
 
 
 def head_of_capture(headers: dict[str, str], size: int) -> bytes:
-    """Return what a client sends before the content of a capture, of so many bytes."""
+    """Return the head of a capture request whose content has `size` bytes."""
     lines = {"Host": "rig", "Content-Length": size, **RIGHT, **headers}
     head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
     return f"POST /v1/captures HTTP/1.1\r\n{head}\r\n".encode()

@@ -1,4 +1,4 @@
-"""The page of `rfpipe aim`: who may see it, and that it tells what the camera sees."""
+"""The page of `rfpipe aim`: access by token, the camera's view, failed devices."""
 
 import asyncio
 from collections.abc import Callable, Iterator
@@ -82,8 +82,8 @@ def test_a_failed_device_is_reported_and_retried(
     bench.camera.expose = fail  # type: ignore[method-assign,assignment]
     wait_until(lambda: "cable is out" in (get("/state.json").json()["error"] or ""), "the error")
     bench.camera.expose = expose  # type: ignore[method-assign]
-    seen = watch.view.number
-    wait_for(watch, seen + 1)
+    number = watch.view.number
+    wait_for(watch, number + 1)
     assert get("/state.json").json()["error"] is None
 
 

@@ -61,12 +61,12 @@ def test_health_needs_no_token_and_reveals_nothing_about_the_rig(server: Running
 
 def test_a_repeated_request_is_not_exposed_again(http: httpx.Client, rig: SlowRig) -> None:
     headers, body = headers_of(lease_of(http)), encode_patterns(ON, [(1, 5)])
-    first, again = (http.post("/v1/captures", content=body, headers=headers) for _ in range(2))
-    assert first.status_code == again.status_code == 200
-    assert first.content == again.content
+    first, repeated = (http.post("/v1/captures", content=body, headers=headers) for _ in range(2))
+    assert first.status_code == repeated.status_code == 200
+    assert first.content == repeated.content
     assert rig.shown == [(1, 5)]
-    other = encode_patterns(0 * ON, [(1, 5)])
-    answer = http.post("/v1/captures", content=other, headers=headers)
+    encoded = encode_patterns(0 * ON, [(1, 5)])
+    answer = http.post("/v1/captures", content=encoded, headers=headers)
     assert answer.status_code == 422
     assert "used with other patterns" in answer.json()["detail"]
 
@@ -75,8 +75,8 @@ def test_a_heart_beats_between_captures(rig: SlowRig) -> None:
     with running(rig, lease_seconds=2.5) as server, server.client() as client:
         client.capture(ON, [(1, 0)])
         time.sleep(3.0)
-        with server.http() as other:
-            assert other.post("/v1/lease", json={"client": "another"}).status_code == 409
+        with server.http() as second:
+            assert second.post("/v1/lease", json={"client": "another"}).status_code == 409
         client.capture(ON, [(1, 1)])
     assert rig.shown == [(1, 0), (1, 1)]
     assert rig.closed == 1
@@ -106,8 +106,8 @@ def test_the_capture_of_a_client_that_died_ends_before_the_next_pattern(
     rig.seconds = 0.2
     with running(rig, lease_seconds=0.5) as server, server.http() as http:
         headers = headers_of(lease_of(http))
-        many = encode_patterns(np.repeat(ON, 20, axis=0), [(1, i) for i in range(20)])
-        with posted(server, rig, many, headers):
+        encoded = encode_patterns(np.repeat(ON, 20, axis=0), [(1, i) for i in range(20)])
+        with posted(server, rig, encoded, headers):
             pass
         with server.client() as next_one:
             next_one.capture(ON, [(2, 0)])
@@ -225,8 +225,8 @@ def test_a_damaged_answer_is_requested_again(
     send = httpx.Client.request
     harmed = []
 
-    def through_a_bad_cable(self: httpx.Client, method: str, url: str, **rest: Any) -> Any:
-        answer = send(self, method, url, **rest)
+    def through_a_bad_cable(self: httpx.Client, method: str, url: str, **options: Any) -> Any:
+        answer = send(self, method, url, **options)
         if url == "/v1/captures" and not harmed:
             harmed.append(url)
             middle = len(answer.content) // 2
@@ -247,10 +247,12 @@ def test_the_server_finishes_the_current_exposure(rig: SlowRig) -> None:
     rig.seconds = 0.3
     with running(rig) as server, server.http() as http:
         headers = headers_of(lease_of(http))
-        many = encode_patterns(np.repeat(ON, 20, axis=0), [(1, i) for i in range(20)])
+        encoded = encode_patterns(np.repeat(ON, 20, axis=0), [(1, i) for i in range(20)])
         answers = []
         posting = threading.Thread(
-            target=lambda: answers.append(http.post("/v1/captures", content=many, headers=headers))
+            target=lambda: answers.append(
+                http.post("/v1/captures", content=encoded, headers=headers)
+            )
         )
         posting.start()
         assert rig.began.wait(60)

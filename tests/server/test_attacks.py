@@ -1,4 +1,4 @@
-"""What must be refused, with a clear status, while the holder's capture goes on undisturbed."""
+"""Malformed and hostile requests: refused with a clear status, without effect on a capture."""
 
 from __future__ import annotations
 
@@ -147,9 +147,9 @@ KEYS: dict[str, Any] = {"keys": [[1, 0]]}
 
 
 def npy(header: str | None = None, content: bytes = bytes(3), **changes: Any) -> bytes:
-    """Return a .npy file of a pattern of 3 x 7 bits, but for something in its header."""
-    about = {"descr": "|u1", "fortran_order": False, "shape": (1, 3), **changes}
-    text = (header if header is not None else repr(about)).encode() + b"\n"
+    """Return a .npy file of a pattern of 3 x 7 bits, with a modified header."""
+    fields = {"descr": "|u1", "fortran_order": False, "shape": (1, 3), **changes}
+    text = (header if header is not None else repr(fields)).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + content
 
 
@@ -176,9 +176,9 @@ def twice() -> bytes:
 
 def crowd(entries: int) -> bytes:
     """Return a zip file that lists its one member many times, 46 bytes each."""
-    one = b"PK\x01\x02" + bytes(42)
-    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 65535, 65535, len(one) * entries, 0, 0)
-    return one * entries + end
+    entry = b"PK\x01\x02" + bytes(42)
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 65535, 65535, len(entry) * entries, 0, 0)
+    return entry * entries + end
 
 
 def harmed(content: bytes, old: bytes, new: bytes) -> bytes:
@@ -278,7 +278,9 @@ def test_slow_clients(server: Running, rig: SlowRig) -> None:
                 time.sleep(0.02)
         except OSError:
             pass
-        assert time.monotonic() - began < 10  # of twelve: not begun anew by each byte
+        assert (
+            time.monotonic() - began < 10
+        )  # the request takes twelve: a byte does not restart the limit
     assert server.worker.leases.holder is None
 
 
@@ -298,5 +300,5 @@ def test_more_connections_than_allowed_are_refused_and_the_holder_is_not(rig: Sl
         ExitStack() as stack,
     ):
         crowd = [stack.enter_context(connected(server)) for _ in range(60)]
-        seen = [status_of(connection) for connection in crowd]
-        assert set(seen) == {0}
+        statuses = [status_of(connection) for connection in crowd]
+        assert set(statuses) == {0}

@@ -28,10 +28,10 @@ CHECKS = [
     response_schema_conformance,
 ]
 CASES = 1000
-"""At least so many in all, of the operations and ways of generation."""
+"""Least number of requests, over all operations and modes of generation."""
 
 FEW = {"GET /v1/health", "GET /v1/status", "GET /v1/rig", "GET /v1/rig/arrays"}
-"""Operations without parameters, of which there is little to vary."""
+"""Operations without parameters, which get fewer requests."""
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +43,19 @@ def server() -> Iterator[Running]:
 @pytest.mark.filterwarnings("ignore")  # of the generators, about the requests they make
 def test_no_request_makes_the_server_fail(server: Running) -> None:
     schema = schemathesis.openapi.from_url(f"{server.url}/v1/openapi.json")
-    seen: Counter[int] = Counter()
+    statuses: Counter[int] = Counter()
     with requests.Session() as session:
         session.trust_env = False
-        for found in schema.get_all_operations():
-            operation = found.ok()
+        for result in schema.get_all_operations():
+            operation = result.ok()
             for mode in GenerationMode:
-                fuzz(operation, mode, session, seen)
-    assert sum(seen.values()) >= CASES, seen
-    assert not [status for status in seen if status >= 500]
-    assert {200, 401, 404, 410, 422} & set(seen) >= {200, 410, 422}
+                fuzz(operation, mode, session, statuses)
+    assert sum(statuses.values()) >= CASES, statuses
+    assert not [status for status in statuses if status >= 500]
+    assert {200, 401, 404, 410, 422} & set(statuses) >= {200, 410, 422}
 
 
-def fuzz(operation: Any, mode: GenerationMode, session: Any, seen: Counter[int]) -> None:
+def fuzz(operation: Any, mode: GenerationMode, session: Any, statuses: Counter[int]) -> None:
     examples = 20 if operation.label in FEW else 160
 
     @settings(
@@ -69,7 +69,7 @@ def fuzz(operation: Any, mode: GenerationMode, session: Any, seen: Counter[int])
     @given(operation.as_strategy(generation_mode=mode))
     def send(case: Any) -> None:
         response = case.call(session=session, headers=RIGHT)
-        seen[response.status_code] += 1
+        statuses[response.status_code] += 1
         case.validate_response(response, checks=CHECKS)
 
     try:

@@ -54,13 +54,13 @@ def acquired(tmp_path_factory: pytest.TempPathFactory) -> RemoteAcquisition:
 def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(
     acquired: RemoteAcquisition,
 ) -> None:
-    found = open_transport(acquired.folder.path / "transport.zarr").pack("float32")
-    alone = {"watch": "off", "verification": 0, "progress": False}
-    result = acquire(ResampledRig(), "dual", tolerance=1e-3, **alone)  # type: ignore[arg-type]
+    packed = open_transport(acquired.folder.path / "transport.zarr").pack("float32")
+    settings = {"watch": "off", "verification": 0, "progress": False}
+    result = acquire(ResampledRig(), "dual", tolerance=1e-3, **settings)  # type: ignore[arg-type]
     expected = result.transport.pack("float32")
-    assert found[1] == expected[1]
+    assert packed[1] == expected[1]
     for name, array in expected[0].items():
-        np.testing.assert_array_equal(found[0][name], array, err_msg=name)
+        np.testing.assert_array_equal(packed[0][name], array, err_msg=name)
     sensor = ResampledRig().sensor
     assert read_sensor(acquired.folder).describe() == sensor.describe()
 

@@ -1,4 +1,4 @@
-"""What the server holds in memory, and who can keep others out, whatever is sent."""
+"""Limits of the server's memory, and of the time for which a request can block others."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ serve(LargeRig(), sys.argv[1], ServerSettings(port=int(sys.argv[2]), lease_secon
 
 @pytest.fixture
 def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A server in a process of its own, whose memory is nobody else's."""
+    """Start a server in a separate process, so that its memory can be measured."""
     port = free_port()
     (tmp_path / "rig.py").write_text(LARGE_RIG)
     token = RIGHT["Authorization"].split()[1]
@@ -71,7 +71,7 @@ def peak_bytes(server: subprocess.Popen[bytes]) -> int:
 
 
 def bodies(patterns: int) -> dict[str, bytes]:
-    """Return what takes the most memory for the fewest bytes, or for all those allowed."""
+    """Return request bodies that need much memory: by compression, or by size."""
     lines = (np.arange(SHAPE[0])[:, None] // 4 % patterns == np.arange(patterns)[:, None, None]) * 1
     stripes = np.broadcast_to(lines, (patterns, *SHAPE)).astype(np.float32)
     keys = [(1, index) for index in range(patterns)]
@@ -113,7 +113,7 @@ def test_no_requests_take_a_gigabyte(process: tuple[subprocess.Popen[bytes], str
     assert peak_bytes(server) < 10**9
 
 
-def test_who_has_not_shown_the_token_is_not_kept_waiting_for_more() -> None:
+def test_a_client_without_the_token_is_refused_before_its_body() -> None:
     with running(SlowRig()) as server:
         for path, headers in (("/v1/health", {}), ("/v1/rig", {"Authorization": "Bearer wrong"})):
             answer = httpx.get(f"{server.url}{path}", headers=headers, trust_env=False)
@@ -122,7 +122,7 @@ def test_who_has_not_shown_the_token_is_not_kept_waiting_for_more() -> None:
             assert "connection" not in known.headers
 
 
-def test_a_busy_rig_is_said_before_a_body_is_read() -> None:
+def test_a_busy_rig_is_reported_before_the_body_is_read() -> None:
     rig = SlowRig()
     rig.go_on.clear()
     with running(rig) as server, server.http() as http:

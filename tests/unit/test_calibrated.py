@@ -1,4 +1,4 @@
-"""A calibration's folder: written, read back, and refused where it isn't whole."""
+"""A calibration's folder: written, read back, and refused if incomplete."""
 
 from pathlib import Path
 

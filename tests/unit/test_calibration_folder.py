@@ -50,21 +50,23 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_a_calibration_finds_the_bench(calibrated: Any) -> None:
     bench, folder, _ = calibrated
-    found = load(folder.path)
+    calibration = load(folder.path)
     true = bench.camera.sensor
-    assert found.camera["full_well_electrons"] == pytest.approx(true.full_well_electrons, rel=0.1)
-    assert found.camera["read_noise_electrons"] == pytest.approx(5.0, rel=0.1)
-    assert found.camera["black_level_counts"] == 64
-    assert found.camera["response_gamma"] == 1
+    assert calibration.camera["full_well_electrons"] == pytest.approx(
+        true.full_well_electrons, rel=0.1
+    )
+    assert calibration.camera["read_noise_electrons"] == pytest.approx(5.0, rel=0.1)
+    assert calibration.camera["black_level_counts"] == 64
+    assert calibration.camera["response_gamma"] == 1
     light = np.linspace(0, 1, 256) ** GAMMA
-    assert np.abs(found.projector_response - light).max() < 3e-3
-    assert np.array_equal(found.layout.ray_of_pixel, bench.path.layout.ray_of_pixel)
-    assert found.resampling.visible.all()
-    assert set(found.facts) == set(STEPS)
-    standings = {name: facts["standing"] for name, facts in found.facts.items()}
+    assert np.abs(calibration.projector_response - light).max() < 3e-3
+    assert np.array_equal(calibration.layout.ray_of_pixel, bench.path.layout.ray_of_pixel)
+    assert calibration.resampling.visible.all()
+    assert set(calibration.facts) == set(STEPS)
+    standings = {name: facts["standing"] for name, facts in calibration.facts.items()}
     assert set(standings.values()) <= {"good", "unknown"}, standings
-    json.dumps(found.facts)
-    recorded = found.settings
+    json.dumps(calibration.facts)
+    recorded = calibration.settings
     assert recorded["sensor.bits"] == 12
     assert recorded["rays"] == list(RAYS)
     assert recorded["calibrate.codes"] == SETTINGS.codes
@@ -85,11 +87,11 @@ def test_complete_steps_are_not_repeated(calibrated: Any, monkeypatch: pytest.Mo
 
 def test_an_interrupted_calibration_continues(tmp_path: Path) -> None:
     bench, folder, run = begun(tmp_path)
-    expose, left = bench.camera.expose, [70]
+    expose, remaining = bench.camera.expose, [70]
 
     def failing() -> np.ndarray:
-        left[0] -= 1
-        if left[0] < 0:
+        remaining[0] -= 1
+        if remaining[0] < 0:
             raise CaptureError("the camera is lost")
         return expose()
 
@@ -101,7 +103,7 @@ def test_an_interrupted_calibration_continues(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="light isn't complete"):
         finish(folder, SETTINGS)
     dark = folder.manifest("dark").stat().st_mtime_ns
-    left[0] = 1000
+    remaining[0] = 1000
     run(["light"])
     assert folder.manifest("dark").stat().st_mtime_ns == dark
     assert folder.is_done("light")
@@ -188,8 +190,8 @@ def test_a_rig_without_signal_gets_a_report(
 ) -> None:
     monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.2)  # light that never comes isn't waited for
     bench, folder, run = begun(tmp_path, (12, 12), (96, 96), (40, 42), gamma=GAMMA)
-    seen = bench.camera._radiance
-    bench.camera._radiance = lambda: lamp * seen() + np.float32(room)
+    radiance = bench.camera._radiance
+    bench.camera._radiance = lambda: lamp * radiance() + np.float32(room)
     run()
     verdicts = folder.verdicts()
     assert set(verdicts) == set(STEPS)

@@ -42,42 +42,42 @@ def correspondence_of(bench: Bench, **settings: object) -> Findings:
     return measure_correspondence(context_of(bench, **settings))
 
 
-def map_of(found: Findings) -> SmoothMap:
-    return map_of_pixels(found, found["valid"])
+def map_of(findings: Findings) -> SmoothMap:
+    return map_of_pixels(findings, findings["valid"])
 
 
-def errors_of(bench: Bench, found: Findings) -> tuple[float, float]:
+def errors_of(bench: Bench, findings: Findings) -> tuple[float, float]:
     """Return the mean error of single pixels and of the smooth map, in projector pixels."""
     points = pixel_middles(bench.camera.shape)
     true = bench.path.projector_points(points)
-    seen = np.isfinite(true[..., 0])
-    measured = np.stack([found["x"], found["y"]], axis=-1)
-    smooth = map_of(found)
-    single = np.hypot(*(measured - true)[seen & found["valid"]].T)
-    return float(single.mean()), float(np.hypot(*(smooth(points) - true)[seen].T).mean())
+    visible = np.isfinite(true[..., 0])
+    measured = np.stack([findings["x"], findings["y"]], axis=-1)
+    smooth = map_of(findings)
+    single = np.hypot(*(measured - true)[visible & findings["valid"]].T)
+    return float(single.mean()), float(np.hypot(*(smooth(points) - true)[visible].T).mean())
 
 
 @pytest.mark.parametrize("changes", [{}, {"bits": 8}, {"electrons_per_radiance": 20_000.0}])
 def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) -> None:
     bench = wedge_bench(sensor=replace(CAMERA, **changes))
-    found = correspondence_of(bench)
-    single, smooth = errors_of(bench, found)
+    findings = correspondence_of(bench)
+    single, smooth = errors_of(bench, findings)
     # one camera pixel sees nine projector pixels, with texture in them
     assert single < 0.3
     assert smooth < 0.05
-    assert found.verdict.standing == "good"
+    assert findings.verdict.standing == "good"
     outside = np.isnan(bench.path.projector_points(pixel_middles((48, 54)))[..., 0])
     # a pixel whose middle is outside may still see the edge
-    assert found["valid"][outside].sum() < 0.1 * outside.sum()
-    assert found["valid"][~outside].mean() > 0.97
+    assert findings["valid"][outside].sum() < 0.1 * outside.sum()
+    assert findings["valid"][~outside].mean() > 0.97
 
 
 def test_the_verdict_names_darkness_and_noise() -> None:
     bench = wedge_bench(rays=(8, 8), display=(32, 32), camera=(24, 24))
     bench.path.radiance = lambda light: np.zeros((24, 24, 1), np.float32)  # type: ignore[method-assign]
-    found = correspondence_of(bench, period_pixels=8)
-    assert found["valid"].sum() == 0
-    assert "Only 0 camera pixels" in found.verdict.text
+    findings = correspondence_of(bench, period_pixels=8)
+    assert findings["valid"].sum() == 0
+    assert "Only 0 camera pixels" in findings.verdict.text
     bench = wedge_bench(sensor=replace(CAMERA, electrons_per_radiance=300.0))
     assert correspondence_of(bench).verdict.standing == "poor"
 
@@ -113,9 +113,9 @@ def test_too_few_points_make_no_map() -> None:
 )
 def test_pictures_on_the_rays_are_those_of_the_scene(camera: tuple[int, int], blur: float) -> None:
     rays, bench = (16, 16), wedge_bench(camera=camera, sensor=replace(CAMERA, psf_sigma=blur))
-    found = correspondence_of(bench)
-    smooth = map_of(found)
-    measured = fit_blur(found, [smooth])
+    findings = correspondence_of(bench)
+    smooth = map_of(findings)
+    measured = fit_blur(findings, [smooth])
     assert measured == pytest.approx(blur, rel=0.05, abs=0.1 * (blur == 0))
     layout = ProjectorLayout.grid(bench.projector.shape, rays)
     fit = fit_rays([smooth], layout, bench.camera.shape, measured)
@@ -135,12 +135,12 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
     smooth = map_of(correspondence_of(bench))
     layout = ProjectorLayout.grid((144, 160), (16, 16))
     half: RayFit = fit_rays([smooth], layout, (24, 54))  # the camera's upper half
-    seen = half.resampling.visible
-    assert 100 < seen.sum() < 156
-    assert seen[:6].all()
-    assert not seen[9:].any()
+    visible = half.resampling.visible
+    assert 100 < visible.sum() < 156
+    assert visible[:6].all()
+    assert not visible[9:].any()
     lit = np.unique(half.layout.ray_of_pixel)
-    assert set(lit[lit != DARK]) == set(np.flatnonzero(seen))
+    assert set(lit[lit != DARK]) == set(np.flatnonzero(visible))
     beside = replace(smooth, homography=np.array([[1.0, 0, 900], [0, 1, 0], [0, 0, 1]]))
     with pytest.raises(CaptureError, match="sees none of the rays"):
         fit_rays([beside], layout, (48, 54))
@@ -148,30 +148,30 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
 
 def test_a_camera_with_too_few_pixels_leaks() -> None:
     context = context_of(wedge_bench(camera=(20, 22)), period_pixels=32)
-    seen = {"correspondence": measure_correspondence(context)}
-    found = measure_rays(replace(context, rays=(16, 16), findings=seen))
-    assert found["leak"].max() > 0.02
-    assert found["largest_noise"] > 1.2
-    assert found.verdict.standing == "poor"
-    assert "camera pixels a ray" in found.verdict.text
+    findings = {"correspondence": measure_correspondence(context)}
+    findings = measure_rays(replace(context, rays=(16, 16), findings=findings))
+    assert findings["leak"].max() > 0.02
+    assert findings["largest_noise"] > 1.2
+    assert findings.verdict.standing == "poor"
+    assert "camera pixels a ray" in findings.verdict.text
 
 
 @pytest.mark.slow
 def test_views_of_an_array_are_found_and_rectified() -> None:
     rays, grid = (9, 8, 8), (3, 3)
     bench = surface_bench(rays, (192, 192), (144, 144), grid)
-    found = correspondence_of(bench)
-    corners = find_views(found, grid)
+    findings = correspondence_of(bench)
+    corners = find_views(findings, grid)
     for quad, (row, column) in zip(corners, np.ndindex(grid), strict=True):
         expected = 64 * np.array([column, row]) + np.array([(0, 0), (64, 0), (64, 64), (0, 64)])
         assert np.abs(np.array(quad) - expected).max() < 3
     layout = ProjectorLayout.within(corners, rays, (192, 192))
-    maps = maps_of_views(found, corners)
+    maps = maps_of_views(findings, corners)
     true = bench.path.projector_points(pixel_middles((144, 144)))
-    seen = found["valid"] & np.isfinite(true[..., 0])
-    view = (true[seen] // 64).astype(int) @ [1, 3]
-    mapped = np.stack([one(pixel_middles((144, 144))[seen]) for one in maps])
-    error = np.hypot(*(mapped[view, np.arange(len(view))] - true[seen]).T)
+    visible = findings["valid"] & np.isfinite(true[..., 0])
+    view = (true[visible] // 64).astype(int) @ [1, 3]
+    mapped = np.stack([mapping(pixel_middles((144, 144))[visible]) for mapping in maps])
+    error = np.hypot(*(mapped[view, np.arange(len(view))] - true[visible]).T)
     assert error.mean() < 0.1
     fit = fit_rays(maps, layout, (144, 144))
     assert fit.resampling.visible.all()
@@ -181,11 +181,11 @@ def test_views_of_an_array_are_found_and_rectified() -> None:
 def test_missing_views_raise_an_error() -> None:
     bench = surface_bench((4, 8, 8), (128, 128), (96, 96), (2, 2))
     context = context_of(bench, views=(2, 2))
-    found = measure_correspondence(context)
+    findings = measure_correspondence(context)
     with pytest.raises(CaptureError, match="has 4 separate views"):
-        find_views(found, (3, 3))
+        find_views(findings, (3, 3))
     with pytest.raises(CaptureError, match="too many"):
-        measure_rays(replace(context, rays=(100, 100), findings={"correspondence": found}))
+        measure_rays(replace(context, rays=(100, 100), findings={"correspondence": findings}))
 
 
 def test_a_mosaic_is_calibrated_by_the_sum_of_its_colours() -> None:

@@ -27,21 +27,21 @@ SCENE = uneven()
 
 
 class FlatBench:
-    """A bench whose pictures are flat: `seen` makes a radiance image of a picture's number and
+    """A bench whose pictures are flat: `scene_of` makes a radiance image of a picture's number and
     weight; `bend` makes other counts of counts.
     """
 
     def __init__(
         self,
         camera: CameraModel,
-        seen: Callable[[int, float], np.ndarray],
+        scene_of: Callable[[int, float], np.ndarray],
         bend: Callable[[np.ndarray], np.ndarray] = np.asarray,
         seed: int = 0,
         noise: float = 0.0,
         **settings: Any,
     ) -> None:
         self.model, self.findings = camera, dict[str, Findings]()
-        self.seen, self.bend, self.seed, self.noise = seen, bend, seed, noise
+        self.scene_of, self.bend, self.seed, self.noise = scene_of, bend, seed, noise
         self.settings = CalibrationConfig(**{"dark_frames": 6, "levels": 6, **settings})
 
     @staticmethod
@@ -50,13 +50,13 @@ class FlatBench:
 
     def brackets(self, weights: list[float], count: int, **_: bool) -> Iterator[np.ndarray]:
         for index, weight in enumerate(weights):
-            image, key = self.seen(index, weight), (count, index)
+            image, key = self.scene_of(index, weight), (count, index)
             yield self.bend(flat_frames(self.model, image, 1, key, self.seed)[0])
 
     def radiance(self, weights: list[float]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         random = np.random.default_rng(0)
         for index, weight in enumerate(weights):
-            image = self.seen(index, weight)
+            image = self.scene_of(index, weight)
             noise = self.noise * random.standard_normal(image.shape)
             yield image + noise, np.full(image.shape, self.noise**2)
 
@@ -68,8 +68,8 @@ def dark_of(camera: CameraModel, light: float = 0.0, shape=(64, 64), **more: Any
 def measured(
     measure: Callable[[Any], Findings], camera: CameraModel, light: np.ndarray, **more: Any
 ) -> Findings:
-    seen = more.pop("seen", lambda _, weight: weight * light)
-    bench = FlatBench(camera, seen, **more)
+    scene_of = more.pop("scene_of", lambda _, weight: weight * light)
+    bench = FlatBench(camera, scene_of, **more)
     bench.findings["dark"] = dark_of(camera, shape=light.shape, seed=bench.seed, bend=bench.bend)
     return measure(bench)
 
@@ -113,10 +113,10 @@ def test_verdicts_on_clipped_hot_and_lit_dark_frames() -> None:
 
 
 def test_changing_room_light_is_named_and_not_counted_as_noise() -> None:
-    def seen(index: int, _: float) -> np.ndarray:
+    def scene_of(index: int, _: float) -> np.ndarray:
         return np.full((64, 64), 0.0005 * (index % 4))
 
-    dark = measure_dark(FlatBench(CAMERA, seen))  # type: ignore[arg-type]
+    dark = measure_dark(FlatBench(CAMERA, scene_of))  # type: ignore[arg-type]
     assert dark.verdict.standing == "poor"
     assert "room's light changes by" in dark.verdict.text
     assert "black level" not in dark.verdict.text
@@ -142,10 +142,10 @@ def test_no_number_has_an_error_larger_than_itself(value: float, error: float, t
 def test_an_unknown_gain_is_not_printed() -> None:
     random = np.random.default_rng(0)
 
-    def seen(_: int, weight: float) -> np.ndarray:
+    def scene_of(_: int, weight: float) -> np.ndarray:
         return weight * SCENE + 0.5 * random.random()
 
-    text = transfer_of(CAMERA, seen=seen, levels=2).verdict.text
+    text = transfer_of(CAMERA, scene_of=scene_of, levels=2).verdict.text
     pairs = re.findall(r"([\d.e+-]+) \+- ([\d.e+-]+)", text)
     assert all(float(error) < float(value) for value, error in pairs), text
 
@@ -164,25 +164,27 @@ def test_an_unknown_gain_is_not_printed() -> None:
 def test_gain_and_read_noise_are_found(changes: dict, light: float, within: float) -> None:
     camera = replace(CAMERA, **changes)
     for seed in range(3):
-        found = transfer_of(camera, light * SCENE, seed=seed)
-        gain, error = found["electrons_per_count"], found["electrons_per_count_error"]
+        findings = transfer_of(camera, light * SCENE, seed=seed)
+        gain, error = findings["electrons_per_count"], findings["electrons_per_count_error"]
         assert gain == pytest.approx(camera.electrons_per_count, rel=within)
         assert gain == pytest.approx(camera.electrons_per_count, abs=5 * error)
-        assert found["read_noise_electrons"] == pytest.approx(
+        assert findings["read_noise_electrons"] == pytest.approx(
             camera.read_noise_electrons, rel=within
         )
-        assert found["full_well_electrons"] == pytest.approx(20_000, rel=within)
-        assert found.verdict.standing == "good"
+        assert findings["full_well_electrons"] == pytest.approx(20_000, rel=within)
+        assert findings.verdict.standing == "good"
 
 
 def test_eight_bits_hide_the_read_noise_but_not_the_noise_of_darkness() -> None:
     camera = replace(CAMERA, bits=8)
     for seed in range(3):
-        found = transfer_of(camera, uneven((72, 80)), levels=8, seed=seed)
-        assert found["electrons_per_count"] == pytest.approx(camera.electrons_per_count, rel=0.05)
+        findings = transfer_of(camera, uneven((72, 80)), levels=8, seed=seed)
+        assert findings["electrons_per_count"] == pytest.approx(
+            camera.electrons_per_count, rel=0.05
+        )
         darkness, true = (
             noise**2 + camera.electrons_per_count**2 / 12
-            for noise in (found["read_noise_electrons"], camera.read_noise_electrons)
+            for noise in (findings["read_noise_electrons"], camera.read_noise_electrons)
         )
         assert darkness == pytest.approx(true, rel=0.25)
 
@@ -202,16 +204,16 @@ def test_light_that_flickers_adds_no_noise_and_speckle_does() -> None:
     def speckles(_: int, weight: float) -> np.ndarray:
         return weight * SCENE * (1 + 0.05 * random.standard_normal(SCENE.shape)).clip(0)
 
-    found = transfer_of(CAMERA, seen=flickers)
-    assert found["electrons_per_count"] == pytest.approx(CAMERA.electrons_per_count, rel=0.05)
-    verdict = transfer_of(CAMERA, seen=speckles).verdict
+    findings = transfer_of(CAMERA, scene_of=flickers)
+    assert findings["electrons_per_count"] == pytest.approx(CAMERA.electrons_per_count, rel=0.05)
+    verdict = transfer_of(CAMERA, scene_of=speckles).verdict
     assert verdict.standing == "poor"
     assert "deviates from photon noise" in verdict.text
 
 
 def test_saturation_below_full_scale_is_found() -> None:
-    found = transfer_of(CAMERA, bend=lambda frames: np.minimum(frames, 3500))
-    assert found["electrons_per_count"] == pytest.approx(CAMERA.electrons_per_count, rel=0.05)
+    findings = transfer_of(CAMERA, bend=lambda frames: np.minimum(frames, 3500))
+    assert findings["electrons_per_count"] == pytest.approx(CAMERA.electrons_per_count, rel=0.05)
 
 
 def test_pictures_without_light_are_refused() -> None:
@@ -230,18 +232,18 @@ SCENES = [SCENE, *(np.resize(np.repeat(of, 22), SCENE.shape) for of in TONES)]
 def test_a_linear_camera_is_linear(camera: CameraModel, scene: np.ndarray) -> None:
     offsets = np.random.default_rng(0).poisson(2**camera.bits / 800, (64, 64, 1)).astype(np.uint16)
     for scale, more in ((1.0, 0), (0.83, 0), (0.61, 0), (1.0, offsets), (0.5, offsets)):
-        found = linearity_of(camera, scale * scene, bend=lambda one, more=more: one + more)
-        assert found.verdict.standing in ("good", *["unknown"] * (camera.bits < 12))
-        assert found["response_gamma"] == 1
+        findings = linearity_of(camera, scale * scene, bend=lambda frames, more=more: frames + more)
+        assert findings.verdict.standing in ("good", *["unknown"] * (camera.bits < 12))
+        assert findings["response_gamma"] == 1
 
 
 @pytest.mark.parametrize("gamma", [0.8, 1.05, 1.1, 1.25, 2.2])
 def test_a_power_law_is_found_and_its_noise_still_measured(gamma: float) -> None:
     camera = replace(CAMERA, response_gamma=gamma)
     for scene in SCENES:
-        found = linearity_of(camera, scene)
-        assert found["response_gamma"] == pytest.approx(gamma, rel=0.03)
-        assert found.verdict.standing == "good"
+        findings = linearity_of(camera, scene)
+        assert findings["response_gamma"] == pytest.approx(gamma, rel=0.03)
+        assert findings.verdict.standing == "good"
     assert transfer_of(camera)["full_well_electrons"] == pytest.approx(20_000, rel=0.1)
 
 
@@ -250,36 +252,36 @@ def test_a_response_other_than_a_power_law_is_not_linear() -> None:
         level = np.clip((frames - 64.0) / 4031, 0, 1)
         return np.rint(64 + 4031 * level * (1 + 0.8 * level**3) / 1.8).astype(np.uint16)
 
-    found = linearity_of(CAMERA, bend=bend)
-    assert found.verdict.standing == "poor"
-    assert "a power law doesn't describe" in found.verdict.text
-    assert found["response_gamma"] == 1
+    findings = linearity_of(CAMERA, bend=bend)
+    assert findings.verdict.standing == "poor"
+    assert "a power law doesn't describe" in findings.verdict.text
+    assert findings["response_gamma"] == 1
 
 
 def test_linearity_is_unknown_for_one_exposure() -> None:
-    found = linearity_of(replace(CAMERA, exposures=(0.1,)))
-    assert found.verdict.standing == "unknown"
-    assert "worst_deviation" not in found.facts
+    findings = linearity_of(replace(CAMERA, exposures=(0.1,)))
+    assert findings.verdict.standing == "unknown"
+    assert "worst_deviation" not in findings.facts
 
 
 def light_of(light: np.ndarray, drift: float = 0.0) -> Findings:
     scene = uneven((40, 40))
 
-    def seen(index: int, weight: float) -> np.ndarray:
+    def scene_of(index: int, weight: float) -> np.ndarray:
         return scene * light[round(255 * weight)] * (1 + drift * index / 33)
 
-    return measure_light(FlatBench(CAMERA, seen, noise=0.002, codes=33))  # type: ignore[arg-type]
+    return measure_light(FlatBench(CAMERA, scene_of, noise=0.002, codes=33))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("gamma", [1.0, 1.8, 2.4])
 def test_the_projectors_response_is_found(gamma: float) -> None:
     true = np.linspace(0, 1, 256) ** gamma
-    found = light_of(true)
-    light = found["light"]
+    findings = light_of(true)
+    light = findings["light"]
     assert np.abs(light - true).max() < 2e-3
     assert (np.diff(light) >= 0).all()
     assert (light[0], light[-1]) == (0, 1)
-    assert found.verdict.standing == "good"
+    assert findings.verdict.standing == "good"
 
 
 def test_verdicts_on_projectors_whose_light_drifts_falls_or_hardly_rises() -> None:

@@ -1,4 +1,4 @@
-"""The symmetry check: what it predicts, against the error that asymmetry makes."""
+"""The symmetry check: its predicted error against the true error of an asymmetric rig."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def shifted(share: float) -> np.ndarray:
     return matrix @ wedge()
 
 
-def taken(
+def pictures_of(
     matrix: np.ndarray, noise: CameraModel | None = None, count: int = 12, drift: float = 0.0
 ):
     """Pictures of a rig whose lamp fades, by `drift` from the first to the last."""
@@ -65,22 +65,22 @@ def true_error(matrix: np.ndarray) -> float:
     ids=["a little", "misaligned", "half a pixel", "unequal gains", "flare"],
 )
 def test_the_error_of_asymmetry_is_predicted(matrix: np.ndarray, count: int) -> None:
-    found = measure_symmetry(*taken(matrix, count=count)[0])
-    assert found[0] == pytest.approx(true_error(matrix), rel=0.35)
+    measured = measure_symmetry(*pictures_of(matrix, count=count)[0])
+    assert measured[0] == pytest.approx(true_error(matrix), rel=0.35)
 
 
 def test_a_symmetric_rig_is_good_and_half_a_pixel_is_not() -> None:
     camera = CameraModel()
-    good = symmetry_findings(*taken(wedge(), camera, 16), tolerance=0.02)
+    good = symmetry_findings(*pictures_of(wedge(), camera, 16), tolerance=0.02)
     assert good.verdict.standing == "good"
-    poor = symmetry_findings(*taken(shifted(0.5), camera), tolerance=0.02)
+    poor = symmetry_findings(*pictures_of(shifted(0.5), camera), tolerance=0.02)
     assert poor.verdict.standing == "poor"
     assert "dual photography" in poor.verdict.text
 
 
 def test_noise_proves_neither_asymmetry_nor_symmetry() -> None:
     dim = replace(CameraModel(), electrons_per_radiance=300.0)
-    findings = symmetry_findings(*taken(wedge(), dim), tolerance=0.005)
+    findings = symmetry_findings(*pictures_of(wedge(), dim), tolerance=0.005)
     assert findings.verdict.standing == "unknown"
     assert "noise is too large" in findings.verdict.text
 
@@ -88,7 +88,7 @@ def test_noise_proves_neither_asymmetry_nor_symmetry() -> None:
 @pytest.mark.parametrize("drift", [0.06, -0.06, 0.3])
 @pytest.mark.parametrize("camera", [None, CameraModel()])
 def test_drift_of_the_lamp_causes_no_asymmetry(drift: float, camera: CameraModel | None) -> None:
-    steady, change = taken(wedge(), camera, 16, drift=drift)
+    steady, change = pictures_of(wedge(), camera, 16, drift=drift)
     findings = symmetry_findings(steady, change, tolerance=0.02)
     assert findings.verdict.standing == "good"
     assert findings["error"] < 0.005
@@ -97,12 +97,12 @@ def test_drift_of_the_lamp_causes_no_asymmetry(drift: float, camera: CameraModel
 
 
 def test_asymmetry_is_found_beside_a_drift() -> None:
-    found = measure_symmetry(*taken(shifted(0.1), count=12, drift=0.06)[0])
-    assert found[0] == pytest.approx(true_error(shifted(0.1)), rel=0.35)
+    measured = measure_symmetry(*pictures_of(shifted(0.1), count=12, drift=0.06)[0])
+    assert measured[0] == pytest.approx(true_error(shifted(0.1)), rel=0.35)
 
 
 def test_an_error_above_the_number_gives_a_bound() -> None:
     dim = replace(CameraModel(), electrons_per_radiance=300.0)
-    text = symmetry_findings(*taken(wedge(), dim), tolerance=0.005).verdict.text
+    text = symmetry_findings(*pictures_of(wedge(), dim), tolerance=0.005).verdict.text
     assert "errors of at most" in text
     assert "+-" not in text

@@ -1,4 +1,4 @@
-"""Measurements on photographs: what they compare, and what they print without photographs."""
+"""Benchmarks on photographs: their comparisons, and their output without photographs."""
 
 from pathlib import Path
 

@@ -90,22 +90,22 @@ def test_blur_keeps_light_and_flat_fields_and_views_apart() -> None:
 
 
 def test_vignetting_takes_its_fraction_from_the_corners() -> None:
-    seen = apply_optics(flat(1.0, (9, 13, 1)), 0, 0.4, 0)[..., 0]
-    assert seen[4, 6] == 1
-    np.testing.assert_allclose(seen[[0, 0, -1, -1], [0, -1, 0, -1]], 0.6, rtol=1e-6)
-    assert (np.diff(seen[4, 6:]) < 0).all()
+    vignetted = apply_optics(flat(1.0, (9, 13, 1)), 0, 0.4, 0)[..., 0]
+    assert vignetted[4, 6] == 1
+    np.testing.assert_allclose(vignetted[[0, 0, -1, -1], [0, -1, 0, -1]], 0.6, rtol=1e-6)
+    assert (np.diff(vignetted[4, 6:]) < 0).all()
     assert apply_optics(flat(1.0, (1, 1, 1)), 0, 0.4, 0) == 1
 
 
 def test_flare_spreads_a_fraction_of_each_views_light() -> None:
     image = np.zeros((2, 4, 5, 3), np.float32)
     image[1, 2, 3, 0] = 20
-    seen = apply_optics(image, 0, 0, 0.1)
-    assert seen.sum() == pytest.approx(20, rel=1e-5)
-    assert (seen[0] == 0).all()
-    assert (seen[..., 1:] == 0).all()
-    np.testing.assert_allclose(seen[1, 0, 0, 0], 0.1, rtol=1e-6)
-    np.testing.assert_allclose(seen[1, 2, 3, 0], 0.9 * 20 + 0.1, rtol=1e-6)
+    spread = apply_optics(image, 0, 0, 0.1)
+    assert spread.sum() == pytest.approx(20, rel=1e-5)
+    assert (spread[0] == 0).all()
+    assert (spread[..., 1:] == 0).all()
+    np.testing.assert_allclose(spread[1, 0, 0, 0], 0.1, rtol=1e-6)
+    np.testing.assert_allclose(spread[1, 2, 3, 0], 0.9 * 20 + 0.1, rtol=1e-6)
 
 
 def test_a_white_level_below_full_scale() -> None:

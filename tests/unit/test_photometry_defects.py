@@ -33,10 +33,10 @@ def texture(shape: tuple[int, ...] = (40, 50, 3)) -> np.ndarray:
 @pytest.mark.parametrize("bayer", [None, "RGGB"])
 def test_a_good_camera_has_no_defects(count: int, bayer: str | None) -> None:
     camera = replace(CAMERA, bayer=bayer)
-    found = defects_of(*capture(camera, texture(), count), camera)
-    assert found.mask.shape == (40, 50)
-    assert not found.mask.any()
-    assert (found.hot, found.dead) == (0, 0)
+    defects = defects_of(*capture(camera, texture(), count), camera)
+    assert defects.mask.shape == (40, 50)
+    assert not defects.mask.any()
+    assert (defects.hot, defects.dead) == (0, 0)
 
 
 @pytest.mark.parametrize("bayer", [None, "GBRG"])
@@ -74,9 +74,9 @@ def test_hot_and_noisy_pixels_and_a_dead_channel() -> None:
     lit[2, 5, 6, 1] += 30
     off[:, 1, 7, 8, 0] += np.array([0, 40, 0, 0, 35, 0, 60, 0], np.uint16)
     lit[:, 8, 9, 2] = off[:, :, 8, 9, 2] = 65
-    found = defects_of(off, lit, CAMERA)
-    assert sorted(map(tuple, np.argwhere(found.mask))) == [(5, 6), (7, 8), (8, 9)]
-    assert (found.hot, found.dead) == (2, 1)
+    defects = defects_of(off, lit, CAMERA)
+    assert sorted(map(tuple, np.argwhere(defects.mask))) == [(5, 6), (7, 8), (8, 9)]
+    assert (defects.hot, defects.dead) == (2, 1)
 
 
 @pytest.mark.parametrize("value", [0, 64, 4095])
@@ -85,20 +85,20 @@ def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:
     off, lit = capture(CAMERA, texture())
     off[(..., *pixel, slice(None))] = value
     lit[(..., *pixel, slice(None))] = value
-    found = defects_of(off, lit, CAMERA)
-    assert [tuple(where) for where in np.argwhere(found.mask)] == [pixel]
-    assert found.hot + found.dead == 1
+    defects = defects_of(off, lit, CAMERA)
+    assert [tuple(where) for where in np.argwhere(defects.mask)] == [pixel]
+    assert defects.hot + defects.dead == 1
 
 
 def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
     camera = replace(CAMERA, bayer="RGGB")
     off, lit = capture(camera, texture())
     lit[:, 8, 9] = off[:, :, 8, 9] = 65
-    found = defects_of(off, lit, camera)
-    assert found.dead == 1
-    rows, columns = np.nonzero(found.mask)
+    defects = defects_of(off, lit, camera)
+    assert defects.dead == 1
+    rows, columns = np.nonzero(defects.mask)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (7, 9, 8, 10)
-    assert found.mask.sum() == 9
+    assert defects.mask.sum() == 9
 
 
 def test_statistics_of_dark_frames_that_pass_by() -> None:

@@ -55,7 +55,7 @@ def test_weights_from_the_pooled_estimate_are_unbiased_and_the_best() -> None:
     pooled, variance, _ = merge_bracket(electrons, usable, collection, [noise] * 3, 1e3)
     error = np.sqrt(variance.mean() / size)
     assert abs(pooled.mean(dtype=np.float64) - 1) < 5 * error
-    # its spread is that of the best linear estimate, which knows the true weights
+    # its variance equals that of the best linear estimate, with the true weights
     best = 1 / np.sum(collection**2 / (collection + noise))
     assert pooled.var(dtype=np.float64) == pytest.approx(best, rel=0.02)
 
@@ -81,7 +81,7 @@ def test_black_level_is_subtracted_before_the_merge() -> None:
     np.testing.assert_allclose(
         shifted.radiance[0][usable], plain.radiance[0][usable], atol=1e-4, rtol=0
     )
-    # light in the all-off frames brings shot noise of its own
+    # light in the all-off frames adds its shot noise
     assert (shifted.variance >= plain.variance).all()
     assert shifted.variance.mean() > 1.2 * plain.variance.mean()
 
@@ -169,7 +169,7 @@ def test_exact_sensor_returns_the_radiance() -> None:
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
-@pytest.mark.filterwarnings("ignore")  # the library warns of its own deprecated imports
+@pytest.mark.filterwarnings("ignore")  # the library triggers its deprecation warnings
 def test_demosaic_agrees_with_a_library_on_an_image_mirrored_beforehand(pattern: str) -> None:
     from colour_demosaicing import demosaicing_CFA_Bayer_bilinear
 

@@ -112,7 +112,7 @@ def spots() -> np.ndarray:
 
 
 def test_fig_b_1_the_sum_of_single_pixels_is_pale_and_normalization_mends_it() -> None:
-    """The sum is right by itself, the colour of each image isn't until it's normalized."""
+    """The sum is correct without normalization; the colours of single images are not."""
     light = spots()
     images, _ = demosaic(mosaic(light, "RGGB"), np.ones(light.shape[:-1], np.float32), "RGGB")
     total = images.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Every kind of picture file is read right, or refused with its reason. Each file is made here."""
+"""Picture files of all formats are read correctly, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -261,7 +261,7 @@ READ: dict[str, tuple[bytes, str, NDArray[Any]]] = {
 
 @pytest.mark.parametrize("name", READ)
 def test_a_file_is_read_as_linear_light(tmp_path: Path, name: str) -> None:
-    """By both readers: that of photographs, and that of panoramas and patterns."""
+    """Both readers, of photographs and of panoramas and patterns, give the same light."""
     data, suffix, expected = READ[name]
     file = tmp_path / f"a.{suffix}"
     file.write_bytes(data)
@@ -591,7 +591,7 @@ SEQUENCES: dict[str, tuple[list[str], str | None]] = {
 def test_gaps_in_numbers_are_noted(tmp_path: Path, name: str) -> None:
     names, note = SEQUENCES[name]
     files = sequence(tmp_path, *names)
-    assert [each.split("pictures")[0] for each in check_sequence(files)] == ([note] if note else [])
+    assert [text.split("pictures")[0] for text in check_sequence(files)] == ([note] if note else [])
     assert check_sequence(files, ordered=False) == []
 
 

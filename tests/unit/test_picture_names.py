@@ -1,4 +1,4 @@
-"""Names of pictures in messages: never a number that only the program knows."""
+"""Names of pictures in messages: the file or position that a user knows, no internal number."""
 
 from __future__ import annotations
 

@@ -33,8 +33,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).parent.mkdir(parents=True)
         save_transport(transport, folder / name, "uint8")
     write_zip(folder / "crate.zip", [*files_below(folder / DESK, DESK), ("README.md", b"of it")])
-    both = (found for name in (DESK, SHELF) for found in files_below(folder / name, name))
-    write_zip(folder / "both.zip", both)
+    files = (file for name in (DESK, SHELF) for file in files_below(folder / name, name))
+    write_zip(folder / "both.zip", files)
     store = files_below(folder / DESK, "")
     write_zip(folder / "store.zip", ((name.lstrip("/"), file) for name, file in store))
     return folder
@@ -89,8 +89,8 @@ def test_a_store_behind_an_address_opens(run: Path, light: np.ndarray, relit: np
         assert len(server.requests) == 2
         assert np.array_equal(transport.relight(light), relit)
         # a Path made of an address has lost a slash
-        again = rfpipe.open_transport(Path(f"{server.address}/{DESK}"))
-        assert np.array_equal(again.relight(light), relit)
+        transport = rfpipe.open_transport(Path(f"{server.address}/{DESK}"))
+        assert np.array_equal(transport.relight(light), relit)
 
 
 def test_an_address_may_be_encoded_as_browsers_copy_it(run: Path, tmp_path: Path) -> None:
@@ -128,8 +128,8 @@ def test_invalid_addresses_are_explained(
 ) -> None:
     use(monkeypatch, "http://127.0.0.1:9")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
-    with serving(run) as one, serving(run, ranges=False) as other:
-        named = address.format(server=one.address, no_ranges=other.address)
+    with serving(run) as server, serving(run, ranges=False) as whole_files:
+        named = address.format(server=server.address, no_ranges=whole_files.address)
         with pytest.raises((StoreError, InputError), match=says) as caught:
             rfpipe.open_transport(named)
     for hidden in ("geheim", "Debug source", "\n"):
@@ -153,23 +153,23 @@ def test_damage_is_found_wherever_it_lies(run: Path, tmp_path: Path) -> None:
 
 def test_a_zip_made_again_by_another_program_is_read_and_checked(run: Path, tmp_path: Path) -> None:
     light = np.random.default_rng(4).random(SHAPE)
-    again = tmp_path / "again.zip"
-    with zipfile.ZipFile(again, "w", zipfile.ZIP_DEFLATED) as archive:
+    archive_path = tmp_path / "again.zip"
+    with zipfile.ZipFile(archive_path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, file in files_below(run / DESK, DESK):
             archive.write(file, name)
     relit = rfpipe.open_transport(run / "crate.zip").relight(light)
-    assert np.array_equal(rfpipe.open_transport(again).relight(light), relit)
-    whole = again.read_bytes()
-    with zipfile.ZipFile(again) as archive:
+    assert np.array_equal(rfpipe.open_transport(archive_path).relight(light), relit)
+    content = archive_path.read_bytes()
+    with zipfile.ZipFile(archive_path) as archive:
         chunk = max(archive.infolist(), key=lambda info: info.compress_size)
         first = chunk.header_offset + 30 + len(chunk.filename)
     for start, fill in ((first, b"\xff" * 16), (chunk.header_offset, b"????")):
-        damaged = bytearray(whole)
+        damaged = bytearray(content)
         damaged[start : start + len(fill)] = fill
-        again.write_bytes(damaged)
+        archive_path.write_bytes(damaged)
         with pytest.raises(IntegrityError, match="again"):
-            rfpipe.open_transport(again).relight(light)
-        assert "is missing, truncated or altered" in verified(again, status=1)
+            rfpipe.open_transport(archive_path).relight(light)
+        assert "is missing, truncated or altered" in verified(archive_path, status=1)
 
 
 def test_a_zip_of_transports_is_verified_where_it_lies(run: Path) -> None:

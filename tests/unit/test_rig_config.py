@@ -1,4 +1,4 @@
-"""A rig's settings: defaults, generated files, and what a mistake says."""
+"""A rig's settings: defaults, generated files, and messages about mistakes."""
 
 import ast
 import re

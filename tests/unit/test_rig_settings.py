@@ -1,4 +1,4 @@
-"""Each setting of a rig file, changed after calibration: measured again, and refused if served."""
+"""Settings changed after calibration: steps are repeated, and serving is refused."""
 
 from __future__ import annotations
 
@@ -188,21 +188,21 @@ def test_a_changed_setting_is_measured_again_and_not_served(
     assert setting in caplog.text
     caplog.clear()
     with caplog.at_level(logging.INFO):
-        again = calibrated.measure(now)
+        repeated = calibrated.measure(now)
     expected = set(steps) & set(calibration_steps.steps_of(now.calibrate))
-    assert again >= expected  # and those that build on them
-    assert again == expected or expected != set(EVERY)
+    assert repeated >= expected  # and those that build on them
+    assert repeated == expected or expected != set(EVERY)
     assert setting in caplog.text
     assert calibrated.measure(now) == set()
 
 
-def test_the_code_of_a_driver_of_ones_own_is_a_setting(
+def test_the_code_of_a_user_driver_is_a_setting(
     calibrated: Calibrated, caplog: pytest.LogCaptureFixture
 ) -> None:
     shutil.copy(DESK, "desk.py")
     text = Path("desk.py").read_text()
-    own = {"camera": {"driver": "desk.py:DeskCamera", "options": {"seed": 3}}}
-    config = parse_rig_config({**own, "calibration": "calibration"}, "mine.yaml")
+    section = {"camera": {"driver": "desk.py:DeskCamera", "options": {"seed": 3}}}
+    config = parse_rig_config({**section, "calibration": "calibration"}, "mine.yaml")
     assert calibrated.measure(config) == set(STEPS)
     calibrated.write()
     Path("desk.py").write_text(f"# a comment\n{text}")
@@ -214,11 +214,11 @@ def test_the_code_of_a_driver_of_ones_own_is_a_setting(
         rig_from_config(config)
     assert calibrated.measure(config) == set(STEPS)
     assert "camera.driver: its code changed" in caplog.text
-    # an option more than the driver of then had
+    # an option that the calibrated driver did not have
     options = {"seed": 3, "gain": 2}
-    own = {"camera": {"driver": "desk.py:DeskCamera", "options": options}}
+    section = {"camera": {"driver": "desk.py:DeskCamera", "options": options}}
     calibrated.write()
-    changed = parse_rig_config({**own, "calibration": "calibration"}, "mine.yaml")
+    changed = parse_rig_config({**section, "calibration": "calibration"}, "mine.yaml")
     with pytest.raises(ConfigError, match=r"camera\.options\.gain was null, is now 2"):
         check_settings(changed, "mine.yaml")
 
@@ -242,11 +242,11 @@ def test_another_camera_of_the_same_kind_is_refused(name: str) -> None:
     calibration = Calibration(devices={f"camera.{name}": "22710432"})
     config = of_file("rig")
     check_devices(calibration, {"camera": {name: "22710432", "codes": "ab"}}, config, "mine.yaml")
-    other = {"camera": {name: "22710433"}}
+    devices = {"camera": {name: "22710433"}}
     with pytest.raises(ConfigError, match=rf"camera\.{name} was '22710432', is now '22710433'"):
-        check_devices(calibration, other, config, "mine.yaml")
-    check_devices(calibration, other, config, "mine.yaml", force=True)
-    check_devices(Calibration(), other, config, "mine.yaml")
+        check_devices(calibration, devices, config, "mine.yaml")
+    check_devices(calibration, devices, config, "mine.yaml", force=True)
+    check_devices(Calibration(), devices, config, "mine.yaml")
 
 
 def test_serve_refuses_before_a_device_is_opened(calibrated: Calibrated) -> None:

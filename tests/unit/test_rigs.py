@@ -80,9 +80,9 @@ def test_a_patterns_bytes_do_not_depend_on_its_batch(size: int, kind: str) -> No
 
 
 def test_threads_draw_the_same_noise() -> None:
-    alone = rig_of(MATRICES, noise=CameraModel(), seed=3).capture(PATTERNS, KEYS)
+    single = rig_of(MATRICES, noise=CameraModel(), seed=3).capture(PATTERNS, KEYS)
     together = rig_of(MATRICES, noise=CameraModel(), seed=3, threads=3).capture(PATTERNS, KEYS)
-    np.testing.assert_array_equal(together, alone)
+    np.testing.assert_array_equal(together, single)
     described = rig_of(MATRICES).describe()
     assert rig_of(MATRICES, threads=3).describe() == described  # it captures the same pictures
 

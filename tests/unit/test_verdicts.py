@@ -1,4 +1,4 @@
-"""What a captured run's report says of its rig's calibration, and what a run warns of."""
+"""Verdicts on the rig's calibration in a run's report and warnings."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -60,7 +60,7 @@ def test_a_poor_calibration_is_refused_unless_forced(caplog: pytest.LogCaptureFi
         check_verdicts(VERDICTS, "mine", force=False)
     check_verdicts(VERDICTS, "mine", force=True)
     assert "Half of them" in caplog.text
-    good = {name: one for name, one in VERDICTS.items() if name != "rays"}
+    good = {name: verdict for name, verdict in VERDICTS.items() if name != "rays"}
     check_verdicts(good, "mine", force=False)
     check_verdicts({}, None, force=False)
     assert "has no calibration" in caplog.text
