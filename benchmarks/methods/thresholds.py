@@ -44,8 +44,8 @@ def cost(
 ) -> list[Change]:
     """Multiply a field of a method's `HierarchyCost`."""
     present = method.hierarchy_cost
-    other = replace(present, **{field: factor * getattr(present, field)})
-    return [(module, "HIERARCHY", other), (method, "hierarchy_cost", other)]
+    changed_cost = replace(present, **{field: factor * getattr(present, field)})
+    return [(module, "HIERARCHY", changed_cost), (method, "hierarchy_cost", changed_cost)]
 
 
 def costs(field: str, factor: float) -> list[Change]:
@@ -94,7 +94,7 @@ def rows(
     """Yield a row for each value of each threshold."""
     places = list(product(scenes, targets))
     before = [acquired(*place, cache) for place in places]
-    for name, value, changes in [(key, *other) for key in names for other in CHANGES[key]]:
+    for name, value, changes in [(key, *change) for key in names for change in CHANGES[key]]:
         with changed(changes):
             after = [acquired(*place, cache) for place in places]
         more = [b["patterns"] / a["patterns"] for a, b in zip(before, after, strict=True)]

@@ -125,8 +125,8 @@ def test_fits_announce_about_as_many_steps_as_they_take(matrix: np.ndarray, meth
     with steps.displayed_by(factory):
         run_method(get_method(method), matrix[None], SHAPE, SHAPE, target_error=1e-4, patterns=40)
     announced = sum(call.args[1] for call in factory.call_args_list)
-    taken = factory.return_value.__enter__.return_value.advance.call_count
-    assert 0.7 * announced <= taken <= announced
+    counted = factory.return_value.__enter__.return_value.advance.call_count
+    assert 0.7 * announced <= counted <= announced
 
 
 class RecordingMethod(NearFar):

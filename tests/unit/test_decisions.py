@@ -33,7 +33,7 @@ def after_model_rounds(
 ) -> AdaptiveState:
     """Return the state after a round of the model for each estimated error.
 
-    `noise` is that of the floodlit image, relative to its light.
+    `noise` is the relative noise of the floodlit image.
     """
     light = np.ones((1, 1, RAYS.size), np.float32)
     floodlit = Pictures(np.ones((1, RAYS.size), np.bool_), light, noise**2 * light)

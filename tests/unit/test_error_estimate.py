@@ -100,7 +100,7 @@ def test_estimates_the_error_of_the_indirect_light_of_parts(relative: float, sig
     _, errors = picture_errors(relit, truth, lit, floodlit.T.reshape(*SHAPE, -1), ~lit)
     kinds = np.repeat(HELD_OUT, [len(patterns) for patterns in parts])
     expected = np.mean([errors[kinds == kind].mean() for kind in set(HELD_OUT)])
-    # indirect light below the noise is no evidence of a small error
+    # indirect light below the noise does not show a small error
     assert estimate.indirect > 0.7 * expected
     if sigma == 0:
         assert estimate.indirect == pytest.approx(expected, rel=0.3)

@@ -44,14 +44,14 @@ def test_the_haar_transform_is_orthonormal(stack: tuple[int, int, int], seed: in
 
 
 @pytest.mark.parametrize(
-    ("shape", "most", "side"),
+    ("shape", "largest_count", "side"),
     [((48, 48), 4096, 1), ((65, 64), 4096, 2), ((310, 350), 4096, 6), ((9, 8, 8), 100, 3),
      ((9, 8, 8), 5, 8), ((1, 1), 1, 1)],
 )  # fmt: skip
 def test_cells_are_as_small_as_their_largest_number_allows(
-    shape: tuple[int, ...], most: int, side: int
+    shape: tuple[int, ...], largest_count: int, side: int
 ) -> None:
-    assert cell_side(shape, most) == side
+    assert cell_side(shape, largest_count) == side
     cells = Cells(shape, side)
     assert cells.count == len(np.unique(cells.of_ray))
     images = np.random.default_rng(0).random((3, len(cells.of_ray))).astype(np.float32)
@@ -142,10 +142,10 @@ def exact_pictures(
 def test_the_fit_explains_the_light_that_a_model_of_direct_light_lacks(
     side: int, unknown_pixels: int, coaxial: bool
 ) -> None:
-    """Of a wedge with texture, or without in cells of 2 x 2 pixels.
+    """The scene is a wedge with texture; in cells of 2 x 2 pixels, without texture.
 
-    The camera of the other rig is upside down. Its residual is determined half as well, without
-    the symmetry.
+    The camera of the rig that isn't coaxial is upside down. Without the symmetry, pictures
+    determine the residual half as well.
     """
     shape, channels = (16, 16), 3
     matrix = scene_matrices("IV" if side == 1 else "II", shape, channels)

@@ -49,5 +49,5 @@ class Auto(MethodDescription):
         """Forecast the method of these ray domains; its bound is the larger one of both methods."""
         methods = [self.for_rig(camera, projector, is_coaxial) for is_coaxial in (None, False)]
         forecasts = [method.forecast(camera, projector, channels, options) for method in methods]
-        most = max(forecast.max_patterns for forecast in forecasts)
-        return self.forecast_of(camera, channels, forecasts[0].patterns, most)
+        max_patterns = max(forecast.max_patterns for forecast in forecasts)
+        return self.forecast_of(camera, channels, forecasts[0].patterns, max_patterns)

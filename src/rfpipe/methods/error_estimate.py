@@ -266,8 +266,8 @@ def _compare(
 ) -> _Comparison:
     """Compare a held-out picture with a transport's pictures of its parts (parts, N).
 
-    The error of a pixel with direct light counts for the part that lights it, that of a dark pixel
-    for all parts in proportion to their size.
+    The error of a pixel with direct light counts for the part that lights it; the error of a dark
+    pixel counts for all parts, in proportion to their size.
     """
     known = picture.known
     noise, dark = picture.noise[known], picture.dark[known]
@@ -300,7 +300,7 @@ def _parts_over_pattern(parts: Bools, floodlit_error: float, pattern_error: floa
     Parameters
     ----------
     parts : ndarray of bool, shape (parts, views, rays)
-        Shares are those of each view, since the floodlit picture of each view is known.
+        Shares are computed view by view, since the floodlit picture of each view is known.
     floodlit_error, pattern_error : float
         ``|f|^2`` and ``|e|^2``; noise may make the latter negative.
     """

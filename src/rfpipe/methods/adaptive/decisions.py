@@ -77,13 +77,13 @@ class HierarchyCost:
     tolerance: float
 
     def expected_patterns(self, projector: RayDomain, target: float) -> float:
-        """Number of patterns for a total error."""
+        """Compute the expected number of patterns for a total error."""
         depth = BlockTree(projector).n_levels
         return float(self.patterns * depth * (0.01 / target) ** self.power)
 
 
 def target_of(options: ErrorOptions) -> float:
-    """Total error that meets both targets, that in total and that of indirect light."""
+    """Compute the total error that meets both targets, of all light and of indirect light."""
     indirect = options.target_indirect or np.inf
     return float(min(options.target_error, indirect / INDIRECT_RATIO))
 
@@ -107,16 +107,18 @@ def patterns_to_target(state: AdaptiveState) -> float:
     return float(state.patterns * (excess[-1] ** (1 / power) - 1))
 
 
-def next_pattern_count(state: AdaptiveState, most: int) -> int:
-    """Number of patterns of the next round, at most `most`: about as many as are missing.
+def next_pattern_count(state: AdaptiveState, largest_count: int) -> int:
+    """Compute the number of patterns of the next round: about as many as the target lacks.
 
-    Views are lit in turn, each as often as the others.
+    It is at most `largest_count`, and a multiple of the number of views, which are lit in turn.
     """
     missing = patterns_to_target(state)
+    if not missing:
+        return largest_count
     least = max(LEAST_PATTERNS, round(LEAST_SHARE * state.patterns))
-    count = max(least, round(min(EXTRAPOLATION_MARGIN * missing, most))) if missing else most
+    count = max(least, round(min(EXTRAPOLATION_MARGIN * missing, largest_count)))
     views = state.projector.views
-    return min(most, -(-count // views) * views)
+    return min(largest_count, -(-count // views) * views)
 
 
 def has_stalled(state: AdaptiveState) -> bool:
@@ -126,7 +128,7 @@ def has_stalled(state: AdaptiveState) -> bool:
 
 
 def is_mostly_noise(state: AdaptiveState) -> bool:
-    """Test whether the error is about that of the floodlit image's noise."""
+    """Test whether the error is at most 1.5 times the noise of the floodlit image."""
     assert state.pictures is not None
     return state.errors[-1] <= MOSTLY_NOISE * state.pictures.noise
 

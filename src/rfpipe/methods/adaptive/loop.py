@@ -161,8 +161,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
             pictures = _read(state, images, shown.held_out, images.schedule.count)
             after = self._fit_model(after.with_pictures(pictures))
         elif shown.count:
-            pictures = _camera_cells(state).read(images, shown.held_out)
-            after = self._fit_residual(after.with_cell_pictures(pictures))
+            cell_pictures = _camera_cells(state).read(images, shown.held_out)
+            after = self._fit_residual(after.with_cell_pictures(cell_pictures))
         after = self._with_best_model(after, state)
         is_last = shown.index + 1 == len(self.rounds(state.projector)[shown.phase])
         return self._continue(after, self.decide(after, shown.phase, is_last))
@@ -182,18 +182,18 @@ class AdaptiveMethod(Method[AdaptiveState]):
     def _after_floodlit(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Make the first model from the floodlit picture."""
         row = level_row(state.level, 1, scalar=state.camera.size)
-        floodlit = self._floodlit(state, _read(state, images, 0, 1))
+        floodlit = self.prepared_floodlit(state, _read(state, images, 0, 1))
         model = self.first_model(state, floodlit)
         after = replace(state, rows=(row,), pictures=floodlit, model=model)
         return self._continue(after, Decision(Phase.MODEL))
 
-    def _floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
-        """Prepare the floodlit picture for the model."""
+    def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
+        """Return the floodlit picture as the model uses it; here unchanged."""
         return picture
 
     def _fit_model(self, state: AdaptiveState) -> AdaptiveState:
         """Fit the model to all pictures, and its residual where that may help."""
-        shown, model = state.next_round, self._model(state).fit(_taken(state))
+        shown, model = state.next_round, self._model(state).fit(_pictures(state))
         state = replace(state.with_row(**model.counts), model=model, residual=None)
         assert shown is not None
         if self.residual_is_optional and not shown.index:
@@ -216,12 +216,12 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def _with_residual_of(self, state: AdaptiveState, base: Candidate) -> AdaptiveState:
         """Fit the residual of a transport to the pictures of all rounds."""
-        camera, taken = _camera_cells(state), _taken(state)
-        pictures = [camera.summed(taken.lit, taken.radiance, taken.variance)]
+        camera, pictures = _camera_cells(state), _pictures(state)
+        parts = [camera.summed(pictures.lit, pictures.radiance, pictures.variance)]
         if state.cell_pictures is not None:
-            pictures.append(state.cell_pictures)
+            parts.append(state.cell_pictures)
         projector = self._model(state).projector_cells(camera, base.transport)
-        residual = fit_residual(camera, projector, joined(pictures, axis=0), base.transport)
+        residual = fit_residual(camera, projector, joined(parts, axis=0), base.transport)
         return replace(state, residual=residual, residual_of_hierarchy=base.is_hierarchy)
 
     # --- the hierarchy
@@ -234,7 +234,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     def _start_hierarchy(self, state: AdaptiveState) -> AdaptiveState:
         """Hand the floodlit picture over to the hierarchy."""
         state = replace(state, tolerance=self.hierarchy_cost.tolerance * target_of(state.options))
-        pictures, shape = _taken(state), (1, *state.camera.shape, state.channels)
+        pictures, shape = _pictures(state), (1, *state.camera.shape, state.channels)
         radiance, variance = (
             np.ascontiguousarray(images[0].T).reshape(shape)
             for images in (pictures.radiance, pictures.variance)
@@ -269,7 +269,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     # --- the best transport
 
     def _model(self, state: AdaptiveState) -> AdaptiveModel:
-        """Return the model; before the floodlit picture, that of a dark one."""
+        """Return the model; before the floodlit picture is taken, the model of a dark one."""
         if state.model is not None:
             return state.model
         dark = np.zeros((1, state.channels, state.camera.size), np.float32)
@@ -295,7 +295,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         """Return the transport that predicts the held-out pictures best."""
         if state.held_out is None:
             return Candidate(Estimate(1.0, 1.0, 1.0), *next(self._transports(state)))
-        held_out, floodlit = state.held_out, _taken(state).floodlit
+        held_out, floodlit = state.held_out, _pictures(state).floodlit
         dark = self._model(state).dark_pixels(held_out.lit)
         candidates = [
             Candidate(estimate_error(transport, held_out, floodlit, dark), transport, is_hierarchy)
@@ -355,11 +355,13 @@ class AdaptiveMethod(Method[AdaptiveState]):
         held_out, count = self._pattern_counts(state, phase, rounds[phase][index])
         return Round(phase, index, key, held_out, count) if held_out + count else None
 
-    def _pattern_counts(self, state: AdaptiveState, phase: Phase, most: int) -> tuple[int, int]:
+    def _pattern_counts(
+        self, state: AdaptiveState, phase: Phase, largest_count: int
+    ) -> tuple[int, int]:
         """Return the numbers of held-out and of random patterns of the next round."""
         held_out = len(HELD_OUT) if state.held_out is None else 0
         is_useful = phase is not Phase.MODEL or self._model(state).is_suitable
-        count = next_pattern_count(state, most) if is_useful else 0
+        count = next_pattern_count(state, largest_count) if is_useful else 0
         if not state.options.patterns:
             return held_out, count
         remaining = state.options.patterns - state.patterns
@@ -377,14 +379,15 @@ class AdaptiveMethod(Method[AdaptiveState]):
         check_rays(self, camera, projector)
         ratio = 0.01 / target_of(options)
         typical = projector.views * EXPECTED_PATTERNS * float(ratio**EXPECTED_POWER)
-        most = self._max_patterns(projector, options)
-        return self.forecast_of(camera, channels, min(round(typical), projector.size, most), most)
+        max_patterns = self._max_patterns(projector, options)
+        patterns = min(round(typical), projector.size, max_patterns)
+        return self.forecast_of(camera, channels, patterns, max_patterns)
 
     def _max_patterns(self, projector: RayDomain, options: ErrorOptions) -> int:
         """Bound the number of patterns of all phases.
 
-        A hierarchy shows each block of each level at most once; on large projectors 4 times the
-        number that its cost expects is the lower bound.
+        A hierarchy shows each block of each level at most once, and hardly more than 4 times the
+        number of patterns that its cost expects.
         """
         rounds = sum(sum(counts) for counts in self.rounds(projector).values())
         tree = BlockTree(projector)
@@ -405,10 +408,10 @@ def _read(state: AdaptiveState, images: LevelImages, first: int, last: int) -> P
     return Pictures.read(images, state.channels, state.camera.size, first, last)
 
 
-def _taken(state: AdaptiveState) -> Pictures:
+def _pictures(state: AdaptiveState) -> Pictures:
     assert state.pictures is not None, "the floodlit picture comes first"
     return state.pictures
 
 
 def _camera_cells(state: AdaptiveState) -> CameraCells:
-    return CameraCells.of_pictures(state.camera.shape, _taken(state))
+    return CameraCells.of_pictures(state.camera.shape, _pictures(state))

@@ -87,7 +87,7 @@ class AdaptiveState(MethodState):
     hierarchy_state : state, optional
         State of symmetric or dual photography, once it has begun.
     hierarchy_levels : tuple of int
-        Numbers of its levels among those of the acquisition.
+        Numbers of the acquisition's levels that refined it.
     tolerance : float
         Its tolerance.
     """

@@ -205,8 +205,9 @@ class FootprintState(AdaptiveState):
             "variance": footprints.variance,
             "weights": footprints.weights,
         }
-        parts = merged(parts, with_prefix("model_", model.arrays), has_model=True)
-        return merged(parts, with_prefix("footprints_", arrays))
+        sizes = [footprints.camera_size, footprints.projector_size]
+        parts = merged(parts, with_prefix("model_", model.arrays))
+        return merged(parts, with_prefix("footprints_", arrays), footprint_sizes=sizes)
 
     @classmethod
     def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
@@ -215,12 +216,13 @@ class FootprintState(AdaptiveState):
         if state.pictures is None:
             return state
         model = first_model(state, state.pictures)
-        level = latest("has_model", levels)
+        level = latest("footprint_sizes", levels)
         if level is not None:
+            camera_size, projector_size = level.attributes["footprint_sizes"]
             stored = without_prefix("footprints_", level.arrays)
             footprints = Candidates(
-                state.camera.size,
-                state.projector.size,
+                camera_size,
+                projector_size,
                 stored["keys"],
                 stored["variance"],
                 stored["weights"],

@@ -77,8 +77,8 @@ def fit_smooth_model(shape: tuple[int, ...], pictures: Pictures) -> SmoothModel:
     if not grey.shine():
         return SmoothModel(shape, basis.functions, cores)
     problem = CoreProblem.from_data(patches, data)
-    # cores that few patterns determine stay near 0 in the first fit, so learned deviations are
-    # those of the others in the group
+    # in the first fit, cores that few patterns determine stay near 0; their deviations are learned
+    # from the rest of their group
     estimate = problem.solve(prior_deviations(basis, data), _FIRST)
     deviations = learned_deviations(_core_groups(basis), estimate)
     estimate = problem.solve(deviations, _FINAL, estimate)
@@ -238,7 +238,7 @@ class CoreProblem:
     dark_weight, lit_weight : ndarray of float32, shape (patches, P)
         Summed weights w of a patch's dark and of its lit pixels.
     weighted : ndarray of float32, shape (patches, P + 1)
-        Summed data w y for the light of each pattern, and for full light: minus those of the lit
+        Summed data w y for the light of each pattern; for full light, minus the sums of the lit
         pixels.
     """
 
@@ -346,4 +346,5 @@ def _core_groups(basis: MultiscaleBasis) -> NDArray[np.int64]:
     distance_bin = (2 * basis.distances() / np.maximum(first, second)).astype(np.int64)
     # scales are below 2^20 pixels
     key = distance_bin << 40 | first.astype(np.int64) << 20 | second
-    return np.unique(key, return_inverse=True)[1]
+    groups: NDArray[np.int64] = np.unique(key, return_inverse=True)[1]
+    return groups

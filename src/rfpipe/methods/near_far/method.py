@@ -192,7 +192,7 @@ class NearFar(AdaptiveMethod):
         """Make the model without indirect light."""
         return _model(state, floodlit, None)
 
-    def _floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
+    def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
         """Give unknown pixels the radiance of the nearest known one: they light others too."""
         return picture.completed(state.projector.shape)
 

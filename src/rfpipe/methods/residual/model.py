@@ -3,7 +3,7 @@
     T = M + f K f + diag(d)        coaxial rigs, K symmetric
     T = M + f K g                  other rigs
 
-M is any model, such as that of near/far or footprint acquisition, or a hierarchy. K connects cells
+M is any transport: a near/far or footprint model, or a hierarchy. K connects cells
 of pixels, at most 4096 on either side, in Haar wavelets: ``K = W^T C W'``. Its entries have any
 sign; where they are negative they take back light of M. The factors f and g carry the texture: half
 of the light that a surface returns is in proportion to the light that it receives, half to the
