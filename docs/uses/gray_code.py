@@ -54,7 +54,7 @@ figure, axes = pyplot.subplots(1, 5, figsize=(11.5, 2.8), layout="constrained")
 for axis, (title, image) in zip(axes, images.items(), strict=True):
     axis.imshow(np.clip(image, 0, 1) ** (1 / 2.2) if image.ndim == 3 else image)
     axis.set(title=title, xticks=[], yticks=[])
-summary = f"by {fit.model}: left-out photographs are {fit.error:.1%} off"
+summary = f"by {fit.model}: held-out photographs are {fit.error:.1%} off"
 figure.suptitle(f"{summary}, {fit.errors['the mean picture']:.0%} by the mean picture")
 figure.savefig(folder / "gray_code.png", dpi=60)
 print(f"wrote {folder / 'gray_code.png'}")
