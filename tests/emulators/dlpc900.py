@@ -47,8 +47,8 @@ class Emulator:
         length = unpack_from("<H", self._message, 2)[0]
         assert 6 <= 4 + length <= 512, "the controller's buffer"
         if len(self._message) >= 4 + length:
-            whole, self._message = self._message[: 4 + length], b""
-            self._handle(whole)
+            message, self._message = self._message[: 4 + length], b""
+            self._handle(message)
         return len(report)
 
     def read(self, length: int, timeout_ms: int) -> bytes:

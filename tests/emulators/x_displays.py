@@ -17,9 +17,9 @@ class XServer:
         self.shape = shape
         read, write = os.pipe()
         size = f"{shape[1]}x{shape[0]}x24"
-        asked = [*([name] if name else []), "-displayfd", str(write), "-screen", "0", size]
+        arguments = [*([name] if name else []), "-displayfd", str(write), "-screen", "0", size]
         self._process = subprocess.Popen(
-            ["Xvfb", *asked, "-nolisten", "tcp", "-s", "0", "-dpms", "-noreset"],
+            ["Xvfb", *arguments, "-nolisten", "tcp", "-s", "0", "-dpms", "-noreset"],
             pass_fds=[write],
             stderr=subprocess.DEVNULL,
         )

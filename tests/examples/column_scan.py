@@ -69,8 +69,8 @@ class ColumnScan(Method[ColumnState]):
         schedule = images.schedule
         pattern = schedule.pattern_of_ray.ravel()
         radiance, _ = images.read(0, schedule.count)
-        seen = radiance.reshape(schedule.count, -1, len(state.matrix))
-        matrix = np.moveaxis(seen, (0, 2), (2, 0))[:, :, pattern] / np.bincount(pattern)[pattern]
+        columns = radiance.reshape(schedule.count, -1, len(state.matrix))
+        matrix = np.moveaxis(columns, (0, 2), (2, 0))[:, :, pattern] / np.bincount(pattern)[pattern]
         row = dict.fromkeys(("level", "empty", "rank1", "subdivided"), 0)
         row |= {"patterns": schedule.count, "nodes": schedule.count, "scalar": schedule.count}
         return replace(state, matrix=matrix.astype(np.float32), rows=(row,))

@@ -30,7 +30,7 @@ class FrostedGlass(CoaxialScene):
         self.options = options
         places = (np.arange(length) for length in self.shape)
         spread = [np.exp(-(((x[:, None] - x) / options.blur) ** 2) / 2) for x in places]
-        self._down, self._across = (each / each.sum(axis=1).max() for each in spread)
+        self._down, self._across = (kernel / kernel.sum(axis=1).max() for kernel in spread)
 
     def apply(self, patterns):
         return apply_in_batches(self._radiance, patterns, self.shape, self.channels)
@@ -38,8 +38,8 @@ class FrostedGlass(CoaxialScene):
     def _radiance(self, weights):
         """Radiance (N, B, C) of patterns (N, B), always as many at a time."""
         lit = weights.reshape(*self.shape, -1)
-        seen = self.options.albedo * np.einsum("ij,jlb,kl->ikb", self._down, lit, self._across)
-        return np.repeat(seen.reshape(*weights.shape, 1), self.channels, axis=2)
+        blurred = self.options.albedo * np.einsum("ij,jlb,kl->ikb", self._down, lit, self._across)
+        return np.repeat(blurred.reshape(*weights.shape, 1), self.channels, axis=2)
 
     def describe(self) -> dict[str, Any]:
         return {"scene": "frosted glass", **self.options.options()}

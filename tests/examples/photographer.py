@@ -21,26 +21,26 @@ def rays_of(path, shape):
     codes = oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)[..., 0]
     height, width = codes.shape
     side = min(height // shape[0], width // shape[1])
-    top, left = (height - side * shape[0]) // 2, (width - side * shape[1]) // 2
-    rows = top + side * np.arange(shape[0]) + side // 2
-    columns = left + side * np.arange(shape[1]) + side // 2
+    start_row, start_column = (height - side * shape[0]) // 2, (width - side * shape[1]) // 2
+    rows = start_row + side * np.arange(shape[0]) + side // 2
+    columns = start_column + side * np.arange(shape[1]) + side // 2
     return codes[np.ix_(rows, columns)].ravel() / 255
 
 
 def photograph(sheet, matrix, expose):
     """Take all that a sheet asks for; `expose(radiance, seconds, key)` returns counts."""
-    asked = json.loads((sheet / "patterns.json").read_text())
-    height, width = asked["picture_size"]
+    listing = json.loads((sheet / "patterns.json").read_text())
+    height, width = listing["picture_size"]
     (sheet / "pictures").mkdir(exist_ok=True)
-    taken = 0
-    for shown in asked["shown"]:
+    count = 0
+    for shown in listing["shown"]:
         light = rays_of(sheet / shown["file"], (height, width))
         radiance = np.moveaxis(matrix @ light, 0, -1).reshape(height, width, -1)
-        for seconds in asked["exposures_s"]:
+        for seconds in listing["exposures_s"]:
             picture = oiio.ImageBuf(np.ascontiguousarray(expose(radiance, seconds, shown["key"])))
             picture.specmod().attribute("ExposureTime", float(seconds))
-            assert picture.write(str(sheet / "pictures" / f"IMG_{taken}.tif"))
-            taken += 1
+            assert picture.write(str(sheet / "pictures" / f"IMG_{count}.tif"))
+            count += 1
 
 
 def counts(radiance, seconds, _key):

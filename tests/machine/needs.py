@@ -82,16 +82,16 @@ def hide() -> TemporaryDirectory[str] | None:
     if _MODE != "hidden":
         return None
     os.environ["DRJIT_LIBLLVM_PATH"] = "hidden"
-    hidden = {each for names in _PROGRAMS.values() for each in names}
+    hidden = {program for names in _PROGRAMS.values() for program in names}
     made = TemporaryDirectory(prefix="rfpipe-hidden-")
     folders = os.environ["PATH"].split(os.pathsep)
     for number, folder in enumerate(folders):
-        found = {path.name: path for path in Path(folder).glob("*")}
-        if hidden & set(found):
+        programs = {path.name: path for path in Path(folder).glob("*")}
+        if hidden & set(programs):
             links = Path(made.name) / str(number)
             links.mkdir()
-            for name in set(found) - hidden:
-                (links / name).symlink_to(found[name])
+            for name in set(programs) - hidden:
+                (links / name).symlink_to(programs[name])
             folders[number] = str(links)
     os.environ["PATH"] = os.pathsep.join(folders)
     return made

@@ -79,8 +79,8 @@ def test_equals_the_dense_matrix(transport: MultilevelTransport) -> None:
     np.testing.assert_allclose(dense(transport), matrix, rtol=0, atol=1e-6 * scale)
     for channel in range(transport.channels):
         operator = transport.channel(channel)
-        back = operator.T @ np.eye(operator.shape[0], dtype=np.float32)
-        np.testing.assert_allclose(back, matrix[channel].T, rtol=0, atol=1e-6 * scale)
+        transposed = operator.T @ np.eye(operator.shape[0], dtype=np.float32)
+        np.testing.assert_allclose(transposed, matrix[channel].T, rtol=0, atol=1e-6 * scale)
 
 
 @settings(max_examples=25)

@@ -92,8 +92,8 @@ def test_normalization_is_finite_bounded_and_adds_up_where_it_covers(
     assert normalization.gain.min() >= 0
     assert normalization.gain.max() <= MAXIMUM_GAIN * (1 + 1e-6)
     covered = normalization.covered
-    wanted = floodlit if mode == "per_channel" else np.maximum(floodlit, 0)
+    expected = floodlit if mode == "per_channel" else np.maximum(floodlit, 0)
     scale = np.abs(images).sum(axis=(0, -1), keepdims=True)[0] * MAXIMUM_GAIN
-    error = np.abs(corrected.sum(axis=0, dtype=np.float64) - wanted) / np.maximum(scale, 1e-30)
+    error = np.abs(corrected.sum(axis=0, dtype=np.float64) - expected) / np.maximum(scale, 1e-30)
     assert (error[covered] < 1e-5).all()
     np.testing.assert_array_equal(corrected[:, ~covered], images[:, ~covered])

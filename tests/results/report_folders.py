@@ -81,12 +81,12 @@ def acquired(results: Path, config: Config) -> None:
     for scene, method in config.acquisitions:
         settings, folder = config.scenes[scene], results / scene / method
         rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
-        asked = config.methods_of(scene)[method]
-        options = asked.options()
-        result = acquire(rig, asked.plugin, progress=False, **options)
+        selection = config.methods_of(scene)[method]
+        options = selection.options()
+        result = acquire(rig, selection.plugin, progress=False, **options)
         digest = save_transport(result.transport, folder / "transport.zarr")
-        about = {"scene": scene, "method": method, "options": options}
-        manifest = {**about, "digest": digest, "patterns": result.patterns}
+        facts = {"scene": scene, "method": method, "options": options}
+        manifest = {**facts, "digest": digest, "patterns": result.patterns}
         write_manifest(folder / "transport.json", manifest)
         relight.run(folder, settings, "code")
         relit.append(folder / "relight.json")

@@ -52,8 +52,8 @@ def bench_of(
         shown = projector.light if gamma == 1 else light[codes]
         if shown.ndim == 2:
             return path.radiance(shown)
-        each = [path.radiance(shown[..., colour])[..., colour] for colour in range(3)]
-        return np.stack(each, axis=-1)
+        colours = [path.radiance(shown[..., colour])[..., colour] for colour in range(3)]
+        return np.stack(colours, axis=-1)
 
     shape, channels = path.camera_shape, path.channels
     return Bench(path, projector, SimulatedCamera(radiance, shape, channels, sensor, seed))

@@ -30,9 +30,9 @@ def acquire_matrix(
     seed: int = 0,
 ) -> MethodRun:
     """Acquire a matrix (M, N) or (C, M, N) level by level, with those options that a method has."""
-    own = {"tolerance": tolerance} if "tolerance" in method.Options.model_fields else {}
+    options = {"tolerance": tolerance} if "tolerance" in method.Options.model_fields else {}
     shapes = camera_shape, projector_shape
-    return run_method(method, matrix, *shapes, sigma=sigma, seed=seed, **own)
+    return run_method(method, matrix, *shapes, sigma=sigma, seed=seed, **options)
 
 
 def picture_error(transport: Transport, matrix: NDArray[Any], pictures: NDArray[Any]) -> float:
@@ -50,10 +50,10 @@ def scene_matrices(name: str, shape: tuple[int, ...], channels: int = 1) -> NDAr
     return np.stack([np.asarray(scene.dense(channel), np.float64) for channel in range(channels)])
 
 
-def settings_of_a_plane(**others: Any) -> Config:
+def settings_of_a_plane(**settings: Any) -> Config:
     """Return the settings of a run of one white plane, and others that are given."""
     scenes = {"plane": {"kind": "plane", "surfaces": ["white"]}}
-    return parse_config({"scenes": scenes, **others}, "the test")
+    return parse_config({"scenes": scenes, **settings}, "the test")
 
 
 def run(*arguments: object, status: int = 0) -> str:

@@ -51,5 +51,5 @@ _PICTURE = """async ([light, dual, level]) => {
 def picture_of(page: Any, light: NDArray[Any], level: int, dual: bool) -> NDArray[np.float32]:
     """What a page makes of planar light (C, rays), as one flat array."""
     given = b64encode(np.ascontiguousarray(light, "<f4").tobytes()).decode()
-    found = page.evaluate(_PICTURE, [given, dual, level])
-    return np.frombuffer(b64decode(found), "<f4")
+    encoded = page.evaluate(_PICTURE, [given, dual, level])
+    return np.frombuffer(b64decode(encoded), "<f4")

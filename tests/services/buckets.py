@@ -44,11 +44,11 @@ def s3_server(python: str) -> Iterator[str]:
 def put(address: str, content: bytes, patience: float = 0.0) -> None:
     """Write an object that anybody may read, or a bucket, unsigned."""
     headers = {"Content-Type": "application/octet-stream", "x-amz-acl": "public-read"}
-    asked = urllib.request.Request(address, content, headers, method="PUT")
+    request = urllib.request.Request(address, content, headers, method="PUT")
     end = time.monotonic() + patience
     while True:
         try:
-            with urllib.request.urlopen(asked, timeout=10):
+            with urllib.request.urlopen(request, timeout=10):
                 return
         except OSError:
             if time.monotonic() > end:
@@ -79,7 +79,7 @@ class Faults:
         Of that many of the next the connection is cut in the middle of the content.
     deny : bool
         Whether they are answered by 403.
-    most : int or None
+    limit : int or None
         Writes to let pass; others wait until this changes.
     under_way : set of int
         Threads that have a request in hand.
@@ -90,7 +90,7 @@ class Faults:
     fail: int = 0
     cut: int = 0
     deny: bool = False
-    most: int | None = None
+    limit: int | None = None
     under_way: set[int] = field(default_factory=set)
     requests: list[tuple[str, str, int, int]] = field(default_factory=list)
 
@@ -100,10 +100,10 @@ class Faults:
 
 
 @contextmanager
-def proxy(behind: str) -> Iterator[Faults]:
+def proxy(server: str) -> Iterator[Faults]:
     """Pass requests on to an S3 server."""
     faults = Faults()
-    host = behind.removeprefix("http://")
+    host = server.removeprefix("http://")
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -118,7 +118,7 @@ def proxy(behind: str) -> Iterator[Faults]:
         def pass_on(self) -> None:
             length = int(self.headers.get("Content-Length", 0))
             if self.command in ("PUT", "POST"):
-                while faults.most is not None and len(faults.written()) >= faults.most:
+                while faults.limit is not None and len(faults.written()) >= faults.limit:
                     time.sleep(0.01)
                 if faults.cut:
                     faults.cut -= 1

@@ -7,7 +7,7 @@ from pathlib import Path
 
 _RANGE = Path("/proc/sys/net/ipv4/ip_local_port_range")
 _LOWEST = 10_000
-_asked = count(os.getpid() * 997)
+_offsets = count(os.getpid() * 997)
 
 
 def free_port() -> int:
@@ -18,7 +18,7 @@ def free_port() -> int:
     """
     end = int(_RANGE.read_text().split()[0]) if _RANGE.exists() else 32_768
     while True:
-        port = _LOWEST + next(_asked) % (end - _LOWEST)
+        port = _LOWEST + next(_offsets) % (end - _LOWEST)
         with socket.socket() as probe:
             try:
                 probe.bind(("127.0.0.1", port))

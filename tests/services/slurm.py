@@ -119,22 +119,26 @@ class Slurm:
     def kill_node(self, node: str) -> int:
         """End a node as a power cut does: its daemon, and all that it has started; how many."""
         daemon = self._daemon(node)
-        found = {process for process in psutil.process_iter() if self._is_of(process, node)}
+        processes = {process for process in psutil.process_iter() if self._is_of(process, node)}
         # that of a job looks after it, and would tell of its end
-        found |= {parent for one in found if (parent := one.parent()) and _looks_after_jobs(parent)}
-        found |= {daemon} if daemon is not None else set()
+        processes |= {
+            parent
+            for process in processes
+            if (parent := process.parent()) and _looks_after_jobs(parent)
+        }
+        processes |= {daemon} if daemon is not None else set()
         for number in (signal.SIGSTOP, signal.SIGKILL):
-            for process in found:
+            for process in processes:
                 with suppress(psutil.NoSuchProcess):
                     process.send_signal(number)
         (self.folder / f"{node}.pid").unlink(missing_ok=True)
-        return len(found)
+        return len(processes)
 
     def jobs(self, *states: str) -> dict[str, str]:
         """Return numbers of the jobs in some states, or in any, each with its node."""
-        asked = ",".join(states) or "all"
-        told = self._do("squeue", "--noheader", "--format=%i %N", f"--states={asked}")
-        return {number: node for number, _, node in (it.partition(" ") for it in told)}
+        selection = ",".join(states) or "all"
+        lines = self._do("squeue", "--noheader", "--format=%i %N", f"--states={selection}")
+        return {number: node for number, _, node in (it.partition(" ") for it in lines)}
 
     def wait_for_nodes(self, state: str, *nodes: str) -> None:
         """Wait until nodes, all if none are named, are in a state."""

@@ -11,8 +11,8 @@ def wait_until(condition: Callable[[], Any], what: str, every: float = 0.001) ->
     """Wait for something to become true, and return it; look every so many seconds."""
     end = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < end:
-        found = condition()
-        if found:
-            return found
+        result = condition()
+        if result:
+            return result
         time.sleep(every)
     raise AssertionError(f"{what}: not within {PATIENCE_SECONDS} s")

@@ -20,7 +20,7 @@ class Served:
     address: str = ""
     requests: list[tuple[str, int]] = field(default_factory=list)
     """Path and bytes of every answer."""
-    told: list[str | None] = field(default_factory=list)
+    authorizations: list[str | None] = field(default_factory=list)
     """Authorization of every request."""
     seconds: float = 0.0
     """Before each eighth of an answer."""
@@ -46,19 +46,21 @@ def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
                 self._answer(404, b"")
                 return
             content = path.read_bytes()
-            asked = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
-            if asked is None or not ranges:
+            byte_range = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
+            if byte_range is None or not ranges:
                 self._answer(200, content)
                 return
             size = len(content)
-            first = int(asked[1]) if asked[1] else max(0, size - int(asked[2]))
-            last = min(int(asked[2]), size - 1) if asked[1] and asked[2] else size - 1
+            first = int(byte_range[1]) if byte_range[1] else max(0, size - int(byte_range[2]))
+            last = (
+                min(int(byte_range[2]), size - 1) if byte_range[1] and byte_range[2] else size - 1
+            )
             self._answer(206, content[first : last + 1], f"bytes {first}-{last}/{size}")
 
         def _answer(self, status: int, content: bytes, of: str = "") -> None:
             # counted first, since the client goes on as soon as it has the last byte
             served.requests.append((self.path, len(content)))
-            served.told.append(self.headers["Authorization"])
+            served.authorizations.append(self.headers["Authorization"])
             self.send_response(status)
             self.send_header("Content-Length", str(len(content)))
             if of:

@@ -42,11 +42,11 @@ def run(tmp_path_factory):
 def test_it_covers_all_methods_scenes_lights_and_seeds():
     cases = list(cases_of(list(KINDS)))
     for method in map(method_of, NAMES):
-        own = [case for case in cases if case.method == method.name]
+        cases_of_method = [case for case in cases if case.method == method.name]
         compared = {"target_error": TARGETS, "tolerance": TOLERANCES, None: [0]}
         settings = len(compared.get(method.trades, method.trials))
-        assert len(own) == len(KINDS) * len(CAMERAS) * len(SEEDS) * settings
-        assert {case.option for case in own} == {method.trades or ""}
+        assert len(cases_of_method) == len(KINDS) * len(CAMERAS) * len(SEEDS) * settings
+        assert {case.option for case in cases_of_method} == {method.trades or ""}
     assert len({case.key for case in cases}) == len(cases)
     assert cases[0].method == "auto"
 
@@ -84,15 +84,15 @@ def test_what_is_there_is_not_run_again(run, monkeypatch):
     benchmark.main([*SMALL, "--folder", str(run)])
     assert (run / "acquisitions.csv").read_bytes() == before
     with (run / "acquisitions.csv").open() as file:
-        kept = list(csv.DictReader(file))
-    assert len({row["key"] for row in kept}) == len(kept) == 2 * len(NAMES)
+        rows = list(csv.DictReader(file))
+    assert len({row["key"] for row in rows}) == len(rows) == 2 * len(NAMES)
 
 
 @pytest.mark.slow
 def test_the_page_says_what_was_run_and_what_was_not(run):
     page = run.with_suffix(".md").read_text()
-    asked = len(SCENES) * len(NAMES)
-    assert f"Of the {asked} planned ones, 0 weren't needed" in page
+    planned = len(SCENES) * len(NAMES)
+    assert f"Of the {planned} planned ones, 0 weren't needed" in page
     of_scene = [line for line in page.splitlines() if line.startswith("| tilted_wedge* | ")]
     assert "64" in of_scene[-1]
     assert len(of_scene) == 3  # regrets, and the fewest patterns
@@ -103,7 +103,7 @@ def test_the_page_says_what_was_run_and_what_was_not(run):
     assert len(page.split()) < 1500
     benchmark.main([*SMALL, "--seeds", "0", "1", "--table-only", "--folder", str(run)])
     page = run.with_suffix(".md").read_text()
-    assert f"{asked} weren't run" in page
+    assert f"{planned} weren't run" in page
 
 
 def test_a_table_of_other_columns_is_refused(tmp_path):
@@ -128,12 +128,12 @@ def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_p
     assert (failed["status"], failed["why"]) == ("failed", "ZeroDivisionError: by the way")
 
 
-def acquisition(method, value, patterns, error, indirect=math.nan, **others):
+def acquisition(method, value, patterns, error, indirect=math.nan, **values):
     option = method_of(method).trades or ""
     return dict.fromkeys(COLUMNS, math.nan) | {
         "scene": "room", "side": "48", "channels": 1, "samples": 16, "light": "full", "seed": 1,
         "section": "open", "method": method, "option": option, "value": value, "patterns": patterns,
-        "projector_rays": 2304, "error_mean": error, "indirect_mean": indirect, **others,
+        "projector_rays": 2304, "error_mean": error, "indirect_mean": indirect, **values,
     }  # fmt: skip
 
 

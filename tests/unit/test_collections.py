@@ -45,8 +45,8 @@ def test_a_collection_is_one_reflectance_field(run: tuple[Config, Path]) -> None
     assert field.shape == (2, 6, 8, 6, 8)
     pattern = np.linspace(0, 1, 48, dtype=np.float32).reshape(6, 8)
     for name, picture in field.relight(pattern):
-        alone = rfpipe.open_transport(results / name / "hadamard/transport.zarr")
-        np.testing.assert_array_equal(picture, alone.relight(pattern))
+        transport = rfpipe.open_transport(results / name / "hadamard/transport.zarr")
+        np.testing.assert_array_equal(picture, transport.relight(pattern))
     with pytest.raises(StoreError, match="by brute_force, hadamard; say which"):
         rfpipe.open_collection(results)
     with pytest.raises(StoreError, match="without folders of scenes; give the run's results"):
@@ -83,12 +83,12 @@ def test_a_packed_run_is_readable_also_in_a_zip_and_is_restored(
     for where in (packed, archive):
         for name, picture in rfpipe.open_collection(where, "hadamard").relight(pattern):
             np.testing.assert_array_equal(picture, expected[name])
-    one = rfpipe.open_transport(packed / "a/hadamard/transport.zarr")
-    np.testing.assert_array_equal(one.relight(pattern), expected["a"])
+    transport = rfpipe.open_transport(packed / "a/hadamard/transport.zarr")
+    np.testing.assert_array_equal(transport.relight(pattern), expected["a"])
     assert invoke(app, ["verify", str(packed)]).exit_code == 0
-    back = tmp_path / "results"
-    assert invoke(app, ["collection", "unpack", str(packed), "-o", str(back)]).exit_code == 0
-    assert contents(back) == plain
+    unpacked = tmp_path / "results"
+    assert invoke(app, ["collection", "unpack", str(packed), "-o", str(unpacked)]).exit_code == 0
+    assert contents(unpacked) == plain
     largest = max(packed.glob("objects/*/*"), key=lambda path: path.stat().st_size)
     largest.write_bytes(largest.read_bytes()[:-1] + b"?")
     assert invoke(app, ["verify", str(packed)]).exit_code == 1
@@ -98,10 +98,10 @@ def test_a_packed_run_is_readable_also_in_a_zip_and_is_restored(
     # packed again it is mended; and what stands in the way of a file is told from it
     assert invoke(app, ["collection", "pack", str(results), "-o", str(packed)]).exit_code == 0
     assert invoke(app, ["verify", str(packed)]).exit_code == 0
-    other = back / "a/hadamard/transport.json"
-    other.write_bytes(other.read_bytes()[:-2] + b"?\n")
-    result = invoke(app, ["collection", "unpack", str(packed), "-o", str(back)])
-    assert f"{other}: exists with another content" in str(result.exception)
+    changed = unpacked / "a/hadamard/transport.json"
+    changed.write_bytes(changed.read_bytes()[:-2] + b"?\n")
+    result = invoke(app, ["collection", "unpack", str(packed), "-o", str(unpacked)])
+    assert f"{changed}: exists with another content" in str(result.exception)
 
 
 @pytest.fixture(scope="module")

@@ -74,8 +74,10 @@ def test_a_crop_relights_as_the_full_transport(kind: str, run: Path) -> None:
         lit[part] = light[part]
         raised = rfpipe.crop(fresh, np.s_[1:, 2:], part).relight(light[part])
         np.testing.assert_allclose(raised, complete.relight(lit)[1:, 2:], atol=scale)
-    both = rfpipe.crop(fresh, 3, np.s_[6, :8])
-    assert np.allclose(both.toarray(), both.T.toarray().swapaxes(1, 2), atol=scale)
+    symmetric_part = rfpipe.crop(fresh, 3, np.s_[6, :8])
+    assert np.allclose(
+        symmetric_part.toarray(), symmetric_part.T.toarray().swapaxes(1, 2), atol=scale
+    )
 
 
 def test_missing_rays_are_refused(run: Path) -> None:

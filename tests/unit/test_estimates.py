@@ -77,10 +77,10 @@ def test_the_reports_tables_hold_what_the_acquisition_found(tmp_path) -> None:
     build_report(config, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
     history = open_transport(tmp_path / "corner" / "low_rank" / "transport.zarr").history
     tables, figures = tmp_path / "report" / "tables", tmp_path / "report" / "figures"
-    (row, other) = pd.read_csv(tables / "results.csv").to_dict("records")
+    (row, second_row) = pd.read_csv(tables / "results.csv").to_dict("records")
     estimated = history["estimated_error"].iloc[-1]
     assert row["estimated_error"] == pytest.approx(estimated, rel=1e-5)
     assert (row["target_error"], row["patterns"]) == (0.02, history["patterns"].iloc[-1])
-    assert np.isnan(other["estimated_error"])
+    assert np.isnan(second_row["estimated_error"])
     assert (figures / "speed_error.png").is_file()
     assert pd.read_csv(tables / "levels.csv")["rank1"].max() > 1

@@ -24,8 +24,8 @@ def faults(given: Shot, *exchanges: tuple[int, int]) -> list[Fault]:
     order = np.arange(len(given.pictures))
     for first, second in exchanges:
         order[[first, second]] = order[[second, first]]
-    patterns, pictures, *rest = given.arguments()
-    return faults_of(patterns, pictures[order], *rest)
+    patterns, pictures, *arguments = given.arguments()
+    return faults_of(patterns, pictures[order], *arguments)
 
 
 @pytest.mark.parametrize("given", SETS.values(), ids=SETS)
@@ -91,8 +91,8 @@ def test_random_patterns_without_complements_allow_no_test() -> None:
     patterns = (random.random((20, 64 * 64)) < 0.5).astype(np.float32)
     pictures = patterns[:, random.permutation(64 * 64)].astype(np.float32)
     for order in (np.arange(20), random.permutation(20)):
-        rest = ((64, 64), (64, 64), given.names[:20])
-        assert faults_of(patterns, pictures[order], *rest) == []
+        arguments = ((64, 64), (64, 64), given.names[:20])
+        assert faults_of(patterns, pictures[order], *arguments) == []
 
 
 @pytest.mark.parametrize(("name", "count"), [("phase:{1}x{0},period=16+48,steps=4,white=last", 17)])

@@ -160,13 +160,13 @@ def test_a_killed_upload_leaves_no_partial_object_and_continues(
     run: Path, address: str, faults: Faults
 ) -> None:
     command = [sys.executable, "-m", "rfpipe.cli", "keep", str(run), address]
-    for most in (1, 4):
-        faults.most = most
+    for limit in (1, 4):
+        faults.limit = limit
         uploader = subprocess.Popen(command, env=os.environ, stderr=subprocess.DEVNULL)
-        wait_until(lambda: len(faults.written()) >= faults.most and faults.under_way, "writes")
+        wait_until(lambda: len(faults.written()) >= faults.limit and faults.under_way, "writes")
         uploader.send_signal(signal.SIGKILL)
         assert uploader.wait() == -signal.SIGKILL
-        faults.most = None
+        faults.limit = None
         wait_until(lambda: not faults.under_way, "the end of what was sent")
         bucket = Bucket(address)
         assert len(bucket.sizes()) < N_OBJECTS

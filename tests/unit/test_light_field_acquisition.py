@@ -56,9 +56,9 @@ def test_the_field_is_recovered_in_a_sixth_of_the_patterns_of_brute_force(scene,
 def test_views_that_see_the_same_spots_alike_are_not_taken_for_smooth(tolerance):
     """Whole views light all views alike, whatever each ray does."""
     spots = generator(4).uniform(0.2, 1.0, 64)
-    one = np.diag(spots) + 0.02 * np.outer(spots, spots)
+    block = np.diag(spots) + 0.02 * np.outer(spots, spots)
     shape = (4, 8, 8)
-    matrix = np.kron(np.ones((4, 4)), one) / 8
-    found = acquire(OperatorRig(matrix, shape, shape), tolerance=tolerance, progress=False)
+    matrix = np.kron(np.ones((4, 4)), block) / 8
+    result = acquire(OperatorRig(matrix, shape, shape), tolerance=tolerance, progress=False)
     lit = generator(5).random((3, *shape)) < 0.5
-    assert picture_error(found.transport, matrix, lit) < 3 * tolerance
+    assert picture_error(result.transport, matrix, lit) < 3 * tolerance

@@ -82,25 +82,25 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
         assert bad.patterns <= 1.5 * good.patterns
     assert error(bad, matrix) < 1.25 * error(good, matrix)
     assert sum(row["patterns"] for row in bad.transport.level_rows) == bad.patterns
-    found, mask = dense(bad.transport)[0], BAD.ravel()
-    assert np.isfinite(found).all()
-    rows, columns = found[np.ix_(mask, ~mask)], found[np.ix_(~mask, mask)].T
+    estimate, mask = dense(bad.transport)[0], BAD.ravel()
+    assert np.isfinite(estimate).all()
+    rows, columns = estimate[np.ix_(mask, ~mask)], estimate[np.ix_(~mask, mask)].T
     if method == "dual":  # each response is spread by what others saw
         assert np.linalg.norm(rows - columns) < 0.1 * np.linalg.norm(columns)
         assert relative_rms(rows, matrix[np.ix_(mask, ~mask)]) < 0.1
     else:
-        np.testing.assert_allclose(rows, columns, atol=1e-6 * np.abs(found).max())
+        np.testing.assert_allclose(rows, columns, atol=1e-6 * np.abs(estimate).max())
     assert 0.5 < rows.sum() / matrix[np.ix_(mask, ~mask)].sum() < 2
     # what nobody has seen is not made up
-    assert np.diag(found)[mask].max() < 0.01 * np.median(np.diag(matrix))
+    assert np.diag(estimate)[mask].max() < 0.01 * np.median(np.diag(matrix))
     assert np.isfinite(bad.history["estimated_error"]).all()
 
 
 def test_unknown_pixels_are_no_error_that_a_target_is_missed_by() -> None:
     rig = BadPixels(rig_of(matrix_iv()), HOT, DEAD)
-    found = acquire(rig, "near_far", target_error=0.01, progress=False)
-    np.testing.assert_array_equal(found.masked, BAD)
-    assert 0 < found.history["estimated_error"].iloc[-1] < 0.01
+    result = acquire(rig, "near_far", target_error=0.01, progress=False)
+    np.testing.assert_array_equal(result.masked, BAD)
+    assert 0 < result.history["estimated_error"].iloc[-1] < 0.01
 
 
 @pytest.mark.parametrize("method", ["dual", "symmetric"])
@@ -108,18 +108,18 @@ def test_pixels_that_see_empty_space_are_left_as_they_are(method: str) -> None:
     matrix = matrix_iv()
     empty = np.ravel_multi_index(np.transpose([(5, 5), (9, 2), (9, 3)]), SHAPE)
     matrix[empty] = matrix[:, empty] = 0
-    found = acquire(rig_of(matrix), method, progress=False)
-    assert not found.masked.any()
+    result = acquire(rig_of(matrix), method, progress=False)
+    assert not result.masked.any()
     plain = acquire(rig_of(matrix), method, progress=False, mask_defects=False)
-    np.testing.assert_array_equal(pictures(found.transport), pictures(plain.transport))
+    np.testing.assert_array_equal(pictures(result.transport), pictures(plain.transport))
 
 
 def test_a_rig_that_is_not_coaxial_has_nothing_to_fill_in_from() -> None:
     matrix = matrix_iv()[:, np.random.default_rng(0).permutation(SIDE**2)]
     result = acquire(BadPixels(rig_of(matrix), HOT, DEAD), "brute_force", progress=False)
-    found = dense(result.transport)[0]
-    assert not found[BAD.ravel()].any()
-    assert relative_rms(found[~BAD.ravel()], matrix[~BAD.ravel()]) < 0.01
+    estimate = dense(result.transport)[0]
+    assert not estimate[BAD.ravel()].any()
+    assert relative_rms(estimate[~BAD.ravel()], matrix[~BAD.ravel()]) < 0.01
 
 
 def test_a_mosaic_hides_the_neighbours_of_a_hot_photosite() -> None:
@@ -132,8 +132,8 @@ def test_a_mosaic_hides_the_neighbours_of_a_hot_photosite() -> None:
             return frames
 
     # a ray a photosite: what is filled in between them is no symmetric transport
-    asked = {"symmetry_frames": 0, "progress": False}
-    result = acquire(HotPhotosite(rig, [], []), "symmetric", **asked)
+    options = {"symmetry_frames": 0, "progress": False}
+    result = acquire(HotPhotosite(rig, [], []), "symmetric", **options)
     assert result.masked.sum() == 9
     assert np.isfinite(dense(result.transport)).all()
 
@@ -152,6 +152,6 @@ def test_a_whole_corner_may_be_unknown() -> None:
     result = acquire(BadPixels(rig_of(matrix), corner, []), "symmetric", progress=False)
     assert result.masked.sum() == 16
     mask = result.masked.ravel()
-    found = dense(result.transport)[0]
-    assert np.isfinite(found).all()
-    assert relative_rms(found[~mask][:, ~mask], matrix[~mask][:, ~mask]) < 0.02
+    estimate = dense(result.transport)[0]
+    assert np.isfinite(estimate).all()
+    assert relative_rms(estimate[~mask][:, ~mask], matrix[~mask][:, ~mask]) < 0.02

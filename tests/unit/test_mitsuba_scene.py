@@ -110,9 +110,9 @@ def test_invalid_scenes_and_rigs_are_refused(tmp_path: Path, given: dict, said: 
 def test_a_recording_is_reused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = pictures(options(tmp_path, bounces=2))
     scene = MitsubaScene(options(tmp_path, bounces=2))
-    kept = read_manifest(scene.recording.folder / "matrix.json")
-    assert kept["light"]["bounces"] == 2
-    assert "mitsuba" in kept["versions"]
+    facts = read_manifest(scene.recording.folder / "matrix.json")
+    assert facts["light"]["bounces"] == 2
+    assert "mitsuba" in facts["versions"]
     monkeypatch.setattr(recording, "_record", None)
     np.testing.assert_array_equal(pictures(options(tmp_path, bounces=2)), first)
     with pytest.raises(TypeError):
@@ -151,10 +151,10 @@ def test_estimated_noise_matches_the_difference_of_two_seeds(tmp_path: Path) -> 
     scenes = [
         MitsubaScene(options(tmp_path, shape=(12, 16), samples=256, seed=seed)) for seed in (0, 1)
     ]
-    one, other = (scene.apply(lit).astype(np.float64) for scene in scenes)
+    first, second = (scene.apply(lit).astype(np.float64) for scene in scenes)
     estimated = np.hypot(*(scene.recorded["grain"]["whole"] for scene in scenes))
     assert {"mitsuba", "drjit", "llvm"} < set(scenes[0].recorded["versions"])
-    apart = np.linalg.norm(one - other) / np.linalg.norm((one + other) / 2)
+    apart = np.linalg.norm(first - second) / np.linalg.norm((first + second) / 2)
     assert estimated / 1.5 < apart < estimated * 1.5
 
 

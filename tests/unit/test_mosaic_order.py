@@ -28,8 +28,8 @@ def pictures(order: str, tint: np.ndarray = TINT, noise: float = 0.01) -> tuple:
     falloff = np.linspace(0.6, 1, albedo.shape[1])
     scene = 1000 * (albedo * falloff)[..., None] * tint
     crossed = 0.85 * np.eye(3) + 0.05  # filters let some of the other colours through
-    each = [scene * crossed[colour] for colour in range(3)]
-    light = np.stack([mosaic(image.astype(np.float32), order) for image in (sum(each), *each)])
+    images = [scene * crossed[colour] for colour in range(3)]
+    light = np.stack([mosaic(image.astype(np.float32), order) for image in (sum(images), *images)])
     light = light * (1 + noise * random.standard_normal(light.shape))
     return light[0].astype(np.float64), light[1:].astype(np.float64)
 
@@ -42,10 +42,10 @@ def test_coloured_pictures_find_the_order(order: str) -> None:
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_greens_leave_two_orders(order: str) -> None:
-    found = mosaic_of(pictures(order)[0], None).orders
-    assert order in found
-    assert len(found) == 2
-    assert {one[0] in "RB" for one in found} == {order[0] in "RB"}
+    orders = mosaic_of(pictures(order)[0], None).orders
+    assert order in orders
+    assert len(orders) == 2
+    assert {candidate[0] in "RB" for candidate in orders} == {order[0] in "RB"}
 
 
 def test_an_order_that_light_does_not_show_is_unknown() -> None:

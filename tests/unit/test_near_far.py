@@ -65,8 +65,8 @@ def smooth_views() -> np.ndarray:
     """Light between near directions, of two views of 3 x 5 rays alike."""
     row, column = (axis.ravel() for axis in np.mgrid[:3, :5])
     squared = np.subtract.outer(row, row) ** 2 + np.subtract.outer(column, column) ** 2
-    one = 0.02 * np.exp(-squared / 8)
-    return np.block([[one, one / 2], [one / 2, one]]) + 0.3 * np.eye(30)
+    block = 0.02 * np.exp(-squared / 8)
+    return np.block([[block, block / 2], [block / 2, block]]) + 0.3 * np.eye(30)
 
 
 # --- patterns and errors
@@ -77,15 +77,15 @@ def test_a_wedge_takes_far_fewer_patterns_than_by_symmetric_photography(
     noise: CameraConfig | None,
 ) -> None:
     scene = reference_scene("IV", (32, 32), channels=1)
-    few = run(scene, "near_far", noise)
-    many = run(scene, "symmetric", noise, tolerance=6e-3)
-    few_errors, many_errors = errors(scene, few.transport), errors(scene, many.transport)
-    assert len(few_errors) == 5
+    near_far = run(scene, "near_far", noise)
+    symmetric = run(scene, "symmetric", noise, tolerance=6e-3)
     # 0.29 and 0.38 % from 23 patterns, against 0.20 and 0.30 % from 65
-    assert max(few_errors) < 0.01
-    assert max(many_errors) < 0.01
-    assert few.patterns < 0.4 * many.patterns
-    assert few.history["estimated_error"].iloc[-1] <= 0.01
+    for transport in (near_far.transport, symmetric.transport):
+        relit_errors = errors(scene, transport)
+        assert len(relit_errors) == 5
+        assert max(relit_errors) < 0.01
+    assert near_far.patterns < 0.4 * symmetric.patterns
+    assert near_far.history["estimated_error"].iloc[-1] <= 0.01
 
 
 def test_a_scene_of_direct_light_takes_one_round_and_has_only_the_error_of_noise() -> None:

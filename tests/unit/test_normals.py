@@ -17,14 +17,14 @@ def degrees(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))
 
 
-@pytest.mark.parametrize(("gloss", "most"), [(0.0, 0.2), (1.0, 1.5)])
-def test_normals_of_a_ball_in_shadow_and_highlight(gloss: float, most: float) -> None:
+@pytest.mark.parametrize(("gloss", "max_degrees"), [(0.0, 0.2), (1.0, 1.5)])
+def test_normals_of_a_ball_in_shadow_and_highlight(gloss: float, max_degrees: float) -> None:
     lights = sphere_of_lights(20, 0.2)
     pictures, normals = ball(lights, gloss=gloss)
     pictures[RANDOM.random(pictures.shape) < 0.08] = 0  # cast shadows
     result = transport_of(pictures, lights).normals()
     assert result.mask.mean() > 0.95
-    assert np.median(degrees(result.normals, normals)[result.mask]) < most
+    assert np.median(degrees(result.normals, normals)[result.mask]) < max_degrees
     assert np.median(result.albedo[result.mask]) == pytest.approx(0.6, rel=0.05)
 
 

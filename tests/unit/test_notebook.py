@@ -15,8 +15,8 @@ NOTEBOOK = Path(__file__).parents[2] / "docs" / "first_steps.ipynb"
 
 def kinds(cell: nbformat.NotebookNode) -> list[tuple[str, ...]]:
     """In what forms the outputs of a cell are; what is printed may come in one piece or more."""
-    found = [(output.output_type, *sorted(output.get("data", ()))) for output in cell.outputs]
-    return [form for form, _ in groupby(found)]
+    forms = [(output.output_type, *sorted(output.get("data", ()))) for output in cell.outputs]
+    return [form for form, _ in groupby(forms)]
 
 
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[-+]\d+)?")
@@ -24,15 +24,15 @@ NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[-+]\d+)?")
 
 def check_alike(after: str, before: str) -> None:
     """Fail where texts differ, or their numbers by more than another processor explains."""
-    again = (
+    advice = (
         "it is not what the notebook shows; run jupyter execute --inplace docs/first_steps.ipynb"
     )
-    assert NUMBER.sub("#", after).split() == NUMBER.sub("#", before).split(), again
+    assert NUMBER.sub("#", after).split() == NUMBER.sub("#", before).split(), advice
     numbers = [
         [float(number.replace(",", "")) for number in NUMBER.findall(text)]
         for text in (after, before)
     ]
-    assert numbers[0] == pytest.approx(numbers[1], rel=0.25, abs=0.01), again
+    assert numbers[0] == pytest.approx(numbers[1], rel=0.25, abs=0.01), advice
 
 
 def texts(cell: nbformat.NotebookNode) -> str:

@@ -107,7 +107,7 @@ def test_the_password_of_an_address_reaches_its_server(run: Path) -> None:
         rfpipe.open_transport(f"{server.address.replace('://', '://jane:a%40b@')}/crate.zip")
         rfpipe.open_transport(f"{server.address}/crate.zip")
         given = f"Basic {base64.b64encode(b'jane:a@b').decode()}"
-        assert [*dict.fromkeys(server.told)] == [given, None]
+        assert [*dict.fromkeys(server.authorizations)] == [given, None]
 
 
 @pytest.mark.parametrize(

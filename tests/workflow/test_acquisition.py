@@ -73,7 +73,7 @@ def test_what_runs_again_does_nothing_again(tmp_path: Path) -> None:
 def test_one_process_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:
     with (
         StoreLock(tmp_path / "mine"),
-        pytest.raises(LockedError, match="is writing this store .*mine"),
+        pytest.raises(LockedError, match=r"is writing this store .*mine"),
     ):
         acquire(tmp_path / "mine", rig())
     assert not (tmp_path / "mine").exists()

@@ -25,10 +25,10 @@ def require(holds: bool | np.bool_, message: str) -> None:
         raise AssertionError(message)
 
 
-def require_close(found: NDArray[Any], expected: NDArray[Any], error: float, what: str) -> None:
+def require_close(actual: NDArray[Any], expected: NDArray[Any], error: float, what: str) -> None:
     """Raise AssertionError where the relative error (Frobenius) is above `error`."""
     expected = np.asarray(expected, np.float64)
-    off, scale = float(np.linalg.norm(found - expected)), float(np.linalg.norm(expected))
+    off, scale = float(np.linalg.norm(actual - expected)), float(np.linalg.norm(expected))
     require(off <= error * scale, f"{what} is {off:.3g} off of {scale:.3g}, more than {error:g}")
 
 

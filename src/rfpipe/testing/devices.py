@@ -157,8 +157,8 @@ class CameraContract:
         if isinstance(sensor, CameraModel):
             black = sensor.black_level_counts
             dark = black + self.steadiness * (sensor.white_level - black)
-        seen = f"{counts:.4g} of at least {dark:.4g} counts"
-        require((counts > dark) == is_on, f"{seen} where light is {'on' if is_on else 'off'}")
+        brightness = f"{counts:.4g} of at least {dark:.4g} counts"
+        require((counts > dark) == is_on, f"{brightness} where light is {'on' if is_on else 'off'}")
 
 
 def _means(camera: Camera) -> NDArray[np.float64]:

@@ -174,8 +174,11 @@ class MethodContract:
     def _matrix(self) -> NDArray[np.float64]:
         """Return direct light and smooth indirect light, symmetric where rays are shared."""
         camera, projector = (prod(shape) for shape in self._shapes())
-        one, other = np.linspace(0, 1, camera)[:, None], np.linspace(0, 1, projector)
-        smooth = np.exp(-3 * np.square(one - other)) / projector
+        camera_position, projector_position = (
+            np.linspace(0, 1, camera)[:, None],
+            np.linspace(0, 1, projector),
+        )
+        smooth = np.exp(-3 * np.square(camera_position - projector_position)) / projector
         bright, dim = np.array([[1, 0.7, 0.4], [0.6, 0.8, 1]])[..., None, None]
         matrix: NDArray[np.float64] = np.eye(camera, projector) * bright + smooth * dim
         return matrix
@@ -209,18 +212,18 @@ class MethodContract:
         transport = self._run(matrix).transport
         estimate = matrix_of(transport)
         width = transport.projector_shape[-1]
-        for channel, (found, true) in enumerate(zip(estimate, matrix, strict=True)):
+        for channel, (measured, true) in enumerate(zip(estimate, matrix, strict=True)):
             name = f"floodlight in channel {channel}"
-            require_close(found.sum(1), true.sum(1), self.floodlit_error, name)
+            require_close(measured.sum(1), true.sum(1), self.floodlit_error, name)
             for column in range(width):
                 name = f"light of the projector's column {column} in channel {channel}"
-                require_close(found[:, column::width], true[:, column::width], self.error, name)
+                require_close(measured[:, column::width], true[:, column::width], self.error, name)
         dot_test(transport)
         twice = matrix_of(self._run(2 * matrix).transport)
         require_close(twice, 2 * estimate, 1e-4, "twice the light")
-        one, other = generator(1).random((2, *transport.projector_shape), np.float32)
-        apart = 2 * transport.relight(one) + 3 * transport.relight(other)
-        joint = transport.relight(2 * one + 3 * other)
+        first, second = generator(1).random((2, *transport.projector_shape), np.float32)
+        apart = 2 * transport.relight(first) + 3 * transport.relight(second)
+        joint = transport.relight(2 * first + 3 * second)
         require_close(joint, apart, 1e-5, "the picture of a sum of patterns")
         with TemporaryDirectory(prefix="rfpipe-") as folder:
             save_transport(transport, Path(folder) / "transport.zarr")
@@ -284,13 +287,17 @@ class MethodContract:
             if not light.any() and not sigma:
                 require(not estimate.any(), "darkness gave light")
             total, true = estimate.sum((1, 2), dtype=np.float64), light.sum((1, 2))
-            most = 2 * true + self.significance * sigma * np.sqrt(matrix[0].size)
-            require(bool((total <= most).all()), f"{true} of light became {total} at noise {sigma}")
+            bound = 2 * true + self.significance * sigma * np.sqrt(matrix[0].size)
+            require(
+                bool((total <= bound).all()), f"{true} of light became {total} at noise {sigma}"
+            )
 
 
-def _require_same(found: Transport, expected: Transport) -> None:
-    (arrays, about), (reference, facts) = found.pack(), expected.pack()
+def _require_same(actual: Transport, expected: Transport) -> None:
+    (arrays, facts), (reference, expected_facts) = actual.pack(), expected.pack()
     assert_equal(sorted(arrays), sorted(reference), "names of arrays")
     for name, array in reference.items():
         assert_array_equal(arrays[name], array, name)
-    require(json.loads(json.dumps(about)) == json.loads(json.dumps(facts)), f"{about}")
+    require(
+        json.loads(json.dumps(facts)) == json.loads(json.dumps(expected_facts)), f"{expected_facts}"
+    )

@@ -60,14 +60,14 @@ class RigContract:
         with opened(self.make_rig()) as rig:
             patterns, keys = _batch(rig, 7)
             frames = rig.capture(patterns, keys)
-        with opened(self.make_rig()) as again:
+        with opened(self.make_rig()) as second_rig:
             for first, last in ((5, 7), (0, 1), (1, 5)):
-                part = again.capture(patterns[first:last], keys[first:last])
+                part = second_rig.capture(patterns[first:last], keys[first:last])
                 assert_array_equal(part, frames[first:last], "patterns captured by themselves")
-            backwards = again.capture(patterns[::-1], keys[::-1])
+            backwards = second_rig.capture(patterns[::-1], keys[::-1])
             assert_array_equal(backwards[::-1], frames, "frames in another order")
-            frames = again.capture(np.ones_like(patterns[:2]), keys[:2])
-            merged = again.sensor.merge(frames, _black(again)[0])
+            frames = second_rig.capture(np.ones_like(patterns[:2]), keys[:2])
+            merged = second_rig.sensor.merge(frames, _black(second_rig)[0])
             if merged.variance.max() > 0 and merged.radiance[0].size > 1:
                 require(not np.array_equal(*frames), "two keys got the same noise")
 
@@ -93,19 +93,22 @@ class RigContract:
             self._require_equal_light(light[7], variance[7], 0 * light[7], "black after white")
             require(not merged.saturated, "the floodlit pattern saturates: expose for less")
             sums, squares = (
-                one.reshape(8, -1).sum(1, dtype=np.float64) for one in (light, variance)
+                array.reshape(8, -1).sum(1, dtype=np.float64) for array in (light, variance)
             )
-            seen = sums[:4] > self.significance * np.sqrt(squares[:4])
-            require(seen.all(), f"light of the left, right, upper and lower edge: {sums[:4]}")
+            is_visible = sums[:4] > self.significance * np.sqrt(squares[:4])
+            require(is_visible.all(), f"light of the left, right, upper and lower edge: {sums[:4]}")
             parts, noise = light[4:6].sum(axis=0, dtype=np.float64), variance[4:7].sum(axis=0)
             self._require_equal_light(parts - light[6], noise, light[6], "halves")
             if sequence_patterns(rig):
                 by_hardware = capture_batch(rig, patterns, keys)
                 if self.repeatable:
                     assert_array_equal(by_hardware, frames, "a sequence's bytes")
-                other = rig.sensor.merge(by_hardware, black, count)
-                for index, off in enumerate(other.radiance - light):
-                    noise, name = variance[index] + other.variance[index], f"{index} of a sequence"
+                sequence = rig.sensor.merge(by_hardware, black, count)
+                for index, off in enumerate(sequence.radiance - light):
+                    noise, name = (
+                        variance[index] + sequence.variance[index],
+                        f"{index} of a sequence",
+                    )
                     self._require_equal_light(off, noise, light[index], f"pattern {name}")
 
     def test_rejects_what_cannot_be_shown(self) -> None:
@@ -126,7 +129,7 @@ class RigContract:
         """Compare sums over columns, with room for the rounding of float32 and of counts."""
         rows = tuple(range(difference.ndim - 2))
         total, square, brightness = (
-            one.sum(axis=rows, dtype=np.float64) for one in (difference, variance, scale)
+            array.sum(axis=rows, dtype=np.float64) for array in (difference, variance, scale)
         )
         rounding = 4 * float(np.finfo(np.float32).eps) * brightness
         above = np.abs(total) - self.significance * np.sqrt(square) - rounding

@@ -48,17 +48,19 @@ class SceneContract:
             assert_array_equal(flat, images, "apply() of patterns (B, N)")
         white = scene.apply(np.ones((1, *scene.projector_shape), np.float32))
         require(white.max() > 0, "no light comes back")
-        most = CameraModel().full_scale_radiance
+        maximum = CameraModel().full_scale_radiance
         brightest = np.quantile(white, 0.99)
-        require(brightest <= most, f"radiance is {brightest:.3g}; the default camera takes {most}")
+        require(
+            brightest <= maximum, f"radiance is {brightest:.3g}; the default camera takes {maximum}"
+        )
         _require_light(scene.albedo, (*scene.camera_shape, scene.channels), "albedo")
 
     def test_linearity(self) -> None:
         """The picture of a sum is the sum of the pictures; darkness gives darkness."""
         scene = self.make_scene()
         patterns = _patterns(scene, 2)
-        both, dark = 0.25 * patterns[0] + 0.5 * patterns[1], np.zeros_like(patterns[0])
-        first, second, mixed, black = scene.apply(np.stack([*patterns, both, dark]))
+        weighted_sum, dark = 0.25 * patterns[0] + 0.5 * patterns[1], np.zeros_like(patterns[0])
+        first, second, mixed, black = scene.apply(np.stack([*patterns, weighted_sum, dark]))
         require(not black.any(), "there is light in darkness")
         require_close(mixed, 0.25 * first + 0.5 * second, self.tolerance, "the picture of a sum")
 
@@ -97,10 +99,10 @@ class SceneContract:
         require_equal_descriptions(self.make_scene, lambda scene: scene.apply(_patterns(scene, 1)))
 
 
-def _require_light(found: NDArray[np.floating], shape: tuple[int, ...], name: str) -> None:
-    is_so = found.shape == shape and found.dtype == np.float32
-    require(is_so, f"{name} is {found.dtype} {found.shape}; expected float32 {shape}")
-    require(np.isfinite(found).all() and found.min() >= 0, f"{name} is negative, or not finite")
+def _require_light(image: NDArray[np.floating], shape: tuple[int, ...], name: str) -> None:
+    is_so = image.shape == shape and image.dtype == np.float32
+    require(is_so, f"{name} is {image.dtype} {image.shape}; expected float32 {shape}")
+    require(np.isfinite(image).all() and image.min() >= 0, f"{name} is negative, or not finite")
 
 
 def _patterns(scene: Scene, count: int) -> Float:
