@@ -146,11 +146,11 @@ def test_the_command_warns_of_too_little_disk_and_memory(
     assert output.count("dual") == 2
     assert "One after the other: 4:54:08" in output
     assert "may be too small" not in output
-    assert "of memory, and this machine" not in output
+    assert "of memory, but this machine" not in output
 
     monkeypatch.setattr(workers, "machine_memory_mb", lambda: 128)
     monkeypatch.setattr(files, "free_bytes", lambda _folder: 10)
     output = run("plan", config)
     assert "may be too small" in output
     assert "by dual probably needs" in output
-    assert "of memory, and this machine has 128 MB" in output
+    assert "MB of memory, but this machine has 128 MB" in output

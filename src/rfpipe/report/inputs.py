@@ -301,7 +301,7 @@ def rig_of(results: Path, run: Run) -> dict[str, Any]:
 
 
 def pictures_of(folder: Path) -> int | None:
-    """Return the number of pictures taken for an acquisition; None if unknown."""
+    """Return the number of pictures of an acquisition; None if unknown."""
     by_level = pictures_by_level(folder)
     return sum(by_level.values()) if by_level else None
 
