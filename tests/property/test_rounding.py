@@ -98,12 +98,12 @@ def test_rounding_is_idempotent(number_format, leaves):
 
 
 @pytest.mark.parametrize("number_format", FORMATS)
-@pytest.mark.parametrize("other", [-1e-3, np.nan, np.inf])
-def test_factors_that_are_not_light_are_not_rounded(number_format, second):
+@pytest.mark.parametrize("factor", [-1e-3, np.nan, np.inf])
+def test_factors_that_are_not_light_are_not_rounded(number_format, factor):
     values = np.random.default_rng(0).random((3, 30), dtype=np.float32)
     leaves = LeafSet(0, np.zeros(1, np.int32), np.zeros(1, np.int32), values)
     assert "codes" in pack_leaves(TREE, leaves, number_format)
-    values[1, 7] = second
+    values[1, 7] = factor
     assert pack_leaves(TREE, leaves, number_format)["values"] is values
 
 

@@ -45,8 +45,8 @@ def relative(image: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(image.ravel() - truth.ravel()) / np.linalg.norm(truth))
 
 
-@pytest.mark.parametrize(("count", "most"), [(12, 0.25), (24, 0.16), (48, 0.12)])
-def test_a_light_between_lights_is_nearer_than_the_nearest(count: int, limit: float) -> None:
+@pytest.mark.parametrize(("count", "limit"), [(12, 0.25), (24, 0.16), (48, 0.12)])
+def test_interpolated_light_is_better_than_the_nearest_light(count: int, limit: float) -> None:
     lights, remaining = sphere_of_lights(count, 0), sphere_of_lights(31, 0.2)
     truth, transport = ball(remaining)[0], transport_of(ball(lights)[0], lights)
     errors = [relative(transport.light_from(d), y) for d, y in zip(remaining, truth, strict=True)]
