@@ -20,7 +20,7 @@ from rfpipe.fitting.lights import check_lights
 from rfpipe.fitting.near_far import solve_near_far, unfit_for_near_far
 from rfpipe.fitting.noise import with_estimated_noise
 from rfpipe.fitting.series import Series
-from rfpipe.methods.images import nearest
+from rfpipe.methods.images import nearest_known
 from rfpipe.methods.states import level_row
 from rfpipe.transport.base import Transport
 
@@ -244,7 +244,9 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     is_resolved = (contrast > _RESOLVED * contrast.max(initial=0)) | (mean > 0.99)
     used = np.flatnonzero(is_resolved | (patterns == np.rint(patterns)).all(axis=1))
     # unknown pixels get the light of the nearest known pixel, which avoids edges
-    light = series.radiance[used].sum(axis=1)[:, nearest(series.known.reshape(camera.image_shape))]
+    light = series.radiance[used].sum(axis=1)[
+        :, nearest_known(series.known.reshape(camera.image_shape))
+    ]
     shapes = camera.image_shape, projector.image_shape
     faults = faults_of(patterns[used], light, *shapes, [names[int(index)] for index in used])
     exchanged = [fault.message for fault in faults if fault.kind == "exchanged"]

@@ -142,7 +142,7 @@ class State(Protocol):
         """The table of the levels so far, see `Transport.level_rows`."""
 
     def to_arrays(self, previous: Self) -> StateArrays:
-        """Return what the last level changed.
+        """Return the arrays and attributes that the last level changed.
 
         Parameters
         ----------
@@ -304,7 +304,7 @@ def get_method(method: str | MethodDescription | type[MethodDescription]) -> Met
     Raises
     ------
     InputError
-        If there is no such method, or the name leads to something else.
+        If no such method is installed, or the name leads to something else.
     """
     if isinstance(method, MethodDescription):
         return method
@@ -327,7 +327,7 @@ def options_of(method: MethodDescription, **options: Any) -> Options:
     Raises
     ------
     InputError
-        For each unknown option and each value out of range; says what was meant.
+        For each unknown option, with a similar name, and for each value out of range.
     """
     try:
         return method.Options.model_validate(options)

@@ -28,7 +28,7 @@ class Hadamard(BruteForce):
     Of all sets of n patterns of on and off for n unknowns, an S-matrix has the least noise where
     noise is the same in every picture: each entry of ``T`` has ``4 n / (n + 1)^2`` of a picture's
     variance, against 1 by brute force. Pure photon noise gives about twice the mean variance of
-    brute force. Nothing is clamped, as this would bias what is relit.
+    brute force. Negative entries stay, since clamping would bias relit pictures.
     """
 
     name = "hadamard"

@@ -15,21 +15,21 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.transport.base import Transport
 
-# Images read at a time.
 _BATCH_BYTES = 32 * 2**20
+"""Memory of the images that are read at a time."""
 
 
-class ImagesAs(NamedTuple):
-    """Images of a level for another method than the one that they were taken for."""
+class ScheduledImages(NamedTuple):
+    """`LevelImages` made of a schedule and a function that reads images of its patterns."""
 
     schedule: Schedule
     read: Callable[[int, int], tuple[Float, Float]]
 
 
 def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
-    """Cut a level's patterns into runs, first and after the last, whose images fit a batch.
+    """Yield the ranges ``first, last + 1`` of patterns whose images fit into a batch.
 
-    `image_size` is the number of an image's values.
+    `image_size` is the number of values of an image.
     """
     step = max(1, _BATCH_BYTES // (image_size * np.dtype(np.float32).itemsize))
     for first in range(0, count, step):
@@ -39,13 +39,13 @@ def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
 def planar_batches(
     images: LevelImages, channels: int, rays: int, first: int = 0, last: int | None = None
 ) -> Iterator[tuple[slice, Float, Float]]:
-    """Read a level's images, all or some, a few at a time, channel by channel.
+    """Read images ``first:last`` of a level, all by default, a few at a time, in planar form.
 
     Yields
     ------
     slice, ndarray of float32 (C, k, rays), ndarray of float32 (C, k, rays)
-        Which images, counted from the first; their radiance; its variance, with that of
-        `rounding`, above 0.
+        Numbers of the images, counted from `first`; their radiance; its variance, including that
+        of `rounding`, above 0.
     """
     last = images.schedule.count if last is None else last
     for begin, end in batches(last - first, channels * rays):
@@ -57,42 +57,59 @@ def planar_batches(
 
 
 def rounding(radiance: Float) -> Float:
-    """Return the variance of float32's rounding, which exact radiance has, too; at least tiny."""
+    """Variance of the rounding to float32, which exact radiance has, too; above 0."""
     least = np.finfo(np.float32).tiny
     spread: Float = np.maximum(np.square(np.finfo(np.float32).eps * radiance), least)
     return spread
 
 
 SIGNIFICANT = 3.0
-"""What exceeds noise by so many standard deviations is light."""
+"""Standard deviations of its noise above which light is significant."""
 
 
 def beyond_noise(
-    grid: tuple[int, ...], cell: NDArray[np.int64], *of_pixels: NDArray[Any]
+    grid: tuple[int, ...],
+    cell: NDArray[np.int64],
+    squared_error: NDArray[Any],
+    noise: NDArray[Any],
+    half_variance: NDArray[Any],
+    accepted: NDArray[Any],
 ) -> NDArray[np.bool_]:
-    """Find the cells of a grid that are off by more than noise makes, and by more than is allowed.
+    """Find the cells of a grid whose error exceeds both noise and the accepted error.
 
-    Of each pixel, which lies in `cell`: its squared errors, what noise makes of them, half of the
-    variance of that, and what is allowed.
+    Parameters
+    ----------
+    grid : tuple of int
+        Shape of the grid.
+    cell : ndarray of int64, shape (pixels,)
+        Number of the cell of each pixel.
+    squared_error, noise, half_variance, accepted : ndarray, shape (pixels,)
+        Squared error of each pixel, its expectation for noise alone, half of the variance of that,
+        and the accepted squared error.
+
+    Returns
+    -------
+    ndarray of bool, shape `grid`
     """
-    wrong, noise, chance, allowed = (
-        np.bincount(cell, each.astype(np.float64), prod(grid)) for each in of_pixels
+    error, expected, variance, limit = (
+        np.bincount(cell, values.astype(np.float64), prod(grid))
+        for values in (squared_error, noise, half_variance, accepted)
     )
-    excess = wrong - noise
-    beyond = (excess > SIGNIFICANT * np.sqrt(2 * chance)) & (excess > allowed)
-    return np.asarray(beyond.reshape(grid))
+    excess = error - expected
+    is_beyond = (excess > SIGNIFICANT * np.sqrt(2 * variance)) & (excess > limit)
+    return np.asarray(is_beyond.reshape(grid))
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures of patterns of light and dark; the first of an acquisition is floodlit.
+    """Pictures of on-off patterns; the first picture of an acquisition is floodlit.
 
     Attributes
     ----------
     lit : ndarray of bool, shape (P, N)
         The patterns.
     radiance, variance : ndarray of float32, shape (P, C, M)
-        The variance is infinite where a pixel is unknown: no fit, test or estimate looks at it.
+        The variance of an unknown pixel is infinite: no fit, test or estimate uses it.
     """
 
     lit: NDArray[np.bool_]
@@ -103,21 +120,21 @@ class Pictures:
     def read(
         cls, images: LevelImages, channels: int, pixels: int, first: int, last: int
     ) -> Pictures:
-        """Read some of a level's images."""
+        """Read images ``first:last`` of a level."""
         lit = images.schedule.batch(first, last) > 0
         radiance, variance = np.empty((2, len(lit), channels, pixels), np.float32)
         for part, observed, spread in planar_batches(images, channels, pixels, first, last):
             radiance[part], variance[part] = np.moveaxis(observed, 0, 1), np.moveaxis(spread, 0, 1)
         return cls(lit.reshape(len(lit), -1), radiance, variance)
 
-    def some(self, chosen: slice | NDArray[np.bool_]) -> Pictures:
-        """Return some of the pictures."""
-        return Pictures(self.lit[chosen], self.radiance[chosen], self.variance[chosen])
+    def select(self, pictures: slice | NDArray[np.bool_]) -> Pictures:
+        """Select pictures."""
+        return Pictures(self.lit[pictures], self.radiance[pictures], self.variance[pictures])
 
     @property
     def probes(self) -> Pictures:
-        """All pictures but the floodlit one."""
-        return self.some(slice(1, None))
+        """All pictures except the floodlit one."""
+        return self.select(slice(1, None))
 
     @property
     def floodlit(self) -> Float:
@@ -126,63 +143,63 @@ class Pictures:
 
     @property
     def channels(self) -> int:
-        """Colour channels."""
+        """Number of colour channels."""
         return int(self.radiance.shape[1])
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Pixels that the pictures show, (M,)."""
+        """Whether each pixel is known, bool (M,)."""
         return np.asarray(np.isfinite(self.variance[0]).all(axis=0))
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Pixels that are known and not saturated in any picture, (M,)."""
+        """Whether each pixel is known, and saturated in no picture, bool (M,)."""
         saturated = are_saturated(self.radiance, self.variance).any(axis=(0, 1))
         return self.known & ~saturated
 
     @property
     def noise(self) -> float:
-        """The floodlit image's noise over its light; 1 of what is darker than that."""
+        """Noise of the floodlit image over its light; 1 if it has less light than noise."""
         measured = self.measured
         light = np.square(self.radiance[0][:, measured], dtype=np.float64).sum()
         noise = self.variance[0][:, measured].sum(dtype=np.float64)
         return float(np.sqrt(noise / light)) if light > noise else 1.0
 
-    def shine(self) -> bool:
-        """Tell whether the floodlit image as a whole is brighter than its noise."""
+    def has_light(self) -> bool:
+        """Test whether the sum of the floodlit image is significantly above its noise."""
         known = self.known
         light = float(self.radiance[0][:, known].sum(dtype=np.float64))
         noise = float(np.sqrt(self.variance[0][:, known].sum(dtype=np.float64)))
         return light > SIGNIFICANT * noise
 
     def channel(self, index: int) -> Pictures:
-        """Return one channel."""
+        """Select a channel."""
         part = slice(index, index + 1)
         return Pictures(self.lit, self.radiance[:, part], self.variance[:, part])
 
     def grey(self) -> Pictures:
-        """Return the sum of the channels as one."""
+        """Add up the channels."""
         return Pictures(
             self.lit,
             self.radiance.sum(axis=1, keepdims=True),
             self.variance.sum(axis=1, keepdims=True),
         )
 
-    def completed(self, shape: tuple[int, ...]) -> Pictures:
-        """Return pictures whose unknown pixels are as bright as the nearest known one's.
+    def with_unknown_filled(self, shape: tuple[int, ...]) -> Pictures:
+        """Fill unknown pixels with the radiance of the nearest known ones.
 
-        Models take from the floodlit image how much light a ray sends; a pixel that nobody sees
-        still lights others.
+        Models read from the floodlit image how much light a ray sends; a surface at a pixel that
+        the camera doesn't see still lights other surfaces.
         """
         unknown = np.asarray(np.isinf(self.variance).any(axis=(0, 1)))
         if not unknown.any():
             return self
-        pixel = nearest(~unknown.reshape(shape))
+        pixel = nearest_known(~unknown.reshape(shape))
         return Pictures(self.lit, self.radiance[..., pixel], self.variance)
 
 
-def nearest(known: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return for each pixel of an image the number of the nearest known one, int64 (pixels,)."""
+def nearest_known(known: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Number of the known pixel that is nearest to each pixel of an image, int64 (pixels,)."""
     from scipy.ndimage import distance_transform_edt
 
     place = distance_transform_edt(~known, return_distances=False, return_indices=True)

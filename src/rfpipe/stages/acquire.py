@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class AcquisitionResult:
-    """What an acquisition in process returns.
+    """Result of an acquisition in process.
 
     Attributes
     ----------
@@ -104,39 +104,37 @@ def acquire(
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
 
-    Ctrl-C ends it with what the levels before have told, if there is one.
+    Ctrl-C ends it with the transport of the levels so far, if level 0 is complete.
 
     Parameters
     ----------
     rig : Rig
     method : str or MethodDescription
-        A name in `rfpipe.methods.method_names`, the path of a class of one's own as
+        A name in `rfpipe.methods.method_names`, the path of your own class as
         ``module:Class`` or ``file.py:Class``, or a method itself.
     progress : bool
-        Whether to show progress bars of captures and fits on stderr, and to log what methods
-        estimate of their error.
+        Whether to show progress bars of captures and fits on stderr.
     black_frames : int
-        All-off brackets whose mean is subtracted; at least 1. Exact radiance takes one.
+        Number of all-off brackets, whose mean is subtracted; at least 1. Exact radiance takes one.
     floodlit_frames : int
-        All-on brackets to whose mean each level's images are scaled; at least 1. Exact radiance
-        takes one.
+        Number of all-on brackets, to whose mean each level's images are scaled; at least 1. Exact
+        radiance takes one.
     symmetry_frames : int
-        Brackets of random patterns by which methods see whether the rig is coaxial, if they ask,
-        3 or more; 0 for none.
+        Number of brackets of random patterns that measure whether the rig is coaxial, for methods
+        that depend on it; at least 3, or 0 not to measure it.
     asymmetry : float
-        Error in relit pictures, relative to their norm, that taking the rig for a coaxial one may
-        make.
+        Accepted error in relit pictures, relative to their norm, of treating the rig as coaxial.
     mask_defects : bool
-        Whether dead and hot pixels are left out. On a coaxial rig, what other pixels see of their
-        light fills them in at the end; otherwise their rows of T are zero.
+        Whether dead and hot pixels are masked. On a coaxial rig their rows of T are filled from
+        their columns; on other rigs the rows are zero.
     watch : {"off", "warn", "refuse"}, optional
-        What to do where pictures show that the rig or its light changed: "refuse" raises
+        Reaction to pictures that show that the rig or its light changed: "refuse" raises
         CaptureError. None: "refuse", "off" with a simulated rig.
     divide_out_drift : bool, optional
         Whether images are divided by the lamp's brightness. None: with rigs that aren't simulated.
     verification : int, optional
-        Pictures that the method doesn't see, taken afterwards to compare the transport with; 0 for
-        none. None: 9, 0 with a simulated rig.
+        Number of pictures that verify the transport, taken afterwards; 0 for none. None: 9, 0 with
+        a simulated rig.
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
@@ -152,8 +150,8 @@ def acquire(
         If the method lacks an option, one is out of range, the method does not fit the rig, or
         `rig` can't capture.
     CaptureError
-        If the rig fails or returns what can't be a picture, if it isn't coaxial and the method
-        needs it, or if it or its light changes and `watch` is "refuse".
+        If the rig fails or returns invalid pictures, if the method needs a coaxial rig and the rig
+        isn't coaxial, or if the rig or its light changes and `watch` is "refuse".
     """
     if not hasattr(rig, "capture"):
         raise InputError(
@@ -212,7 +210,7 @@ def acquire(
 
 
 def _verified(acquisition: Acquisition, transport: Transport, pictures: int) -> Verification:
-    """Compare the transport with pictures taken for it; log a missed target."""
+    """Capture pictures that verify the transport; log a missed target."""
     storage, plan = acquisition.storage, acquisition.plan
     schedule = verification_schedule(plan.projector.shape, pictures)
     write_schedule(storage, VERIFICATION, "", schedule)

@@ -64,10 +64,10 @@ def _timed(acquisition: Acquisition, stage: str, level: int) -> Any:
 
 
 def acquire_transport(acquisition: Acquisition) -> None:
-    """Acquire a transport in files, or what is missing of it; ``transport.json`` comes last.
+    """Acquire a transport in files; complete stages are skipped, ``transport.json`` comes last.
 
     The caller locks the folder. Where a stage finds an earlier result damaged, that one is made
-    again, once, unless it is a capture. Other errors are those of the stages; all results stay.
+    again, once, unless it is a capture. Other errors come from the stages; all results stay.
     """
     cleared: set[Path] = set()
     while True:
@@ -78,6 +78,6 @@ def acquire_transport(acquisition: Acquisition) -> None:
             if error.manifest in cleared or not clear(error):
                 raise
             cleared.add(error.manifest)
-            _log.warning("%s: made anew. %s", error.manifest, error.problem)
+            _log.warning("%s: runs again. %s", error.manifest, error.problem)
         else:
             return

@@ -102,7 +102,7 @@ def capture_brackets(
     Raises
     ------
     CaptureError
-        When the rig fails or returns invalid frames; what is captured stays.
+        When the rig fails or returns invalid frames; captured brackets stay.
     """
     name, count = brackets.name, brackets.count
     with record(rig, storage, brackets) as frames:

@@ -62,7 +62,7 @@ class StageJob:
         )
 
     def acquisition(self, rule: str) -> Acquisition:
-        """Return the inputs of stages, with the method that the rule goes on with."""
+        """Return the inputs of stages; after level 0's merge, with the method for the rig."""
         plan = Plan.of(**self.snakemake.params.plan)
         if self.level > 0 or rule not in _BEFORE_SYMMETRY:
             is_logged = rule == "normalize" and self.level == 0

@@ -140,8 +140,8 @@ def chunk_patterns(image_shape: tuple[int, ...]) -> int:
 def merge_pieces(count: int, image_shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Divide a level's patterns into the ranges that are merged and summed as a piece of work.
 
-    The ranges don't depend on memory, threads or cluster, so that a level's sum, which is that of
-    its pieces, has the same bits everywhere.
+    The ranges don't depend on memory, threads or cluster, so that a level's sum, the sum
+    of its pieces, has the same bits everywhere.
     """
     step = _CHUNKS_PER_PIECE * chunk_patterns(image_shape)
     return [(first, min(first + step, count)) for first in range(0, count, step)]

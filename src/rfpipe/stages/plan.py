@@ -90,7 +90,7 @@ class Plan:
 
     @property
     def measures_symmetry(self) -> bool:
-        """Whether the rig's symmetry is measured before level 0."""
+        """True if the rig's symmetry is measured before level 0."""
         return self.description.measures_symmetry(self.camera, self.projector)
 
     def start(self) -> Any:
@@ -100,7 +100,7 @@ class Plan:
     def restored_state(self, storage: Storage, level: int) -> Any:
         """Read the method's state before a level; large arrays are read when first used.
 
-        Errors are those of `Storage.open`.
+        Errors: see `Storage.open`.
         """
         start = self.start()
         levels = []

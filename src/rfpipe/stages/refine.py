@@ -9,7 +9,7 @@ from typing import Any
 
 from rfpipe.jobs.job import Progress
 from rfpipe.methods import LevelImages
-from rfpipe.methods.images import ImagesAs
+from rfpipe.methods.images import ScheduledImages
 from rfpipe.provenance import fingerprint
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.context import Acquisition
@@ -48,7 +48,7 @@ def run(acquisition: Acquisition, level: int) -> Any:
         images: LevelImages = NormalizedImages(schedule, merged, factors)
         if schedule.count == 1 and schedule.complete:  # the floodlit image has far less noise
             floodlit, variance = (image[None] for image in read_floodlit(storage))
-            images = ImagesAs(schedule, lambda *_: (floodlit, variance))
+            images = ScheduledImages(schedule, lambda *_: (floodlit, variance))
         with displayed_by(partial(Progress, unit="step", shown=acquisition.settings.progress)):
             state = plan.method.refine(previous, images, acquisition.resources.data_bytes)
     _log_estimate(state.rows, plan.options)

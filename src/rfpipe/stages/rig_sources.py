@@ -36,9 +36,9 @@ class RigSource(Protocol):
 
     @property
     def recorded_rig_suffices(self) -> bool:
-        """Whether a level captured by the rig of its manifest counts as captured.
+        """True if a level that the rig of its manifest captured counts as captured.
 
-        Otherwise the rig of today is compared with it.
+        Otherwise that rig is compared with the current one.
         """
 
     def rig(self, storage: Storage, level: int) -> AbstractContextManager[Rig]:
@@ -80,7 +80,7 @@ class OfflineSource:
 
 @dataclass(frozen=True)
 class RemoteSource:
-    """A rig behind an acquisition server, which isn't asked where no brackets are missing.
+    """A rig behind an acquisition server; it is connected only if brackets are missing.
 
     Attributes
     ----------
@@ -110,9 +110,9 @@ class RemoteSource:
         Raises
         ------
         ConfigError
-            When there is no token.
+            When the token is missing.
         CaptureError
-            When the rig doesn't answer, has other rays, or isn't that of the brackets so far.
+            When the rig doesn't answer, has other rays, or didn't take the brackets so far.
         """
         assert isinstance(storage, AcquisitionFolder)
         if self.placing:
@@ -183,9 +183,9 @@ def check_retakes(config: Config, retakes: Collection[Retake]) -> None:
     Raises
     ------
     ConfigError
-        When there is no token.
+        When the token is missing.
     CaptureError
-        When the rig doesn't answer, has other rays, or isn't that of the pictures which stay.
+        When the rig doesn't answer, has other rays, or didn't take the pictures that stay.
     """
     if config.capture.rig != "remote":
         return
@@ -233,7 +233,7 @@ def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
 
 
 def _check_same_rig(rig: RemoteRig, folder: AcquisitionFolder) -> None:
-    """Refuse to go on with another rig than that of the brackets on disk."""
+    """Refuse another rig than the one that took the brackets on disk."""
     recorded, described = _recorded_rig(folder), rig_settings(rig)
     if recorded not in (None, described):
         raise CaptureError(

@@ -169,14 +169,17 @@ def plan_settings(config: Config, scene: str, name: str) -> dict[str, Any]:
 
 def rig_source_settings(config: Config, scene: str) -> dict[str, Any]:
     """Return the arguments of `rfpipe.stages.rig_sources.rig_source` for a scene."""
-    about, scene_config = config.scenes[scene], config.of_scene(scene)
+    scene_settings, scene_config = config.scenes[scene], config.of_scene(scene)
     camera = {"camera": scene_config.camera and scene_config.camera.model_dump(mode="json")}
     if config.capture.rig == "remote":
-        return {"kind": "remote", "settings": _rays(about)}
+        return {"kind": "remote", "settings": _rays(scene_settings)}
     if config.capture.rig == "offline":
         offline = scene_config.offline.model_dump(mode="json")
-        return {"kind": "offline", "settings": {"offline": offline, **camera, **_rays(about)}}
-    settings = {"scene": about.scene_options(), **camera, "seed": scene_config.seed}
+        return {
+            "kind": "offline",
+            "settings": {"offline": offline, **camera, **_rays(scene_settings)},
+        }
+    settings = {"scene": scene_settings.scene_options(), **camera, "seed": scene_config.seed}
     return {"kind": "simulated", "settings": settings}
 
 

@@ -1,4 +1,4 @@
-"""Protocol of the storage of an acquisition, and the names of what it holds.
+"""Protocol of the storage of an acquisition, and the names of its contents.
 
 Each stage of a level writes arrays or frames, its *store*, and a *manifest*: plain data about them,
 written last. Some stages write further stores, *parts*, which their manifest describes by a key.
@@ -65,7 +65,7 @@ class Frames(Protocol):
 
     @property
     def done(self) -> NDArray[np.bool_]:
-        """Whether each item is written, bool (items,)."""
+        """Mask of the items that are written, bool (items,)."""
 
     def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
         """List the runs ``(first, last + 1)`` of items to be written, of at most `longest`."""
@@ -116,7 +116,7 @@ class Storage(Protocol):
         """Write a manifest alone."""
 
     def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
-        """Read a stage's arrays, or those of a part, and the store's attributes."""
+        """Read the arrays of a stage, or of a part, and the store's attributes."""
 
     def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
         """Return the same as `read`, with arrays that are read when first used."""

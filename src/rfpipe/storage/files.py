@@ -94,7 +94,7 @@ def current_manifest(manifest: Path, fingerprint: str) -> Facts | None:
         # the manifest of a schedule has no fingerprint
         attributes = facts if "fingerprint" in facts else open_arrays(store).attributes
     except IntegrityError as error:
-        _log.warning("made anew, since it is damaged: %s", error)
+        _log.warning("written again, since it is damaged: %s", error)
     except StoreError:
         pass
     else:
@@ -424,7 +424,7 @@ class AcquisitionFolder:
                     self.exists(level, "schedule")
                     and self.read_manifest(level, "schedule")["patterns"]
                 )
-            except IntegrityError:  # it is about to be made anew
+            except IntegrityError:  # it is about to be written again
                 return
             if not is_shown:
                 return
@@ -490,30 +490,30 @@ def raising_damage_of(manifest: Path) -> Iterator[None]:
 
 
 def clear(error: DamagedStageError) -> bool:
-    """Remove the manifest of a damaged stage, so that it is made anew; tell whether it is.
+    """Remove the manifest of a damaged stage, so that the stage runs again; return whether it does.
 
-    So are those of its level that follow from it. Captures are left to the user, who knows whether
-    the scene still stands there: of theirs, headers alone are restored.
+    The manifests of the following stages of its level are removed, too. Captures stay, since only
+    the user knows whether the scene is still in place; of a capture, damaged headers are restored.
     """
     manifest = error.manifest
     if manifest.stem == "capture":
         restored = [restore_header(store) for store in manifest.parent.glob("*.zarr")]
         if not any(restored):
             return False
-    for each in with_followers(manifest):
-        each.unlink(missing_ok=True)
+    for path in with_followers(manifest):
+        path.unlink(missing_ok=True)
     return True
 
 
 def with_followers(manifest: Path) -> list[Path]:
-    """Return a stage's manifest and those of its level that are to go with it.
+    """Return the manifests of a stage and of the following stages of its level.
 
-    Snakemake makes a missing file again only for one that follows from it and is missing, too.
+    Snakemake makes a missing file again only if a file that follows from it is missing, too.
     """
     if manifest.stem not in STAGES:
         return [manifest]
-    rest = STAGES[STAGES.index(manifest.stem) :]
-    return [manifest.with_name(f"{stage}.json") for stage in rest]
+    followers = STAGES[STAGES.index(manifest.stem) :]
+    return [manifest.with_name(f"{stage}.json") for stage in followers]
 
 
 def _check_digest(path: Path | Place, digest: str, expected: Facts) -> None:

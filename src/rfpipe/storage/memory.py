@@ -19,7 +19,7 @@ from rfpipe.rigs.base import is_simulated
 from rfpipe.storage.base import Arrays, Facts, WhenChanged, level_name, rig_settings
 from rfpipe.units import RADIANCE
 
-# ruff: noqa: D102, ARG002 - methods and arguments are those of Storage and Frames
+# ruff: noqa: D102, ARG002 - methods and arguments as in Storage and Frames
 
 
 class AcquisitionInMemory:
@@ -180,7 +180,7 @@ class FramesInMemory:
         yield add
 
     def enter(self, start: int, digests: list[str]) -> None:
-        """Do nothing: there is no journal."""
+        """Do nothing: frames in memory have no journal."""
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
         return self._items[start:stop]

@@ -1,4 +1,4 @@
-"""What every acquisition method must do."""
+"""Contract of acquisition methods: tests that every method should pass."""
 
 from __future__ import annotations
 
@@ -190,7 +190,9 @@ class MethodContract:
         method = self.make_method()
         require(bool(re.fullmatch(r"[a-z][a-z0-9_]*", method.name)), f"name is {method.name!r}")
         require(bool(method.title), "title is empty")
-        require(is_color_like(method.colour), f"colour {method.colour!r} is none of matplotlib's")
+        require(
+            is_color_like(method.colour), f"colour {method.colour!r} is not one of matplotlib's"
+        )
         fields = method.Options.model_fields.items()
         bare = [name for name, field in fields if not field.description]
         require(not bare, f"options without a description: {', '.join(bare)}")
@@ -205,8 +207,11 @@ class MethodContract:
             require(forecast.patterns > 0, f"{forecast.patterns} patterns for {shape}")
             require(forecast.max_patterns >= forecast.patterns, f"{forecast} for {shape}")
             require(forecast.memory_bytes > 0, f"{forecast} for {shape}")
+        if method.needs_coaxial_rig:
+            matrix = np.zeros((prod(_ANY[0]), prod(_ANY[1])))
+            require_raises(InputError, partial(run_method, method, matrix, *_ANY))
 
-    def test_a_small_matrix_is_found(self) -> None:
+    def test_a_small_matrix_is_estimated(self) -> None:
         """The matrix, its floodlit image and its dual; stored as it is, and linear in light."""
         matrix = self._matrix()
         transport = self._run(matrix).transport
@@ -272,13 +277,13 @@ class MethodContract:
                 _require_same(method.transport(after), method.transport(run.states[level + 1]))
 
     def test_memory_changes_nothing(self) -> None:
-        """As little as there may be gives the same bytes."""
+        """A memory limit of 64 KiB gives the same bytes as the default."""
         for sigma in (0.0, 0.01):
             small = self._run(self._matrix(), sigma=sigma, memory_bytes=2**16)
             _require_same(small.transport, self._run(self._matrix(), sigma=sigma).transport)
 
     def test_light_is_finite_and_not_invented(self) -> None:
-        """Not from darkness, nor from noise, nor where a channel has no light."""
+        """Dark scenes, noise and dark channels give no light."""
         matrix = self._matrix()
         dim = matrix * np.array([1, 0, 1])[:, None, None]
         for light, sigma in ((0 * matrix, 0.0), (0 * matrix, 0.1), (matrix, 0.3), (dim, 0.01)):

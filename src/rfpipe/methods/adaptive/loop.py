@@ -53,7 +53,7 @@ from rfpipe.methods.base import (
     get_method,
 )
 from rfpipe.methods.error_estimate import HELD_OUT, Estimate, estimate_error, held_out_patterns
-from rfpipe.methods.images import ImagesAs, Pictures
+from rfpipe.methods.images import Pictures, ScheduledImages
 from rfpipe.methods.residual.fit import fit_residual
 from rfpipe.methods.residual.model import CameraCells, residual_cells
 from rfpipe.methods.residual.patterns import block_patterns
@@ -240,7 +240,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
             for images in (pictures.radiance, pictures.variance)
         )
         schedule = Schedule.floodlit(state.projector.shape)
-        floodlit = ImagesAs(schedule, lambda *_: (radiance, variance))
+        floodlit = ScheduledImages(schedule, lambda *_: (radiance, variance))
         inner = self._hierarchy(state).refine(hierarchy_start(state), floodlit)
         return replace(state, hierarchy_state=inner)
 

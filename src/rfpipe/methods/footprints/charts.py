@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rfpipe.array_types import Bools, Double, Float, Index
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.images import nearest
+from rfpipe.methods.images import nearest_known
 from rfpipe.transport.multiscale import MultiscaleBasis, along, numbers
 
 if TYPE_CHECKING:
@@ -147,6 +147,6 @@ def _extrapolated(camera: RayDomain, places: Double, known: Bools, shape: Index)
     expected = np.stack([row * shape[0] / height, column * shape[1] / width], axis=-1)
     parallax = places.reshape(views, -1, 2) - expected
     for in_view, known_in_view in zip(parallax, known.reshape(views, height, width), strict=True):
-        in_view[:] = in_view[nearest(known_in_view)] if known_in_view.any() else 0
+        in_view[:] = in_view[nearest_known(known_in_view)] if known_in_view.any() else 0
     extrapolated: Double = (expected + parallax).reshape(-1, 2)
     return extrapolated

@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpipe.array_types import Bools
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.images import nearest, relight_white
+from rfpipe.methods.images import nearest_known, relight_white
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, residual_cells, root_factor
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport
@@ -60,7 +60,7 @@ def projector_cells(
     lights_camera = light > 0
     places = np.stack(moments) / np.where(lights_camera, light, 1) / camera_cells.cells.side
     if lights_camera.any() and not lights_camera.all():
-        places = places[:, nearest(lights_camera.reshape(cells.stack))]
+        places = places[:, nearest_known(lights_camera.reshape(cells.stack))]
     white = np.ones((1, len(channels), camera.size), np.float32)
     sent = np.maximum(model.adjoint(white, channels)[0], 0)
     return ProjectorCells(cells, root_factor(sent), places.T.astype(np.float32))

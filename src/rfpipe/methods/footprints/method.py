@@ -235,7 +235,7 @@ class FootprintState(AdaptiveState):
 def first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
     """Make the model of the floodlit picture alone."""
     suits = suits_random_patterns(state.projector, state.options.patterns)
-    is_suitable = suits and floodlit.some(slice(0, 1)).shine()
+    is_suitable = suits and floodlit.select(slice(0, 1)).has_light()
     return FootprintModel(state.camera, state.projector, floodlit.floodlit, is_suitable)
 
 

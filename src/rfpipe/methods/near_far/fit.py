@@ -74,7 +74,7 @@ def fit_smooth_model(shape: tuple[int, ...], pictures: Pictures) -> SmoothModel:
     patches = patches_of(_refined_basis(shape, grey, data))
     basis = patches.basis
     cores = np.zeros((pictures.channels, len(basis.first)), np.float32)
-    if not grey.shine():
+    if not grey.has_light():
         return SmoothModel(shape, basis.functions, cores)
     problem = CoreProblem.from_data(patches, data)
     # in the first fit, cores that few patterns determine stay near 0; their deviations are learned
@@ -87,7 +87,7 @@ def fit_smooth_model(shape: tuple[int, ...], pictures: Pictures) -> SmoothModel:
         return SmoothModel(shape, basis.functions, cores)
     for index in range(pictures.channels):
         channel = pictures.channel(index)
-        if not channel.shine():
+        if not channel.has_light():
             continue
         single = channel_data(channel)
         scale = np.float32(single.core_scale / data.core_scale if data.core_scale else 0)
@@ -106,7 +106,7 @@ def _refined_basis(
         return basis if len(basis.first) <= _MOST_PAIRS else None
 
     def cells_to_refine(basis: MultiscaleBasis, scale: int) -> NDArray[np.bool_]:
-        if not pictures.shine():
+        if not pictures.has_light():
             return np.zeros(cells(shape, scale), np.bool_)
         problem = CoreProblem.from_data(patches_of(basis), data)
         cores = problem.solve(prior_deviations(basis, data), _COARSE)

@@ -105,7 +105,7 @@ class CameraCells:
     @classmethod
     def of_pictures(cls, shape: tuple[int, ...], pictures: Pictures) -> CameraCells:
         """Compute the factor from pictures; channels of noise alone are dark."""
-        shining = [pictures.channel(index).shine() for index in range(pictures.channels)]
+        shining = [pictures.channel(index).has_light() for index in range(pictures.channels)]
         floodlit = pictures.floodlit * np.reshape(shining, (-1, 1))
         return cls.of(residual_cells(shape), floodlit, pictures.known)
 
