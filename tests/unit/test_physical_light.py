@@ -60,8 +60,8 @@ def half_pattern(scene: MitsubaScene) -> np.ndarray:
     return pattern.ravel()
 
 
-def differ(one: np.ndarray, other: np.ndarray) -> float:
-    return float(np.linalg.norm(one - other) / np.linalg.norm(other))
+def differ(actual: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(actual - expected) / np.linalg.norm(expected))
 
 
 def rendered(
@@ -133,9 +133,9 @@ def test_the_first_row_of_a_texture_is_on_top(tmp_path: Path) -> None:
     picture[:32] = 0.8  # above
     picture[:, :32, 0] = 0.5  # red, at the left
     plane = sheet((0, 0, 0), (0.6, 0, 0), (0, 0.6, 0), textured(picture))
-    seen = flood(scene_of(tmp_path, world(plane), bounces=1))
-    assert seen[:3, 6:, 1].mean() > 5 * seen[-3:, 6:, 1].mean()
-    assert seen[:, :3, 0].mean() == pytest.approx(0.5, rel=0.03)
+    image = flood(scene_of(tmp_path, world(plane), bounces=1))
+    assert image[:3, 6:, 1].mean() > 5 * image[-3:, 6:, 1].mean()
+    assert image[:, :3, 0].mean() == pytest.approx(0.5, rel=0.03)
 
 
 # A mirror at 45 degrees shows a wall at the right as it looks from where the view's image stands.
@@ -148,9 +148,9 @@ OTHER = view((0.5, 2.5, 0.3), (2, 0, 0), 60)
 def test_a_mirror_shows_the_picture_from_behind_it(tmp_path: Path) -> None:
     by_mirror = scene_of(tmp_path, world(MIRROR, WALL, projector=OTHER, bounces=2))
     directly = scene_of(tmp_path, world(WALL, camera=IMAGE_OF_AHEAD, projector=OTHER, bounces=1))
-    seen, expected = half_lit(by_mirror), half_lit(directly)[:, ::-1] * 0.9
-    assert differ(seen, expected) < 0.03
-    assert differ(seen, expected[:, ::-1]) > 0.1  # a letter that isn't its own image
+    reflected, expected = half_lit(by_mirror), half_lit(directly)[:, ::-1] * 0.9
+    assert differ(reflected, expected) < 0.03
+    assert differ(reflected, expected[:, ::-1]) > 0.1  # a letter that isn't its own image
 
 
 def test_a_mirror_reflects_a_pattern_as_a_virtual_projector(tmp_path: Path) -> None:
@@ -159,17 +159,17 @@ def test_a_mirror_reflects_a_pattern_as_a_virtual_projector(tmp_path: Path) -> N
     directly = scene_of(
         tmp_path, world(WALL, camera=OTHER, projector=IMAGE_OF_AHEAD, bounces=1), 1024
     )
-    seen, expected = (
+    reflected, expected = (
         scene.dense(1).reshape(SIZE * SIZE, SIZE, SIZE) / scene.recording.scale
         for scene in (by_mirror, directly)
     )
     assert expected.max() > 0
-    left, right = (
-        seen[..., : SIZE // 2].sum(axis=(1, 2)),
+    mirrored, direct = (
+        reflected[..., : SIZE // 2].sum(axis=(1, 2)),
         expected[..., SIZE // 2 :].sum(axis=(1, 2)),
     )
-    assert differ(left, 0.9 * right) < 0.05
-    assert left.sum() == pytest.approx(0.9 * right.sum(), rel=0.01)
+    assert differ(mirrored, 0.9 * direct) < 0.05
+    assert mirrored.sum() == pytest.approx(0.9 * direct.sum(), rel=0.01)
     without = scene_of(tmp_path, thrown, caustics=False)
     ones = np.ones((1, SIZE * SIZE))
     with (
@@ -186,12 +186,12 @@ INNER = slice(1, -1)  # pixels that a blur by a pixel takes no light from beyond
 def test_light_through_a_mirror_both_ways_equals_the_virtual_rig(tmp_path: Path) -> None:
     both_ways = scene_of(tmp_path, world(MIRROR, WHITE, bounces=3, caustics=True), 4096)
     directly = scene_of(tmp_path, world(WHITE, camera=IMAGE_OF_AHEAD, bounces=1), 4096)
-    seen, expected = (
-        flood(each)[INNER, INNER] / each.recording.scale for each in (both_ways, directly)
+    reflected, expected = (
+        flood(scene)[INNER, INNER] / scene.recording.scale for scene in (both_ways, directly)
     )
     expected = 0.9**2 * expected[:, ::-1]
-    assert seen.sum() == pytest.approx(expected.sum(), rel=0.01)
-    assert differ(seen, expected) < 2 * both_ways.recording.noise["half_lit"]["whole"]
+    assert reflected.sum() == pytest.approx(expected.sum(), rel=0.01)
+    assert differ(reflected, expected) < 2 * both_ways.recording.noise["half_lit"]["whole"]
     # A disc reaches no further than into the next pixels, which its own keeps the most of.
     rows, columns = np.indices((SIZE, SIZE)).reshape(2, -1)
     apart = np.maximum(abs(rows[:, None] - rows), abs(columns[:, None] - columns))
@@ -210,12 +210,14 @@ def test_a_plane_behind_glass_has_the_transmitted_radiance(tmp_path: Path) -> No
     thick, away = 0.2, 3
     plane = sheet((0, 0, 0), (3, 0, 0), (0, 3, 0), matt(0.1))
     plate = box((0, 0, 1), (4, 4, thick), 0, glass(1.5))
-    behind = world(plane, plate, bounces=10, caustics=True)
-    scenes = scene_of(tmp_path, behind, 4096), scene_of(tmp_path, world(plane, bounces=1), 4096)
-    seen, expected = (flood(each)[INNER, INNER].mean() / each.recording.scale for each in scenes)
+    glazed = world(plane, plate, bounces=10, caustics=True)
+    scenes = scene_of(tmp_path, glazed, 4096), scene_of(tmp_path, world(plane, bounces=1), 4096)
+    mean_radiance, expected = (
+        flood(scene)[INNER, INNER].mean() / scene.recording.scale for scene in scenes
+    )
     passed = (1 - REFLECTED) / (1 + REFLECTED)  # with what is reflected to and fro within it
     nearer = away / (away - thick * (1 - 1 / 1.5))
-    assert seen / expected == pytest.approx(passed**2 * nearer**2, rel=0.02)
+    assert mean_radiance / expected == pytest.approx(passed**2 * nearer**2, rel=0.02)
 
 
 FLOOR_AND_WALL = (

@@ -13,9 +13,9 @@ SHARE_SEEN = 0.4  # of a view's pixels that meet a surface, at least
 def kinds_in(value: object) -> set[type]:
     if isinstance(value, dict):
         assert all(isinstance(key, str) for key in value)
-        return set().union(*(kinds_in(each) for each in value.values()))
+        return set().union(*(kinds_in(item) for item in value.values()))
     if isinstance(value, list):
-        return set().union(*(kinds_in(each) for each in value))
+        return set().union(*(kinds_in(item) for item in value))
     return {type(value)}
 
 

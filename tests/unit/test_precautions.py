@@ -46,7 +46,7 @@ def kinds_of(keys: list[tuple[int, ...]]) -> set[int]:
 
 
 @pytest.mark.parametrize(
-    ("asked", "pictures", "kinds"),
+    ("options", "pictures", "kinds"),
     [
         ({}, 9, {CHECK_PICTURE_KEY, VERIFICATION_KEY}),
         ({"verification": 0}, 0, {CHECK_PICTURE_KEY}),
@@ -54,11 +54,11 @@ def kinds_of(keys: list[tuple[int, ...]]) -> set[int]:
     ],
 )
 def test_a_real_rig_is_watched_and_verified(
-    asked: dict[str, Any], pictures: int, kinds: set[int]
+    options: dict[str, Any], pictures: int, kinds: set[int]
 ) -> None:
     real = Real(rig())
-    found = rfpipe.acquire(real, "dual", **asked, **FEW).verification
-    assert (0 if found is None else len(found.table)) == pictures
+    verification = rfpipe.acquire(real, "dual", **options, **FEW).verification
+    assert (0 if verification is None else len(verification.table)) == pictures
     assert kinds_of(real.keys) == kinds
 
 

@@ -73,7 +73,7 @@ def test_zips_and_folders_have_the_same_bytes_and_digests(run: Path) -> None:
         reversed(line.split("  "))
         for line in files.pop("manifest-sha256.txt").decode().splitlines()
     )
-    assert listed == {name: hashlib.sha256(found).hexdigest() for name, found in files.items()}
+    assert listed == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     expected = {
         *(f"{STORE}/{file}" for file in contents(run / STORE)),
         "results/desk/dual/transport.json",
@@ -195,8 +195,8 @@ def test_user_files_are_published_at_the_paths_in_the_settings(run: Path, tmp_pa
     (far / "b.ply").write_text("another mesh")
     (far / "gone.xml").write_text(f"<a value='{far / 'b.ply'}'/>")
     results = run / "results/report/results.json"
-    about = json.loads(results.read_bytes())
-    about["provenance"]["configuration"] |= {
+    report = json.loads(results.read_bytes())
+    report["provenance"]["configuration"] |= {
         "scenes": {
             "desk": {"kind": "scenes/desk.py:Desk", "cache": "results/recorded"},
             "box": {"kind": "mitsuba", "scene": "scenes/box.xml"},
@@ -207,15 +207,18 @@ def test_user_files_are_published_at_the_paths_in_the_settings(run: Path, tmp_pa
         },
         "methods": {"mine": {"method": "lab.methods:Mine"}, "other": {"method": "numpy.fft:Other"}},
     }
-    results.write_text(json.dumps(about))
+    results.write_text(json.dumps(report))
     output = published(run, *GIVEN)
     files = contents(run / "publication.zip")
     inputs = {name.removeprefix("inputs/"): text.decode() for name, text in files.items()
               if name.startswith("inputs/")}  # fmt: skip
-    own = {name: text for name, text in OWN.items() if name != "unused.py"}
+    published_files = {name: text for name, text in OWN.items() if name != "unused.py"}
     outside = {name: (far / name).read_text() for name in ("room.xml", "lamp.xml", "b.ply")}
     gone = {"outside/1/gone.xml": (far / "gone.xml").read_text()}
-    assert inputs == own | {f"outside/1/{name}": text for name, text in outside.items()} | gone
+    assert (
+        inputs
+        == published_files | {f"outside/1/{name}": text for name, text in outside.items()} | gone
+    )
     settings = yaml.safe_load(files["settings.yaml"])
     assert settings["scenes"]["room"]["scene"] == "outside/1/room.xml"
     assert settings["scenes"]["desk"] == {
@@ -253,9 +256,9 @@ def test_user_code_that_changed_after_the_run_is_refused(case: str, run: Path) -
         manifest,
         {**read_manifest(manifest), "sources": {case.partition(" ")[0]: source_digest(file)}},
     )
-    about = json.loads(report.read_bytes())
-    about["provenance"]["configuration"] |= settings
-    report.write_text(json.dumps(about))
+    facts = json.loads(report.read_bytes())
+    facts["provenance"]["configuration"] |= settings
+    report.write_text(json.dumps(facts))
     file.write_text("x = 1  # a remark changes no result\n")
     published(run, *GIVEN)
     for text, says in (
@@ -356,12 +359,12 @@ def test_a_damaged_or_foreign_transport_is_not_published(run: Path) -> None:
 
 
 def test_settings_are_given_for_a_run_without_a_report(run: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other.yaml"
-    other.write_text(
+    settings_path = tmp_path / "other.yaml"
+    settings_path.write_text(
         yaml.safe_dump(known_matrix.settings_of_a_plane(seed=7).model_dump(mode="json"))
     )
     (run / "results/report/results.json").unlink()
-    published(run, "--config", other, *GIVEN)
+    published(run, "--config", settings_path, *GIVEN)
     assert b"seed: 7" in contents(run / "publication.zip")["settings.yaml"]
 
 

@@ -23,8 +23,8 @@ METHODS = ("brute_force", "dual", "hadamard", "near_far", "symmetric")
 @pytest.fixture(scope="module")
 def matrix() -> NDArray[np.float64]:
     scene = room_scene(("texture", "white", "white"), STACKED[1:], views=(2, 2), channels=1)
-    found: NDArray[np.float64] = scene.dense(0).astype(np.float64)
-    return (found + found.T) / 2
+    matrix: NDArray[np.float64] = scene.dense(0).astype(np.float64)
+    return (matrix + matrix.T) / 2
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -51,8 +51,8 @@ def test_pictures_of_arranged_views_are_those_of_a_stack(matrix):
     assert arrays["views_relit"].shape == arrays["views_truth"].shape == (4, *STACKED, 1)
     for light in range(4):
         of_light = matrix.reshape(48, 4, 12)[:, light].sum(axis=1)
-        found = arrays["views_truth"][light].reshape(-1)
-        np.testing.assert_allclose(found, of_light, rtol=1e-5)
+        view_truth = arrays["views_truth"][light].reshape(-1)
+        np.testing.assert_allclose(view_truth, of_light, rtol=1e-5)
     assert relative_rms(arrays["views_relit"], arrays["views_truth"]) < 0.02
 
 

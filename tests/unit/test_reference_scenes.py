@@ -31,18 +31,18 @@ def acquire(which, method="symmetric", tolerance=1e-3, noisy=False, seed=0):
 def errors(which, method="symmetric", tolerance=1e-3, noisy=False, seed=0):
     """Return relative errors {pattern: (in total, on the unlit pixels)}."""
     transport, truly = acquire(which, method, tolerance, noisy, seed).transport, scene(which, seed)
-    found = {}
+    errors_of_patterns = {}
     for name, pattern in relighting_patterns(SHAPE).items():
         truth = truly.apply(pattern.reshape(1, -1)).reshape(*SHAPE, 1)
         error = transport.relight(pattern) - truth
         assert np.isfinite(error).all()
         unlit = pattern == 0
         dark = np.linalg.norm(truth[unlit])
-        found[name] = (
+        errors_of_patterns[name] = (
             np.linalg.norm(error) / np.linalg.norm(truth),
             np.linalg.norm(error[unlit]) / dark if dark else 0.0,
         )
-    return found
+    return errors_of_patterns
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -52,9 +52,9 @@ def errors(which, method="symmetric", tolerance=1e-3, noisy=False, seed=0):
 )
 def test_symmetric_on_exact_radiance(which, tolerance, most_patterns, most_unlit, seed):
     assert acquire(which, "symmetric", tolerance, seed=seed).patterns <= most_patterns
-    found = errors(which, "symmetric", tolerance, seed=seed)
-    assert max(total for total, _ in found.values()) <= 0.005
-    assert max(found[name][1] for name in HARD_PATTERNS) <= most_unlit
+    errors_of_patterns = errors(which, "symmetric", tolerance, seed=seed)
+    assert max(total for total, _ in errors_of_patterns.values()) <= 0.005
+    assert max(errors_of_patterns[name][1] for name in HARD_PATTERNS) <= most_unlit
 
 
 @pytest.mark.parametrize("which", ["II", "III", "IV"])

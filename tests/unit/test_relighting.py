@@ -31,9 +31,9 @@ def test_each_kind_has_a_third_of_the_pictures():
 
 
 def test_fewer_pictures_are_the_first_of_more_and_a_seed_draws_others():
-    few, many = relighting_pictures((9, 13), 4, 5), relighting_pictures((9, 13), 11, 5)
-    np.testing.assert_array_equal(few, many[:4])
-    assert (relighting_pictures((9, 13), 4, 6) != few).any()
+    four, eleven = relighting_pictures((9, 13), 4, 5), relighting_pictures((9, 13), 11, 5)
+    np.testing.assert_array_equal(four, eleven[:4])
+    assert (relighting_pictures((9, 13), 4, 6) != four).any()
     assert relighting_pictures((9, 13), 0).shape == (0, 9, 13)
 
 

@@ -76,10 +76,10 @@ def test_a_mosaic_is_filled_in_before_the_resampling_and_its_noise_counted_once(
 
 
 def test_an_invisible_ray_has_no_light_and_causes_no_error() -> None:
-    whole = random_resampling()
-    rows = whole.matrix.toarray()
+    complete = random_resampling()
+    rows = complete.matrix.toarray()
     rows[5] = 0
-    unseen = replace(whole, matrix=normalised(csr_array(rows)))
+    unseen = replace(complete, matrix=normalised(csr_array(rows)))
     sensor = ResampledSensor(CAMERA, unseen)
     light = np.ones((*CAMERA_SHAPE, 1), np.float32)
     frames, black = frames_of(CAMERA, light), black_of(CAMERA, 1)
@@ -130,8 +130,8 @@ def test_a_ray_without_a_good_pixel_is_unknown() -> None:
 def test_sensors_are_restored_from_their_description(sensor) -> None:
     description = json.loads(json.dumps(sensor.describe()))
     arrays = sensor.arrays() if isinstance(sensor, ResampledSensor) else None
-    again = sensor_from_description(description, arrays)
-    assert json.dumps(again.describe()) == json.dumps(sensor.describe())
+    restored = sensor_from_description(description, arrays)
+    assert json.dumps(restored.describe()) == json.dumps(sensor.describe())
 
 
 def test_wrong_descriptions_are_refused() -> None:

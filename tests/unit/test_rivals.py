@@ -37,8 +37,8 @@ def of_rank(rank: int, rays: int = 256, seed: int = 0) -> np.ndarray:
     return factors.T @ factors / rays
 
 
-def relative(found: np.ndarray, matrix: np.ndarray) -> float:
-    return float(np.linalg.norm(found - matrix) / np.linalg.norm(matrix))
+def relative(estimate: np.ndarray, matrix: np.ndarray) -> float:
+    return float(np.linalg.norm(estimate - matrix) / np.linalg.norm(matrix))
 
 
 @pytest.mark.parametrize("method", [COMPRESSIVE, LOW_RANK])

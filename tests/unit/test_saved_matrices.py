@@ -31,12 +31,12 @@ def read(path: Path) -> dict[str, NDArray]:
         with np.load(path) as archive:
             return dict(archive)
     if path.suffix == ".mat":
-        found = mat73.loadmat(path)
-        matrix = found["T"] if found["T"].ndim == 3 else found["T"][..., None]
-        return {**found, "T": np.moveaxis(matrix, -1, 0)}
+        arrays = mat73.loadmat(path)
+        matrix = arrays["T"] if arrays["T"].ndim == 3 else arrays["T"][..., None]
+        return {**arrays, "T": np.moveaxis(matrix, -1, 0)}
     with h5py.File(path) as file:
-        found = {name: dataset[...] for name, dataset in file.items()}
-        return {**found, "about": file.attrs["about"]}
+        arrays = {name: dataset[...] for name, dataset in file.items()}
+        return {**arrays, "about": file.attrs["about"]}
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -44,13 +44,13 @@ def read(path: Path) -> dict[str, NDArray]:
 def test_other_programs_read_the_matrix(tmp_path: Path, suffix: str, channels: int) -> None:
     path = tmp_path / f"matrix{suffix}"
     transport_of(channels).save(path)
-    found = read(path)
-    np.testing.assert_allclose(found["T"], matrix_of(channels), rtol=1e-6)
-    assert found["T"].dtype == np.float32
-    assert found["camera_shape"].tolist() == list(CAMERA)
-    assert found["projector_shape"].tolist() == list(PROJECTOR)
-    assert found["rows"].tolist() == list(range(15))
-    assert "Light transport T by rfpipe" in str(found["about"])
+    saved = read(path)
+    np.testing.assert_allclose(saved["T"], matrix_of(channels), rtol=1e-6)
+    assert saved["T"].dtype == np.float32
+    assert saved["camera_shape"].tolist() == list(CAMERA)
+    assert saved["projector_shape"].tolist() == list(PROJECTOR)
+    assert saved["rows"].tolist() == list(range(15))
+    assert "Light transport T by rfpipe" in str(saved["about"])
 
 
 @pytest.mark.parametrize("suffix", MATRIX_FILES)
@@ -58,11 +58,11 @@ def test_other_programs_read_the_matrix(tmp_path: Path, suffix: str, channels: i
 def test_chosen_rays(tmp_path: Path, suffix: str, rows, columns) -> None:
     path = tmp_path / f"matrix{suffix}"
     transport_of(3).save(path, rows=rows, columns=columns)
-    found = read(path)
+    saved = read(path)
     expected = transport_of(3).toarray(rows, columns)
-    np.testing.assert_array_equal(found["T"].reshape(expected.shape), expected)
-    assert np.atleast_1d(found["rows"]).tolist() == (rows or list(range(15)))
-    assert np.atleast_1d(found["columns"]).tolist() == (columns or list(range(24)))
+    np.testing.assert_array_equal(saved["T"].reshape(expected.shape), expected)
+    assert np.atleast_1d(saved["rows"]).tolist() == (rows or list(range(15)))
+    assert np.atleast_1d(saved["columns"]).tolist() == (columns or list(range(24)))
 
 
 @pytest.mark.parametrize("suffix", MATRIX_FILES)
@@ -81,14 +81,14 @@ def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
     transport = DenseTransport((3, 5), (4, 6), 3, [], {"matrix": matrix_of(3)})
     transport.save(path)
     with h5py.File(path) as file:  # MATLAB's arrays are the transposed datasets, column by column
-        found = {name: np.asfortranarray(dataset[...].T) for name, dataset in file.items()}
-    assert found["camera_shape"].shape == (1, 2)
+        arrays = {name: np.asfortranarray(dataset[...].T) for name, dataset in file.items()}
+    assert arrays["camera_shape"].shape == (1, 2)
     p = np.random.default_rng(2).random((4, 6), dtype=np.float32)
-    c = found["T"][:, :, 1] @ p.T.reshape(-1, order="F")
-    height, width = found["camera_shape"][0].astype(int)
+    c = arrays["T"][:, :, 1] @ p.T.reshape(-1, order="F")
+    height, width = arrays["camera_shape"][0].astype(int)
     image = c.reshape((width, height), order="F").T
     np.testing.assert_allclose(image, transport.relight(p)[..., 1], rtol=1e-5)
-    assert found["about"].shape[0] == 1
+    assert arrays["about"].shape[0] == 1
 
 
 @pytest.mark.parametrize(
@@ -151,6 +151,6 @@ def test_a_large_matrix_is_written_in_little_memory(tmp_path: Path, monkeypatch)
     for suffix in (".npz", ".h5", ".mat"):
         tracemalloc.start()
         Zeros(rays, rays, 1, [], {}).save(tmp_path / f"large{suffix}")
-        most = tracemalloc.get_traced_memory()[1]
+        peak_bytes = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        assert most < 5e6
+        assert peak_bytes < 5e6

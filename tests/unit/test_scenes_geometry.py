@@ -30,8 +30,8 @@ SQUARE = Occluder((0, 0, 1), (0.5, 0, 0), (0, 0.5, 0))  # in the plane z = 1
 def test_planes_meet_at_the_angles_of_their_names():
     for name, opening in (("wedge", 90), ("wedge_30", 30), ("wedge_120", 120),
                           ("tilted_wedge", 90)):  # fmt: skip
-        left, right = (plane.unit_normal for plane in GEOMETRIES[name])
-        assert np.degrees(np.pi - np.arccos(left @ right)) == pytest.approx(opening)
+        left_normal, right_normal = (plane.unit_normal for plane in GEOMETRIES[name])
+        assert np.degrees(np.pi - np.arccos(left_normal @ right_normal)) == pytest.approx(opening)
     corner = np.stack([plane.unit_normal for plane in GEOMETRIES["corner"]])
     assert corner @ corner.T == pytest.approx(np.eye(3), abs=1e-12)
 

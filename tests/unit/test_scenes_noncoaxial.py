@@ -130,10 +130,20 @@ def test_an_occluder_casts_the_geometric_shadow():
     corners = np.array([(1.25 + u, v, 1.6) for u in (-0.15, 0.15) for v in (-0.15, 0.15)])
     away = (3 - lamp.origin[2]) / (corners[:, 2] - lamp.origin[2])
     shadow = camera.project(lamp.origin + away[:, None] * (corners - lamp.origin))
-    (top, left), (bottom, right) = shadow.min(axis=0), shadow.max(axis=0)
+    (first_row, first_column), (last_row, last_column) = shadow.min(axis=0), shadow.max(axis=0)
     rows, columns = np.arange(31)[:, None], np.arange(36)
-    inner = (rows > top) & (rows + 1 < bottom) & (columns > left) & (columns + 1 < right)
-    outer = (rows + 1 < top) | (rows > bottom) | (columns + 1 < left) | (columns > right)
+    inner = (
+        (rows > first_row)
+        & (rows + 1 < last_row)
+        & (columns > first_column)
+        & (columns + 1 < last_column)
+    )
+    outer = (
+        (rows + 1 < first_row)
+        | (rows > last_row)
+        | (columns + 1 < first_column)
+        | (columns > last_column)
+    )
     lit = free.apply(ones)[0, :, 0].reshape(31, 36) > 0
     assert np.count_nonzero(inner) > 4
     assert share[inner].max() < 0.05

@@ -64,7 +64,7 @@ def test_matrix_follows_the_formulas_entry_by_entry():
     assert scene.dense() == pytest.approx(points.mean_area * expected, rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize("geometry", [each for each in GEOMETRIES if each != "plane"])
+@pytest.mark.parametrize("geometry", [name for name in GEOMETRIES if name != "plane"])
 @pytest.mark.parametrize("shape", [(32, 32), (33, 35)])
 def test_no_point_receives_more_light_than_is_emitted(geometry, shape):
     points = surface_points(shape, GEOMETRIES[geometry])
@@ -91,17 +91,17 @@ def test_an_occluder_blocks_exactly_the_occluded_pairs():
 def test_occluder_in_view_is_black():
     scene = textured((20, 22), occluders=(TILTED,))
     x, y, z = TILTED.centre
-    seen = (scene.albedo == 0).all(-1)
-    assert seen[int((y / z + 0.5) * 20), int(x / z * 20 + 11)]
-    assert 0.01 < seen.mean() < 0.2
-    assert not scene.dense(0)[seen.ravel()].any()
+    is_occluder = (scene.albedo == 0).all(-1)
+    assert is_occluder[int((y / z + 0.5) * 20), int(x / z * 20 + 11)]
+    assert 0.01 < is_occluder.mean() < 0.2
+    assert not scene.dense(0)[is_occluder.ravel()].any()
 
 
 @pytest.mark.parametrize("geometry", ["sphere_on_plane", "coloured_room"])
 def test_nothing_shines_through_a_block_or_a_sphere(geometry):
     points = surface_points((16, 18), GEOMETRIES[geometry])
     entries = FormFactors(points, compress=False).apply(np.eye(16 * 18))[::2]
-    faces = [each for each in points.surfaces if each.name == "block"]
+    faces = [array for array in points.surfaces if array.name == "block"]
     inside = np.full(entries.shape, -np.inf)  # how deep a segment goes into either, scene units
     for place in np.linspace(0, 1, 300)[1:-1]:
         on_way = (1 - place) * points.positions[::2, None] + place * points.positions
@@ -109,7 +109,7 @@ def test_nothing_shines_through_a_block_or_a_sphere(geometry):
         if faces:
             in_block = -np.max([face.heights(on_way) for face in faces], axis=0)
             inside = np.maximum(inside, in_block)
-    cosine_i, cosine_j, squared = (each[::2] for each in cosines_of(points))
+    cosine_i, cosine_j, squared = (array[::2] for array in cosines_of(points))
     expected = cosine_i * cosine_j / (np.pi * squared**2)
     lit = (np.minimum(cosine_i, cosine_j) > 1e-9) & (inside < -2e-2)
     shadow = (inside > 1e-6) & (expected > 0)
@@ -188,7 +188,7 @@ def test_descriptions_are_plain_and_unique():
 
 
 @pytest.mark.parametrize(
-    "geometry", [each for each in GEOMETRIES if each not in ("plane", "wedge")]
+    "geometry", [name for name in GEOMETRIES if name not in ("plane", "wedge")]
 )
 @pytest.mark.parametrize("shape", [(16, 16), (40, 80)])
 def test_no_room_is_too_bright_for_the_default_camera(geometry, shape):

@@ -37,7 +37,7 @@ class SimulatedSequences:
     Parameters
     ----------
     rig : OperatorRig
-    most : int
+    longest : int
         The most patterns of a sequence.
     seed : int
     faults : float
@@ -46,14 +46,16 @@ class SimulatedSequences:
         all; ``swapped``, two of its frames come in the other's place.
     """
 
-    def __init__(self, rig: OperatorRig, most: int = 199, seed: int = 0, **faults: float) -> None:
+    def __init__(
+        self, rig: OperatorRig, longest: int = 199, seed: int = 0, **faults: float
+    ) -> None:
         self._rig = rig
         self._chances = {"dropped": 0.0, "late": 0.0, "swapped": 0.0, "twice": 0.0, **faults}
         self._random = np.random.default_rng(seed)
         self._shown = 0
         self._old: Float | None = None
-        self._sequencer = Sequencer(self, rig.sensor, rig.capture, most)
-        self.sequence_patterns = most
+        self._sequencer = Sequencer(self, rig.sensor, rig.capture, longest)
+        self.sequence_patterns = longest
         self.statistics = {"sequences": self._sequencer.statistics}
 
     def __getattr__(self, name: str) -> Any:
@@ -83,8 +85,8 @@ class SimulatedSequences:
         random, chances, count = self._random, self._chances, len(frames)
         order = list(range(count))
         if random.random() < chances["swapped"]:
-            one, j = random.choice(count, 2, replace=False)
-            order[one], order[j] = order[j], order[one]
+            i, j = random.choice(count, 2, replace=False)
+            order[i], order[j] = order[j], order[i]
         is_dropped = random.random(count) < chances["dropped"]
         times = 1 + (random.random(count) < chances["twice"])
         came = np.repeat(order, np.where(is_dropped, 0, times))
@@ -182,7 +184,7 @@ def test_patterns_without_certain_frames_are_captured_one_by_one(
 
 def test_long_lists_are_divided_and_short_lists_need_no_sequence() -> None:
     plain, given = rig(), patterns("half")
-    sequences = SimulatedSequences(plain, most=5)
+    sequences = SimulatedSequences(plain, longest=5)
     np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
     assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     assert sequences.show_sequence(given[0][:0], []).shape[0] == 0
@@ -214,12 +216,12 @@ def test_an_interrupted_capture_continues_at_its_sequence(tmp_path: Path) -> Non
     facts |= {"shape": list(RAYS), "shown": "these", "seed": 1, "units": "fraction of full light"}
     write_result(folder.manifest(1, "schedule"), "these", {"weights": shown}, facts)
     with pytest.raises(KeyboardInterrupt):
-        capture.run(CaptureContext(folder, rig_source=GivenRig(Stopping(plain, most=5))), 1)
+        capture.run(CaptureContext(folder, rig_source=GivenRig(Stopping(plain, longest=5))), 1)
     [brackets] = bracket_sets(
         folder, 1, AcquisitionSettings(), folder.describe_rig(plain), is_exact=False
     )
     assert brackets.count_missing(folder) == COUNT - 5
-    resumed = SimulatedSequences(plain, most=5)
+    resumed = SimulatedSequences(plain, longest=5)
     capture.run(CaptureContext(folder, rig_source=GivenRig(resumed)), 1)
     assert resumed.statistics["sequences"]["played"] == 2 * len(plain.sensor.exposures)
     with FrameStore.open(folder.store(1, "capture")) as frames:

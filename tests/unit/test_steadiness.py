@@ -208,7 +208,7 @@ def frames(image: Any, *gains: float, seed: int = 0) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("second", "again", "counted", "said"),
+    ("second", "repeated", "counted", "said"),
     [
         (frames(picture(2)), None, {}, ""),
         (frames(picture(1), seed=1), frames(picture(2)), {"doubted": 1, "stale": 1}, "queue"),
@@ -218,7 +218,7 @@ def frames(image: Any, *gains: float, seed: int = 0) -> Any:
 )  # fmt: skip
 def test_frames_of_the_previous_picture_are_distinguished_from_flicker(
     second: Any,
-    again: Any,
+    repeated: Any,
     counted: dict[str, int],
     said: str,
     monkeypatch: pytest.MonkeyPatch,
@@ -227,7 +227,7 @@ def test_frames_of_the_previous_picture_are_distinguished_from_flicker(
     monkeypatch.setattr(stale, "RETAKE_SECONDS", 0.0)
     watch = StaleWatch(CAMERA)
     watch.capture("first", picture(1), lambda: frames(picture(1)))
-    takes = iter([second, again])
+    takes = iter([second, repeated])
     watch.capture("second", picture(2), lambda: next(takes))
     assert watch.statistics == {"doubted": 0, "stale": 0, "unsteady": 0, **counted}
     assert said in caplog.text

@@ -102,17 +102,17 @@ def test_beyond_the_memory_budget_it_streams_with_the_same_results(
         assert len(acquired.pack()[0]) > 20
     path = tmp_path / "transport.zarr"
     save_transport(acquired, path, number_format)
-    held, streamed = open_transport(path), open_transport(path, memory_budget=10_000)
+    loaded, streamed = open_transport(path), open_transport(path, memory_budget=10_000)
     batch = np.concatenate([PATTERNS] * 4)  # more than are relit at a time
     for light in (PATTERNS[:1], batch):
-        np.testing.assert_array_equal(streamed.relight_batch(light), held.relight_batch(light))
+        np.testing.assert_array_equal(streamed.relight_batch(light), loaded.relight_batch(light))
     np.testing.assert_array_equal(
-        streamed.truncate(3).relight(PATTERNS[0]), held.truncate(3).relight(PATTERNS[0])
+        streamed.truncate(3).relight(PATTERNS[0]), loaded.truncate(3).relight(PATTERNS[0])
     )
-    assert streamed.nbytes == held.nbytes
+    assert streamed.nbytes == loaded.nbytes
     for chunk in path.glob("*/c.*"):
         chunk.unlink()
-    held.relight(PATTERNS[0])
+    loaded.relight(PATTERNS[0])
     with pytest.raises(IntegrityError, match="missing, truncated or altered"):
         streamed.relight(PATTERNS[0])
 

@@ -56,37 +56,37 @@ def pairs() -> Made:
 
 
 def terms() -> Made:
-    held = {"left": draw(3, 2, M), "right": draw(3, 2, N), "strengths": draw(3, 2)}
-    expected = np.einsum("cr,crm,crn->cmn", held["strengths"], held["left"], held["right"])
-    return LowRankTransport(CAMERA, PROJECTOR, 3, ROWS, held), expected
+    arrays = {"left": draw(3, 2, M), "right": draw(3, 2, N), "strengths": draw(3, 2)}
+    expected = np.einsum("cr,crm,crn->cmn", arrays["strengths"], arrays["left"], arrays["right"])
+    return LowRankTransport(CAMERA, PROJECTOR, 3, ROWS, arrays), expected
 
 
 def diagonal() -> Made:
-    held = {"left": draw(3, 2, 42), "strengths": draw(3, 2), "diagonal": draw(3, 42)}
-    expected = np.einsum("cr,crm,crn->cmn", held["strengths"], held["left"], held["left"])
-    expected += held["diagonal"][:, :, None] * np.eye(42)
-    return LowRankTransport(COAXIAL, COAXIAL, 3, ROWS, held), expected
+    arrays = {"left": draw(3, 2, 42), "strengths": draw(3, 2), "diagonal": draw(3, 42)}
+    expected = np.einsum("cr,crm,crn->cmn", arrays["strengths"], arrays["left"], arrays["left"])
+    expected += arrays["diagonal"][:, :, None] * np.eye(42)
+    return LowRankTransport(COAXIAL, COAXIAL, 3, ROWS, arrays), expected
 
 
 def footprints() -> Made:
-    held: dict[str, NDArray] = {"camera_factor": draw(3, M), "projector_factor": draw(3, N)}
+    arrays: dict[str, NDArray] = {"camera_factor": draw(3, M), "projector_factor": draw(3, N)}
     matrices = {}
     for name, shape in {
         "footprints": (M, N), "left": (M, 4), "cores": (4, 6), "right": (N, 6),
     }.items():  # fmt: skip
         matrix = csr_array(random_array(shape, density=0.5, rng=np.random.default_rng(1)))
-        many = name in ("footprints", "cores")
-        held[name] = draw(3, matrix.nnz) if many else matrix.data.astype(np.float32)
-        held[f"{name}_columns"] = matrix.indices.astype(np.int32)
-        held[f"{name}_starts"] = matrix.indptr.astype(np.int32)
+        per_channel = name in ("footprints", "cores")
+        arrays[name] = draw(3, matrix.nnz) if per_channel else matrix.data.astype(np.float32)
+        arrays[f"{name}_columns"] = matrix.indices.astype(np.int32)
+        arrays[f"{name}_starts"] = matrix.indptr.astype(np.int32)
         planes = [
             csr_array((data, matrix.indices, matrix.indptr), shape=shape).toarray()
-            for data in np.atleast_2d(held[name])
+            for data in np.atleast_2d(arrays[name])
         ]
         matrices[name] = np.stack(planes)
     smooth = matrices["left"] @ matrices["cores"] @ matrices["right"].swapaxes(1, 2)
-    smooth *= held["camera_factor"][:, :, None] * held["projector_factor"][:, None]
-    transport = FootprintTransport(CAMERA, PROJECTOR, 3, ROWS, held)
+    smooth *= arrays["camera_factor"][:, :, None] * arrays["projector_factor"][:, None]
+    transport = FootprintTransport(CAMERA, PROJECTOR, 3, ROWS, arrays)
     np.testing.assert_allclose(dense(transport.direct()), matrices["footprints"], atol=1e-5)
     return transport, matrices["footprints"] + smooth
 
@@ -97,12 +97,12 @@ def multiscale(shape: tuple[int, ...] = COAXIAL) -> Made:
         shape, np.concatenate([functions_over(4, covered), functions_over(2, covered)])
     )
     first, second = pairs = np.stack(basis.pairs)[:, ::2]
-    held = {"factor": draw(3, 42), "functions": basis.functions, "pairs": pairs}
-    held["cores"] = draw(3, len(first))
+    arrays = {"factor": draw(3, 42), "functions": basis.functions, "pairs": pairs}
+    arrays["cores"] = draw(3, len(first))
     cores = np.zeros((3, len(basis), len(basis)))
-    cores[:, first, second] = cores[:, second, first] = held["cores"]
-    weighted = held["factor"][:, :, None] * basis.weights.toarray()
-    transport = MultiscaleTransport(shape, shape, 3, ROWS, held)
+    cores[:, first, second] = cores[:, second, first] = arrays["cores"]
+    weighted = arrays["factor"][:, :, None] * basis.weights.toarray()
+    transport = MultiscaleTransport(shape, shape, 3, ROWS, arrays)
     return transport, weighted @ cores @ weighted.swapaxes(1, 2)
 
 
@@ -110,15 +110,15 @@ def wavelets() -> Made:
     cells = Cells(COAXIAL, 2)
     pairs = np.sort(np.random.default_rng(3).integers(0, cells.haar.size, (2, 60)), axis=0)
     pairs = np.unique(pairs, axis=1).astype(np.int32)
-    held = {"side": np.array([2], np.int32), "factor": draw(3, 42), "pairs": pairs}
-    held["cores"] = draw(3, pairs.shape[1])
+    arrays = {"side": np.array([2], np.int32), "factor": draw(3, 42), "pairs": pairs}
+    arrays["cores"] = draw(3, pairs.shape[1])
     cores = np.zeros((3, cells.haar.size, cells.haar.size))
-    cores[:, pairs[0], pairs[1]] = cores[:, pairs[1], pairs[0]] = held["cores"]
+    cores[:, pairs[0], pairs[1]] = cores[:, pairs[1], pairs[0]] = arrays["cores"]
     wavelets = cells.haar.inverse(np.eye(cells.haar.size, dtype=np.float32))
-    weighted = held["factor"][:, :, None] * wavelets[cells.of_ray]
-    return WaveletTransport(COAXIAL, COAXIAL, 3, ROWS, held), weighted @ cores @ weighted.swapaxes(
-        1, 2
-    )
+    weighted = arrays["factor"][:, :, None] * wavelets[cells.of_ray]
+    return WaveletTransport(
+        COAXIAL, COAXIAL, 3, ROWS, arrays
+    ), weighted @ cores @ weighted.swapaxes(1, 2)
 
 
 def total() -> Made:

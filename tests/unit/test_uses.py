@@ -31,10 +31,10 @@ def aside():
 
 def test_places_are_those_of_the_geometry(aside) -> None:
     transport, points = aside
-    found = transport.correspondence()
+    correspondence = transport.correspondence()
     places = LAMP.project(points).reshape(*CAMERA.shape, 2)
-    off = np.linalg.norm(found.places - places, axis=-1)[found.mask]
-    assert found.mask.mean() > 0.8
+    off = np.linalg.norm(correspondence.places - places, axis=-1)[correspondence.mask]
+    assert correspondence.mask.mean() > 0.8
     assert np.median(off) < 0.15
     # the matrices that others triangulate by
     projected = np.column_stack([points, np.ones(len(points))]) @ LAMP.matrix.T
@@ -54,9 +54,9 @@ def test_places_between_two_rays_are_told() -> None:
 def test_a_pattern_makes_what_is_within_reach(aside) -> None:
     transport, _ = aside
     lit = np.random.default_rng(1).uniform(0.2, 0.8, LAMP.shape)
-    found = transport.pattern_for(transport.relight(lit)[..., 0])
-    assert found.residual < 0.01
-    assert ((found.pattern >= 0) & (found.pattern <= 1)).all()
+    solution = transport.pattern_for(transport.relight(lit)[..., 0])
+    assert solution.residual < 0.01
+    assert ((solution.pattern >= 0) & (solution.pattern <= 1)).all()
     assert transport.pattern_for(np.full(CAMERA.shape, 1e3)).out_of_reach.mean() > 0.5
 
 
@@ -70,8 +70,8 @@ def test_light_is_told_by_how_far_it_has_come(mirrored) -> None:
     ranges = {"direct": apart <= 2, "near": apart == 3, "far": apart > 7}
     entries *= sum(ranges.values())  # at ranges between, some is near and some is far
     if mirrored:  # places are other rays
-        seen = np.arange(apart.shape[0]).reshape(shape)[:, ::-1].ravel()
-        entries, ranges = entries[seen], {name: mask[seen] for name, mask in ranges.items()}
+        order = np.arange(apart.shape[0]).reshape(shape)[:, ::-1].ravel()
+        entries, ranges = entries[order], {name: mask[order] for name, mask in ranges.items()}
     transport = transport_of(entries, shape)
     pattern = (rng.random(shape) > 0.5).astype(float)
     parts = transport.separate(pattern, near=2 / 34)
@@ -89,7 +89,7 @@ def test_every_method_separates_alike(method, within) -> None:
     for by, noise in (("brute_force", None), (method, rfpipe.CameraModel())):
         rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, noise, seed=2)
         made.append(rfpipe.acquire(rig, by, progress=False).transport)
-    exact, acquired = (each.separate(np.ones(scene.shape)) for each in made)
+    exact, acquired = (transport.separate(np.ones(scene.shape)) for transport in made)
     total = np.linalg.norm(made[0].relight(np.ones(scene.shape)))
     for name in ("direct", "near", "far"):
         off = getattr(acquired, name) - getattr(exact, name)
@@ -153,17 +153,17 @@ USES = sorted((Path(__file__).parents[2] / "docs/uses").glob("*.py"))
 def test_the_scripts_of_the_page_write_what_they_say_and_nothing_else(
     script: Path, tmp_path: Path
 ) -> None:
-    here, there, temporary = (tmp_path / name for name in ("here", "there", "temporary"))
-    for folder in (here, temporary):
+    project, outputs, temporary = (tmp_path / name for name in ("here", "there", "temporary"))
+    for folder in (project, temporary):
         folder.mkdir()
     settings = {**os.environ, "MPLBACKEND": "agg", "TMPDIR": str(temporary)}
-    command = [sys.executable, script, "24", there / "inside"]
+    command = [sys.executable, script, "24", outputs / "inside"]
     done = subprocess.run(
-        command, cwd=here, env=settings, check=True, capture_output=True, text=True
+        command, cwd=project, env=settings, check=True, capture_output=True, text=True
     )
     written = [file for file in tmp_path.rglob("*") if file.is_file()]
     assert all(str(file) in done.stdout.splitlines()[-1] for file in written)
-    picture = there / "inside" / script.with_suffix(".png").name
+    picture = outputs / "inside" / script.with_suffix(".png").name
     more = [picture.with_name("cloud.ply")] if script.stem == "what_sees_what" else []
     assert sorted(written) == sorted([picture, *more])
     assert picture.stat().st_size > 5000

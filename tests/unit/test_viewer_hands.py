@@ -273,7 +273,7 @@ def test_axe_reports_no_accessibility_problem(
     for tool in ("spot", "bar", "brush", "picture", "pixel"):
         page.locator(f"[data-tool={tool}]").click()
         result = page.evaluate("axe.run()")["violations"]
-        assert [(each["id"], each["nodes"][0]["html"]) for each in result] == []
+        assert [(violation["id"], violation["nodes"][0]["html"]) for violation in result] == []
         controls = page.locator(".controls").bounding_box()
         assert width == 400 or controls["y"] + controls["height"] <= 900  # not below the fold
     assert page.evaluate("document.documentElement.scrollWidth") <= width

@@ -66,8 +66,8 @@ def test_what_runs_again_does_nothing_again(tmp_path: Path) -> None:
         folder.manifest(2, stage).unlink()
         folder.store(2, stage).rename(tmp_path / stage)
     acquire(tmp_path, rig())
-    found = left(tmp_path)
-    assert {name: found[name] for name in before} == before
+    arrays = left(tmp_path)
+    assert {name: arrays[name] for name in before} == before
 
 
 def test_one_process_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:

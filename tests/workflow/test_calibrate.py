@@ -38,6 +38,6 @@ def test_calibrate_is_a_target_of_its_own(tmp_path: Path) -> None:
     assert "Nothing to be done" in workflow.run("calibrate")
     changed = {**RIG, "calibrate": {**RIG["calibrate"], "symmetry_patterns": 4}}
     (workflow.folder / "rig.yaml").write_text(yaml.safe_dump(changed))
-    again = workflow.run("calibrate", "--dry-run")
+    output = workflow.run("calibrate", "--dry-run")
     # of the steps, that of symmetry alone
-    assert re.search(r"calibration_step\s+1\s", again)
+    assert re.search(r"calibration_step\s+1\s", output)

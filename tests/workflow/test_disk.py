@@ -41,10 +41,10 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 
 def acquisition(folder: Path, **settings: Any) -> StagewiseAcquisition:
     rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
-    found = StagewiseAcquisition(folder, rig, **settings)
-    found.plan = Plan.of("brute_force", "brute_force", SHAPE, SHAPE, 1)
-    found.schedule(0)
-    return found
+    acquisition = StagewiseAcquisition(folder, rig, **settings)
+    acquisition.plan = Plan.of("brute_force", "brute_force", SHAPE, SHAPE, 1)
+    acquisition.schedule(0)
+    return acquisition
 
 
 NEED = disk_bytes(CAMERA, SHAPE, 1, 2 + 2 + RAYS, RAYS)
@@ -95,11 +95,11 @@ def test_only_what_is_missing_counts(tmp_path: Path, disk: Disk) -> None:
     with pytest.raises(KeyboardInterrupt):
         mine.capture(0, batch_patterns=1)
     mine.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
-    rest = disk_bytes(CAMERA, SHAPE, 1, RAYS - 7, RAYS)
-    disk(rest - 1)
+    needed = disk_bytes(CAMERA, SHAPE, 1, RAYS - 7, RAYS)
+    disk(needed - 1)
     with pytest.raises(StoreError, match="isn't begun"):
         mine.capture(0)
-    disk(rest)
+    disk(needed)
     mine.capture(0)
     assert mine.rig.shown == [(0, index) for index in range(7, RAYS)]
 

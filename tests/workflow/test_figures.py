@@ -39,10 +39,10 @@ def test_without_llvm_make_figures_says_what_to_install() -> None:
 @pytest.mark.slow
 @pytest.mark.needs("llvm")
 def test_make_figures_leaves_no_figure_missing_or_blank(tmp_path: Path) -> None:
-    asked = yaml.safe_load((ROOT / "figures/figures.yaml").read_text())
-    asked["size"] = {"side": 12, "samples": 32, "positions": 3, "sides": [4, 8]}
+    settings = yaml.safe_load((ROOT / "figures/figures.yaml").read_text())
+    settings["size"] = {"side": 12, "samples": 32, "positions": 3, "sides": [4, 8]}
     config = tmp_path / "tiny.yaml"
-    config.write_text(yaml.safe_dump(asked))
+    config.write_text(yaml.safe_dump(settings))
     _snakemake(tmp_path, "--configfile", str(config))
     folder = tmp_path / "results" / "figures"
     page = (folder / "index.html").read_text()

@@ -29,23 +29,23 @@ def test_a_run_keeps_its_results_in_a_bucket(
     workflow.config.write_text(yaml.safe_dump(settings))
     said = workflow.run("--default-storage-provider", "s3", "--dry-run", succeeds=False)
     assert "set storage.keep_at in place of it" in said
-    with s3_server(validators) as server, proxy(server) as seen:
-        use(monkeypatch, seen.endpoint)
-        seen.deny = True
+    with s3_server(validators) as server, proxy(server) as faults:
+        use(monkeypatch, faults.endpoint)
+        faults.deny = True
         said = workflow.run(succeeds=False)
         assert "the credentials of the environment" in said
-        seen.deny = False
+        faults.deny = False
         workflow.run()
-        kept = read_manifest(workflow.path("kept.json"))
-        assert kept["address"] == ADDRESS
-        assert kept["sent"] == kept["objects"] > 10
-        assert not any("capture" in path for path in seen.written())
-        names = [path for path in seen.written() if path.endswith("/transport.zip")]
+        manifest = read_manifest(workflow.path("kept.json"))
+        assert manifest["address"] == ADDRESS
+        assert manifest["sent"] == manifest["objects"] > 10
+        assert not any("capture" in path for path in faults.written())
+        names = [path for path in faults.written() if path.endswith("/transport.zip")]
         assert len(names) == 6  # two scenes by three methods
-        there = rfpipe.open_transport(f"s3:/{names[0]}")
-        here = rfpipe.open_transport(
+        uploaded = rfpipe.open_transport(f"s3:/{names[0]}")
+        local = rfpipe.open_transport(
             tmp_path / names[0].removeprefix(f"/{BUCKET}/").replace(".zip", ".zarr")
         )
-        assert there.nbytes <= here.nbytes
-        light = np.random.default_rng(0).random(there.projector_shape)
-        assert np.array_equal(there.relight(light), here.relight(light))
+        assert uploaded.nbytes <= local.nbytes
+        light = np.random.default_rng(0).random(uploaded.projector_shape)
+        assert np.array_equal(uploaded.relight(light), local.relight(light))

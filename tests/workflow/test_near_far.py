@@ -34,12 +34,12 @@ def test_a_run_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
     frames = {name: getattr(config.capture, name) for name in ("black_frames", "floodlit_frames")}
     result = acquire(rig, "near_far", progress=False, **frames)
     stored = open_transport(workflow.path("wedge/near_far/transport.zarr"))
-    expected, about = result.transport.pack(config.storage.number_format)
-    found, stored_about = stored.pack(config.storage.number_format)
-    assert stored_about == about
-    assert set(found) == set(expected)
+    expected, facts = result.transport.pack(config.storage.number_format)
+    arrays, stored_facts = stored.pack(config.storage.number_format)
+    assert stored_facts == facts
+    assert set(arrays) == set(expected)
     for name, array in expected.items():
-        np.testing.assert_array_equal(found[name], array, err_msg=name)
+        np.testing.assert_array_equal(arrays[name], array, err_msg=name)
     pd.testing.assert_frame_equal(stored.history, result.history)
 
     page = workflow.path("report/index.html").read_text(encoding="utf-8")

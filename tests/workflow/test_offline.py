@@ -118,8 +118,8 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
         output = command("import", sheet)
         passes += 1
     assert passes == len(sheets(tmp_path / "p")) > 2
-    found = contents(tmp_path / "r" / "desk" / "symmetric" / "transport.zarr")
-    assert found == contents(direct / "transport.zarr")
+    transport = contents(tmp_path / "r" / "desk" / "symmetric" / "transport.zarr")
+    assert transport == contents(direct / "transport.zarr")
     # a sheet twice changes nothing
     assert "complete; the transport is" in command("import", sheet)
     assert verified(path, tmp_path / "r")["mean_error"] < 0.01
@@ -195,14 +195,14 @@ def test_the_workflow_goes_on_from_pictures_that_a_script_took(tmp_path: Path) -
     assert "patterns in" not in workflow.run(target)
     transport = open_transport(workflow.path("desk/brute_force/transport.zarr"))
     # radiance in the camera's own unit
-    found = transport.channel(0) @ np.eye(20)
-    scale = found.sum() / symmetric_matrix().sum()
-    np.testing.assert_allclose(found / scale, symmetric_matrix(), atol=2e-3 / 20)
+    estimate = transport.channel(0) @ np.eye(20)
+    scale = estimate.sum() / symmetric_matrix().sum()
+    np.testing.assert_allclose(estimate / scale, symmetric_matrix(), atol=2e-3 / 20)
 
 
 def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
     stated = json.loads((level_0 / "patterns.json").read_text())
-    names = [each["file"] for each in stated["shown"]]
+    names = [entry["file"] for entry in stated["shown"]]
     assert [name[5:-4] for name in names] == [
         *("marker",) * 2, *("black",) * 2, *("white",) * 2, *("random",) * 6, "pattern",
         *("verification",) * 3, "marker",
@@ -216,8 +216,8 @@ def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
 
 def swapped(pictures: Path, *pairs: tuple[int, int]) -> None:
     """Exchange files; by default, the opposite of the marker comes after black."""
-    for one, other in pairs or ((2, 4), (3, 5)):
-        first, second = (pictures / f"IMG_{index}.tif" for index in (one, other))
+    for first_index, second_index in pairs or ((2, 4), (3, 5)):
+        first, second = (pictures / f"IMG_{index}.tif" for index in (first_index, second_index))
         first.rename(pictures / "aside.tif")
         second.rename(first)
         (pictures / "aside.tif").rename(second)
@@ -259,19 +259,19 @@ def test_pictures_are_refused_before_any_is_kept(level_0: Path, spoil: Any, mess
 def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path) -> None:
     photographer.photograph(level_0, (np.eye(20) + 0.02)[None], photographer.counts)
     exchange = partial(swapped, level_0 / "pictures", (12, 14), (13, 15))
-    kept = level_0.parents[1] / "r" / "desk" / "symmetric" / "L00"
+    level = level_0.parents[1] / "r" / "desk" / "symmetric" / "L00"
     exchange()
     assert "IMG_12.tif shows the pattern of IMG_14.tif" in command("import", level_0, fails=True)
-    assert not list(kept.glob("reference_brackets.zarr/c.*"))
+    assert not list(level.glob("reference_brackets.zarr/c.*"))
     assert "None of these pictures" in command("import", level_0, "--anyway", fails=True)
-    assert not kept.exists()
+    assert not level.exists()
     exchange()
     command("import", level_0)
     (_, level_1) = sheets(level_0.parent)
     taken_back = command("import", level_0, "--take-back").replace("\n", "")
-    assert f"{kept}: removed" in taken_back
+    assert f"{level}: removed" in taken_back
     assert f"{level_1}: removed" in taken_back
-    assert not kept.exists()
+    assert not level.exists()
     assert sheets(level_0.parent) == [level_0]
     assert len(list((level_0 / "pictures").iterdir())) == 34
 
@@ -303,26 +303,28 @@ def test_a_sheet_with_other_pictures_is_not_replaced(level_0: Path) -> None:
 @pytest.mark.parametrize("is_renamed", [False, True])
 def test_a_copied_run_imports_into_its_own_results(level_0: Path, is_renamed: bool) -> None:
     root = level_0.parents[1]
-    other = root.with_name(f"{root.name}_other")
-    shutil.move(root, other) if is_renamed else shutil.copytree(root, other)
-    assert "brackets imported" in command("import", other / level_0.relative_to(root))
-    assert list(other.glob("r/desk/symmetric/L00/reference_brackets.zarr/c.*"))
+    copied = root.with_name(f"{root.name}_other")
+    shutil.move(root, copied) if is_renamed else shutil.copytree(root, copied)
+    assert "brackets imported" in command("import", copied / level_0.relative_to(root))
+    assert list(copied.glob("r/desk/symmetric/L00/reference_brackets.zarr/c.*"))
     assert not list(root.glob("r/desk/symmetric/L00/reference_brackets.zarr/c.*"))
-    assert str(root) + "/" not in (sheets(other / "p")[-1] / "patterns.json").read_text()
+    assert str(root) + "/" not in (sheets(copied / "p")[-1] / "patterns.json").read_text()
 
 
 @pytest.mark.parametrize(
-    ("lacking", "message"), [("mine.yaml", "settings at"), ("r", "results at")]
+    ("moved_name", "message"), [("mine.yaml", "settings at"), ("r", "results at")]
 )
-def test_a_sheet_apart_from_its_run_is_refused(level_0: Path, lacking: str, message: str) -> None:
+def test_a_sheet_apart_from_its_run_is_refused(
+    level_0: Path, moved_name: str, message: str
+) -> None:
     root = level_0.parents[1]
     moved = root / "elsewhere"
-    (root / lacking).rename(moved)
+    (root / moved_name).rename(moved)
     output = command("import", level_0, fails=True)
-    assert re.search(rf"patterns\.json: the run's {message} \.\./\.\./{lacking}.*", output)
+    assert re.search(rf"patterns\.json: the run's {message} \.\./\.\./{moved_name}.*", output)
     assert "write the patterns again" in output
-    settings = moved if lacking == "mine.yaml" else root / "mine.yaml"
-    results = moved if lacking == "r" else root / "r"
+    settings = moved if moved_name == "mine.yaml" else root / "mine.yaml"
+    results = moved if moved_name == "r" else root / "r"
     command("patterns", settings, "-o", root / "p", "--results", results)
     assert "brackets imported" in command("import", level_0)
     assert list(results.glob("desk/symmetric/L00/reference_brackets.zarr/c.*"))
@@ -347,8 +349,8 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
     assert rig.picture_shape == (11, 15)
     picture = np.random.default_rng(0).random((11, 15), np.float32)
     mean = picture[1:9, 2:12].reshape(4, 2, 5, 2).mean(axis=(1, 3))
-    seen = rig.sensor.resampling.matrix @ picture.ravel()
-    np.testing.assert_allclose(seen, mean.ravel(), rtol=1e-6)
+    resampled = rig.sensor.resampling.matrix @ picture.ravel()
+    np.testing.assert_allclose(resampled, mean.ravel(), rtol=1e-6)
 
 
 def test_a_raw_file_of_another_mosaic_is_refused(tmp_path: Path) -> None:
@@ -363,9 +365,9 @@ def test_a_raw_file_of_another_mosaic_is_refused(tmp_path: Path) -> None:
     for mosaic, message in (("BGGR", "colour mosaic BGGR"), (x_trans, "colour mosaic X-Trans")):
         (sheet / "pictures").mkdir(exist_ok=True)
         (sheet / "pictures" / "IMG_0.dng").write_bytes(dng_bytes(counts, 0.25, mosaic))
-        told = command("import", sheet, fails=True)
-        assert message in told
-        assert "camera.bayer is RGGB" in told
+        output = command("import", sheet, fails=True)
+        assert message in output
+        assert "camera.bayer is RGGB" in output
 
 
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:

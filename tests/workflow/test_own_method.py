@@ -44,8 +44,8 @@ def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> N
 def test_it_runs_in_process_by_its_path_its_class_or_itself() -> None:
     rig = OperatorRig(np.eye(6), (2, 3), (2, 3))
     path = f"{EXAMPLE}:ColumnScan"
-    own = get_method(path)
-    runs = [acquire(rig, it, progress=False, width=3) for it in (path, type(own), own)]
+    method = get_method(path)
+    runs = [acquire(rig, it, progress=False, width=3) for it in (path, type(method), method)]
     assert [run.patterns for run in runs] == [1, 1, 1]
     with pytest.raises(InputError, match=r"width is 0; it should be greater than or equal to 1"):
         acquire(rig, path, progress=False, width=0)

@@ -62,18 +62,18 @@ def test_a_cluster_leaves_the_bytes_that_threads_leave(
     captured: StagewiseAcquisition, address: str
 ) -> None:
     level = captured.folder.path / "L00"
-    left = []
+    outputs = []
     ways = (
         Resources(), Resources(threads=3), Resources(1e-6, threads=3), Resources(where=address)
     )  # fmt: skip
     for captured.resources in ways:
         captured.merge(0)
-        left.append({name: contents(level / name) for name in ("merge.zarr", "sums.zarr")})
-        left[-1]["manifest"] = contents(level / "merge.json")
+        outputs.append({name: contents(level / name) for name in ("merge.zarr", "sums.zarr")})
+        outputs[-1]["manifest"] = contents(level / "merge.json")
         merged = captured.folder.store(0, "merge")
-        merged.rename(level / f"of {len(left)}")  # or it would be kept
-    assert left[0] == left[1] == left[2] == left[3]
-    assert len(left[0]["merge.zarr"]) == 10 + 2  # a file a run
+        merged.rename(level / f"of {len(outputs)}")  # or it would be kept
+    assert outputs[0] == outputs[1] == outputs[2] == outputs[3]
+    assert len(outputs[0]["merge.zarr"]) == 10 + 2  # a file a run
 
 
 def test_damage_that_a_worker_finds_is_said_as_anywhere(
@@ -91,9 +91,9 @@ def test_damage_that_a_worker_finds_is_said_as_anywhere(
 
 def test_a_worker_that_dies_costs_its_piece(elsewhere: Resources, tmp_path: Path) -> None:
     with elsewhere.workers(1, tmp_path) as workers:
-        found = list(workers.results(Dying(identity, 3, tmp_path / "died"), PIECES))
-    assert [part[1:] for part in found] == PIECES
-    assert os.getpid() not in {part[0] for part in found}
+        parts = list(workers.results(Dying(identity, 3, tmp_path / "died"), PIECES))
+    assert [part[1:] for part in parts] == PIECES
+    assert os.getpid() not in {part[0] for part in parts}
 
 
 def test_workers_that_do_not_see_the_folder_are_refused(address: str) -> None:

@@ -38,9 +38,9 @@ def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
         pattern = np.linspace(0, 1, int(np.prod(scene.ray_shape)), dtype=np.float32)
         cached = scene.model_copy(update={"cache": str(tmp_path / scene.cache)})
         truth = scene_from_config(cached).apply(pattern[None])[0]
-        found = relit.relight(pattern.reshape(scene.ray_shape)).reshape(truth.shape)
+        image = relit.relight(pattern.reshape(scene.ray_shape)).reshape(truth.shape)
         assert truth.max() > 0
-        np.testing.assert_allclose(found, truth, atol=1e-5 * truth.max())
+        np.testing.assert_allclose(image, truth, atol=1e-5 * truth.max())
     assert len(list((tmp_path / "results" / "recorded").glob("*/matrix.json"))) == len(CASES)
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
     assert "80\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}4" in page
@@ -62,13 +62,13 @@ def test_the_large_scenes_in_few_pixels(tmp_path: Path, monkeypatch: pytest.Monk
         monkeypatch.setattr(large, name, value)
     monkeypatch.chdir(tmp_path)
     large.main(str(tmp_path))
-    found = pd.read_csv(tmp_path / "large.csv")
-    ends = found.groupby(["scene", "method"]).tail(1)
+    table = pd.read_csv(tmp_path / "large.csv")
+    ends = table.groupby(["scene", "method"]).tail(1)
     assert len(ends) == 5
     assert (ends["mean_error"] < 0.1).all()
     assert (ends["verified"] < 0.1).all()
-    whole = found[(found["method"] == "auto") & (found["estimated_error"] > 0)]
-    ratio = whole["mean_error"] / whole["estimated_error"]
+    auto_rows = table[(table["method"] == "auto") & (table["estimated_error"] > 0)]
+    ratio = auto_rows["mean_error"] / auto_rows["estimated_error"]
     assert ratio.between(1 / 3, 3).all()
     costs = pd.read_csv(tmp_path / "large_stages.csv")
     assert set(costs["stage"]) >= {"schedule", "capture", "merge", "normalize", "refine"}

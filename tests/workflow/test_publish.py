@@ -104,24 +104,24 @@ def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:
 def test_a_run_with_code_of_one_s_own_runs_again_from_its_crate(
     tmp_path: Path, kernels: None
 ) -> None:
-    first, again, crate = Workflow(tmp_path / "first"), tmp_path / "again", tmp_path / "crate"
+    original, repeated, crate = Workflow(tmp_path / "first"), tmp_path / "again", tmp_path / "crate"
     for name in ("column_scan.py", "frosted_glass.py"):
-        shutil.copy(ROOT / "tests/examples" / name, first.folder)
-    first.configure(
+        shutil.copy(ROOT / "tests/examples" / name, original.folder)
+    original.configure(
         scenes={"glass": GLASS},
         methods={"module": OWN_METHODS["module"]},
         camera=None,
         resources={"jobs": "acquisition"},
     )
-    first.run("results/glass/module/transport.json")
+    original.run("results/glass/module/transport.json")
     facts = {"title": "a", "creators": ["Doe, Jane"], "license": "MIT", "published": "2026-01-01"}
     citation = Citation.model_validate(facts)
-    written = publish(find_run(first.folder), citation, crate, config=first.config)
+    written = publish(find_run(original.folder), citation, crate, config=original.config)
     assert written.notes == []
-    shutil.rmtree(first.folder)
-    shutil.copytree(crate / "inputs", again)
-    (again / "config.yaml").write_bytes((crate / "settings.yaml").read_bytes())
-    second = Workflow(again)
+    shutil.rmtree(original.folder)
+    shutil.copytree(crate / "inputs", repeated)
+    (repeated / "config.yaml").write_bytes((crate / "settings.yaml").read_bytes())
+    second = Workflow(repeated)
     second.run("results/glass/module/transport.json")
     transport = "glass/module/transport.zarr"
     assert contents(second.path(transport)) == contents(crate / "results" / transport)

@@ -57,12 +57,12 @@ def everything(folder: Path, but: tuple[str, ...] = ()) -> dict[str, bytes]:
 def test_what_is_made_of_the_raw_exposures_is_the_same_without_them(
     acquisition: StagewiseAcquisition, tmp_path: Path
 ) -> None:
-    kept = StagewiseAcquisition(tmp_path / "kept", matrix_rig(noise=CAMERA))
+    complete = StagewiseAcquisition(tmp_path / "kept", matrix_rig(noise=CAMERA))
     for level in (0, 1):
-        kept.level(level)
-    assert len(chunks(kept.folder.path)) > 4
+        complete.level(level)
+    assert len(chunks(complete.folder.path)) > 4
     assert chunks(acquisition.folder.path) == []
-    assert everything(acquisition.folder.path, RAW) == everything(kept.folder.path, RAW)
+    assert everything(acquisition.folder.path, RAW) == everything(complete.folder.path, RAW)
     raw = FrameStore.open(acquisition.folder.path / RAW[2])
     assert raw.dropped
     assert raw.complete
@@ -113,16 +113,16 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: StagewiseAcqui
     assert chunks(acquisition.folder.path) == []
 
 
-@pytest.mark.parametrize("lost", ["merge", "sums", "reference_images"])
+@pytest.mark.parametrize("store", ["merge", "sums", "reference_images"])
 def test_damaged_merged_images_need_the_raw_exposures(
-    acquisition: StagewiseAcquisition, lost: str
+    acquisition: StagewiseAcquisition, store: str
 ) -> None:
-    level = 0 if lost == "reference_images" else 1
-    damage(acquisition.folder.store(level, lost))
+    level = 0 if store == "reference_images" else 1
+    damage(acquisition.folder.store(level, store))
     acquisition.folder.manifest(level, "merge").unlink()  # as who finds it says
     with pytest.raises(StaleStoreError, match=r"damaged.*To capture all levels again"):
         acquisition.merge(level)
-    FrameStore.discard(acquisition.folder.store(level, lost))
+    FrameStore.discard(acquisition.folder.store(level, store))
     with pytest.raises(StaleStoreError, match="To capture all levels again"):
         acquisition.merge(level)
 
@@ -162,7 +162,7 @@ def test_a_kill_while_dropping_loses_nothing(
     level: int,
     snakemake_removes_the_manifest: bool,
 ) -> None:
-    whole = everything(acquisition.folder.path)
+    undisturbed = everything(acquisition.folder.path)
     cut = StagewiseAcquisition(tmp_path / "cut", matrix_rig(noise=CAMERA))
     cut.settings = replace(SETTINGS, keep_raw=False)
     for above in range(level):
@@ -177,10 +177,10 @@ def test_a_kill_while_dropping_loses_nothing(
         elif where == "the marker":
             patch.setattr("rfpipe.store.frames.write_manifest", killed)
         else:
-            remove, left = Path.unlink, iter(range(0 if where == "the first file" else 2))
+            remove, removable = Path.unlink, iter(range(0 if where == "the first file" else 2))
 
             def unlink(path: Path, **named: Any) -> None:
-                if path.name.startswith("c.") and next(left, None) is None:
+                if path.name.startswith("c.") and next(removable, None) is None:
                     raise Killed
                 remove(path, **named)
 
@@ -191,9 +191,9 @@ def test_a_kill_while_dropping_loses_nothing(
     if snakemake_removes_the_manifest:  # it knows the job as incomplete
         cut.folder.manifest(level, "merge").unlink()
     cut.merge(level)
-    for rest in range(level, 2):
-        cut.level(rest)
-    assert everything(cut.folder.path) == whole
+    for remaining in range(level, 2):
+        cut.level(remaining)
+    assert everything(cut.folder.path) == undisturbed
 
 
 def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
@@ -229,7 +229,7 @@ def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> N
     assert output.count("raw exposures dropped") == 4
     assert "patterns in" not in output
     assert list(folder.glob("L*/capture.zarr/c.*")) == []
-    left, expected = copy.contents("tiny/symmetric"), undisturbed.contents("tiny/symmetric")
+    remaining, expected = copy.contents("tiny/symmetric"), undisturbed.contents("tiny/symmetric")
     raw = re.compile(r"L\d\d/(capture|reference|symmetry)\.zarr/c\.")
-    assert {name for name in expected if name not in left} == set(filter(raw.match, expected))
-    assert all(content == expected.get(name, content) for name, content in left.items())
+    assert {name for name in expected if name not in remaining} == set(filter(raw.match, expected))
+    assert all(content == expected.get(name, content) for name, content in remaining.items())

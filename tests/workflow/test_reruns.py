@@ -124,8 +124,8 @@ def test_looking_changes_nothing(tmp_path: Path) -> None:
     assert {name for name in ALL if re.search(rf"^{name} +1$", planned, re.MULTILINE)} == ALL
     graph = workflow.run(DUAL, "--rulegraph", "dot")
     assert {name for name in ALL if f'label = "{name}"' in graph} == ALL
-    left = {path for path in tmp_path.rglob("*") if ".snakemake" not in path.parts}
-    assert sorted(left) == before
+    remaining = {path for path in tmp_path.rglob("*") if ".snakemake" not in path.parts}
+    assert sorted(remaining) == before
 
 
 @SLOW

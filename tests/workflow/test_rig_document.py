@@ -63,9 +63,11 @@ def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
         assert relative_rms(transport.relight(pattern), truth) < 0.02, name
     assert (tmp_path / "bar.png").stat().st_size > 0
     assert (tmp_path / "captured/results/report/index.html").exists()
-    found = json.loads((tmp_path / "calibration/calibration.json").read_text())
-    assert {step["standing"] for step in found["facts"].values()} == {"good"}
+    calibration = json.loads((tmp_path / "calibration/calibration.json").read_text())
+    assert {step["standing"] for step in calibration["facts"].values()} == {"good"}
     true = config.sensor
     for name in ("read_noise_electrons", "full_well_electrons", "dark_current_electrons"):
-        assert found["camera"][name] == pytest.approx(getattr(true, name), rel=0.1), name
-    assert found["camera"]["black_level_counts"] == pytest.approx(true.black_level_counts, abs=0.1)
+        assert calibration["camera"][name] == pytest.approx(getattr(true, name), rel=0.1), name
+    assert calibration["camera"]["black_level_counts"] == pytest.approx(
+        true.black_level_counts, abs=0.1
+    )

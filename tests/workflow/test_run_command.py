@@ -44,8 +44,8 @@ def run(workflow: Workflow, *arguments: str, status: int = 0) -> str:
     return output
 
 
-def settings(tmp_path: Path, **others: Any) -> Workflow:
-    return Workflow(tmp_path / "run", {"methods": {"dual": {}}, "capture": CAPTURE, **others})
+def settings(tmp_path: Path, **sections: Any) -> Workflow:
+    return Workflow(tmp_path / "run", {"methods": {"dual": {}}, "capture": CAPTURE, **sections})
 
 
 def test_a_scene_that_fails_is_in_the_last_line_and_the_others_are_in_the_report(
@@ -85,12 +85,12 @@ def test_a_level_is_taken_again_and_nothing_else(tmp_path: Path, kind: str) -> N
     after = workflow.contents("wall/dual")
     aside = {name for name in after if "capture.before_1.zarr" in name}
     assert {name: after[name] for name in after if name not in aside} == before
-    taken = [
+    rewritten = [
         path
         for path, time in times.items()
         if path.parent.name == "capture.zarr" and path.stat().st_mtime_ns != time
     ]
-    assert [path.parents[1].name for path in taken] == ["L01"]
+    assert [path.parents[1].name for path in rewritten] == ["L01"]
     if kind == "stage":
         ran = jobs(output)
         assert ran["capture_simulated"] == ran["merge"] == 1
@@ -109,10 +109,10 @@ def test_a_run_after_kill_9_goes_on_by_itself(tmp_path: Path) -> None:
     assert "--unlock" not in said
     kill_group(process, signal.SIGKILL)
     process.communicate()
-    kept = len(journal(store))
+    captured = len(journal(store))
     said = run(workflow, target)
     assert "continuing the last run in this folder, which was killed" in said
-    assert f"going on at pattern {kept}" in said
+    assert f"going on at pattern {captured}" in said
 
 
 def test_a_missed_target_is_in_the_last_line(tmp_path: Path) -> None:

@@ -98,13 +98,13 @@ def rows() -> dict[str, str]:
     """The table: what runs again by the pattern of each setting."""
     text = (ROOT / "config" / "README.md").read_text(encoding="utf-8")
     table = text.partition("| setting | runs again |\n|---|---|\n")[2].partition("\n\n")[0]
-    found: dict[str, str] = {}
+    runs_of_setting: dict[str, str] = {}
     for line in table.splitlines():
         names, runs = (cell.strip() for cell in line.strip("|").split("|"))
         for name in re.findall(r"`([^`]+)`", names):
-            assert name not in found, f"{name} has two rows"
-            found[name] = runs
-    return found
+            assert name not in runs_of_setting, f"{name} has two rows"
+            runs_of_setting[name] = runs
+    return runs_of_setting
 
 
 TABLE = rows()
@@ -119,9 +119,10 @@ def row_of(path: str) -> str:
 
 
 def fits(path: str, pattern: str) -> bool:
-    parts, wanted = path.split("."), pattern.split(".")
-    return len(wanted) <= len(parts) and all(
-        fnmatchcase(part, each) for part, each in zip(parts, wanted, strict=False)
+    parts, pattern_parts = path.split("."), pattern.split(".")
+    return len(pattern_parts) <= len(parts) and all(
+        fnmatchcase(part, pattern_part)
+        for part, pattern_part in zip(parts, pattern_parts, strict=False)
     )
 
 
@@ -223,9 +224,9 @@ def test_a_change_runs_again_what_the_table_says(
         assert not named
     else:
         begins = "the report" if path.startswith("offline") else runs
-        rules, others = next(FIRST[each] for each in FIRST if begins.startswith(each))
+        rules, excluded_rules = next(FIRST[prefix] for prefix in FIRST if begins.startswith(prefix))
         assert rules <= named
-        assert not others & named
+        assert not excluded_rules & named
 
 
 @pytest.mark.slow

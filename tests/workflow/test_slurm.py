@@ -47,15 +47,15 @@ def test_a_node_killed_in_the_middle_of_an_acquisition(
     freeze_writer(capture, 12)  # so that it isn't done before its node is found
     (node,) = slurm.jobs("RUNNING").values()
     slurm.kill_node(node)
-    taken = len(journal(capture))
-    assert taken < 40
+    captured = len(journal(capture))
+    assert captured < 40
     time.sleep(1)
-    assert len(journal(capture)) == taken  # nothing of it lives
+    assert len(journal(capture)) == captured  # nothing of it lives
     slurm.start_node(node)
     said = workflow.end(process)
     assert "Trying to restart job" in said
     log = workflow.path("long/brute_force/acquire.log").read_text()
-    assert f"{taken} of 40 patterns are captured; going on at pattern {taken}" in log
+    assert f"{captured} of 40 patterns are captured; going on at pattern {captured}" in log
     assert workflow.contents("long/brute_force") == undisturbed.contents("long/brute_force")
 
 
@@ -72,8 +72,8 @@ def test_what_a_job_of_ones_own_cluster_died_of_is_said(slurm: Slurm, tmp_path: 
     ends = "import os\n\n        os.kill(os.getpid(), 9)\n        lit = weights"
     (workflow.folder / "frosted_glass.py").write_text(glass.replace("lit = weights", ends))
     workflow.configure(scenes={"glass": GLASS}, methods={"dual": {}})
-    asked = ("--retries", "0", "results/glass/dual/transport.json")
-    said = workflow.run(*on("cluster-generic", *asked), succeeds=False)
+    arguments = ("--retries", "0", "results/glass/dual/transport.json")
+    said = workflow.run(*on("cluster-generic", *arguments), succeeds=False)
     assert "Error in rule acquire" in said
     (log,) = (workflow.folder / ".snakemake/cluster_logs").glob("acquire-*.log")
     assert "died with <Signals.SIGKILL: 9>" in log.read_text()

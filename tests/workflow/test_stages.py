@@ -121,9 +121,11 @@ def test_a_changed_rig_is_refused_or_captured_anew_after_saying_so(
     with caplog.at_level(logging.INFO, logger="rfpipe"):
         acquisition.capture(0)
     messages = [record.getMessage() for record in caplog.records]
-    anew = next(i for i, text in enumerate(messages) if "CAPTURING ANEW" in text)
-    assert "rig.seed 0 -> 7" in messages[anew]
-    assert all("patterns in" not in text for text in messages[:anew])  # before, not afterwards
+    recaptured = next(i for i, text in enumerate(messages) if "CAPTURING ANEW" in text)
+    assert "rig.seed 0 -> 7" in messages[recaptured]
+    assert all(
+        "patterns in" not in text for text in messages[:recaptured]
+    )  # before, not afterwards
     assert read_manifest(tmp_path / "L00/capture.json")["digest"] != first["digest"]
 
     acquisition.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
@@ -157,10 +159,10 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
     assert max(batches) == 3
     before = contents(tmp_path / "L00/capture.zarr")
     batches.clear()
-    again = StagewiseAcquisition(tmp_path / "again", rig)
-    again.plan, again.resources = acquisition.plan, Resources(memory_gib=1e-6)
-    again.schedule(0)
-    again.capture(0, batch_patterns=3)
+    repeated = StagewiseAcquisition(tmp_path / "again", rig)
+    repeated.plan, repeated.resources = acquisition.plan, Resources(memory_gib=1e-6)
+    repeated.schedule(0)
+    repeated.capture(0, batch_patterns=3)
     assert batches == [1] * (2 + 2 + RAYS)
     assert contents(tmp_path / "again/L00/capture.zarr") == before
 
@@ -218,9 +220,9 @@ def test_files_hold_what_is_found_in_process_with_hot_pixels(tmp_path: Path, met
     assert np.argwhere(result.masked).tolist() == [[1, 2], [3, 4]]
     assert read_manifest(tmp_path / "transport.json")["masked"] == 2
     impulses = np.eye(RAYS, dtype=np.float32).reshape(RAYS, *SHAPE)
-    found = stored.relight_batch(impulses)
-    np.testing.assert_array_equal(found, result.transport.relight_batch(impulses))
-    matrix = found.reshape(RAYS, RAYS).T
+    images = stored.relight_batch(impulses)
+    np.testing.assert_array_equal(images, result.transport.relight_batch(impulses))
+    matrix = images.reshape(RAYS, RAYS).T
     hot = result.masked.ravel()
     assert matrix[np.ix_(hot, ~hot)].all()
     np.testing.assert_allclose(matrix[np.ix_(hot, ~hot)], matrix[np.ix_(~hot, hot)].T, rtol=1e-5)
