@@ -1,4 +1,4 @@
-"""The errors that methods estimate of themselves: kept, logged, and shown beside the true ones."""
+"""Estimated errors in the table of levels, in stores and in reports."""
 
 import numpy as np
 import pandas as pd
@@ -38,7 +38,7 @@ def history(rows: list) -> pd.DataFrame:
     return DenseTransport((1, 1), (1, 1), 1, rows, {}).history
 
 
-def test_history_adds_up_patterns_and_leaves_out_levels_without_an_estimate() -> None:
+def test_history_sums_patterns_and_omits_levels_without_an_estimate() -> None:
     table = history(ROWS)
     errors = ["estimated_error", "estimated_indirect"]
     assert list(table.columns) == list(HISTORY_COLUMNS) == ["level", "patterns", *errors]
@@ -47,12 +47,12 @@ def test_history_adds_up_patterns_and_leaves_out_levels_without_an_estimate() ->
 
 
 @pytest.mark.parametrize("rows", [[], ROWS[:1]])
-def test_without_an_estimate_history_is_empty_with_the_same_columns(rows: list) -> None:
+def test_history_without_estimates_is_empty_with_the_same_columns(rows: list) -> None:
     assert len(history(rows)) == 0
     pd.testing.assert_series_equal(history(rows).dtypes, history(ROWS).dtypes)
 
 
-def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path) -> None:
+def test_a_stored_transport_has_the_history_of_its_acquisition(tmp_path) -> None:
     factors = np.random.default_rng(0).random((60, 256))
     rig = OperatorRig(factors.T @ factors / 256 + np.eye(256), (16, 16), (16, 16))
     result = acquire(rig, LOW_RANK, target_error=0.005)
@@ -66,7 +66,7 @@ def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path) -> None:
     pd.testing.assert_frame_equal(stored.history, result.history)
 
 
-def test_the_reports_tables_hold_what_the_acquisition_found(tmp_path) -> None:
+def test_the_reports_tables_have_the_estimated_error(tmp_path) -> None:
     config = CONFIG.model_copy(
         update={
             "scenes": {"corner": CONFIG.scenes["corner"]},

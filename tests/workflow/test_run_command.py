@@ -121,7 +121,7 @@ def test_a_missed_target_is_in_the_last_line(tmp_path: Path) -> None:
     last = run(workflow).splitlines()[-1]
     assert re.match(
         r"rfpipe: missed the target error: wall by near_far, estimated error .* %, target 0.2 % "
-        r"\(ended at an estimated .* times the error asked for: ", last
+        r"\(ended at an estimated error of .* times the target: ", last
     )  # fmt: skip
     acquired = json.loads(workflow.path("wall/near_far/transport.json").read_text())
     assert acquired["patterns"] == 24
