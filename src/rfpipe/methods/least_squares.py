@@ -1,4 +1,9 @@
-"""Iterative least squares."""
+"""Conjugate gradients, for the fits of all models.
+
+M. R. Hestenes and E. Stiefel, *Methods of conjugate gradients for solving linear systems*, J. Res.
+Natl. Bur. Stand. 49 (1952); with a preconditioner as in Y. Saad, *Iterative Methods for Sparse
+Linear Systems*, 2nd ed., SIAM 2003, algorithm 9.1.
+"""
 
 from __future__ import annotations
 
