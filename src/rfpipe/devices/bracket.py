@@ -40,7 +40,7 @@ class FrameOptions(Settings):
         2.0,
         gt=0,
         le=600,
-        description="Seconds after its exposure until a frame counts as lost, above 0 to 600.",
+        description="Seconds after its exposure until a frame counts as lost.",
     )
 
 

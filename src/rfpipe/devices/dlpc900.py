@@ -89,7 +89,7 @@ class Dlpc900Options(Settings):
         None, min_length=1, description="Serial number of its USB device, or null for the only one."
     )
     settle_seconds: float = Field(
-        0.05, ge=0, le=60, description="Wait after loading and starting a picture, 0 to 60 s."
+        0.05, ge=0, le=60, description="Wait after loading and starting a picture, in seconds."
     )
 
 

@@ -51,7 +51,7 @@ class GenicamOptions(FrameOptions):
         None, min_length=1, description="Serial number, or null for the only camera connected."
     )
     gain_db: float = Field(
-        0.0, ge=0, le=48, description="Gain in decibels, fixed, 0 to 48; 0 has the least noise."
+        0.0, ge=0, le=48, description="Gain in decibels, fixed; 0 has the least noise."
     )
     nodes: dict[str, bool | int | float | str] = Field(
         default_factory=dict,

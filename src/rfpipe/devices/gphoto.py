@@ -57,7 +57,7 @@ class PhotoOptions(FrameOptions):
         "connected.",
     )
     iso: Annotated[int, Field(ge=25, le=409_600)] = Field(
-        100, description="Sensitivity, fixed, 25 to 409600; the lowest has the least noise."
+        100, description="Sensitivity, fixed; the lowest has the least noise."
     )
     nominal_times: bool = Field(
         False,

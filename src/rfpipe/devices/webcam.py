@@ -55,7 +55,7 @@ class WebcamOptions(Settings):
         4,
         ge=0,
         le=100,
-        description="Frames dropped before each used frame, 0 to 100: they may have been exposed "
+        description="Frames dropped before each used frame: they may have been exposed "
         "before the picture or the exposure time changed.",
     )
 

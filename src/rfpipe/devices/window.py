@@ -48,9 +48,7 @@ class WindowOptions(Settings):
         pattern=r"^\S*:\d+(\.\d+)?$",
         description="X display, such as :0, or null for the environment's DISPLAY.",
     )
-    screen: int = Field(
-        0, ge=0, le=63, description="Number of the monitor on that display, 0 to 63."
-    )
+    screen: int = Field(0, ge=0, le=63, description="Number of the monitor on that display.")
     offset: tuple[Offset, Offset] = Field(
         (0, 0),
         description="Place of the picture on the monitor: pixels from its upper edge and from "
@@ -65,7 +63,7 @@ class WindowOptions(Settings):
         0.1,
         ge=0,
         le=60,
-        description="Wait between drawing a picture and its appearance, 0 to 60 s: two or three "
+        description="Wait between drawing a picture and its appearance in seconds: two or three "
         "frames of the display plus the delay of the projector.",
     )
 

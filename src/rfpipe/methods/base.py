@@ -52,8 +52,7 @@ class Options(MethodSettings):
         3.0,
         ge=0,
         le=100,
-        description="Standard deviations of its noise above which light counts as measured, 0 "
-        "to 100.",
+        description="Standard deviations of its noise above which light counts as measured.",
     )
 
 
@@ -64,17 +63,16 @@ class ErrorOptions(Options):
         0,
         ge=0,
         le=1_000_000,
-        description="Patterns to show at most, 0 to 1000000; 0 leaves it to the method.",
+        description="Patterns to show at most; 0 leaves it to the method.",
     )
     target_error: Fraction = Field(
         0.01,
-        description="Mean error of relit pictures at which to stop, a fraction of their norm "
-        "between 0 and 1.",
+        description="Mean error of relit pictures at which to stop, a fraction of their norm.",
     )
     target_indirect: Fraction | None = Field(
         None,
         description="Mean error of their indirect light, on pixels without direct light, at which "
-        "to stop, a fraction of that light between 0 and 1; null: any.",
+        "to stop, a fraction of that light; null: any.",
     )
 
 

@@ -51,7 +51,7 @@ class DualOptions(Options):
     tolerance: Fraction = Field(
         1e-3,
         description="Response below which a block isn't subdivided, a fraction of the floodlit "
-        "maximum, between 0 and 1.",
+        "maximum.",
     )
 
 

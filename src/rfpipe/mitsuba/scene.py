@@ -47,7 +47,7 @@ class MitsubaOptions(SceneSettings):
     )
     projector_shape: tuple[Extent, Extent] | None = Field(
         None,
-        description="Height and width of each projector's picture in pixels, 1 to 4096; null for "
+        description="Height and width of each projector's picture in pixels; null for "
         "the camera's.",
     )
     cameras: tuple[View, ...] | None = Field(
@@ -58,12 +58,12 @@ class MitsubaOptions(SceneSettings):
         min_length=1,
         description="Positions of the projectors; null: those of the scene, or of the cameras.",
     )
-    samples: int = Field(16384, ge=2, le=2**20, description="Paths per pixel, 2 to 1,048,576.")
+    samples: int = Field(16384, ge=2, le=2**20, description="Paths per pixel.")
     bounces: int | None = Field(
         None,
         ge=1,
         le=64,
-        description="Maximum reflections and scatterings of a path, 1 to 64; null: chosen by the "
+        description="Maximum reflections and scatterings of a path; null: chosen by the "
         "scene, for a file 6, or 10 with refraction, or 48 with translucent bodies.",
     )
     caustics: bool | None = Field(

@@ -23,9 +23,7 @@ class View(Settings):
     up: tuple[float, float, float] = Field(
         (0.0, 1.0, 0.0), description="Direction that is up in its picture."
     )
-    degrees: float = Field(
-        40.0, gt=0, lt=180, description="Horizontal field of view in degrees, 0 to 180."
-    )
+    degrees: float = Field(40.0, gt=0, lt=180, description="Horizontal field of view in degrees.")
 
     def pinhole(self, shape: tuple[int, int]) -> Pinhole:
         """Build the pinhole with a picture of this height and width in pixels."""

@@ -133,7 +133,7 @@ class ProjectorOptions(Settings):
     )
     shape: tuple[Extent, Extent] | None = Field(
         None,
-        description="Height and width in pixels, 1 to 4096 each; null for those of the camera.",
+        description="Height and width in pixels; null for those of the camera.",
     )
 
     @model_validator(mode="after")

@@ -53,8 +53,7 @@ class SymmetricOptions(Options):
 
     tolerance: Fraction = Field(
         1e-3,
-        description="Error allowed in a stored block, a fraction of the floodlit maximum, "
-        "between 0 and 1.",
+        description="Error allowed in a stored block, a fraction of the floodlit maximum.",
     )
 
 
