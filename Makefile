@@ -1,4 +1,4 @@
-# rfpipe: `make` lists what can be done. Needs Python >= 3.11 and make; the rest goes into .venv.
+# rfpipe: `make` lists the targets. Needs Python >= 3.11 and make; all packages are installed into .venv.
 
 PYTHON ?= python3
 VENV := .venv
@@ -10,7 +10,7 @@ RIG ?= config/bench.yaml
 FIGURES ?= figures
 LOCK_OPTIONS := --upgrade --universal --python-version 3.11 --generate-hashes --no-header \
   --no-annotate --quiet
-# one worker more than cores: much of the tests is waiting
+# one worker more than cores, since tests often wait
 PYTEST := pytest -n 3 --dist worksteal
 # more options for snakemake, as in: make run ARGS="--dry-run"
 ARGS ?=
@@ -42,7 +42,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install --quiet --require-hashes --requirement requirements.lock
 	$(PIP) install --quiet --no-deps --no-build-isolation --editable .
-	@# each of a run's hundreds of jobs would compile the sources anew where writing bytecode is off
+	@# otherwise each of a run's hundreds of jobs compiles the sources if bytecode isn't written
 	$(VENV)/bin/python -m compileall -q src
 	@touch $@
 
@@ -61,7 +61,7 @@ figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in 
 	@snakemake --snakefile figures/Snakefile --directory figures \
 	  --configfile figures/$(FIGURES).yaml $(ARGS)
 
-aim: $(INSTALLED) ## see live what a rig's camera sees, until Ctrl-C: make aim RIG=config/rig.yaml
+aim: $(INSTALLED) ## show a rig's camera live in a browser, until Ctrl-C: make aim RIG=config/rig.yaml
 	@rfpipe aim $(RIG)
 
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
@@ -70,20 +70,20 @@ calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (
 serve: $(INSTALLED) ## run a rig's acquisition server until Ctrl-C: make serve RIG=config/rig.yaml
 	@rfpipe serve $(RIG)
 
-unlock: $(INSTALLED) ## free folders that a Snakemake of unknown origin has locked
+unlock: $(INSTALLED) ## unlock folders that a killed Snakemake has locked
 	@snakemake --unlock $(ARGS)
 	@if [ -d thesis ]; then \
 	  snakemake --directory thesis --configfile config/thesis.yaml --unlock; fi
 	@if [ -d figures/results ]; then \
 	  snakemake --directory figures --configfile config/$(FIGURES).yaml --unlock; fi
 
-test: $(INSTALLED) ## run the quick tests, which need nothing more: at most 5 minutes on 2 cores
+test: $(INSTALLED) ## run the quick tests: at most 5 minutes on 2 cores
 	$(PYTEST) -m "not slow and not needs"
 
-test-all: $(INSTALLED) ## run all tests; those that need more of the system say what (tests/machine/needs.py)
+test-all: $(INSTALLED) ## run all tests; skipped ones name the missing system packages (tests/machine/needs.py)
 	$(PYTEST)
 
-validators: $(INSTALLED) ## install what some tests check published runs by, into .venv-validators
+validators: $(INSTALLED) ## install the validators of published runs into .venv-validators
 	uv venv --quiet --allow-existing --python $(VENV)/bin/python .venv-validators
 	uv pip install --quiet --require-hashes --python .venv-validators/bin/python \
 	  --requirement validators.lock
@@ -101,11 +101,11 @@ format: $(INSTALLED) ## format the sources and the workflow
 	ruff format .
 	snakefmt Snakefile figures/Snakefile workflow/rules
 
-bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
+bench: $(INSTALLED) ## run the speed benchmarks; writes results/bench/*.csv (benchmarks/README.md)
 	@for script in benchmarks/bench_*.py; do echo "$$script"; \
 	  python -m "benchmarks.$$(basename "$$script" .py)"; done
 
-measured: $(INSTALLED) ## make the tables of docs/measured.md and README anew, a night
+measured: $(INSTALLED) ## rewrite the tables of docs/measured.md and README (a night)
 	@python -m figures.opening docs/images/bottle.png
 	@rfpipe run
 	@rfpipe run --directory thesis --configfile config/thesis.yaml
@@ -113,13 +113,13 @@ measured: $(INSTALLED) ## make the tables of docs/measured.md and README anew, a
 	@python -m benchmarks.large
 	@python -m benchmarks.measured $(ARGS)
 
-benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv
+benchmark: $(INSTALLED) ## run every method on every scene (hours); continues docs/benchmark/*.csv
 	@python -m benchmarks.methods $(ARGS)
 
 config: $(INSTALLED) ## write schemas, rigs and config/all.yaml from the settings' models
 	python -m rfpipe.config.schema
 
-lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock and validators.lock
+lock: $(INSTALLED) ## resolve pyproject.toml into requirements.lock and validators.lock
 	uv pip compile pyproject.toml --extra dev $(LOCK_OPTIONS) --output-file requirements.lock
 	uv pip compile --group validators $(LOCK_OPTIONS) --output-file validators.lock
 

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Print what has become of a Slurm job: running, success or failed. Waits and is queued is running.
+# Print the status of a Slurm job: running (or queued), success or failed.
 set -uo pipefail
-# A scheduler that doesn't answer for a moment has lost no job.
+# If the scheduler doesn't answer, the job counts as running.
 for _ in 1 2 3 4 5; do
   state=$(scontrol --oneliner show job "$1" 2>&1) && break
   case $state in
-    # forgotten some minutes after its end: its outputs tell the rest
+    # Slurm forgets a job some minutes after its end; its outputs then show its success
     *'Invalid job id'*) state='JobState=UNKNOWN'; break ;;
   esac
   state='JobState=PENDING'

@@ -2,6 +2,6 @@
 # Submit a job's script to Slurm and print the job's number: submit.sh OPTIONS... SCRIPT
 set -euo pipefail
 mkdir -p .snakemake/cluster_logs
-# Snakemake tries a job again whose node died, with more memory: Slurm shall not, too
+# Snakemake repeats a job whose node died, with more memory: no requeueing by Slurm
 number=$(sbatch --parsable --no-requeue --output=.snakemake/cluster_logs/%x-%j.log "$@")
 echo "${number%%;*}"
