@@ -88,7 +88,7 @@ class Broken(BruteForce):
     [
         (lambda matrix: matrix[::-1], "a_small_matrix_is_found", "channel 0"),
         (lambda matrix: matrix * (np.arange(30) % 6 < 5), "a_small_matrix_is_found", "column 5"),
-        (lambda matrix: 3 * matrix, "light_is_finite_and_not_invented", "of light became"),
+        (lambda matrix: 3 * matrix, "light_is_finite_and_bounded", "of light became"),
     ],
 )
 def test_the_contract_finds_what_is_wrong(change: Any, test: str, message: str) -> None:

@@ -1,6 +1,6 @@
-"""The public contract suites: what methods, scenes, rigs and devices must do; the dot test.
+"""Contract tests of methods, scenes, rigs and devices, and the dot test of operators.
 
-In a test file of your own, for pytest::
+Subclass a contract in your own test file, and run it with pytest::
 
     from rfpipe.testing import CameraContract
 
@@ -8,7 +8,7 @@ In a test file of your own, for pytest::
         def make_camera(self):
             return MyCamera(...)
 
-`rfpipe.testing.faults` has devices with known faults, to test a calibration's or a driver's checks.
+`rfpipe.testing.faults` simulates faulty devices, to test the checks of a calibration or a driver.
 """
 
 from rfpipe.testing import faults

@@ -1,4 +1,4 @@
-"""The dot test for operators, and what the suites share."""
+"""The dot test of operators, and assertions that the contract tests share."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def require(holds: bool | np.bool_, message: str) -> None:
-    """Raise AssertionError unless something holds, also where Python drops assert statements."""
+    """Raise AssertionError unless a condition holds, also under ``python -O``."""
     if not holds:
         raise AssertionError(message)
 
@@ -33,7 +33,7 @@ def require_close(actual: NDArray[Any], expected: NDArray[Any], error: float, wh
 
 
 def require_raises(kind: type[Exception], call: Callable[..., Any], *arguments: Any) -> str:
-    """Return the message with which a call fails; raise AssertionError where it doesn't."""
+    """Return the message of the expected exception; raise AssertionError if a call succeeds."""
     try:
         call(*arguments)
     except kind as error:
@@ -42,9 +42,9 @@ def require_raises(kind: type[Exception], call: Callable[..., Any], *arguments: 
 
 
 def require_equal_descriptions(make: Callable[[], Any], use: Callable[[Any], object]) -> None:
-    """Raise AssertionError unless what is made twice describes itself alike, before use and after.
+    """Raise AssertionError unless two equal objects have equal descriptions, before and after use.
 
-    In plain data, that JSON keeps.
+    Descriptions must be plain data that JSON can store.
     """
     described = []
     for _ in range(2):
@@ -52,12 +52,12 @@ def require_equal_descriptions(make: Callable[[], Any], use: Callable[[Any], obj
             described.append(json.dumps(subject.describe(), sort_keys=True))
             use(subject)
             described.append(json.dumps(subject.describe(), sort_keys=True))
-    message = f"describe() differs after use, or for what is made again: {described}"
+    message = f"describe() differs after use, or between equal objects: {described}"
     require(len(set(described)) == 1, message)
 
 
 def require_closing(make: Callable[[], Any], use: Callable[[Any], object]) -> None:
-    """Raise AssertionError unless what is closed raises CaptureError in use, and as above."""
+    """Check descriptions, and that the use of a closed object raises CaptureError."""
     require_equal_descriptions(make, use)
     with opened(make()) as subject:
         subject.close()
@@ -65,14 +65,14 @@ def require_closing(make: Callable[[], Any], use: Callable[[Any], object]) -> No
 
 
 def opened(made: Any) -> AbstractContextManager[Any]:
-    """Close what can be closed at the end of a with statement."""
+    """Return a context manager that closes an object, if it has a `close` method."""
     return closing(made) if hasattr(made, "close") else nullcontext(made)
 
 
 def dot_test(
     operator: Transport | LinearOperator | NDArray[Any], tolerance: float = 1e-5, seed: int = 0
 ) -> float:
-    """Check that an operator and its transpose belong together: ``(T p) . c = p . (T^T c)``.
+    """Check that an operator agrees with its transpose: ``(T p) . c = p . (T^T c)``.
 
     Parameters
     ----------
@@ -81,13 +81,13 @@ def dot_test(
     tolerance : float
         Largest relative difference allowed; float32 arithmetic reaches about 1e-6.
     seed : int
-        Seed of the random ``p`` and ``c``, uniform in [0, 1): with non-negative transport no
+        Seed of the random ``p`` and ``c``, uniform in [0, 1). With non-negative transport no
         terms cancel.
 
     Returns
     -------
     float
-        The largest relative difference found.
+        The largest relative difference.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What every projector and every camera must do."""
+"""Contracts of projectors and cameras: tests that every device must pass."""
 
 from __future__ import annotations
 
@@ -20,28 +20,30 @@ Float = NDArray[np.float32]
 
 
 class ProjectorContract:
-    """Tests that any projector must pass; subclass it as ``Test...``, define `make_projector`.
+    """Tests that any projector must pass.
+
+    Subclass it as ``Test...`` and define `make_projector`.
 
     Attributes
     ----------
     accuracy : float
-        By how much the light of a pixel may miss its weight: half a step of an 8-bit display,
-        unless set otherwise.
+        Largest difference between the light of a pixel and its weight; by default half a step of
+        an 8-bit display.
     """
 
     accuracy: float = 0.5 / 255 + 1e-6
 
     def make_projector(self) -> Projector:
-        """Return a projector, each time anew and each time the same."""
+        """Return a new projector with the same settings at every call."""
         raise NotImplementedError(f"{type(self).__name__} must define make_projector()")
 
     def read_back(self, projector: Projector) -> Float | None:
-        """Return the light that each pixel gives now, (H, W), or None where nobody can tell."""
+        """Return the light that each pixel shows now, (H, W), or None if it can't be measured."""
         del projector
         return None
 
     def test_shows_pixel_by_pixel(self) -> None:
-        """Every pixel gives the light of its weight, and no other does, from any thread."""
+        """Every pixel shows the light of its weight, and no other pixel does, from any thread."""
         with opened(self.make_projector()) as projector:
             for name, picture in _pictures(projector.shape).items():
                 projector.show(picture)
@@ -49,8 +51,8 @@ class ProjectorContract:
                 _in_a_thread(projector.show, picture)
                 self._require_shown(projector, picture, f"{name}, from another thread")
 
-    def test_takes_any_memory_layout_and_keeps_no_hold_of_it(self) -> None:
-        """Pictures may be transposed, strided, read-only, or changed afterwards."""
+    def test_accepts_any_memory_layout_and_keeps_no_reference(self) -> None:
+        """Pictures may be transposed, strided or read-only, or change afterwards."""
         with opened(self.make_projector()) as projector:
             picture = _pictures(projector.shape)["noise"]
             strided, frozen = np.repeat(picture, 2, axis=1)[:, ::2], picture.copy()
@@ -62,15 +64,15 @@ class ProjectorContract:
                 self._require_shown(projector, picture, "a picture in another memory layout")
 
     def test_rejects_what_cannot_be_shown(self) -> None:
-        """Wrong shapes, weights outside [0, 1] and NaN are InputErrors, and show nothing."""
+        """Wrong shapes, weights outside [0, 1] and NaN raise InputError and change no picture."""
         with opened(self.make_projector()) as projector:
             picture = _pictures(projector.shape)["noise"]
             projector.show(picture)
-            one_wrong = picture.copy()
-            one_wrong[-1, -1] = np.nan
+            with_nan = picture.copy()
+            with_nan[-1, -1] = np.nan
             for wrong in (
                 np.vstack([picture, picture[:1]]), picture[..., None].repeat(3, axis=2),
-                1.5 + 0 * picture, -picture, 255 * picture, one_wrong,
+                1.5 + 0 * picture, -picture, 255 * picture, with_nan,
             ):  # fmt: skip
                 require_raises(InputError, projector.show, wrong)
             self._require_shown(projector, picture, "the picture before")
@@ -86,31 +88,31 @@ class ProjectorContract:
 
 
 class CameraContract:
-    """Tests that any camera must pass; subclass it as ``Test...`` and define `make_camera`.
+    """Tests that any camera must pass.
 
-    What is before the camera is lit, should not change, nor be brighter than the shortest exposure
-    takes.
+    Subclass it as ``Test...`` and define `make_camera`. The scene in front of the camera must be
+    lit and steady, and must not saturate the shortest exposure.
 
     Attributes
     ----------
     steadiness : float
-        Fraction of the mean counts by which two pictures of one thing may differ, and of full scale
-        that light has at the longest exposure.
+        Largest relative difference between the mean counts of two pictures of one scene. Also the
+        least fraction of full scale that a lit scene reaches at the longest exposure.
     """
 
     steadiness: float = 0.02
 
     def make_camera(self) -> Camera:
-        """Return a camera, each time anew and each time the same; small, to be quick."""
+        """Return a new, preferably small camera with the same settings at every call."""
         raise NotImplementedError(f"{type(self).__name__} must define make_camera()")
 
     def set_light(self, camera: Camera, is_on: bool) -> bool:
-        """Light what is before the camera, or darken it, and return True; False: nobody can."""
+        """Light or darken the scene, and return True; return False if this isn't possible."""
         del camera, is_on
         return False
 
     def test_brackets(self) -> None:
-        """Brackets have the sensor's shape, dtype and range, from any thread, keep them, merge."""
+        """Brackets have the sensor's shape, dtype and range, don't change, and can be merged."""
         with opened(self.make_camera()) as camera:
             sensor = camera.sensor
             require(len(camera.shape) == 2 and min(camera.shape) > 0, f"shape is {camera.shape}")
@@ -123,36 +125,36 @@ class CameraContract:
                     require(frames.max() <= sensor.white_level, "counts beyond full scale")
                 before = frames.copy()
                 camera.expose()
-                assert_array_equal(frames, before, "a bracket when the next was taken")
+                assert_array_equal(frames, before, "a bracket after the next was taken")
             merged = sensor.merge(frames[None], np.zeros(frames.shape, np.float32))
             assert_equal(merged.radiance.shape, (1, *camera.shape, camera.channels))
             require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
 
     def test_exposures(self) -> None:
-        """Longer ones are not darker; two brackets of one thing are alike: no frame is old."""
+        """Longer exposures aren't darker, and two brackets of a scene agree: no frame is stale."""
         with opened(self.make_camera()) as camera:
             self.set_light(camera, True)
             first, second = _means(camera), _means(camera)
-            self._require_seen(first[-1], camera, True)
+            self._require_brightness(first[-1], camera, True)
             steps = np.diff(first) >= -self.steadiness * first[:-1]
             require(steps.all(), f"mean counts of ascending exposures: {first}")
             alike = np.abs(first - second) <= self.steadiness * np.maximum(first, second) + 1
             require(alike.all(), f"mean counts are {first}, then {second}")
 
-    def test_sees_what_is_lit_now(self) -> None:
-        """The first bracket after the light went is dark, the next one lit: no frame is old."""
+    def test_brackets_follow_the_light(self) -> None:
+        """The first bracket after the light changes shows the change: no frame is stale."""
         with opened(self.make_camera()) as camera:
             if not self.set_light(camera, True):
                 return
             for is_on in (True, False, True, False):
                 self.set_light(camera, is_on)
-                self._require_seen(_means(camera)[-1], camera, is_on)
+                self._require_brightness(_means(camera)[-1], camera, is_on)
 
     def test_describes_itself_and_closes(self) -> None:
         """`describe` is the same for equal cameras; a closed one raises CaptureError."""
         require_closing(self.make_camera, lambda camera: camera.expose())
 
-    def _require_seen(self, counts: float, camera: Camera, is_on: bool) -> None:
+    def _require_brightness(self, counts: float, camera: Camera, is_on: bool) -> None:
         dark, sensor = 0.0, camera.sensor
         if isinstance(sensor, CameraModel):
             black = sensor.black_level_counts
@@ -162,13 +164,13 @@ class CameraContract:
 
 
 def _means(camera: Camera) -> NDArray[np.float64]:
-    """Return the mean counts of each exposure."""
+    """Return the mean counts of each exposure, shape (E,)."""
     frames = camera.expose().reshape(len(camera.sensor.exposures), -1)
     return np.asarray(frames.mean(axis=1), np.float64)
 
 
 def _pictures(shape: tuple[int, int]) -> dict[str, Float]:
-    """Return pictures that show a mistake in place, scale or level."""
+    """Return pictures that reveal errors of position, scale or level, by name."""
     random = generator(0)
     corner = np.zeros(shape, np.float32)
     corner[0, -1] = 1

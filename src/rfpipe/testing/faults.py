@@ -1,7 +1,7 @@
-"""Devices with a fault: wrappers that make a projector or a camera fail in a known way.
+"""Faulty devices: wrappers that make a projector or a camera fail in a known way.
 
-They test checks: of a calibration, of a capture, or of a driver. Each wraps any device, simulated
-or real, and describes itself as that device does, so that only the pictures show the fault::
+They test the checks of a calibration, a capture or a driver. Each wraps any device, simulated or
+real, and has the description of that device, so that only the pictures reveal the fault::
 
     from rfpipe.testing import faults
 
@@ -9,9 +9,9 @@ or real, and describes itself as that device does, so that only the pictures sho
     rig = rfpipe.DeviceRig(MyProjector(), camera)
 
 `after` is the number of pictures (of a projector) or of brackets (of a camera) before the fault
-begins; ``wrapper.after = wrapper.count`` begins it at once. Frames are changed in counts, after the
-noise; where a fault depends on time, a camera's time is simulated: the exposures and 20 ms after
-each. Sequences in hardware are switched off.
+begins; ``wrapper.after = wrapper.count`` begins it immediately. Frames are changed in counts, after
+the noise. Faults that depend on time use a simulated clock: each exposure takes its length and
+20 ms. Hardware sequences are disabled.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Moment:
 
 
 ChangeFrames = Callable[[Frames, Moment], Frames]
-"""Makes the faulty frames (E, ...) of a bracket from the frames as they are taken."""
+"""Function that returns the faulty frames (E, ...) of a bracket."""
 
 
 class FaultyProjector:
@@ -63,7 +63,7 @@ class FaultyProjector:
     ----------
     projector : Projector
     change : callable
-        ``change(picture)`` returns the picture (H, W) that is shown instead.
+        ``change(picture)`` returns the picture (H, W) to show instead.
     after : int
         Pictures before the fault begins.
 
@@ -104,7 +104,7 @@ class FaultyCamera:
     ----------
     camera : Camera
     change : callable
-        ``change(frames, moment)`` returns the frames instead of those of a bracket.
+        ``change(frames, moment)`` returns the faulty frames (E, ...) of a bracket.
     after : int
         Brackets before the fault begins.
 
@@ -138,7 +138,7 @@ class FaultyCamera:
 
 
 class LateCamera(FaultyCamera):
-    """A camera whose queue holds old frames: it returns each frame too late.
+    """A camera whose queue delays frames: each bracket begins with frames of the previous one.
 
     Parameters
     ----------
@@ -146,20 +146,22 @@ class LateCamera(FaultyCamera):
     after : int
         Brackets before the fault begins.
     frames : int, optional
-        Number of frames by which each is late, at most those of a bracket; None: a bracket.
+        Delay in frames, at most the frames of one bracket. None delays by one bracket.
     """
 
     def __init__(self, camera: Camera, after: int = 0, frames: int | None = None) -> None:
         bracket = len(camera.sensor.exposures)
         self._late = bracket if frames is None else frames
         if not 1 <= self._late <= bracket:
-            raise InputError(f"frames is {frames}; expected 1 to {bracket}, those of a bracket")
+            raise InputError(
+                f"frames is {frames}; expected 1 to {bracket}, the frames of a bracket"
+            )
         super().__init__(camera, self._delayed, after)
         self._stream: list[Frames] = []
 
     def _take(self) -> Frames:
         frames = super()._take()
-        # before the first bracket the queue holds frames like its own
+        # before the first bracket, the queue is filled with its frames
         self._stream = [*(self._stream or frames)[-len(frames) :], *frames]
         return frames
 
@@ -187,10 +189,10 @@ def jittering_gain(
 def flickering_lamp(
     camera: Camera, after: int = 0, depth: float = 0.4, hertz: float = 100.0, seed: int = 0
 ) -> FaultyCamera:
-    """Return a camera that sees a lamp flicker: ``1 + depth * cos(2 pi hertz t + phase)``.
+    """Return a camera under a flickering lamp: ``1 + depth * cos(2 pi hertz t + phase)``.
 
-    Each exposure has the mean of the light over its time; its phase is random. Over whole periods
-    the flicker vanishes. Lamps on mains flicker at twice its frequency.
+    Each exposure has the mean of the light over its length, with a random phase. Over whole periods
+    the flicker cancels. Mains-powered lamps flicker at twice the mains frequency.
     """
 
     def change(frames: Frames, moment: Moment) -> Frames:
@@ -204,9 +206,9 @@ def flickering_lamp(
 def drifting_lamp(
     camera: Camera, after: int = 0, change: float = -0.06, brackets: int = 100
 ) -> FaultyCamera:
-    """Return a camera that sees a lamp drift: its light changes by `change` in `brackets` brackets.
+    """Return a camera under a drifting lamp: its light changes by `change` in `brackets` brackets.
 
-    The light then stays as it is.
+    The light is constant afterwards.
     """
 
     def changed(frames: Frames, moment: Moment) -> Frames:
@@ -218,10 +220,10 @@ def drifting_lamp(
 def changing_room_light(
     camera: Camera, after: int = 0, light: float = 0.02, seconds: float = 20.0, seed: int = 0
 ) -> FaultyCamera:
-    """Return a camera in a room whose light changes, as by clouds.
+    """Return a camera in a room whose light changes, for example by clouds.
 
-    The room adds an even radiance that swings from 0 to `light` and back in a period of `seconds`,
-    with photon noise.
+    The room adds a uniform radiance that oscillates between 0 and `light` with a period of
+    `seconds`, with photon noise.
     """
     sensor = _counts_of(camera)
 
@@ -237,9 +239,9 @@ def changing_room_light(
 
 
 def moved_camera(camera: Camera, after: int = 0, pixels: tuple[int, int] = (0, 1)) -> FaultyCamera:
-    """Return a camera that was moved: its picture lies so many pixels down and to the right.
+    """Return a camera that was moved: its picture is shifted by `pixels` down and to the right.
 
-    The pixels are whole pairs under a colour mosaic, which does not move with the picture.
+    For a camera with a colour mosaic the shifts must be even, since the mosaic doesn't move.
     """
     if getattr(camera.sensor, "bayer", None) is not None and (pixels[0] % 2 or pixels[1] % 2):
         raise InputError(f"pixels is {pixels}; expected even numbers for a camera with a mosaic")
@@ -256,13 +258,13 @@ def moved_camera(camera: Camera, after: int = 0, pixels: tuple[int, int] = (0, 1
 
 
 class MisreadMosaic(FaultyCamera):
-    """A camera under a colour mosaic, whose `sensor` has another order of its colours.
+    """A camera whose `sensor` states a wrong order of the colour mosaic.
 
     Parameters
     ----------
     camera : Camera
     order : {"RGGB", "GRBG", "GBRG", "BGGR"}
-        Order that the sensor is said to have.
+        Order that the sensor states.
     """
 
     def __init__(self, camera: Camera, order: str) -> None:
@@ -286,14 +288,14 @@ def half_dark(projector: Projector, after: int = 0) -> FaultyProjector:
 
 
 def _counts_of(camera: Camera) -> CameraModel:
-    """Return the sensor of a camera of counts, or raise InputError."""
+    """Return the sensor of a camera that gives counts, or raise InputError."""
     if not isinstance(camera.sensor, CameraModel):
-        raise InputError(f"this fault is of a camera of counts, not a {camera.sensor}")
+        raise InputError(f"the camera's sensor is {camera.sensor}; this fault needs a CameraModel")
     return camera.sensor
 
 
 def _scaled(frames: Frames, camera: Camera, gain: Any) -> Frames:
-    """Return frames (E, ...) whose light is `gain` times as much, a number or one for each."""
+    """Return frames (E, ...) with their light multiplied by a gain, one number or one per frame."""
     sensor = _counts_of(camera)
     black = np.float64(sensor.black_level_counts)
     factor = _per_frame(gain, frames) ** (1 / sensor.response_gamma)
@@ -303,7 +305,7 @@ def _scaled(frames: Frames, camera: Camera, gain: Any) -> Frames:
 
 
 def _per_frame(values: Any, frames: Frames) -> NDArray[np.float64]:
-    """Return a number for each frame as an array that broadcasts with the frames."""
+    """Return numbers per frame as an array that broadcasts with the frames."""
     numbers = np.broadcast_to(np.asarray(values, np.float64), len(frames))
     return numbers.reshape(-1, *(1,) * (frames.ndim - 1))
 

@@ -44,7 +44,7 @@ class MatrixImages:
     sigma : float
         Standard deviation of the noise of each pixel, radiance; at least 0.
     seed : int
-        Of the noise. A pattern's is the same in whatever batch it is read.
+        Seed of the noise. A pattern's noise doesn't depend on the batch in which it is read.
     """
 
     matrix: NDArray[Any]
@@ -107,13 +107,13 @@ def run_method(
     method : MethodDescription
     matrix : ndarray of float
     camera_shape, projector_shape : tuple of int
-        Of M and of N rays.
+        Shapes with M and N rays.
     sigma, seed
-        As `MatrixImages`.
+        Noise, as in `MatrixImages`.
     memory_bytes : int
-        As `Method.refine`.
+        Memory limit, as in `Method.refine`.
     **options
-        The method's.
+        Options of the method.
     """
     matrix = np.asarray(matrix, np.float64)
     matrix = matrix[None] if matrix.ndim == 2 else matrix
@@ -140,19 +140,22 @@ def matrix_of(transport: Transport) -> Float:
 
 
 class MethodContract:
-    """Tests that any method must pass; subclass it as ``Test...`` and define `make_method`.
+    """Tests that any method must pass.
+
+    Subclass it as ``Test...`` and define `make_method`.
 
     Attributes
     ----------
     options : dict
-        Options under which the method is as exact as it can be on the small matrices here.
+        Options with which the method is as exact as possible on the small matrices of these tests.
     error : float
-        Largest relative error (Frobenius), from exact radiance, of what each column of the
-        projector lights in each channel.
+        Largest relative error (Frobenius) of the light of each projector column in each channel,
+        from exact radiance.
     floodlit_error : float
         Largest relative error of each channel's floodlit image.
     significance : float
-        Standard deviations of brute force's light, beyond twice the true light, that noise may add.
+        Largest light that noise may add beyond twice the true light, in standard deviations of the
+        total light of brute force.
     """
 
     options: dict[str, Any] = {}  # noqa: RUF012 - a constant of each suite
@@ -184,7 +187,7 @@ class MethodContract:
         return matrix
 
     def test_it_describes_itself(self) -> None:
-        """Name, title, colour, options with descriptions, forecasts of patterns, rigs it takes."""
+        """A method has a valid name, title, colour, described options, forecasts and rig check."""
         from matplotlib.colors import is_color_like
 
         method = self.make_method()
@@ -212,7 +215,7 @@ class MethodContract:
             require_raises(InputError, partial(run_method, method, matrix, *_ANY))
 
     def test_a_small_matrix_is_estimated(self) -> None:
-        """The matrix, its floodlit image and its dual; stored as it is, and linear in light."""
+        """Estimates match the matrix, are linear in light, and are stored exactly."""
         matrix = self._matrix()
         transport = self._run(matrix).transport
         estimate = matrix_of(transport)
@@ -229,13 +232,13 @@ class MethodContract:
         first, second = generator(1).random((2, *transport.projector_shape), np.float32)
         apart = 2 * transport.relight(first) + 3 * transport.relight(second)
         joint = transport.relight(2 * first + 3 * second)
-        require_close(joint, apart, 1e-5, "the picture of a sum of patterns")
+        require_close(joint, apart, 1e-5, "the image of a sum of patterns")
         with TemporaryDirectory(prefix="rfpipe-") as folder:
             save_transport(transport, Path(folder) / "transport.zarr")
             _require_same(open_transport(Path(folder) / "transport.zarr"), transport)
 
     def test_patterns_and_the_table_of_levels(self) -> None:
-        """Weights in [0, 1], complete ones adding up to full light; a row a level, plain data."""
+        """Weights are in [0, 1], complete schedules add up to full light; each level has a row."""
         run, shape = self._run(self._matrix()), self._shapes()[1]
         seeds = [schedule.seed for schedule in run.schedules]
         require(len(set(seeds)) == len(seeds), f"levels share seeds of their noise: {seeds}")
@@ -255,7 +258,7 @@ class MethodContract:
         require(json.loads(json.dumps(rows)) == rows == list(run.states[-1].rows), f"{rows}")
 
     def test_a_state_is_restored_from_its_arrays(self) -> None:
-        """Before each level, to the last bit, as a run that was stopped needs it."""
+        """A run resumed before any level continues with exactly the same state."""
         matrix, camera = self._matrix(), self._shapes()[0]
         method = self.make_method().for_rig(*map(RayDomain, self._shapes()))
         run = self._run(matrix)
@@ -282,8 +285,8 @@ class MethodContract:
             small = self._run(self._matrix(), sigma=sigma, memory_bytes=2**16)
             _require_same(small.transport, self._run(self._matrix(), sigma=sigma).transport)
 
-    def test_light_is_finite_and_not_invented(self) -> None:
-        """Dark scenes, noise and dark channels give no light."""
+    def test_light_is_finite_and_bounded(self) -> None:
+        """Dark scenes and dark channels give no light beyond that of noise."""
         matrix = self._matrix()
         dim = matrix * np.array([1, 0, 1])[:, None, None]
         for light, sigma in ((0 * matrix, 0.0), (0 * matrix, 0.1), (matrix, 0.3), (dim, 0.01)):

@@ -1,4 +1,4 @@
-"""What every rig must do."""
+"""Contract of rigs: tests that every rig must pass."""
 
 from __future__ import annotations
 
@@ -21,26 +21,28 @@ Float = NDArray[np.float32]
 
 
 class RigContract:
-    """Tests that any rig must pass; subclass it as ``Test...`` and define `make_rig`.
+    """Tests that any rig must pass.
+
+    Subclass it as ``Test...`` and define `make_rig`.
 
     Attributes
     ----------
     repeatable : bool
-        Whether two captures of one key give the same bytes, as a simulation's must. Set it to
-        False for hardware, whose noise isn't ours to repeat.
+        Whether two captures of one key give the same bytes, as a simulation must. Set it to False
+        for hardware, whose noise can't be repeated.
     significance : float
-        Standard deviations of the sum over an image by which light may miss what it should be.
+        Largest error of the light of an image column, in standard deviations of its noise.
     """
 
     repeatable: bool = True
     significance: float = 6.0
 
     def make_rig(self) -> Rig:
-        """Return a rig, each time anew and each time the same; small, to be quick."""
+        """Return a new, preferably small rig with the same settings at every call."""
         raise NotImplementedError(f"{type(self).__name__} must define make_rig()")
 
     def test_frames(self) -> None:
-        """Shapes are of ray domains; frames the sensor's in shape and dtype, of no pattern, too."""
+        """Frames have the shape and dtype of the sensor, also for an empty batch of patterns."""
         with opened(self.make_rig()) as rig:
             for name, shape in (("camera", rig.camera_shape), ("projector", rig.projector_shape)):
                 ray_shape(shape, f"{name}_shape")
@@ -54,7 +56,7 @@ class RigContract:
                 assert_equal((frames.shape, frames.dtype), expected, "frames")
 
     def test_same_bytes_however_captured(self) -> None:
-        """A key's frames depend on no batch, order, or earlier capture; its noise is its own."""
+        """Frames depend on the pattern and its key, not on the batch, order or earlier captures."""
         if not self.repeatable:
             return
         with opened(self.make_rig()) as rig:
@@ -63,7 +65,7 @@ class RigContract:
         with opened(self.make_rig()) as second_rig:
             for first, last in ((5, 7), (0, 1), (1, 5)):
                 part = second_rig.capture(patterns[first:last], keys[first:last])
-                assert_array_equal(part, frames[first:last], "patterns captured by themselves")
+                assert_array_equal(part, frames[first:last], "patterns captured in another batch")
             backwards = second_rig.capture(patterns[::-1], keys[::-1])
             assert_array_equal(backwards[::-1], frames, "frames in another order")
             frames = second_rig.capture(np.ones_like(patterns[:2]), keys[:2])
@@ -72,10 +74,10 @@ class RigContract:
                 require(not np.array_equal(*frames), "two keys got the same noise")
 
     def test_light_adds_up(self) -> None:
-        """Half of the rays and the other half give what all rays give; none give no light, at once.
+        """Two halves of the rays give the light of all rays, and black gives none immediately.
 
-        Each edge of the projector's picture gives some: put a scene there that shows it. Sequences
-        in hardware give the brackets of each pattern.
+        Each edge of the projector's picture must be visible in the scene. Hardware sequences must
+        give the bracket of each pattern.
         """
         with opened(self.make_rig()) as rig:
             black, count = _black(rig)
@@ -126,7 +128,7 @@ class RigContract:
     def _require_equal_light(
         self, difference: NDArray[Any], variance: Float, scale: Float, name: str
     ) -> None:
-        """Compare sums over columns, with room for the rounding of float32 and of counts."""
+        """Compare sums over columns, allowing for noise and for rounding of float32 and counts."""
         rows = tuple(range(difference.ndim - 2))
         total, square, brightness = (
             array.sum(axis=rows, dtype=np.float64) for array in (difference, variance, scale)
@@ -148,7 +150,7 @@ def _batch(rig: Rig, count: int) -> tuple[Float, list[tuple[int, int]]]:
 
 
 def _black(rig: Rig, count: int = 4) -> tuple[Float, int]:
-    """Return the mean of all-off brackets, and how many they are."""
+    """Return the mean all-off bracket and the number of brackets."""
     patterns = np.zeros((count, *rig.projector_shape), np.float32)
     frames = rig.capture(patterns, [(BLACK_LEVEL_KEY, index) for index in range(count)])
     mean = frames.mean(axis=0, dtype=np.float64).astype(np.float32)

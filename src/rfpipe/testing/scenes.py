@@ -1,4 +1,4 @@
-"""What every simulated scene must do."""
+"""Contract of simulated scenes: tests that every scene must pass."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ Float = NDArray[np.float32]
 
 
 class SceneContract:
-    """Tests that any scene must pass; subclass it as ``Test...`` and define `make_scene`.
+    """Tests that any scene must pass.
+
+    Subclass it as ``Test...`` and define `make_scene`.
 
     Attributes
     ----------
@@ -31,11 +33,11 @@ class SceneContract:
     tolerance: float = 1e-5
 
     def make_scene(self) -> Scene:
-        """Return a scene, each time anew and each time the same; small, to be quick."""
+        """Return a new, preferably small scene with the same settings at every call."""
         raise NotImplementedError(f"{type(self).__name__} must define make_scene()")
 
     def test_light(self) -> None:
-        """Pictures are float32 (B, M, C) of patterns in any form; light as a camera takes it."""
+        """Radiance is float32 (B, M, C) for flat or shaped patterns, in the camera's range."""
         scene = self.make_scene()
         for shape in (scene.camera_shape, scene.projector_shape):
             require(len(shape) >= 2 and min(shape) > 0, f"a ray domain is {shape}")
@@ -47,7 +49,7 @@ class SceneContract:
             flat = scene.apply(patterns.reshape(count, -1))
             assert_array_equal(flat, images, "apply() of patterns (B, N)")
         white = scene.apply(np.ones((1, *scene.projector_shape), np.float32))
-        require(white.max() > 0, "no light comes back")
+        require(white.max() > 0, "no light reaches the camera")
         maximum = CameraModel().full_scale_radiance
         brightest = np.quantile(white, 0.99)
         require(
@@ -56,29 +58,31 @@ class SceneContract:
         _require_light(scene.albedo, (*scene.camera_shape, scene.channels), "albedo")
 
     def test_linearity(self) -> None:
-        """The picture of a sum is the sum of the pictures; darkness gives darkness."""
+        """The image of a sum of patterns is the sum of their images; black gives no light."""
         scene = self.make_scene()
         patterns = _patterns(scene, 2)
         weighted_sum, dark = 0.25 * patterns[0] + 0.5 * patterns[1], np.zeros_like(patterns[0])
         first, second, mixed, black = scene.apply(np.stack([*patterns, weighted_sum, dark]))
-        require(not black.any(), "there is light in darkness")
-        require_close(mixed, 0.25 * first + 0.5 * second, self.tolerance, "the picture of a sum")
+        require(not black.any(), "a black pattern gives light")
+        require_close(mixed, 0.25 * first + 0.5 * second, self.tolerance, "the image of a sum")
 
-    def test_same_bytes_beside_any_patterns(self) -> None:
-        """A pattern's picture doesn't depend on the patterns that it comes with.
+    def test_same_bytes_in_any_batch(self) -> None:
+        """A pattern's image doesn't depend on the other patterns of its batch.
 
-        Else a capture that was resumed differs from an undisturbed one; `apply_in_batches` helps.
+        Otherwise a resumed capture would differ from an undisturbed one. `apply_in_batches` ensures
+        this property.
         """
         patterns = _patterns(self.make_scene(), 19)
         images = self.make_scene().apply(patterns)
         for first, last in ((0, 1), (1, 5), (16, 19)):
             part = self.make_scene().apply(patterns[first:last])
-            assert_array_equal(part, images[first:last], "patterns lit by themselves")
+            assert_array_equal(part, images[first:last], "patterns of another batch")
 
     def test_dense(self) -> None:
-        """Every channel's matrix is what `apply` does.
+        """Each channel's matrix agrees with `apply`.
 
-        Where coaxial it is symmetric, and each row and column of the projector lights something.
+        For a coaxial scene it is symmetric, and each row and column of the projector lights some
+        part of the scene.
         """
         scene = self.make_scene()
         light = np.zeros(scene.projector_shape)
@@ -89,19 +93,19 @@ class SceneContract:
             predicted = patterns.reshape(2, -1) @ matrix.T
             require_close(images[..., channel], predicted, self.tolerance, f"dense({channel})")
             if self.coaxial:
-                require_close(matrix, matrix.T, self.tolerance, "T from its transpose")
+                require_close(matrix, matrix.T, self.tolerance, "the transposed matrix")
             light += matrix.sum(axis=0).reshape(light.shape)
         is_lit = light.any(axis=-1).all() and light.any(axis=-2).all()
         require(is_lit or not self.coaxial, "a row or column of the projector lights nothing")
 
     def test_description(self) -> None:
-        """`describe` is plain data that JSON keeps, and the same each time."""
+        """`describe` gives plain data that JSON can store, equal for equal scenes."""
         require_equal_descriptions(self.make_scene, lambda scene: scene.apply(_patterns(scene, 1)))
 
 
 def _require_light(image: NDArray[np.floating], shape: tuple[int, ...], name: str) -> None:
-    is_so = image.shape == shape and image.dtype == np.float32
-    require(is_so, f"{name} is {image.dtype} {image.shape}; expected float32 {shape}")
+    is_expected = image.shape == shape and image.dtype == np.float32
+    require(is_expected, f"{name} is {image.dtype} {image.shape}; expected float32 {shape}")
     require(np.isfinite(image).all() and image.min() >= 0, f"{name} is negative, or not finite")
 
 
