@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float
 
 
 def conjugate_gradients(

@@ -1,6 +1,6 @@
 """Parts of the fit of smooth indirect light that near/far and footprint acquisition share.
 
-Both models describe indirect light by a matrix S of *cores*, one for each pair of B-splines of
+Both models describe indirect light by *cores*: the entries of a matrix S between B-splines of
 several scales (`rfpipe.transport.multiscale.MultiscaleBasis`). Cores are independent normal
 variables with mean zero. Their standard deviations fall with the squared distance before any fit,
 and are learned from the fitted cores afterwards, group by group. Splines of a finer scale are added
@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Bools, Double, Float, Index
 from rfpipe.transport.multiscale import MultiscaleBasis, cells, coarsest_scale, functions_over
 
 # Octaves of distance among which indirect light is shared before any fit. The number is large, so
@@ -25,18 +25,18 @@ _OCTAVES = 12.0
 Model = TypeVar("Model")
 
 
-def prior_areas(basis: MultiscaleBasis) -> NDArray[np.float64]:
+def prior_areas(basis: MultiscaleBasis) -> Double:
     """Compute the area over which each pair's indirect light is spread before any fit.
 
     It is 12 times the squared distance of the two functions, in squared pixels, or of the coarser
     one's scale where they are closer; one value a pair. Cores are inversely proportional to it.
     """
     coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
-    area: NDArray[np.float64] = np.square(np.maximum(basis.distances(), coarser)) * _OCTAVES
+    area: Double = np.square(np.maximum(basis.distances(), coarser)) * _OCTAVES
     return area
 
 
-def learned_deviations(group: NDArray[np.int64], cores: Float) -> Float:
+def learned_deviations(group: Index, cores: Float) -> Float:
     """Estimate the cores' standard deviations: the root mean square of each group, (cores,).
 
     `group` has the number of each core's group.
@@ -49,7 +49,7 @@ def learned_deviations(group: NDArray[np.int64], cores: Float) -> Float:
 def coarse_to_fine(
     shape: tuple[int, ...],
     fit: Callable[[NDArray[np.int32], Model | None], Model | None],
-    cells_to_refine: Callable[[Model, int], NDArray[np.bool_]],
+    cells_to_refine: Callable[[Model, int], Bools],
 ) -> Model:
     """Fit a model with functions of finer and finer scales, where the pictures need them.
 

@@ -125,9 +125,9 @@ def solve_weights(
 def _non_negative(matrix: Double, target: Double, x: Double) -> Double:
     """Minimise ``x^T matrix x / 2 - target^T x`` over x >= 0, from an estimate that is overwritten.
 
-    Active sets of C. L. Lawson and R. J. Hanson, *Solving Least Squares Problems*, 1974, chapter 23.
-    Coordinate descent would give all light to the first of several projector pixels with the same
-    patterns.
+    The method of active sets: C. L. Lawson and R. J. Hanson, *Solving Least Squares Problems*,
+    1974, chapter 23. Coordinate descent would give all light to the first of several projector
+    pixels with the same patterns.
     """
     free = x > 0
     for _ in range(3 * len(target)):
