@@ -1,1 +1,0 @@
-"""Former place of footprint acquisition, until the environment is installed again."""
