@@ -1,4 +1,4 @@
-"""Shared by all tests: examples are the same in every run, and loggers as they were before each."""
+"""Fixtures and settings of all tests: order, required programs, compiled kernels and loggers."""
 
 import fcntl
 import logging
@@ -11,10 +11,11 @@ import pytest
 from hypothesis import settings
 from tests.machine import needs
 
-# Two workers whose BLAS takes both cores each wait for one another. Read when numpy is loaded.
+# One BLAS thread per worker: several workers with a thread per core slow each other down.
+# Must be set before numpy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# For the same reason threads of kernels that wait for one another sleep: to spin takes the cores
-# from those who have work. Read when the kernels' threads are started.
+# Idle kernel threads sleep instead of spinning, which leaves the cores to other workers.
+# Must be set before the kernels start their threads.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 settings.register_profile("rfpipe", derandomize=True, deadline=None, max_examples=50)
@@ -37,12 +38,12 @@ _LOGGERS = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Whole runs come early: they are the longest, and what comes last can be shared out finely.
+    """Sort the tests: without kernels first, then the workflow's long ones, then all others.
 
-    They come after what needs no kernels: these are compiled meanwhile, by the worker that begins
-    in the midst of all tests.
+    One worker compiles the kernels while the others run the first tests. Short tests at the end
+    keep all workers busy. Adds the ``needs`` markers and the `kernels` fixture.
     """
-    items.sort(key=_place)
+    items.sort(key=_priority)
     for item in items:
         if not isinstance(item, pytest.Function):
             continue
@@ -53,22 +54,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.fixturenames.insert(0, "kernels")
 
 
-def _place(item: pytest.Item) -> int:
-    """Tell when a test is due."""
+def _priority(item: pytest.Item) -> int:
+    """Position of a test in the order; lower runs earlier."""
     folder = item.path.parent
     return 0 if folder in _WITHOUT_KERNELS else 1 if folder == _WORKFLOW else 2
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    # not in a fixture: the summary then has one line of all of them
+    # not in a fixture, so that the summary has one line for all skipped tests of a program
     for mark in item.iter_markers("needs"):
         needs.need(*mark.args)
 
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    """A browser without a window."""
+    """A headless Chromium browser."""
     from playwright.sync_api import sync_playwright
 
     path = needs.program("chromium")
@@ -80,22 +81,22 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def validators() -> str:
-    """The interpreter that has the programs that published runs are checked by."""
+    """Path of the interpreter with the validators of published runs."""
     return str(needs.VALIDATORS)
 
 
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder that all workers have in common."""
+    """A temporary folder that all workers share."""
     base = tmp_path_factory.getbasetemp()
     return base.parent if base.name.startswith("popen-") else base
 
 
 @pytest.fixture(scope="session")
 def kernels(shared: Path) -> None:
-    """The kernels, compiled by one worker: it takes a minute, and as much again for each at once.
+    """Compile the kernels in one worker, which takes a minute, while the others wait.
 
-    A worker alone compiles what its tests need.
+    Without parallel workers each test compiles its kernels itself.
     """
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
@@ -110,8 +111,8 @@ def kernels(shared: Path) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _loggers_as_before() -> Iterator[None]:
-    """Commands and servers set up their logs: one that a test runs in process leaves none."""
+def _restored_loggers() -> Iterator[None]:
+    """Restore the loggers that commands and servers configure in the process of the tests."""
     before = [(logger.level, list(logger.handlers), logger.propagate) for logger in _LOGGERS]
     yield
     for logger, (level, handlers, propagate) in zip(_LOGGERS, before, strict=True):

@@ -1,4 +1,4 @@
-"""Aravis' virtual cameras, for the tests of its driver."""
+"""Aravis' virtual cameras, for tests of the GenICam driver."""
 
 import ctypes
 import fcntl
@@ -20,7 +20,7 @@ _FILL = ctypes.CFUNCTYPE(
 
 
 def enable_fake() -> None:
-    """Have Aravis find its fake camera of the process, whose serial number is 1."""
+    """Enable Aravis' in-process fake camera, whose serial number is 1."""
     library = load_aravis()[0]
     for name, result, *arguments in (
         ("enable_interface", None, ctypes.c_char_p),
@@ -34,22 +34,24 @@ def enable_fake() -> None:
 
 
 class FilledCamera(AravisCamera):
-    """Aravis' fake camera before a picture of one's own, (H, W) counts as the format has them."""
+    """Aravis' fake camera with a given picture, (H, W) counts in the camera's pixel format."""
 
     def __init__(self, picture: np.ndarray, sensor: CameraModel, **options: Any) -> None:
         self._frame_bytes = picture.astype(np.uint8 if sensor.bits == 8 else "<u2").tobytes()
-        self._fill = _FILL(self._copy)  # kept, as the library calls it
+        self._fill = _FILL(self._copy)  # a reference, since the library calls it later
         enable_fake()
         super().__init__(sensor, **{"shape": picture.shape, **options, "serial": "1"})
 
     def _start(self, room: int = 0) -> None:
         fake = call("arv_fake_device_get_fake_camera", self._handle)
         call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
-        call("arv_fake_camera_set_trigger_frequency", fake, 1000.0)  # looks for a trigger so often
+        call(
+            "arv_fake_camera_set_trigger_frequency", fake, 1000.0
+        )  # interval at which the camera checks for a trigger
         super()._start(room)
 
     def _copy(self, buffer: int, *_: Any) -> None:
-        """Fill the library's buffer with the picture; is called by a thread of its own."""
+        """Copy the picture into the library's buffer; called in a thread of the library."""
         data = call("arv_buffer_get_data", buffer, None)
         ctypes.memmove(data, self._frame_bytes, len(self._frame_bytes))
 
@@ -58,8 +60,8 @@ class FilledCamera(AravisCamera):
 def gige_camera(serial: str) -> Iterator[None]:
     """Run Aravis' fake GigE Vision camera on the loopback.
 
-    Its port is the standard's, and of two on a machine either gets the other's packets: one at a
-    time, whichever worker, or other run of the tests, has it.
+    It uses the port of the standard, and two cameras on one machine would receive each other's
+    packets. A lock therefore allows one at a time on this machine.
     """
     with (Path(tempfile.gettempdir()) / "rfpipe-gige-vision.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

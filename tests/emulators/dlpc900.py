@@ -7,14 +7,14 @@ import numpy as np
 
 
 class Emulator:
-    """What is behind the USB cable: takes packets, decodes images, shows patterns.
+    """The controller at the USB cable: receives packets, decodes images, shows patterns.
 
     Parameters
     ----------
     shape : (int, int)
-        Of the mirrors.
+        Number of rows and columns of mirrors.
     triggered : callable, optional
-        Is called at each pattern of a sequence with how long it is shown, in microseconds.
+        Called at each pattern of a sequence with its duration in microseconds.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Emulator:
         self._answers: list[bytes] = []
 
     def write(self, report: bytes) -> int:
-        """Take a packet."""
+        """Receive a packet."""
         if self.is_gone:
             raise OSError("write error")
         assert len(report) == 65
@@ -52,19 +52,19 @@ class Emulator:
         return len(report)
 
     def read(self, length: int, timeout_ms: int) -> bytes:
-        """Give an answer."""
+        """Return the next reply."""
         del timeout_ms
         if self.is_silent or not self._answers:
             return b""
         return self._answers.pop(0)[:length]
 
     def close(self) -> None:
-        """Pull the cable."""
+        """Close the connection."""
         self.is_gone = True
 
     @property
     def lit(self) -> np.ndarray | None:
-        """Light of each mirror while a pattern is shown, 0 to 1; the first one over and over."""
+        """Light of each mirror while a pattern is shown, 0 to 1."""
         if not self.running:
             return None
         definition = self.definitions[self._shown]

@@ -1,4 +1,4 @@
-"""An X server in memory, and its pixels as one of its clients sees them."""
+"""An X server in memory, with access to its pixels."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ OWN_NAME = f":{1000 + os.getpid() % 50_000}"
 
 
 class XServer:
-    """Xvfb; ends with the ``with`` statement that it is used in."""
+    """Xvfb as a context manager that stops the server at its end."""
 
     def __init__(self, shape: tuple[int, int], name: str | None = None) -> None:
         self.shape = shape
@@ -29,7 +29,7 @@ class XServer:
 
     @property
     def pixels(self) -> np.ndarray:
-        """Blue, green and red of each pixel as they stand now, uint8 (H, W, 3)."""
+        """Current blue, green and red of each pixel, uint8 (H, W, 3)."""
         from Xlib import X
         from Xlib.display import Display
 

@@ -1,7 +1,7 @@
-"""A method of your own in one file: a scan of the projector by whole columns.
+"""A user-defined method in one file: a scan of the projector by whole columns.
 
-It takes light to be the same all along a column of the projector, as it is where a scene looks the
-same from top to bottom, and shows as many patterns as the projector has columns.
+It assumes that all rays of a projector column have equal transport, as in a scene that doesn't
+change from top to bottom, and shows one pattern per projector column.
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,7 @@
-"""A projector, a camera and a whole rig of one's own, in one file.
+"""A user-defined projector, camera and rig in one file.
 
-They stand before a desk that exists in this process alone: the camera sees what the projector
-shows, times an albedo. Drivers of real devices look the same, with a maker's library in `show` and
-`expose`.
+The scene is a simulated desk: the camera's picture is the projector's picture times an albedo.
+Drivers of real devices look the same, and call a manufacturer's library in `show` and `expose`.
 """
 
 from typing import Any
@@ -20,10 +19,10 @@ DESK: dict[str, Any] = {"light": np.zeros(SHAPE, np.float32), "pictures": 0}
 
 
 class DeskProjector:
-    """Lights the desk."""
+    """A projector that lights the desk."""
 
     class Options(Settings):
-        """What the settings' file may say of it: checked, with descriptions, before it is made."""
+        """Options in the settings' file, validated before the projector is created."""
 
         brightness: float = Field(1.0, gt=0, le=1, description="Light of a pixel, 0 to 1.")
 
@@ -48,7 +47,7 @@ class DeskProjector:
 
 
 class DeskCamera:
-    """Looks at the desk. It asks for `sensor`, and gets what settings and calibration say of it."""
+    """A camera of the desk; its `sensor` comes from the settings and the calibration."""
 
     shape = SHAPE
     channels = 1
@@ -76,7 +75,7 @@ class DeskCamera:
 
 
 class DeskRig(DeviceRig):
-    """Both as a whole."""
+    """The projector and the camera as one rig."""
 
     def __init__(self, sensor: CameraModel, brightness=1.0):
         super().__init__(DeskProjector(brightness), DeskCamera(sensor))

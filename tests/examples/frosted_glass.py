@@ -1,7 +1,7 @@
-"""A scene of one's own in one file: a white wall behind frosted glass.
+"""A user-defined scene in one file: a white wall behind frosted glass.
 
-The glass spreads light on its way to the wall and back by a Gaussian, so that each projector ray
-lights the pixels around it.
+The glass blurs light on its way to the wall and back by a Gaussian, so that each projector ray
+lights several pixels.
 """
 
 from typing import Any
@@ -14,10 +14,10 @@ from rfpipe.scenes import CoaxialScene, apply_in_batches
 
 
 class GlassOptions(SceneSettings):
-    """What the glass is like; kind, shape, channels, and methods every scene has."""
+    """Options of the glass, besides the kind, shape, channels and methods of every scene."""
 
     blur: float = Field(1.0, gt=0, le=100, description="Standard deviation in pixels, 0 to 100.")
-    albedo: float = Field(0.8, ge=0, lt=1, description="Of the wall, 0 to below 1.")
+    albedo: float = Field(0.8, ge=0, lt=1, description="Albedo of the wall, 0 to below 1.")
 
 
 class FrostedGlass(CoaxialScene):
@@ -36,7 +36,7 @@ class FrostedGlass(CoaxialScene):
         return apply_in_batches(self._radiance, patterns, self.shape, self.channels)
 
     def _radiance(self, weights):
-        """Radiance (N, B, C) of patterns (N, B), always as many at a time."""
+        """Return radiance (N, B, C) of patterns (N, B), for a fixed batch size B."""
         lit = weights.reshape(*self.shape, -1)
         blurred = self.options.albedo * np.einsum("ij,jlb,kl->ikb", self._down, lit, self._across)
         return np.repeat(blurred.reshape(*weights.shape, 1), self.channels, axis=2)

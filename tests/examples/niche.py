@@ -1,4 +1,4 @@
-"""A radiosity scene of one's own in one file: a ball in a niche of bricks.
+"""A user-defined radiosity scene in one file: a ball in a niche of bricks.
 
 Lengths are in scene units: x to the right, y down, z ahead of the camera at the
 origin; the shorter side of its picture spans -0.5 to 0.5 at z = 1.
@@ -20,7 +20,7 @@ SURFACES = (  # a plane: its name, one of its points, and a direction to the cam
 
 
 class NicheOptions(SceneSettings):
-    """Options of the niche; kind, shape, channels and methods every scene has."""
+    """Options of the niche, besides the kind, shape, channels and methods of every scene."""
 
     brick: float = Field(0.3, gt=0, le=1, description="Height of a brick, scene units, 0 to 1.")
 
@@ -31,7 +31,7 @@ class Niche(RadiosityScene):
     Options = NicheOptions
 
     def __init__(self, options: NicheOptions) -> None:
-        points = surface_points(options.shape, SURFACES)  # of each pixel the one that it sees
+        points = surface_points(options.shape, SURFACES)  # the surface that each pixel sees
         colours = albedo(points.positions, points.surface, options.brick)
         if options.channels == 1:
             colours = colours.mean(axis=1, keepdims=True)

@@ -1,9 +1,9 @@
-"""Somebody who shows an offline rig's patterns and photographs them, without rfpipe's own code.
+"""A simulated photographer for offline rigs, independent of rfpipe's code.
 
-``python photographer.py SHEET MATRIX.npy`` shows each picture that SHEET/patterns.json names, in
-their order, to a scene of which MATRIX, (channels, camera rays, projector rays), is the light
-transport, and writes a TIFF of each exposure into SHEET/pictures. The camera is without noise: 16
-bits, linear, 1,000 counts of black.
+``python photographer.py SHEET MATRIX.npy`` shows each picture listed in SHEET/patterns.json, in
+order, to a scene with light transport MATRIX, shape (channels, camera rays, projector rays). It
+writes a TIFF file of each exposure to SHEET/pictures. The camera is free of noise and linear, with
+16 bits and a black level of 1,000 counts.
 """
 
 import json
@@ -17,7 +17,7 @@ BLACK, FULL_SCALE, COUNTS_PER_SECOND = 1_000, 65_535, 15_000
 
 
 def rays_of(path, shape):
-    """Return the light of each ray: what the middle of its square of projector pixels shows."""
+    """Return the light of each ray: the middle pixel of its square of projector pixels."""
     codes = oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)[..., 0]
     height, width = codes.shape
     side = min(height // shape[0], width // shape[1])
@@ -28,7 +28,7 @@ def rays_of(path, shape):
 
 
 def photograph(sheet, matrix, expose):
-    """Take all that a sheet asks for; `expose(radiance, seconds, key)` returns counts."""
+    """Take all pictures of a sheet; `expose(radiance, seconds, key)` returns counts."""
     listing = json.loads((sheet / "patterns.json").read_text())
     height, width = listing["picture_size"]
     (sheet / "pictures").mkdir(exist_ok=True)
@@ -44,7 +44,7 @@ def photograph(sheet, matrix, expose):
 
 
 def counts(radiance, seconds, _key):
-    """Return what the camera without noise counts."""
+    """Return the counts of a camera without noise."""
     light = BLACK + COUNTS_PER_SECOND * seconds * radiance
     return np.clip(np.rint(light), 0, FULL_SCALE).astype(np.uint16)
 

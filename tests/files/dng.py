@@ -1,4 +1,4 @@
-"""Raw files made here, for rehearsals: a TIFF of photosites with what makes it a DNG."""
+"""Small raw files: TIFF files of photosites with the tags of DNG."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def dng_bytes(
     black: int = 0,
     white: int = 65_535,
 ) -> bytes:
-    """Return a DNG file, not compressed: files of one shape have one length.
+    """Return an uncompressed DNG file; its length depends on the shape only.
 
     Parameters
     ----------
@@ -33,14 +33,14 @@ def dng_bytes(
     bayer : str
         Colour mosaic from the upper left corner, 2 x 2 or 6 x 6, row by row.
     black, white : int
-        Levels in counts that the file names.
+        Black and white level that the file states, in counts.
     """
     height, width = mosaic.shape
     period = isqrt(len(bayer))
     identity = b"".join(struct.pack("<2i", value, 1) for value in np.eye(3, dtype=int).ravel())
-    # tag, kind, count, and the value or, longer than four bytes, what stands beside
+    # tag, type, count, and the value; values of more than four bytes follow separately
     entries: list[tuple[int, int, int, int | bytes | None]] = [
-        (254, _LONG, 1, 0),  # the picture itself
+        (254, _LONG, 1, 0),  # the full-resolution picture
         (256, _LONG, 1, width),
         (257, _LONG, 1, height),
         (258, _SHORT, 1, 16),
@@ -48,7 +48,7 @@ def dng_bytes(
         (262, _SHORT, 1, _BLACK_AND_WHITE_CFA),
         (271, _ASCII, 4, b"Own\0"),
         (272, _ASCII, 4, b"One\0"),
-        (273, _LONG, 1, None),  # where the counts begin
+        (273, _LONG, 1, None),  # offset of the counts
         (274, _SHORT, 1, 1),
         (277, _SHORT, 1, 1),
         (278, _LONG, 1, height),

@@ -29,23 +29,22 @@ def tiff_bytes(
     page_tags: Mapping[int, Tags] | None = None,
     bits: int | None = None,
 ) -> bytes:
-    """Return a little-endian TIFF file of pages that are not compressed, one strip each.
+    """Return an uncompressed little-endian TIFF file with one strip per page.
 
     Parameters
     ----------
     *pages : ndarray, shape (H, W) or (H, W, C)
         Samples of any numeric type.
     photometric : int
-        0 for MinIsWhite, 1 for MinIsBlack, 2 for RGB; the last two by the number of channels.
+        0 for MinIsWhite, 1 for MinIsBlack, 2 for RGB. By default 1 or 2, from the channels.
     extra_samples : sequence of int
         0 unspecified, 1 associated alpha, 2 unassociated alpha.
     tags, exif : mapping, optional
-        Further tags of each page and of its Exif directory: whole numbers, rationals, text, or
-        bytes.
+        Further tags of each page and of its Exif directory: integers, rationals, text or bytes.
     page_tags : mapping, optional
         Further tags of single pages, by number.
     bits : int, optional
-        Bits per sample that the file states; those of the array's type by default.
+        Bits per sample that the file states, by default the bits of the array's type.
     """
     file = bytearray(struct.pack("<2sHI", b"II", 42, 0))
     link = 4
@@ -85,7 +84,7 @@ def _shorts(values: Sequence[int]) -> tuple[int, int, bytes]:
 
 
 def _directory(file: bytearray, tags: Mapping[int, Any]) -> int:
-    """Append a directory of tags, and return its place in the file."""
+    """Append a directory of tags, and return its offset in the file."""
     entries = []
     for tag, value in sorted(tags.items()):
         kind, count, data = _encoded(value, tag in _SIGNED)

@@ -1,7 +1,7 @@
 """Write fig_3_1.json: the walk-through of [thesis Fig. 3.1] and the patterns shown for it.
 
 Run it with ``python -m tests.golden.make_fig_3_1`` when a change of patterns is intended, and
-check the new ones against the caption; ``pytest tests/golden`` knows its counts alone.
+check the new ones against the caption; ``pytest tests/golden`` checks the counts only.
 
 The 8x8 projector lights 64 camera pixels, ray by ray. Two things are added to reproduce the
 drawing. Camera pixel 64 sees one ray each of frames 6 and 12, pixel 65 one ray each of frames 8
@@ -20,10 +20,10 @@ from rfpipe.methods.dual import Dual
 PROJECTOR = (8, 8)
 CAMERA = (6, 11)
 # The first ray (row, column) of each 2x2 block, numbered clockwise: 6 to 9 are the children of
-# block 2 in the upper left, 10 to 13 those of block 4 in the lower right.
+# block 2 in the upper left, 10 to 13 the children of block 4 in the lower right.
 BLOCK_6, BLOCK_8 = (0, 0), (2, 2)
 BLOCK_10, BLOCK_12 = (4, 4), (6, 6)
-# In the lower left, block 5; its children are numbered 6 to 9 like those of block 2, 9 the last.
+# Block 5 in the lower left; its children have the numbers 6 to 9, like the children of block 2.
 BLOCK_9 = (6, 0)
 GOLDEN = Path(__file__).with_name("fig_3_1.json")
 

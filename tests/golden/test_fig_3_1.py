@@ -1,4 +1,4 @@
-"""The walk-through of [thesis Fig. 3.1]: the counts that its caption fixes."""
+"""The walk-through of [thesis Fig. 3.1]: counts as in its caption."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Compiling the kernels once, for all workers and the jobs that they start."""
+"""Compilation of the kernels once for all workers and their jobs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rfpipe.transport import save_transport
 
 
 def compile_kernels(folder: Path) -> None:
-    """Acquire, store and relight a small scene: numba keeps what it compiles."""
+    """Acquire, store and relight a small scene, which fills numba's cache on disk."""
     shape = (12, 12)
     rig = OperatorRig(reference_scene("IV", shape, channels=1), shape, shape, CameraConfig())
     for method in (Symmetric(), Dual(), NearFar(), Footprints()):

@@ -1,8 +1,8 @@
-"""What tests need that a bare machine lacks: libraries and programs of the system.
+"""Optional libraries and programs of the system that some tests need.
 
-A test says so by ``@pytest.mark.needs("xvfb")``, or by a fixture of that name, and is skipped where
-it isn't here. The environment variable RFPIPE_SYSTEM_LIBRARIES changes that: where they are
-``required`` the test fails, and ``hidden`` none of them is found, as on a bare machine.
+A test declares its need by ``@pytest.mark.needs("xvfb")`` or by a fixture of that name. Without the
+program it is skipped. With the environment variable RFPIPE_SYSTEM_LIBRARIES set to ``required`` it
+fails instead; set to ``hidden``, all optional programs are hidden, as on a bare machine.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ assert _MODE in ("", "required", "hidden"), f"{_VARIABLE} is {_MODE}: required, 
 
 
 def need(name: str) -> None:
-    """Skip a test that needs what isn't here, or fail it where that is required."""
+    """Skip a test whose program is missing, or fail it if programs are required."""
     if _MODE != "hidden" and _is_here(name):
         return
     by_root_alone = name == "slurm" and os.geteuid() != 0
@@ -49,7 +49,7 @@ def need(name: str) -> None:
 
 
 def program(name: str) -> str | None:
-    """Return the path of a program, by the first of its names that is found."""
+    """Return the path of a program, from the first of its names on the search path."""
     return next(filter(None, map(shutil.which, _PROGRAMS[name])), None)
 
 
@@ -74,10 +74,10 @@ def _is_here(name: str) -> bool:
 
 
 def hide() -> TemporaryDirectory[str] | None:
-    """Hide them, where that is asked for, from this process and those that it starts.
+    """Hide the optional programs from this process and its children, if requested.
 
-    Each folder of programs with one of them gives way to a folder of links to the others, in a
-    folder that is returned; it goes with what is returned.
+    On PATH, each folder that contains such a program is replaced by a temporary folder of links to
+    its other programs. Returns the object that owns these folders: they are removed with it.
     """
     if _MODE != "hidden":
         return None

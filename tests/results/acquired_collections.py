@@ -1,4 +1,4 @@
-"""Collections acquired in this process, on files."""
+"""Collections of scenes acquired in the process of the tests."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["acquire_item"]
 
 
 def acquire_item(settings: Config, scene: str, method: str, results: Path) -> Path:
-    """Acquire one scene by one method, as a job of the workflow does; return its folder."""
+    """Acquire one scene by one method, like a job of the workflow; return its folder."""
     folder = results / scene / method
     acquisition = Acquisition(
         AcquisitionFolder(folder),

@@ -1,4 +1,4 @@
-"""A finished run, as its stages leave it: small, and made without them."""
+"""The files of a small finished run, written without running its stages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ N = 6 * 7
 
 
 def write_transport(folder: Path, scene: str, matrix: np.ndarray) -> None:
-    """Write a scene's transport by dual photography, (3, N, N), and its manifest."""
+    """Write a transport (3, N, N) by dual photography and its manifest."""
     place = folder / f"results/{scene}/dual"
     transport = DenseTransport(
         SHAPE, SHAPE, 3, [{"level": 0, "patterns": 12}], {"matrix": matrix.astype(np.float32)}

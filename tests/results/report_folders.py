@@ -1,4 +1,4 @@
-"""Small results folders as the workflow's stages leave them, and the parts of a report's page."""
+"""Small results folders in the workflow's layout, and a parser of report pages."""
 
 import base64
 from collections.abc import Iterable
@@ -48,7 +48,7 @@ FIELD = Config.model_validate(
 
 
 class Page(HTMLParser):
-    """The parts of a page: its headings, anchors, links, images, tables and text."""
+    """Parser of a page: its headings, anchors, links, images, tables and text."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -76,7 +76,7 @@ class Page(HTMLParser):
 
 
 def acquired(results: Path, config: Config) -> None:
-    """Fill a results folder as the workflow's stages do."""
+    """Fill a results folder in the layout of the workflow's stages."""
     relit = []
     for scene, method in config.acquisitions:
         settings, folder = config.scenes[scene], results / scene / method
@@ -99,7 +99,7 @@ def tables_of(results: Path) -> tuple[Path, Path]:
 
 
 def benchmarked(results: Path, scenes: Iterable[str], methods: Iterable[str]) -> None:
-    """Write files as Snakemake's `benchmark:` does, one second a job; captures of 20 pictures."""
+    """Write benchmark files as Snakemake does: one second per job, 20 pictures per capture."""
     for scene in scenes:
         for method in methods:
             folder = results / scene / method

@@ -1,4 +1,4 @@
-"""Transports of every kind for the viewer, and the light that they are compared under."""
+"""Small transports of each kind for the viewer, and light to compare them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KINDS = (
 
 @cache
 def transport_of(kind: str) -> Transport:
-    """A small transport of a kind."""
+    """Return a small transport of a kind."""
     if kind == "wavelet":
         return wavelets()[0]
     if kind == "light field":
@@ -49,7 +49,7 @@ def transport_of(kind: str) -> Transport:
 
 
 def lights(shape: tuple[int, ...], channels: int) -> list[np.ndarray]:
-    """White light, a coloured spot, and noise of both signs."""
+    """Return white light, a coloured spot, and noise of both signs."""
     random = np.random.default_rng(7)
     spot = np.zeros((*shape, channels), np.float32)
     spot[..., 1 : shape[-2] // 2, 2 : shape[-1] // 2, :] = random.random(channels)
@@ -57,6 +57,6 @@ def lights(shape: tuple[int, ...], channels: int) -> list[np.ndarray]:
 
 
 def planar(image: np.ndarray, shape: tuple[int, ...], channels: int) -> np.ndarray:
-    """An image (*shape[, C]) as (C, rays)."""
+    """Return an image (*shape[, C]) as (C, rays)."""
     image = image.reshape(int(np.prod(shape)), -1)
     return np.broadcast_to(image, (len(image), channels)).T

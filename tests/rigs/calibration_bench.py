@@ -1,4 +1,4 @@
-"""Simulated projectors and cameras before a known scene, for the tests of calibration."""
+"""Simulated projectors and cameras with a known scene, for tests of the calibration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GAMMA = 2.2
 
 @dataclass
 class Bench:
-    """A projector, a camera, and the light's way between them."""
+    """A projector, a camera, and the light path between them."""
 
     path: OpticalPath
     projector: SimulatedProjector
@@ -43,7 +43,7 @@ class Surface:
 def bench_of(
     path: OpticalPath, sensor: CameraModel = CAMERA, gamma: float = 1.0, seed: int = 0
 ) -> Bench:
-    """Put a projector of some gamma and a camera around a path."""
+    """Return a bench with a projector of a given gamma, a light path and a camera."""
     projector = SimulatedProjector(path.projector_shape)
     light = np.linspace(0, 1, 256) ** gamma
 
@@ -68,7 +68,7 @@ def wedge_bench(
     seed: int = 0,
     channels: int = 1,
 ) -> Bench:
-    """Return a bench before two planes that light each other."""
+    """Return a bench with two planes that light each other."""
     config = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=rays, channels=channels)
     scene = scene_from_config(config)
     direct = scene_from_config(config.model_copy(update={"bounces": 1}))
@@ -93,7 +93,7 @@ def surface_bench(
     sensor: CameraModel = CAMERA,
     seed: int = 0,
 ) -> Bench:
-    """Return a bench before a surface of random albedo, seen by one view or by an array."""
+    """Return a bench with a surface of random albedo, for one view or an array of views."""
     albedo = np.random.default_rng(seed).uniform(0.3, 0.9, rays)
     path = OpticalPath(
         Surface(albedo),
@@ -123,5 +123,5 @@ def uneven(shape: tuple[int, int] = (64, 64), seed: int = 0) -> np.ndarray:
 
 
 def brighter(camera: CameraModel, factor: float) -> CameraModel:
-    """Return a camera that collects more light."""
+    """Return a camera that collects more electrons per radiance."""
     return replace(camera, electrons_per_radiance=factor * camera.electrons_per_radiance)

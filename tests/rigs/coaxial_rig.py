@@ -1,4 +1,4 @@
-"""A rig of simulated devices before two planes, whose calibration found it coaxial."""
+"""A calibrated coaxial rig of simulated devices, with a scene of two planes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Inject = Callable[[Any, Any, int], Devices]
 
 @cache
 def path() -> OpticalPath:
-    """Return the light's way through the scene."""
+    """Return the light path through the scene."""
     height, width = PICTURE
     corners: list[Quadrilateral] = [[(0, 0), (width, 0), (width, height), (0, height)]]
     config = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=RAYS, channels=1)
@@ -41,7 +41,7 @@ def path() -> OpticalPath:
 
 @cache
 def means() -> Resampling:
-    """Return the means of the camera's pixels that look at each ray."""
+    """Return the mean of the camera pixels of each ray."""
     rays = path().layout.ray_of_pixel.ravel()
     weights = np.full(rays.size, 1 / PIXELS**2, np.float32)
     pixels = np.arange(rays.size)
@@ -52,7 +52,7 @@ def means() -> Resampling:
 def coaxial_rig(
     inject: Inject | None = None, after: int = 0, seed: int = 0, camera: CameraModel = CAMERA
 ) -> DeviceRig:
-    """Return the rig, with a fault from the picture `after` on."""
+    """Return the rig, optionally with a fault that begins after `after` pictures."""
     bench = bench_of(path(), camera, seed=seed)
     devices: Devices = bench.projector, bench.camera
     if inject is not None:
@@ -61,5 +61,5 @@ def coaxial_rig(
 
 
 def darker(factor: float) -> CameraModel:
-    """Return a camera that collects less light."""
+    """Return a camera that collects fewer electrons per radiance."""
     return replace(CAMERA, electrons_per_radiance=CAMERA.electrons_per_radiance / factor)

@@ -1,4 +1,4 @@
-"""Rigs whose camera stands beside the projector, or is knocked."""
+"""Rigs with a displaced camera, or with one that moves during the capture."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def wedge(channels: int = 1, seed: int = 3) -> np.ndarray:
 
 
 def beside(matrices: np.ndarray, pixels: float) -> np.ndarray:
-    """What a camera sees that stands some pixels, up to one, beside the projector."""
+    """Return the matrices of a camera displaced to the side by up to one pixel."""
     images = matrices.reshape(len(matrices), *SHAPE, -1)
     moved = np.concatenate([images[:, :, :1], images[:, :, :-1]], axis=2)
     return np.asarray((1 - pixels) * images + pixels * moved).reshape(matrices.shape)
 
 
 class Knocked(rfpipe.OperatorRig):
-    """A rig that is knocked after some patterns, and whose lamp may drift."""
+    """A rig whose camera moves after a number of patterns, and whose lamp may drift."""
 
     def __init__(
         self, before: np.ndarray, after: np.ndarray, at: int, camera: Any, drift: float = 0.0

@@ -1,4 +1,4 @@
-"""Driving a method on a known matrix, in memory and without noise unless asked for; settings."""
+"""Acquisitions of known matrices in memory, commands in process, and settings of a small run."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def acquire_matrix(
     sigma: float = 0.0,
     seed: int = 0,
 ) -> MethodRun:
-    """Acquire a matrix (M, N) or (C, M, N) level by level, with those options that a method has."""
+    """Acquire a matrix (M, N) or (C, M, N); `tolerance` is ignored by methods without it."""
     options = {"tolerance": tolerance} if "tolerance" in method.Options.model_fields else {}
     shapes = camera_shape, projector_shape
     return run_method(method, matrix, *shapes, sigma=sigma, seed=seed, **options)
 
 
 def picture_error(transport: Transport, matrix: NDArray[Any], pictures: NDArray[Any]) -> float:
-    """Return the mean error of pictures (P, *projector) of a matrix (M, N) or (C, M, N)."""
+    """Return the mean relighting error under patterns (P, *projector) against a matrix."""
     relit = transport.relight_batch(pictures.astype(np.float32))
     matrices = matrix.reshape(-1, *matrix.shape[-2:])
     truth = np.einsum("cmn,pn->pmc", matrices, pictures.reshape(len(pictures), -1))
@@ -51,19 +51,19 @@ def scene_matrices(name: str, shape: tuple[int, ...], channels: int = 1) -> NDAr
 
 
 def settings_of_a_plane(**settings: Any) -> Config:
-    """Return the settings of a run of one white plane, and others that are given."""
+    """Return the settings of a run of one white plane, with further settings."""
     scenes = {"plane": {"kind": "plane", "surfaces": ["white"]}}
     return parse_config({"scenes": scenes, **settings}, "the test")
 
 
 def run(*arguments: object, status: int = 0) -> str:
-    """Run a command of rfpipe in this process; return what it says. What it raises is raised."""
+    """Run a command of rfpipe in this process and return its output; exceptions propagate."""
     result = CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False)
     assert result.exit_code == status, result.output
     return result.output
 
 
 def contents(path: Path) -> dict[str, bytes]:
-    """All files below a folder, or a file alone, by their names in it."""
+    """Bytes of all files in a folder, or of one file, by relative path."""
     files = path.rglob("*") if path.is_dir() else [path]
     return {str(file.relative_to(path)): file.read_bytes() for file in files if file.is_file()}

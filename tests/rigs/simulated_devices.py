@@ -1,4 +1,4 @@
-"""A projector and a camera without hardware, as devices."""
+"""A simulated projector and a simulated camera."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SimulatedProjector:
     Attributes
     ----------
     light : ndarray of float32, shape `shape`, or (*shape, 3) of a coloured picture
-        What it shows now; dark at first.
+        Light that the projector shows now; initially black.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -50,17 +50,17 @@ class SimulatedProjector:
         return {"kind": "simulated", "shape": list(self.shape)}
 
     def close(self) -> None:
-        """Switch off."""
+        """Close the device; further use raises CaptureError."""
         self._closed = True
 
 
 class SimulatedCamera:
-    """A camera that sees what a function says.
+    """A camera whose radiance is computed by a function.
 
     Parameters
     ----------
     radiance : callable
-        Returns what is before the camera now, shape (*shape, C).
+        Function that returns the current radiance, shape (*shape, C).
     shape : (int, int)
         Height and width in pixels.
     channels : int
@@ -103,5 +103,5 @@ class SimulatedCamera:
         }
 
     def close(self) -> None:
-        """Switch off."""
+        """Close the device; further use raises CaptureError."""
         self._closed = True

@@ -1,4 +1,4 @@
-"""Simulated pictures of a Gray code: a bent wall with a step before it, blur, indirect light."""
+"""Simulated pictures of a Gray code: a bent wall with a step, blur and indirect light."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rfpipe.fitting.codes import code_patterns
 
 @dataclass(frozen=True)
 class Shot:
-    """Patterns (K, N) without black ones, pictures (K, M) minus black, and true places (2, M)."""
+    """Patterns (K, N), pictures (K, M) minus black level, and true positions (2, M)."""
 
     patterns: np.ndarray
     pictures: np.ndarray
@@ -46,15 +46,15 @@ def shot(
     projector, camera : (int, int)
         Sizes in pixels.
     indirect : float
-        Share of light that comes from everywhere.
+        Fraction of light that is indirect and uniform.
     noise : float
         Standard deviation over the brightest pixel.
     blur : float
-        Of the projector, in its pixels.
+        Standard deviation of the projector's blur, in projector pixels.
     darkening : float
-        Share that the finest stripes lack against coarse ones: a projector that isn't linear.
+        Fraction of light that the finest stripes lose, as with a nonlinear projector.
     moved : (int, float, float)
-        First picture after the camera moved, and by how many rows and columns.
+        First picture after the camera moved, and the shift in rows and columns.
     flicker : float
         Standard deviation of the lamp's light, relative.
     """

@@ -1,4 +1,4 @@
-"""The viewer's pages in a real browser."""
+"""Access to the viewer's pages in a browser."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def opened(chromium: Any, address: str | Path, query: str = "", **context: Any) -> Any:
-    """A viewer's page once all of its data are there; what it says on the console is in `said`."""
+    """Open a viewer's page and wait for its data; `said` collects its console messages."""
     page = chromium.new_context(viewport={"width": 1280, "height": 900}, **context).new_page()
     page.said = []
     page.on("console", lambda message: page.said.append(message.text))
@@ -25,7 +25,7 @@ def opened(chromium: Any, address: str | Path, query: str = "", **context: Any) 
 
 
 def wait_until(page: Any, condition: str, seconds: float = 60) -> None:
-    """Wait for a condition; `page.wait_for_function` needs an eval, which the page forbids."""
+    """Wait for a condition; the page forbids the eval that `page.wait_for_function` needs."""
     for _ in range(int(20 * seconds)):
         if page.evaluate(condition):
             return
@@ -49,7 +49,7 @@ _PICTURE = """async ([light, dual, level]) => {
 
 
 def picture_of(page: Any, light: NDArray[Any], level: int, dual: bool) -> NDArray[np.float32]:
-    """What a page makes of planar light (C, rays), as one flat array."""
+    """Return the picture that a page computes from light (C, rays), as a flat array."""
     given = b64encode(np.ascontiguousarray(light, "<f4").tobytes()).decode()
     encoded = page.evaluate(_PICTURE, [given, dual, level])
     return np.frombuffer(b64decode(encoded), "<f4")

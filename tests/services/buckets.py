@@ -1,4 +1,4 @@
-"""A local S3 server, and a proxy in front of it that fails as networks and servers do."""
+"""A local S3 server, and a proxy that simulates failures of networks and servers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date
 
 @contextmanager
 def s3_server(python: str) -> Iterator[str]:
-    """Run an S3 server with one empty bucket, `BUCKET`, by an interpreter; its endpoint."""
+    """Run an S3 server with one empty bucket, `BUCKET`; yields its endpoint."""
     port = free_port()
     endpoint = f"http://127.0.0.1:{port}"
     process = subprocess.Popen(
@@ -42,7 +42,7 @@ def s3_server(python: str) -> Iterator[str]:
 
 
 def put(address: str, content: bytes, patience: float = 0.0) -> None:
-    """Write an object that anybody may read, or a bucket, unsigned."""
+    """Create a publicly readable object, or a bucket, with an unsigned request."""
     headers = {"Content-Type": "application/octet-stream", "x-amz-acl": "public-read"}
     request = urllib.request.Request(address, content, headers, method="PUT")
     end = time.monotonic() + patience
@@ -57,7 +57,7 @@ def put(address: str, content: bytes, patience: float = 0.0) -> None:
 
 
 def use(monkeypatch: pytest.MonkeyPatch, endpoint: str, *, signed: bool = True) -> None:
-    """Set the environment as somebody does who uses a server."""
+    """Set the environment variables of a client of the server."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
     monkeypatch.setenv("AWS_REGION", "us-east-1")
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
@@ -69,20 +69,20 @@ def use(monkeypatch: pytest.MonkeyPatch, endpoint: str, *, signed: bool = True) 
 
 @dataclass
 class Faults:
-    """What a proxy does to the requests that write objects, and what it saw.
+    """Faults that a proxy injects into requests that write objects, and a log of all requests.
 
     Attributes
     ----------
     fail : int
-        That many of the next are answered by 500.
+        Number of next requests to answer with status 500.
     cut : int
-        Of that many of the next the connection is cut in the middle of the content.
+        Number of next requests whose connection is closed in the middle of the content.
     deny : bool
-        Whether they are answered by 403.
+        Whether to answer with status 403.
     limit : int or None
-        Writes to let pass; others wait until this changes.
+        Number of writes to pass on; further ones wait until this changes.
     under_way : set of int
-        Threads that have a request in hand.
+        Identifiers of the threads that process a request.
     requests : list of (method, path, bytes sent, bytes received)
     """
 
@@ -95,7 +95,7 @@ class Faults:
     requests: list[tuple[str, str, int, int]] = field(default_factory=list)
 
     def written(self) -> list[str]:
-        """Paths of the objects that were written, one for each request that was let pass."""
+        """Return the paths of the objects written, one per request passed on."""
         return [path for method, path, *_ in self.requests if method == "PUT"]
 
 

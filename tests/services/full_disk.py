@@ -1,8 +1,8 @@
-"""Run commands on a disk that is full: ``python -m tests.services.full_disk CASES``.
+"""Run commands on a full disk: ``python -m tests.services.full_disk CASES``.
 
-CASES is JSON: a list of (bytes that a file may have, arguments of ``rfpipe``). Each command runs in
-a process of its own, forked so that libraries are loaded once, and ends as from a shell. Prints
-JSON: a list of (exit status, output).
+CASES is JSON: a list of (largest file size in bytes, arguments of ``rfpipe``). Each command runs in
+a forked process, so that libraries are loaded once, and exits as in a shell. Prints JSON: a list of
+(exit status, output).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LIBRARIES = ("rfpipe.export", "rfpipe.fitting", "rfpipe.publishing.publication",
 
 
 def ended(limit: int, arguments: Sequence[str]) -> tuple[int, str]:
-    """Run a command whose files may have so many bytes; return its status and its output."""
+    """Run a command with a limit on file sizes; return its exit status and output."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:

@@ -1,4 +1,4 @@
-"""Ports for servers that are to be found where they were, also when they come back."""
+"""Free ports for servers that are stopped and started again at the same address."""
 
 import os
 import socket
@@ -11,10 +11,10 @@ _offsets = count(os.getpid() * 997)
 
 
 def free_port() -> int:
-    """Return a port that nobody listens on now, and that the system gives to none unasked.
+    """Return a free port outside the range that the system assigns by itself.
 
-    One that it gave to us could be another test's connection before a server takes it, or while
-    the server is away.
+    A port from that range could be assigned to a connection of another test before the server
+    binds it, or while the server is stopped.
     """
     end = int(_RANGE.read_text().split()[0]) if _RANGE.exists() else 32_768
     while True:

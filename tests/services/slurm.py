@@ -1,4 +1,4 @@
-"""A Slurm cluster in a folder: its own daemons, of two nodes on this machine."""
+"""A Slurm cluster of two nodes on this machine, with all of its files in one folder."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ NodeName=one NodeHostname={host} NodeAddr=127.0.0.1 Port={one} CPUs={cpus} RealM
 NodeName=two NodeHostname={host} NodeAddr=127.0.0.1 Port={two} CPUs={cpus} RealMemory=8000
 PartitionName=work Nodes=one,two Default=YES MaxTime=INFINITE State=UP
 """
-# No node has an accounting database: squeue and scontrol ask the scheduler itself. It looks for
-# nodes that don't answer every SlurmdTimeout / 3.
+# There is no accounting database; squeue and scontrol query the scheduler. It checks for nodes that
+# don't answer every SlurmdTimeout / 3.
 
 
 class Slurm:
-    """The daemons; a context manager that ends them.
+    """Daemons of a Slurm cluster, as a context manager that stops them.
 
     Parameters
     ----------
     folder : Path
     cpus : int
-        Of each node.
+        Number of processors of each node.
     """
 
     def __init__(self, folder: Path, cpus: int = 1) -> None:
@@ -76,7 +76,7 @@ class Slurm:
         for name in ("state", "bin", *NODES):
             (folder / name).mkdir(parents=True)
         folder.chmod(0o755)
-        # Snakemake's plugin takes SLURM_CONF away from it
+        # Snakemake's plugin removes SLURM_CONF from the environment
         srun = folder / "bin" / "srun"
         program = f'SLURM_CONF={folder}/slurm.conf exec {shutil.which("srun")} "$@"'
         srun.write_text(f"#!/bin/sh\n{program}\n")
@@ -113,14 +113,14 @@ class Slurm:
                 daemon.kill()
 
     def start_node(self, node: str) -> None:
-        """Start the daemon of a node, a new one or one that was killed."""
+        """Start the daemon of a node, or start it again after `kill_node`."""
         self._do("slurmd", "-N", node)
 
     def kill_node(self, node: str) -> int:
-        """End a node as a power cut does: its daemon, and all that it has started; how many."""
+        """Kill a node's daemon and all its processes, as a power cut does; return their number."""
         daemon = self._daemon(node)
         processes = {process for process in psutil.process_iter() if self._is_of(process, node)}
-        # that of a job looks after it, and would tell of its end
+        # the parent that monitors a job would report its end
         processes |= {
             parent
             for process in processes
@@ -135,13 +135,13 @@ class Slurm:
         return len(processes)
 
     def jobs(self, *states: str) -> dict[str, str]:
-        """Return numbers of the jobs in some states, or in any, each with its node."""
+        """Return the nodes of the jobs in the given states, or in any state, by job number."""
         selection = ",".join(states) or "all"
         lines = self._do("squeue", "--noheader", "--format=%i %N", f"--states={selection}")
         return {number: node for number, _, node in (it.partition(" ") for it in lines)}
 
     def wait_for_nodes(self, state: str, *nodes: str) -> None:
-        """Wait until nodes, all if none are named, are in a state."""
+        """Wait until the given nodes, by default all, are in a state."""
 
         def are() -> bool:
             options = ("--noheader", "--Node", "--format=%t", f"--nodes={','.join(nodes or NODES)}")

@@ -1,14 +1,14 @@
-"""Waiting for what another process does."""
+"""Waiting for a condition that another process or thread fulfils."""
 
 import time
 from collections.abc import Callable
 from typing import Any
 
-PATIENCE_SECONDS = 240.0  # of a machine that others use, too
+PATIENCE_SECONDS = 240.0  # generous, since the machine may be busy
 
 
 def wait_until(condition: Callable[[], Any], what: str, every: float = 0.001) -> Any:
-    """Wait for something to become true, and return it; look every so many seconds."""
+    """Return the first true value of `condition`, evaluated every `every` seconds."""
     end = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < end:
         result = condition()

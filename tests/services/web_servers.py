@@ -1,4 +1,4 @@
-"""Web servers of a folder: by ranges, or not; what was asked of them."""
+"""Web servers of a folder, with or without byte ranges, that log their requests."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from urllib.parse import unquote
 
 @dataclass
 class Served:
-    """A folder behind an address."""
+    """A served folder: its address, a log of requests, and faults to simulate."""
 
     address: str = ""
     requests: list[tuple[str, int]] = field(default_factory=list)
-    """Path and bytes of every answer."""
+    """Path and number of bytes of each answer."""
     authorizations: list[str | None] = field(default_factory=list)
-    """Authorization of every request."""
+    """Authorization header of each request."""
     seconds: float = 0.0
-    """Before each eighth of an answer."""
+    """Delay before each eighth of an answer."""
     stalls: int = 0
-    """So many answers end in their middle, with the connection open."""
+    """Number of answers that stop in the middle, with the connection open."""
 
     @property
     def nbytes(self) -> int:
@@ -34,7 +34,7 @@ class Served:
 
 @contextmanager
 def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
-    """Serve a folder, as static web servers do."""
+    """Serve a folder like a static web server."""
     served = Served()
 
     class Handler(BaseHTTPRequestHandler):
@@ -58,7 +58,7 @@ def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
             self._answer(206, content[first : last + 1], f"bytes {first}-{last}/{size}")
 
         def _answer(self, status: int, content: bytes, of: str = "") -> None:
-            # counted first, since the client goes on as soon as it has the last byte
+            # logged first, since the client continues as soon as it has the last byte
             served.requests.append((self.path, len(content)))
             served.authorizations.append(self.headers["Authorization"])
             self.send_response(status)
@@ -72,7 +72,7 @@ def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
             eighth = len(content) // 8 + 1
             for start in range(0, len(content), eighth):
                 time.sleep(served.seconds)
-                # before it writes: after the last piece a client may be at its next test already
+                # before writing: after the last piece the client may already run its next test
                 if served.stalls and start > len(content) // 2:
                     served.stalls -= 1
                     time.sleep(4.0)
@@ -90,7 +90,7 @@ def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
 
 @contextmanager
 def listening(handler: type[BaseHTTPRequestHandler]) -> Iterator[str]:
-    """Answer requests in threads of this process; yields the address."""
+    """Answer requests in threads of this process; yields the server's address."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, args=(0.05,))
