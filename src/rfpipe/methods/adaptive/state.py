@@ -180,8 +180,9 @@ class AdaptiveState(MethodState):
             if self.residual is not None:
                 arrays |= with_prefix("residual_", _residual_arrays(self.residual))
         if self.hierarchy_state is not previous.hierarchy_state:
-            before = previous.hierarchy_state or hierarchy_start(self)
-            added = self.hierarchy_state.to_arrays(before)
+            start = previous.hierarchy_state
+            start = hierarchy_start(self) if start is None else start
+            added = self.hierarchy_state.to_arrays(start)
             arrays |= with_prefix("hierarchy_", added.arrays)
             attributes["hierarchy"] = dict(added.attributes)
         return StateArrays(arrays, attributes)

@@ -49,7 +49,7 @@ from rfpipe.transport.multiscale import coarsest_scale
 from rfpipe.transport.sum import SumTransport
 
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
-"""Patterns of each round of the model: small rounds first, since many scenes need no more."""
+"""Largest number of patterns of each round of the model. Many scenes need only the first two."""
 
 WRONG_MODEL = 0.1
 """First estimated error from which on symmetric photography takes over. The first round leaves 2 to
