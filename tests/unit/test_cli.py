@@ -1,4 +1,4 @@
-"""The commands, on a transport small enough to know by heart: T = x x^T, one x a channel."""
+"""The commands on a small transport of rank 1 per channel: T = x x^T."""
 
 import json
 import subprocess
@@ -51,7 +51,7 @@ def picture(path: Path, weights: NDArray[np.float32]) -> Path:
 def failure(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., str]:
-    """Return what the command line says on stderr when it fails, without a traceback."""
+    """Return a function that runs a failing command and returns its message on stderr."""
 
     def failed(*arguments: object) -> str:
         monkeypatch.setattr(sys, "argv", ["rfpipe", *map(str, arguments)])
@@ -66,11 +66,11 @@ def failure(
     return failed
 
 
-def test_validate_names_the_acquisitions() -> None:
+def test_plan_lists_each_acquisition_with_its_rays_and_patterns() -> None:
     planned = run("plan", CONFIG)
     assert "valid. 6 acquisitions. One job per stage, since a scene has 10,368 rays" in planned
     (room,) = (line.split() for line in planned.splitlines() if " auto " in line and "room" in line)
-    assert room[:6] == ["room", "auto", "10,368", "31", "30", "2,527"]
+    assert room[:5] == ["room", "auto", "10,368", "30", "2,527"]
 
 
 def test_schema_is_that_of_the_model() -> None:
@@ -144,7 +144,7 @@ def test_a_pattern_of_another_size_is_refused(
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("--host", "0.0.0.0"), "0.0.0.0 is no loopback address"),
+        (("--host", "0.0.0.0"), "0.0.0.0 is not a loopback address"),
         ((), "RFPIPE_TOKEN is not set"),
         (("--token-file", "absent.token"), "absent.token: can't be read as a token file"),
     ],
@@ -164,7 +164,7 @@ def test_scenes_are_listed_with_their_options() -> None:
     text = run("settings", "scenes")
     assert "wedge_120: Two planes that meet at 120 degrees" in text
     assert "    surfaces ([]): Each white (albedo 0.8) or texture" in text
-    assert "    projector (null): The projector aside of the camera" in text
+    assert "    projector (null): A projector separate from the camera" in text
     assert text.startswith("every kind:\n    shape ([62,70]): Height and width")
     assert text.count("    settings ({}): ") == 1
     assert "Undefined" not in text

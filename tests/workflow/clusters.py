@@ -1,4 +1,4 @@
-"""A dask cluster of two workers, which tests kill one after the other."""
+"""Settings and address of the dask cluster whose workers the tests kill."""
 
 from typing import Any
 
@@ -7,15 +7,15 @@ from tests.services.waiting import PATIENCE_SECONDS
 
 
 def kept_workers() -> Any:
-    """Keep workers that die twice, for a block.
+    """Return a context in which dask restarts workers however often they die.
 
-    Some time after a worker died dask looks whether it is back, and drops it for ever if another
-    test has just killed it again.
+    By default dask checks some time after a worker's death whether it is alive, and removes it for
+    good if another test has killed it again.
     """
     return dask.config.set({"distributed.deploy.lost-worker-timeout": "1 hour"})
 
 
 def address_of(cluster: Any) -> str:
-    """Return the scheduler's address once both workers are there, whoever was killed before."""
+    """Wait until both workers are running, and return the address of the scheduler."""
     cluster.wait_for_workers(2, timeout=PATIENCE_SECONDS)
     return str(cluster.scheduler_address)

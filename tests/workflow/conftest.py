@@ -1,4 +1,4 @@
-"""Undisturbed runs, made once and shared by all workers."""
+"""Finished runs, made once and shared by all workers of the tests."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from tests.workflow.harness import (
 
 _EXAMPLES = Path(__file__).parents[1] / "examples"
 
-# A shell starts what runs in the background with SIGINT ignored, and programs inherit that: the
-# tests of Ctrl-C need it as a terminal has it.
+# Shells start background programs with SIGINT ignored, and child processes inherit this. The tests
+# of Ctrl-C need the default handler.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
 def undisturbed(shared: Path, kernels: None) -> Workflow:
-    """Run `tiny` by symmetric and dual photography, and `long` by brute force; left as it is."""
+    """A run of `tiny` by symmetric and dual photography and of `long` by brute force; read only."""
     return _once(shared / "undisturbed", lambda workflow: workflow.run(*TARGETS))
 
 
@@ -37,7 +37,7 @@ TARGETS = (TINY, DUAL, LONG)
 
 @pytest.fixture(scope="session")
 def of_ones_own(shared: Path, kernels: None) -> Workflow:
-    """Run a scene and a method of the user's own beside rfpipe's, up to the report."""
+    """A run with a user-defined scene and method and with rfpipe's own, up to the report."""
 
     def run(workflow: Workflow) -> str:
         for name in ("column_scan.py", "frosted_glass.py"):
@@ -53,7 +53,7 @@ def of_ones_own(shared: Path, kernels: None) -> Workflow:
 
 
 def _once(folder: Path, run: Callable[[Workflow], str]) -> Workflow:
-    """Have one of the workers run something that the others wait for."""
+    """Run the workflow in one worker of the tests, while the others wait."""
     with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "complete").exists():
@@ -64,5 +64,5 @@ def _once(folder: Path, run: Callable[[Workflow], str]) -> Workflow:
 
 @pytest.fixture
 def copy(undisturbed: Workflow, tmp_path: Path) -> Workflow:
-    """A complete run to disturb."""
+    """A copy of the undisturbed run, which tests may change."""
     return undisturbed.copy_to(tmp_path / "copy")

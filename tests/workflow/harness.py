@@ -1,4 +1,4 @@
-"""Running the real workflow on small scenes, and disturbing it."""
+"""The workflow on small scenes: settings, runs, interruptions and comparisons."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ CONFIG: dict[str, Any] = {
         "long": {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [5, 8]},
     },
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
-    # one pattern at a time, for captures that can be stopped anywhere
+    # one pattern at a time, so that a capture can be stopped anywhere
     "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
-    # as for larger scenes
+    # jobs of single stages, as for larger scenes
     "resources": {"jobs": "stage"},
 }
 """`tiny` has 5 stages on each of its levels; `long` by brute force captures 40 patterns."""
@@ -45,18 +45,18 @@ _RUN_SECONDS = 4 * PATIENCE_SECONDS
 
 
 class Workflow:
-    """The workflow in a folder of its own, with the settings that it has or those of CONFIG."""
+    """The workflow in a separate folder, with the folder's settings or, by default, CONFIG."""
 
     def __init__(self, folder: Path, config: dict[str, Any] | None = None) -> None:
         self.folder = folder
         self.config = folder / "config.yaml"
-        self.source: Path | None = None  # of another rfpipe than the installed one
+        self.source: Path | None = None  # source of an rfpipe other than the installed one
         folder.mkdir(parents=True, exist_ok=True)
         if config is not None or not self.config.exists():
             self.configure(**(config or {}))
 
     def configure(self, **changes: Any) -> None:
-        """Write the settings: CONFIG, its groups updated, its scenes and methods replaced."""
+        """Write the settings: CONFIG with groups updated, and with scenes and methods replaced."""
         settings = dict(CONFIG)
         for name, value in changes.items():
             is_whole = name in ("scenes", "methods") or not isinstance(value, dict)
@@ -64,7 +64,7 @@ class Workflow:
         self.config.write_text(yaml.safe_dump(settings))
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
-        """Start Snakemake as the leader of a process group of its own."""
+        """Start Snakemake as the leader of a new process group."""
         return subprocess.Popen(
             [str(SNAKEMAKE), *self._options(), *arguments],
             stdout=subprocess.PIPE,
@@ -76,8 +76,8 @@ class Workflow:
         )
 
     def run(self, *arguments: str, succeeds: bool = True) -> str:
-        """Run Snakemake to its end and return what it said."""
-        if self.source:  # which isn't the rfpipe that the starter has loaded
+        """Run Snakemake to its end and return its output."""
+        if self.source:  # the starter has loaded another rfpipe
             return self.end(self.start(*arguments), succeeds=succeeds)
         status, output = run_snakemake([*self._options(), *arguments], self.folder, _RUN_SECONDS)
         assert (status == 0) == succeeds, output
@@ -88,7 +88,7 @@ class Workflow:
         return (*of_folder, "--configfile", str(self.config), "--cores", "2")
 
     def unlock(self) -> None:
-        """Do what ``snakemake --unlock`` does, without starting it; one test does that."""
+        """Remove the locks, like ``snakemake --unlock`` but faster."""
         for lock in (self.folder / ".snakemake" / "locks").iterdir():
             lock.unlink()
 
@@ -102,18 +102,18 @@ class Workflow:
         return self.folder / "results" / name
 
     def contents(self, name: str) -> dict[str, bytes]:
-        """All bytes that the stages left of an acquisition: manifests, stores and journals."""
-        files, left_out = contents(self.path(name)), (".log", ".asked", "benchmark.tsv")
-        return {name: files[name] for name in sorted(files) if not name.endswith(left_out)}
+        """Bytes of an acquisition's manifests, stores and journals."""
+        files, excluded = contents(self.path(name)), (".log", "benchmark.tsv")
+        return {name: files[name] for name in sorted(files) if not name.endswith(excluded)}
 
     def copy_to(self, folder: Path) -> Workflow:
-        """Copy the whole run, Snakemake's records and times included."""
+        """Copy the run with Snakemake's records and the times of all files."""
         shutil.copytree(self.folder, folder, dirs_exist_ok=True)
         return Workflow(folder)
 
 
 def journal(store: Path) -> list[str]:
-    """Whole lines of a store's journal; none while there is no journal."""
+    """Lines of a store's journal; an empty list if there is no journal."""
     try:
         return (store / "journal.jsonl").read_text().splitlines()
     except FileNotFoundError:
@@ -121,7 +121,7 @@ def journal(store: Path) -> list[str]:
 
 
 def freeze_writer(store: Path, items: int) -> int:
-    """Stop the process that writes a store after some items, in whatever it does; its id."""
+    """Stop the process that writes a store (SIGSTOP) after `items` items; return its number."""
     lock = store.with_name(f".{store.name}.lock")
 
     def writer() -> int | None:
@@ -135,12 +135,12 @@ def freeze_writer(store: Path, items: int) -> int:
 
 
 def kill_group(process: subprocess.Popen[str], number: int) -> None:
-    """Send a signal to Snakemake and all its jobs, as a terminal does with Ctrl-C."""
+    """Send a signal to Snakemake and all its jobs, as Ctrl-C in a terminal does."""
     os.killpg(process.pid, number)
 
 
 def undo(workflow: Workflow, level: int, stage: str) -> Path:
-    """Take a run back to before a stage of a level of `tiny`; return that stage's log."""
+    """Remove a stage of a level of `tiny` and all later ones; return the path of its log."""
     folder = workflow.path("tiny/symmetric")
     for name in STAGES[STAGES.index(stage) :]:
         for path in folder.glob(f"L{level:02d}/{name}.*"):

@@ -1,4 +1,4 @@
-"""Work that any process can load, since this module imports next to nothing."""
+"""Functions for workers, in a module with few imports, so that every process can load it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHAPE = (8, 10)
 
 @dataclass(frozen=True)
 class Dying:
-    """Kills its process, as -9 does, the first time that it comes to a piece."""
+    """Work that kills its process with SIGKILL at its first call for the item `at`."""
 
     work: Any
     at: int

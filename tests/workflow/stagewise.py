@@ -1,4 +1,4 @@
-"""One acquisition, stage by stage on files, of a known matrix."""
+"""Acquisitions of a known matrix on files, stage by stage."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CAMERA = CameraModel(**CameraConfig().model_dump())
 
 def symmetric_matrix() -> np.ndarray:
     half = generator(3).random((RAYS, RAYS)) / RAYS
-    return half + half.T  # radiance 1 under floodlight, half of what the camera can see
+    return half + half.T  # radiance 1 under floodlight, half of the camera's full scale
 
 
 SETTINGS = AcquisitionSettings(
@@ -44,7 +44,7 @@ SETTINGS = AcquisitionSettings(
 
 
 class StagewiseAcquisition:
-    """One acquisition of a matrix, stage by stage, each as if in a process of its own."""
+    """One acquisition of a matrix; each stage runs as if in a separate process."""
 
     def __init__(
         self, path: Path, rig: Any, tolerance: float | None = 1e-3, method: str = "symmetric"
@@ -103,7 +103,7 @@ def acquire(
     plan: str | Plan = "symmetric",
     settings: AcquisitionSettings = SETTINGS,
 ) -> AcquisitionFolder:
-    """Acquire a matrix, or what is missing of it, as a job of all stages does."""
+    """Start or continue an acquisition of a matrix, like a job of all stages."""
     folder = AcquisitionFolder(path)
     if isinstance(plan, str):
         plan = Plan.of(plan, plan, SHAPE, SHAPE, 1)
@@ -117,7 +117,7 @@ def matrix_rig(matrix: np.ndarray | None = None, noise: Sensor | None = None) ->
 
 
 class FaultyRig:
-    """A rig whose frames of some patterns come out differently."""
+    """A rig whose frames are changed by a function of the key."""
 
     def __init__(self, rig: OperatorRig, fault: Callable[[tuple[int, ...], Any], Any]) -> None:
         self._rig = rig
@@ -136,8 +136,8 @@ class FaultyRig:
         return np.stack(frames)
 
 
-def left(path: Path) -> dict[str, bytes]:
-    """Bytes of manifests and stores."""
+def stored(path: Path) -> dict[str, bytes]:
+    """Bytes of the manifests and stores of an acquisition."""
     files = contents(path)
     return {name: files[name] for name in files if not name.endswith((".log", ".tsv"))}
 

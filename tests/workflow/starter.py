@@ -1,9 +1,9 @@
-"""Snakemake and its jobs from processes that have loaded what they load.
+"""Starts Snakemake and its jobs by forking processes that have already loaded their libraries.
 
-To load it takes Snakemake three seconds and a job two, most of what a small run takes. As a
-program, this reads a line of JSON for each run from its standard input and answers with the exit
-status. A run is a process of its own, forked off before anything has run in it, and so is each of
-its jobs; these have loaded libraries alone, nothing of rfpipe.
+Loading takes Snakemake three seconds and a job two, which is most of the time of a small run. As a
+program, this module reads one line of JSON per run from standard input and prints the exit status.
+Each run and each job is a new process, forked before any run. The process from which jobs are
+forked has loaded libraries only, no module of rfpipe.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["SNAKEMAKE", "run_snakemake"]
 
 SNAKEMAKE = Path(sys.executable).with_name("snakemake")
 
-# What Snakemake loads late, what the workflow's rules load, and what they find by name.
+# Modules that Snakemake loads late, or that the rules load, directly or as plug-ins.
 _OF_SNAKEMAKE = (
     "nbformat",
     "smart_open",
@@ -56,7 +56,7 @@ _OF_JOBS = (
 
 
 def run_snakemake(arguments: Sequence[str], folder: Path, patience: float) -> tuple[int, str]:
-    """Run Snakemake in a folder as if it were just started; return exit status and output."""
+    """Run Snakemake in a folder, as from a shell; return its exit status and output."""
     with NamedTemporaryFile("r", errors="replace") as output:
         starter = _starter()
         assert starter.stdin
@@ -86,12 +86,12 @@ def _starter() -> subprocess.Popen[str]:
 
 def _end(starter: subprocess.Popen[str]) -> None:
     if starter.poll() is None:
-        os.killpg(starter.pid, signal.SIGKILL)  # with what it started
+        os.killpg(starter.pid, signal.SIGKILL)  # its group includes the runs and jobs
     starter.communicate()
 
 
 def _serve() -> None:
-    # no `with`: what is forked off ends by leaving this function, too
+    # no `with`, since forked processes also leave this function
     folder = mkdtemp()
     address = f"{folder}/jobs"
     listener = socket.socket(socket.AF_UNIX)
@@ -103,7 +103,7 @@ def _serve() -> None:
     listener.close()
     from snakemake.cli import get_argument_parser
 
-    get_argument_parser()  # loads the plugins, which are asked for their options
+    get_argument_parser()  # loads the plug-ins, for their options
     for name in _OF_SNAKEMAKE:
         import_module(name)
     for line in sys.stdin:
@@ -117,14 +117,14 @@ def _serve() -> None:
 
 
 def _serve_jobs(listener: socket.socket) -> NoReturn:
-    """Fork off jobs until the process that runs Snakemake ends."""
+    """Fork a process for each job, until the parent process kills this one."""
     for name in _OF_JOBS:
         import_module(name)
     from numba.core.registry import cpu_target
 
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those who wait
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no zombies
     while True:
         connection, _ = listener.accept()
         if os.fork() == 0:
@@ -145,7 +145,7 @@ def _serve_jobs(listener: socket.socket) -> NoReturn:
 
 
 def _become(folder: str, environment: dict[str, str], descriptors: Sequence[int]) -> None:
-    """Become a process just started in a folder."""
+    """Take over the folder, environment and standard streams of a new process."""
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)
@@ -156,17 +156,17 @@ def _become(folder: str, environment: dict[str, str], descriptors: Sequence[int]
 def _become_snakemake(
     folder: str, output: str, environment: dict[str, str], arguments: list[str], address: str
 ) -> NoReturn:
-    said = os.open(output, os.O_WRONLY)
-    _become(folder, environment, [os.open(os.devnull, os.O_RDONLY), said, said])
+    log = os.open(output, os.O_WRONLY)
+    _become(folder, environment, [os.open(os.devnull, os.O_RDONLY), log, log])
     sys.path[0] = str(SNAKEMAKE.parent)
     sys.argv = [str(SNAKEMAKE), *arguments]
     from snakemake.cli import main
     from snakemake.script import PythonScript
 
-    hand_on = f"{sys.executable} -IS {Path(__file__).with_name('job.py')} {address} {{script:q}}"
+    command = f"{sys.executable} -IS {Path(__file__).with_name('job.py')} {address} {{script:q}}"
 
     def execute_script(self: Any, fname: str, edit: bool = False) -> None:
-        self._execute_cmd(hand_on, script=fname, is_python_script=True)
+        self._execute_cmd(command, script=fname, is_python_script=True)
 
     PythonScript.execute_script = execute_script
     sys.exit(main())
@@ -180,7 +180,7 @@ def _become_job(
     import numba
     from numba.np.ufunc import parallel
 
-    numba.config.reload_config()  # both were read with other settings
+    numba.config.reload_config()  # both were set when numba was imported
     parallel.NUM_THREADS = numba.config.NUMBA_NUM_THREADS
     sys.path[0] = str(Path(script).parent)
     sys.argv = [script]

@@ -1,4 +1,4 @@
-"""All stages in one process: their own bytes, nothing done twice, and kills at any moment."""
+"""A job of all stages: the same files as stage by stage, no work repeated, kills at any time."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from tests.workflow.stagewise import (
     SHAPE,
     StagewiseAcquisition,
     acquire,
-    left,
     matrix_rig,
+    stored,
 )
 
 from rfpipe.errors import LockedError
@@ -24,7 +24,7 @@ from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 
 KILLS = 15
-# Processes that have loaded what is needed, and run nothing.
+# Processes that have loaded all modules, but have run nothing yet.
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
     [
@@ -49,24 +49,24 @@ def test_it_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: str)
     one_by_one.plan = Plan.of(method, method, SHAPE, SHAPE, 1)
     one_by_one.acquire_levels()
     one_by_one.assemble()
-    assert left(tmp_path / "job") == left(tmp_path / "stages")
+    assert stored(tmp_path / "job") == stored(tmp_path / "stages")
 
 
 def test_what_runs_again_does_nothing_again(tmp_path: Path) -> None:
     folder = acquire(tmp_path, rig())
-    before = left(tmp_path)
+    before = stored(tmp_path)
     stores = [path for path in tmp_path.glob("L*/*") if path.is_dir()]
     times = [*tmp_path.glob("L*/*.json"), *tmp_path.glob("L*/*.tsv")]
     assert len(times) == 2 * (5 * 4 + 1)  # the last schedule has no patterns
     written = {path: path.stat().st_mtime_ns for path in [*stores, *times]}
     acquire(tmp_path, rig())
-    assert left(tmp_path) == before
+    assert stored(tmp_path) == before
     assert {path: path.stat().st_mtime_ns for path in written} == written
     for stage in ("normalize", "refine"):
         folder.manifest(2, stage).unlink()
         folder.store(2, stage).rename(tmp_path / stage)
     acquire(tmp_path, rig())
-    arrays = left(tmp_path)
+    arrays = stored(tmp_path)
     assert {name: arrays[name] for name in before} == before
 
 
@@ -80,11 +80,11 @@ def test_one_process_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:
 
 
 def test_killed_at_any_moment_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
-    acquire(tmp_path / "first", rig())  # which loads all that it needs
+    acquire(tmp_path / "first", rig())  # loads all modules
     began = perf_counter()
     acquire(tmp_path / "whole", rig())
     seconds = perf_counter() - began
-    expected = left(tmp_path / "whole")
+    expected = stored(tmp_path / "whole")
     killed: set[str] = set()
     for number, moment in enumerate(generator(8).uniform(0, 1, KILLS)):
         share = (number + moment) / KILLS
@@ -92,12 +92,12 @@ def test_killed_at_any_moment_it_ends_with_the_same_bytes(tmp_path: Path) -> Non
         if not _ends_before(path, share * seconds):
             killed.add(_stage_under_way(path))
         acquire(path, rig())
-        assert left(path) == expected, f"killed after {share:.0%}"
+        assert stored(path) == expected, f"killed after {share:.0%}"
     assert len(killed) >= 3, killed  # the moments are random, but spread over all stages
 
 
 def _ends_before(path: Path, seconds: float) -> bool:
-    """Acquire in a process that is killed after some seconds; tell whether it ended before."""
+    """Acquire in a process killed after some seconds; return True if it ended earlier."""
     process = FORKS.Process(target=_acquire_for, args=(path, seconds))
     process.start()
     process.join()
@@ -106,14 +106,16 @@ def _ends_before(path: Path, seconds: float) -> bool:
 
 
 def _acquire_for(path: Path, seconds: float) -> None:
-    acquire(path.with_name(f"{path.name}_first"), rig())  # its imports take longer than it does
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # which ends it at once, as kill -9 does
+    acquire(
+        path.with_name(f"{path.name}_first"), rig()
+    )  # importing takes longer than the acquisition
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends it immediately, like kill -9
     signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-4))
     acquire(path, rig())
 
 
 def _stage_under_way(path: Path) -> str:
-    """Return the stage whose store was begun last."""
+    """Return the stage whose store was created last."""
     stores = [*path.glob("L*/*.zarr")]
     newest = np.argmax([store.stat().st_mtime_ns for store in stores]) if stores else 0
     return stores[newest].stem if stores else ""

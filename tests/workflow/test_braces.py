@@ -1,4 +1,4 @@
-"""Braces in the names of folders, which Snakemake takes for wildcards in its rules."""
+"""Folder names with braces, which Snakemake would read as wildcards."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""`rfpipe run calibrate` on the bench in software: one job a step, none of them twice."""
+"""`rfpipe run calibrate` on the simulated bench: one job per step, and no repeated step."""
 
 import re
 from pathlib import Path
@@ -39,5 +39,5 @@ def test_calibrate_is_a_target_of_its_own(tmp_path: Path) -> None:
     changed = {**RIG, "calibrate": {**RIG["calibrate"], "symmetry_patterns": 4}}
     (workflow.folder / "rig.yaml").write_text(yaml.safe_dump(changed))
     output = workflow.run("calibrate", "--dry-run")
-    # of the steps, that of symmetry alone
+    # only the step of symmetry
     assert re.search(r"calibration_step\s+1\s", output)

@@ -1,4 +1,4 @@
-"""A collection: one scene that fails stops no other, and a new run does only what is missing."""
+"""Collections: a failing scene stops no other, and a new run completes only missing scenes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_scene_that_fails_stops_no_other_and_what_is_done_stays(
     said = workflow.run("--keep-going", succeeds=False)
     assert "results/catalogue/index.html: 1 failed, 2 done" in said
     page = workflow.path("catalogue/index.html").read_text()
-    assert "light transport is finite and not negative" in page  # why it failed
+    assert "light transport is finite and not negative" in page  # the reason of the failure
     assert workflow.path("report/view/third_hadamard.html").exists()
     assert not workflow.path("report/index.html").exists()
     before = workflow.contents("first/hadamard")
@@ -48,7 +48,7 @@ def test_a_scene_that_fails_stops_no_other_and_what_is_done_stays(
     np.save(tmp_path / "bad.npy", np.maximum(matrix, 0))
     said = workflow.run("--keep-going")
     assert "results/catalogue/index.html: 3 done" in said
-    assert f'"mem_mb", {machine_memory_mb()})' in said  # that jobs side by side keep within
+    assert f'"mem_mb", {machine_memory_mb()})' in said  # shared by parallel jobs
     assert jobs(said) == {"acquire": 1, "relight": 1, "view": 1, "all": 1}
     assert workflow.contents("first/hadamard") == before
 

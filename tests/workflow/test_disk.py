@@ -1,4 +1,4 @@
-"""Disk space: estimated and checked before a rig is touched."""
+"""Disk space: estimated and checked before a rig is opened."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_capture_that_does_not_fit_is_refused_before_the_rig_is_touched(
     assert len(mine.rig.shown) == 4 + RAYS
     assert f"level 0: takes up to {NEED / 1e6:.3g} MB" in caplog.text
 
-    disk(0)  # nothing to capture, nothing to refuse
+    disk(0)  # nothing to capture, so nothing to refuse
     mine.capture(0)
 
 
@@ -103,7 +103,7 @@ def test_only_what_is_missing_counts(tmp_path: Path, disk: Disk) -> None:
     mine.capture(0)
     assert mine.rig.shown == [(0, index) for index in range(7, RAYS)]
 
-    # captured anew, its merged images are written over
+    # a repeated capture overwrites its merged images
     mine.merge(0)
     mine.rig = OperatorRig(matrix_rig()._operator, SHAPE, SHAPE, CAMERA, seed=9)
     present = bytes_on_disk(tmp_path / "L00/merge.zarr")

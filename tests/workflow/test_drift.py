@@ -1,4 +1,4 @@
-"""A lamp that changes during a capture: watched, reported, divided out; and warmed up before."""
+"""A lamp that changes during a capture: detection, report, correction, and warm-up."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WATCHING = {"watch": "warn", "check_interval": EVERY}
 
 
 class DimmingRig:
-    """A rig whose lamp loses light from pattern to pattern of a level, and may stop."""
+    """A rig whose lamp dims from pattern to pattern of a level, and that may stop at a pattern."""
 
     def __init__(self, rig: OperatorRig, loss: float = 0.2) -> None:
         self._rig = rig
@@ -51,7 +51,7 @@ class DimmingRig:
 
 
 def begun(path: Path, loss: float = 0.2) -> StagewiseAcquisition:
-    """An acquisition that is about to capture level 1."""
+    """Return an acquisition whose next stage is the capture of level 1."""
     mine = StagewiseAcquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
     mine.plan = Plan.of("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
     mine.level(0)
@@ -61,7 +61,7 @@ def begun(path: Path, loss: float = 0.2) -> StagewiseAcquisition:
 
 @pytest.fixture
 def every_ray(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Show a pattern for each ray on level 1: enough of them for a lamp to change."""
+    """Show one pattern per ray on level 1, enough for the lamp to change."""
     from rfpipe.methods.symmetric import method as symmetric
     from rfpipe.patterns import Schedule
 
@@ -122,7 +122,7 @@ def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> No
 def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     tmp_path: Path, stops_at: tuple[int, ...]
 ) -> None:
-    # a lamp that drifts slowly: looks aren't repeated
+    # for a slowly drifting lamp check pictures aren't repeated
     uninterrupted, stopped = begun(tmp_path / "whole", 0.05), begun(tmp_path / "stopped", 0.05)
     stopped.rig.stops_at = stops_at
     with pytest.raises(CaptureError, match="broken"):
@@ -131,7 +131,7 @@ def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     for mine in (uninterrupted, stopped):
         mine.capture(1, **WATCHING)
         mine.merge(1, divide_out_drift=True)
-    assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # nothing is taken twice
+    assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # no picture is repeated
     manifests = [mine.folder.read_manifest(1, "merge") for mine in (uninterrupted, stopped)]
     assert manifests[0]["digest"] == manifests[1]["digest"]
     assert manifests[0]["check_pictures"] == manifests[1]["check_pictures"]

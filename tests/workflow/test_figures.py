@@ -1,4 +1,4 @@
-"""The thesis' figures, tiny, by their rules: none missing, none blank."""
+"""Small versions of the thesis' figures by their rules: none is missing or blank."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import yaml
 from figures.index import THESIS
 
 ROOT = Path(__file__).parents[2]
-_LEAST_BYTES = 4_000  # of a picture that isn't blank
+_LEAST_BYTES = 4_000  # least deviation of a picture that isn't blank
 
 
 def _snakemake(folder: Path, *arguments: str) -> str:

@@ -1,4 +1,4 @@
-"""rfpipe installed from its wheel, without the clone."""
+"""rfpipe installed from its wheel, without the source repository."""
 
 import os
 import subprocess
@@ -26,4 +26,4 @@ def test_an_installed_rfpipe_runs_its_workflow_anywhere(tmp_path: Path) -> None:
     subprocess.run(command, cwd=tmp_path, env=environment, check=True)
     assert (tmp_path / "results/tiny/brute_force/transport.zarr").is_dir()
     options = read_manifest(tmp_path / "results/run.json")["options"]
-    assert "site/rfpipe/_workflow/Snakefile" in options  # relative: the run can be copied
+    assert "site/rfpipe/_workflow/Snakefile" in options  # relative, so that the run can be copied

@@ -1,4 +1,4 @@
-"""Runs that are stopped in the middle of a stage, and what the next run makes of them."""
+"""Runs that are stopped in the middle of a stage, and the runs that continue them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_an_orphaned_capture_keeps_a_second_writer_out(
     process = workflow.start(LONG)
     orphan = freeze_writer(store, 12)
     try:
-        assert "locked" in workflow.run(LONG, succeeds=False)  # two runs in one folder
+        assert "locked" in workflow.run(LONG, succeeds=False)  # a second run in the same folder
         os.kill(process.pid, signal.SIGKILL)
         workflow.run("--unlock")
         output = workflow.run(LONG, succeeds=False)
@@ -79,6 +79,6 @@ def test_a_stopped_capture_closes_its_store_and_goes_on(
     assert 12 <= captured < 40
     assert not store.with_name(".capture.zarr.lock").exists()
 
-    output = workflow.run(LONG)  # with nothing to unlock
+    output = workflow.run(LONG)  # without locks to remove
     assert f"{captured} of 40 patterns are captured" in output
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)

@@ -1,4 +1,4 @@
-"""A run brings its results into a bucket at its end, and the captures stay here."""
+"""Upload of a run's results to a bucket, without its captures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole run by near/far acquisition, up to its report."""
+"""A run by near/far acquisition, up to its report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rigs whose patterns go out as files and whose pictures come back as files."""
+"""Offline rigs: patterns are written to files, and pictures are imported from files."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def sheets(folder: Path) -> list[Path]:
 
 @pytest.fixture
 def level_0(tmp_path: Path) -> Path:
-    """The first sheet, and its pictures by a camera without noise; its settings have no noise."""
+    """Folder of the first sheet with its pictures; settings and pictures are free of noise."""
     path = settings_file(tmp_path, camera=QUIET)
     command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
     (sheet,) = sheets(tmp_path / "p")
@@ -92,7 +92,7 @@ QUIET = {"exposures": [0.5, 2.0], "bits": 16, "black_level_counts": 1000}
 
 
 def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> None:
-    """Pictures by an independent script, noise as the direct rig has it."""
+    """Pictures are taken by an independent script, with the noise of the simulated rig."""
     path = settings_file(tmp_path)
     settings = load_config(path)
     rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=3)
@@ -105,7 +105,7 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     )
 
     def expose(radiance: Any, seconds: float, key: Any) -> Any:
-        # markers are seen by nobody but the import
+        # markers are used by the import only
         bracket = CAMERA.expose(radiance.astype(np.float32), 3, tuple(key or (9,)))
         return bracket[CAMERA.exposures.index(seconds)]
 
@@ -120,7 +120,7 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     assert passes == len(sheets(tmp_path / "p")) > 2
     transport = contents(tmp_path / "r" / "desk" / "symmetric" / "transport.zarr")
     assert transport == contents(direct / "transport.zarr")
-    # a sheet twice changes nothing
+    # importing a sheet again changes nothing
     assert "complete; the transport is" in command("import", sheet)
     assert verified(path, tmp_path / "r")["mean_error"] < 0.01
 
@@ -130,7 +130,7 @@ def settings_of(config: Config) -> AcquisitionSettings:
 
 
 def verified(path: Path, results: Path) -> dict[str, Any]:
-    """Run the stage that verifies a finished acquisition, as the workflow does."""
+    """Run the verification of a finished acquisition, like the workflow."""
     settings = load_config(path)
     rig = rig_source_settings(settings, "desk")
     assert rig["kind"] == "offline"
@@ -141,7 +141,7 @@ def verified(path: Path, results: Path) -> dict[str, Any]:
 
 
 def acquired(tmp_path: Path, settings: Path, matrix_of: Any) -> list[str]:
-    """Take sheet by sheet what is asked for, `matrix_of(sheet)` being before the camera."""
+    """Take and import the pictures of each sheet; `matrix_of(sheet)` is the scene's transport."""
     at = "-o", tmp_path / "p", "--results", tmp_path / "r"
     outputs = [command("patterns", settings, *at)]
     while "complete; the transport is" not in outputs[-1]:
@@ -194,7 +194,7 @@ def test_the_workflow_goes_on_from_pictures_that_a_script_took(tmp_path: Path) -
     assert "complete; the transport is" in command("import", sheet)
     assert "patterns in" not in workflow.run(target)
     transport = open_transport(workflow.path("desk/brute_force/transport.zarr"))
-    # radiance in the camera's own unit
+    # radiance in units of the camera
     estimate = transport.channel(0) @ np.eye(20)
     scale = estimate.sum() / symmetric_matrix().sum()
     np.testing.assert_allclose(estimate / scale, symmetric_matrix(), atol=2e-3 / 20)
@@ -215,7 +215,7 @@ def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
 
 
 def swapped(pictures: Path, *pairs: tuple[int, int]) -> None:
-    """Exchange files; by default, the opposite of the marker comes after black."""
+    """Exchange pairs of pictures; by default, move the inverted marker behind black."""
     for first_index, second_index in pairs or ((2, 4), (3, 5)):
         first, second = (pictures / f"IMG_{index}.tif" for index in (first_index, second_index))
         first.rename(pictures / "aside.tif")
@@ -354,7 +354,7 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
 
 
 def test_a_raw_file_of_another_mosaic_is_refused(tmp_path: Path) -> None:
-    """Red and blue would be exchanged, and the mosaic of X-Trans sensors taken for gray."""
+    """Otherwise red and blue would be exchanged, and X-Trans mosaics read as gray."""
     scenes = {"desk": {"kind": "captured", "shape": [36, 48], "channels": 3}}
     changes = {"scenes": scenes, "camera": {**QUIET, "bayer": "RGGB"}}
     path = settings_file(tmp_path, **changes, offline={"projector_shape": [72, 96]})

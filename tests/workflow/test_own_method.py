@@ -1,4 +1,4 @@
-"""A method of the user's own, in one file outside the package, used by settings alone."""
+"""A user-defined method in one file outside the package, selected by settings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "column_scan.py"
 
 
 class TestColumnScan(MethodContract):
-    error = 1.0  # it can't tell a column's rays apart
+    error = 1.0  # it doesn't separate the rays of a column
     floodlit_error = 1e-5
 
     def make_method(self):

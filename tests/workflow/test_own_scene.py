@@ -1,4 +1,4 @@
-"""A scene of the user's own, in one file outside the package, used by settings alone."""
+"""A user-defined scene in one file outside the package, selected by settings."""
 
 from __future__ import annotations
 

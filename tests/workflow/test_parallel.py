@@ -1,4 +1,4 @@
-"""Work by threads and dask's workers: the same bytes, whoever dies meanwhile."""
+"""Work in threads and in dask's workers: equal bytes, also if workers die."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def elsewhere(address: str) -> Resources:
 
 @pytest.fixture
 def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StagewiseAcquisition:
-    """A level of 20 patterns, two of them in a run."""
+    """An acquisition with a captured level of 20 patterns, in runs of two."""
     monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
     monkeypatch.setattr(merging, "_CHUNKS_PER_PIECE", 2)
     acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
@@ -71,9 +71,9 @@ def test_a_cluster_leaves_the_bytes_that_threads_leave(
         outputs.append({name: contents(level / name) for name in ("merge.zarr", "sums.zarr")})
         outputs[-1]["manifest"] = contents(level / "merge.json")
         merged = captured.folder.store(0, "merge")
-        merged.rename(level / f"of {len(outputs)}")  # or it would be kept
+        merged.rename(level / f"of {len(outputs)}")  # otherwise it would be reused
     assert outputs[0] == outputs[1] == outputs[2] == outputs[3]
-    assert len(outputs[0]["merge.zarr"]) == 10 + 2  # a file a run
+    assert len(outputs[0]["merge.zarr"]) == 10 + 2  # one file per run of patterns
 
 
 def test_damage_that_a_worker_finds_is_said_as_anywhere(
@@ -121,7 +121,7 @@ def test_work_that_kills_its_worker(tmp_path: Path) -> None:
 
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A scheduler and a worker, as a user starts them."""
+    """A scheduler and a worker, started like a user starts them."""
     file = tmp_path / "scheduler.json"
     dask = [sys.executable, "-m", "distributed.cli"]
     options = ["--scheduler-file", str(file), "--no-dashboard"]
@@ -158,7 +158,7 @@ def test_a_scheduler_that_dies_ends_the_job(
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """One certificate for all, as dask's settings name it."""
+    """dask's settings with one certificate for all processes."""
     file = tmp_path_factory.mktemp("tls") / "dask.pem"
     security = Security.temporary()
     file.write_text(f"{security.tls_client_key}\n{security.tls_client_cert}")

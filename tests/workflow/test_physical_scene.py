@@ -1,4 +1,4 @@
-"""Physically based scenes in the workflow: a pair aside, many cameras, two pairs."""
+"""Physically based scenes in the workflow: a displaced rig, many cameras, two rigs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real run, published: what the validators of each format say of it, without the network."""
+"""A published run, checked by the validators of each format, without network."""
 
 import importlib.resources
 import json
@@ -39,7 +39,7 @@ print(json.dumps([found.passed(), issues]))
 
 @pytest.fixture(scope="module")
 def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A published run, unpacked from its zip file, which lies beside it."""
+    """Folder of a published run, unpacked from the zip file next to it."""
     citation = Citation.model_validate(
         {
             "title": "Two wedges",
@@ -58,7 +58,7 @@ def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 def printed(python: str, script: str, *arguments: object) -> object:
-    """What a script prints last; the validators' own warnings are theirs."""
+    """Run a script and return its last line of output, parsed as JSON."""
     command = [python, "-W", "ignore", "-c", script, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -67,7 +67,7 @@ def printed(python: str, script: str, *arguments: object) -> object:
 
 def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path, validators: str) -> None:
     source = importlib.resources.files("rocrate").joinpath("data/ro-crate.jsonld")
-    # comes with ro-crate-py, in a later version, which has moved or added these terms
+    # included in ro-crate-py in a later version that moved or added these terms
     context = json.loads(source.read_text())
     context["@context"]["ComputationalWorkflow"] = "https://bioschemas.org/ComputationalWorkflow"
     del context["@context"]["creditText"], context["@context"]["sha256"]

@@ -1,4 +1,4 @@
-"""Runs that drop their raw exposures once these are merged."""
+"""Runs that delete their raw exposures after merging them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RAW = ("L00/reference_brackets.zarr", "L00/capture.zarr", "L01/capture.zarr")
 
 @pytest.fixture
 def acquisition(tmp_path: Path) -> StagewiseAcquisition:
-    """Two levels without their raw exposures; its rig counts what it shows from here on."""
+    """An acquisition of two levels without raw exposures; its rig counts further patterns."""
     acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
     acquisition.settings = replace(SETTINGS, keep_raw=False)
     for level in (0, 1):
@@ -100,10 +100,10 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: StagewiseAcqui
         assert "capture.keep_raw is false" in str(error.value)
         assert "Set that back and run again" in str(error.value)
         assert acquisition.folder.retaking() in str(error.value)
-        acquisition.merge(level)  # with the settings of before
+        acquisition.merge(level)  # with the previous settings
     assert everything(acquisition.folder.path) == before
 
-    # as the message says
+    # as the message advises
     for level in (0, 1):
         Retake(acquisition.folder, level).set_aside()
     for level in (0, 1):
@@ -119,7 +119,7 @@ def test_damaged_merged_images_need_the_raw_exposures(
 ) -> None:
     level = 0 if store == "reference_images" else 1
     damage(acquisition.folder.store(level, store))
-    acquisition.folder.manifest(level, "merge").unlink()  # as who finds it says
+    acquisition.folder.manifest(level, "merge").unlink()  # as the message advises
     with pytest.raises(StaleStoreError, match=r"damaged.*To capture all levels again"):
         acquisition.merge(level)
     FrameStore.discard(acquisition.folder.store(level, store))
@@ -142,7 +142,7 @@ def test_other_patterns_are_captured_anew(
 
 
 class Killed(BaseException):
-    """What ends a process, as far as one test can tell."""
+    """Simulated end of the process; no code under test catches it."""
 
 
 def killed(*_: Any) -> None:
@@ -188,7 +188,7 @@ def test_a_kill_while_dropping_loses_nothing(
         with pytest.raises(Killed):
             cut.merge(level)
     assert cut.folder.manifest(level, "merge").exists()
-    if snakemake_removes_the_manifest:  # it knows the job as incomplete
+    if snakemake_removes_the_manifest:  # it removes outputs of incomplete jobs
         cut.folder.manifest(level, "merge").unlink()
     cut.merge(level)
     for remaining in range(level, 2):
@@ -225,7 +225,7 @@ def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
 def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> None:
     folder = copy.path("tiny/symmetric")
     copy.configure(capture={"keep_raw": False})
-    output = copy.run("results/tiny/symmetric/raw_dropped")  # merged before: only to be dropped
+    output = copy.run("results/tiny/symmetric/raw_dropped")  # only deletes exposures
     assert output.count("raw exposures dropped") == 4
     assert "patterns in" not in output
     assert list(folder.glob("L*/capture.zarr/c.*")) == []

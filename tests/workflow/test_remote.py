@@ -1,4 +1,4 @@
-"""Runs whose rig is behind an acquisition server, and what is left when either of them dies."""
+"""Runs with a rig on an acquisition server, and kills of the server and of the run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 
 
 class Server:
-    """``rfpipe serve`` as a process of its own, with a simulated rig."""
+    """A process of ``rfpipe serve`` with a simulated rig."""
 
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
@@ -74,11 +74,11 @@ class Server:
         return dict(answer.json())
 
     def workflow(self, folder: Path, patience_seconds: int = 600, jobs: str = "stage") -> Workflow:
-        """Return a run of the served scene alone, by brute force."""
+        """A run of the served scene by brute force."""
         capture = {
             "rig": "remote", "url": self.url, "token_file": str(self.token_file),
             "patience_seconds": patience_seconds,
-            "watch": "off",  # the same patterns as of a simulated rig
+            "watch": "off",  # the same patterns as for a simulated rig
         }  # fmt: skip
         scenes = {"long": CONFIG["scenes"]["long"]}
         of_run = {"scenes": scenes, "methods": {"brute_force": {}}, "resources": {"jobs": jobs}}
@@ -106,9 +106,9 @@ def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
     output = workflow.end(process)
     assert re.search(r"no answer .*check that 'rfpipe serve' runs there", output)
     assert "answers again; going on" in output
-    # but for what had come to the client, nothing was shown twice by the second server
+    # the second server shows no pattern whose frames the client already has
     assert server.status()["brackets"] <= 40 - captured + 1
-    # the same bytes as of a simulated capture without a server
+    # the same bytes as a simulated capture without a server
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
@@ -116,7 +116,7 @@ def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
 def test_a_client_killed_in_the_middle_of_a_level_goes_on(
     tmp_path: Path, server: Server, undisturbed: Workflow, jobs: str
 ) -> None:
-    """Alone, or with its server."""
+    """The client is killed alone or together with its server."""
     workflow = server.workflow(tmp_path / "run", jobs=jobs)
     store = workflow.path(f"{BRUTE}/L00/capture.zarr")
     process = workflow.start(LONG)
@@ -130,7 +130,7 @@ def test_a_client_killed_in_the_middle_of_a_level_goes_on(
     if jobs == "acquisition":
         server.start()
     else:
-        assert server.status()["holder"] is not None  # until its lease lapses
+        assert server.status()["holder"] is not None  # until its lease ends
     workflow.unlock()
     assert f"{captured} of 40 patterns are captured" in workflow.run(LONG)
     assert server.status()["holder"] is None
@@ -177,6 +177,6 @@ def test_a_missed_target_fails_the_run_and_a_level_is_taken_again(
     workflow.config.write_text(yaml.safe_dump(settings))
     output = run(workflow, "--retake", "long/near_far/1")
     assert "the previous ones stay next to the new ones, as capture.before_1.zarr" in output
-    # pictures for verification are those of before
+    # the verification pictures are reused
     assert server.status()["brackets"] == shown + len(before)
     assert "missed the target error" in output.splitlines()[-1]

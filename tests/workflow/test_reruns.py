@@ -1,4 +1,4 @@
-"""What a change makes again: Snakemake decides it by settings and one digest of the code."""
+"""Jobs that run again after a change of the settings or the code."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ ALL = {"schedule", "capture_simulated", "merge", "normalize", "refine", "assembl
 
 
 def jobs(output: str) -> Counter[str]:
-    """Jobs that ran, by their rules."""
+    """Number of jobs that ran, by rule."""
     return Counter(re.findall(r"Finished jobid: \d+ \(Rule: (\w+)\)", output))
 
 
 def shown(workflow: Workflow) -> list[str]:
-    """Digests of the patterns of each level."""
+    """Digests of each level's patterns."""
     folder = workflow.path("tiny/dual")
     return [read_manifest(path)["shown"] for path in sorted(folder.glob("L*/schedule.json"))]
 
@@ -72,7 +72,7 @@ def test_another_tolerance_captures_what_other_patterns_ask(copy: Workflow) -> N
     copy.configure(methods={**CONFIG["methods"], "dual": {"tolerance": 0.1}})
     ran = jobs(copy.run(DUAL))
     changed = sum(old != new for old, new in zip(before, shown(copy), strict=True))
-    assert 0 < changed < LEVELS  # or the test shows nothing
+    assert 0 < changed < LEVELS  # otherwise the test proves nothing
     assert ran["capture_simulated"] == changed
     assert ran["refine"] == LEVELS
 
@@ -109,7 +109,11 @@ def test_edited_code(
 def test_a_stage_is_forced_or_stopped_at(copy: Workflow) -> None:
     before = copy.contents("tiny/dual")
     forced = jobs(copy.run(DUAL, "--forcerun", "merge"))
-    assert forced == {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS}  # to the same bytes
+    assert forced == {
+        "merge": LEVELS,
+        "normalize": LEVELS,
+        "refine": LEVELS,
+    }  # same bytes
     assert copy.contents("tiny/dual") == before
     shutil.rmtree(copy.path("tiny/dual"))
     until = jobs(copy.run(DUAL, "--until", "merge"))
@@ -139,7 +143,7 @@ def test_one_job_an_acquisition_goes_on_with_what_stages_left(
         shutil.rmtree(folder / name)
     assert jobs(copy.run(DUAL)) == {"acquire": 1}
     assert copy.contents("tiny/dual") == undisturbed.contents("tiny/dual")
-    # of what that job did Snakemake knows no settings
+    # Snakemake has no settings of the jobs that this job replaced
     copy.configure(merge={"mask_defects": False})
     assert jobs(copy.run(DUAL))["merge"] == LEVELS
     assert "Nothing to be done" in copy.run(DUAL)

@@ -1,4 +1,4 @@
-"""Each command of docs/rig.md, run on the optical bench; and how good what comes out is."""
+"""The commands of docs/rig.md on the simulated bench, and the quality of their results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NEEDED = (
 
 
 def commands() -> str:
-    """The document's commands as one script, which leaves no server behind."""
+    """Return the document's commands as one script that stops its servers at the end."""
     blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "docs/rig.md").read_text(), re.M | re.S)
     assert len(blocks) == 6
     script = "\n".join(blocks)

@@ -1,4 +1,4 @@
-"""``rfpipe run`` itself: scenes that fail, runs that are killed, pictures that are taken again."""
+"""The command ``rfpipe run``: failing scenes, killed runs and repeated captures."""
 
 from __future__ import annotations
 

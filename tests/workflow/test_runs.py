@@ -1,4 +1,4 @@
-"""Whole runs: what they leave, mistaken settings, and damaged stores."""
+"""Complete runs: their manifests and reports, and mistakes in their settings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_every_stage_of_every_level_leaves_a_manifest(undisturbed: Workflow) -> 
 def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflow) -> None:
     scenes = {**ONE_SCENE, "field": LIGHT_FIELD}
     copy.configure(scenes=scenes, methods={"symmetric": {}, "dual": {}})
-    copy.run()  # goes on from the acquisitions that stand there
+    copy.run()  # continues from the existing acquisitions
     page = copy.path("report/index.html").read_text(encoding="utf-8")
     assert "<html" in page
     assert 'src="http' not in page

@@ -1,4 +1,4 @@
-"""The table of config/README.md that says what a change of each setting runs again."""
+"""The table in config/README.md: the stages that run again after a change of each setting."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ NOT_RUN = {
 
 
 def leaves(model: type[BaseModel], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Path and field of every setting of a model and the groups in it."""
+    """Yield the path and field of each setting of a model and its groups."""
     for name, field in model.model_fields.items():
         path = f"{above}{name}"
         groups = [
@@ -95,7 +95,7 @@ def is_group(kind: object) -> bool:
 
 
 def rows() -> dict[str, str]:
-    """The table: what runs again by the pattern of each setting."""
+    """Read the table: the stages that run again, by the name pattern of settings."""
     text = (ROOT / "config" / "README.md").read_text(encoding="utf-8")
     table = text.partition("| setting | runs again |\n|---|---|\n")[2].partition("\n\n")[0]
     runs_of_setting: dict[str, str] = {}
@@ -112,7 +112,7 @@ SETTINGS = dict(leaves(Config))
 
 
 def row_of(path: str) -> str:
-    """The most specific pattern of the table that a setting fits."""
+    """Return the most specific pattern of the table that matches a setting."""
     fitting = [name for name in TABLE if fits(path, name)]
     assert fitting, f"{path} has no row in config/README.md"
     return max(fitting, key=lambda name: (name.count("."), len(name)))
@@ -127,7 +127,7 @@ def fits(path: str, pattern: str) -> bool:
 
 
 def other_value(path: str, field: Any, default: Any) -> Any:
-    """A value of a setting that isn't its present one."""
+    """Return a valid value of a setting other than the current one."""
     if path in SPECIAL:
         return SPECIAL[path]
     choices = literals(field.annotation)
@@ -171,7 +171,7 @@ BASE: dict[str, Any] = {
 
 @pytest.fixture(scope="session")
 def finished(shared: Path, kernels: None) -> Workflow:
-    """A small run up to its report, which nothing changes."""
+    """A small complete run; read only."""
     from tests.workflow.conftest import _once
 
     def run(workflow: Workflow) -> str:
@@ -182,7 +182,7 @@ def finished(shared: Path, kernels: None) -> Workflow:
 
 
 def planned(workflow: Workflow) -> set[str]:
-    """The rules that a dry run names."""
+    """Names of the rules that a dry run lists."""
     output = workflow.run("--dry-run")
     stats = re.search(r"^job +count\n-+.*?\n(.*?)^total", output, re.MULTILINE | re.DOTALL)
     names = stats[1].split("\n") if stats else []
@@ -190,7 +190,7 @@ def planned(workflow: Workflow) -> set[str]:
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
-    """The settings of the run with one other value."""
+    """Return the settings of the run with one value changed."""
     settings: dict[str, Any] = {**CONFIG, **BASE}
     group, *names = path.split(".")
     if not names:

@@ -1,4 +1,4 @@
-"""Jobs on a real Slurm daemon of two nodes, by both profiles, with a node killed meanwhile."""
+"""Jobs on a Slurm cluster of two nodes, with both profiles and with a killed node."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.services.slurm import Slurm
 from tests.workflow.harness import GLASS, LONG, ROOT, TINY, Workflow, freeze_writer, journal
 
 PROFILES = ROOT / "workflow" / "profiles"
-# as the profiles, but for a cluster whose jobs take seconds
+# the settings of the profiles, for a cluster whose jobs take seconds
 QUICK = {
     "slurm": ("--slurm-init-seconds-before-status-checks", "2", "--latency-wait", "10"),
     "cluster-generic": ("--seconds-between-status-checks", "2", "--latency-wait", "10"),
@@ -26,14 +26,14 @@ def daemons(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Slurm]:
 
 @pytest.fixture
 def slurm(daemons: Slurm, monkeypatch: pytest.MonkeyPatch) -> Slurm:
-    """The cluster, for all programs that a test starts."""
+    """The cluster, configured in the environment of all programs that a test starts."""
     for name in ("SLURM_CONF", "PATH"):
         monkeypatch.setenv(name, daemons.environment[name])
     return daemons
 
 
 def on(profile: str, *arguments: str) -> tuple[str, ...]:
-    """Options of Snakemake by which jobs go to the cluster."""
+    """Options that make Snakemake submit its jobs to the cluster."""
     return "--profile", str(PROFILES / profile), *QUICK[profile], *arguments
 
 
@@ -41,16 +41,16 @@ def test_a_node_killed_in_the_middle_of_an_acquisition(
     slurm: Slurm, undisturbed: Workflow, tmp_path: Path
 ) -> None:
     workflow = Workflow(tmp_path / "run")
-    workflow.configure(resources={"memory_gib": 0.5})  # what a node has, also doubled twice
+    workflow.configure(resources={"memory_gib": 0.5})  # fits on a node, also doubled twice
     process = workflow.start(*on("slurm", LONG))
     capture = workflow.path("long/brute_force/L00/capture.zarr")
-    freeze_writer(capture, 12)  # so that it isn't done before its node is found
+    freeze_writer(capture, 12)  # so that the job is still running when its node is known
     (node,) = slurm.jobs("RUNNING").values()
     slurm.kill_node(node)
     captured = len(journal(capture))
     assert captured < 40
     time.sleep(1)
-    assert len(journal(capture)) == captured  # nothing of it lives
+    assert len(journal(capture)) == captured  # all of its processes are dead
     slurm.start_node(node)
     said = workflow.end(process)
     assert "Trying to restart job" in said
@@ -77,7 +77,7 @@ def test_what_a_job_of_ones_own_cluster_died_of_is_said(slurm: Slurm, tmp_path: 
     assert "Error in rule acquire" in said
     (log,) = (workflow.folder / ".snakemake/cluster_logs").glob("acquire-*.log")
     assert "died with <Signals.SIGKILL: 9>" in log.read_text()
-    # one of one processor, whatever this machine has, and as much memory as there is anywhere
+    # one processor on any machine, and more memory than any machine has
     resources = next(line for line in said.splitlines() if line.startswith("Provided resources"))
     assert "mem_mb" not in resources
 

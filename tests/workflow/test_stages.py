@@ -1,4 +1,4 @@
-"""The stages on files, called as functions: rigs that fail, stores that are stale or damaged."""
+"""The stages on files, called as functions: failing rigs, and stale or damaged stores."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_frames_that_are_none_are_refused_and_what_is_captured_stays(
     mended = FaultyRig(matrix_rig(), lambda key, frame: frame)
     acquisition.rig = mended
     acquisition.capture(1)
-    assert mended.shown == [(1, 3)]  # 0 to 2 are there
+    assert mended.shown == [(1, 3)]  # frames 0 to 2 are stored
 
 
 def test_negative_frames_are_refused_by_the_merge(tmp_path: Path) -> None:
@@ -123,14 +123,12 @@ def test_a_changed_rig_is_refused_or_captured_anew_after_saying_so(
     messages = [record.getMessage() for record in caplog.records]
     recaptured = next(i for i, text in enumerate(messages) if "CAPTURING ANEW" in text)
     assert "rig.seed 0 -> 7" in messages[recaptured]
-    assert all(
-        "patterns in" not in text for text in messages[:recaptured]
-    )  # before, not afterwards
+    assert all("patterns in" not in text for text in messages[:recaptured])  # before the capture
     assert read_manifest(tmp_path / "L00/capture.json")["digest"] != first["digest"]
 
     acquisition.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
     acquisition.capture(0, when_patterns_change="refuse")
-    assert acquisition.rig.shown == []  # the old pictures were found again
+    assert acquisition.rig.shown == []  # the earlier pictures are used
     assert read_manifest(tmp_path / "L00/capture.json") == first
 
 

@@ -74,7 +74,7 @@ def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
     acquisition.folder.manifest(0, "merge").unlink()
     acquisition.merge(0)
     assert judge(acquisition) == facts
-    acquisition.capture(0, symmetry_frames=FRAMES)  # none is missing
+    acquisition.capture(0, symmetry_frames=FRAMES)  # all are stored
     assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
 
 

@@ -91,13 +91,13 @@ def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
     rig.stops_at = None
     facts = verified(folder, rig)
     pictures = [key for key in rig.shown if key[0] == VERIFICATION_KEY]
-    assert pictures == [(VERIFICATION_KEY, index) for index in range(PICTURES)]  # none twice
+    assert pictures == [(VERIFICATION_KEY, index) for index in range(PICTURES)]  # none is repeated
     assert facts == intact
     assert check(tmp_path / "results").findings == []
     shown = len(rig.shown)
     (folder.path / VERIFICATION_MANIFEST).unlink()
     assert verified(folder, rig, "other code")["pictures"] == intact["pictures"]
-    assert len(rig.shown) == shown  # the pictures are kept
+    assert len(rig.shown) == shown  # the pictures persist
 
 
 def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:

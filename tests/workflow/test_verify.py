@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.workflow.harness import TINY, Workflow
-from tests.workflow.stagewise import CAMERA, FaultyRig, damage, left, matrix_rig
+from tests.workflow.stagewise import CAMERA, FaultyRig, damage, matrix_rig, stored
 from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.calibration.folder import CalibrationFolder, StepConditions
@@ -128,7 +128,7 @@ def test_damage_is_found_and_mended_to_the_same_bytes(
     if kind.startswith("capture"):
         assert len(shown) <= 1  # the damaged pattern alone
     assert check(results).findings == []
-    assert left(results) == left(intact)
+    assert stored(results) == stored(intact)
 
 
 # Names of folders of runs, calibrations, recordings and clones; scenes and methods may have them.
