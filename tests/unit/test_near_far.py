@@ -203,7 +203,7 @@ def test_shows_no_more_patterns_than_the_limit(case: str, limit: int) -> None:
 def test_ends_at_its_target_on_hard_cases(name: str) -> None:
     scene = CASES[name]()
     if name == "asymmetric_alignment":
-        with pytest.raises(CaptureError, match="as it comes"):
+        with pytest.raises(CaptureError, match="the transport is not symmetric"):
             run(scene, "near_far", None)
     result = run(scene, "near_far", None, symmetry_frames=0)
     transport = result.transport

@@ -17,8 +17,9 @@ symbol  name in the code     shape         meaning and unit
 ``g``   `projector_factor`   (C, N)        root of the light that each projector ray sends, mean 1
 ``W``   `cells.haar`         (m, cells)    Haar transform of the cells, orthonormal
 ``C``   `cores`              (C, pairs)    non-zero entries between wavelets, radiance
-``d``                        (C, cells)    light that a cell returns to itself; fitted to keep it
-                                           out of K, but not stored: it is in M's direct light
+``d``    `direct`             (C, cells)    light that a cell returns to itself; it is fitted to
+                                           keep it out of K, and then dropped: direct light is
+                                           the floodlit image minus all other parts
 ======  ===================  ============  =========================================================
 """
 
