@@ -260,7 +260,8 @@ class MethodContract:
     def test_a_state_is_restored_from_its_arrays(self) -> None:
         """A run resumed before any level continues with exactly the same state."""
         matrix, camera = self._matrix(), self._shapes()[0]
-        method = self.make_method().for_rig(*map(RayDomain, self._shapes()))
+        camera_rays, projector_rays = map(RayDomain, self._shapes())
+        method = self.make_method().for_rig(camera_rays, projector_rays)
         run = self._run(matrix)
         levels = [
             StateArrays(change.arrays, json.loads(json.dumps(dict(change.attributes))))
